@@ -15,6 +15,7 @@ import numpy as np
 
 from bench import disk_arrays, pipeline, store
 from bench.arrays import BoolArray, FloatArray
+from bench.config.checks import is_autopilot
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
@@ -25,19 +26,22 @@ from bench.evaluation.fixes import antenna_errors, judge
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.required_metrics import list_requirements
-from bench.evaluation.rest_noise import assume_rest_noise
+from bench.evaluation.rest_noise import assume_rest_noise, assume_vibration
 from bench.evaluation.verdict import add_verdict
-from bench.exchange import reference
+from bench.exchange import autopilot, own_judge, reference
+from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.loading import load_estimators
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import estimator
 from bench.run_result import RunResult
-from bench.specs import DEFAULT_GUARD, Guard
+from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.units import SAME_INSTANT
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
+CUTS = (10.0, 30.0, 60.0)
+"""Lengths of the outages that are simulated where a recording is long enough [s]."""
 _END_OF_CUT, _SHORTEST_END = 0.1, 1.0
 """Part of a cut, and at least so long [s], in whose last a reference has to have an epoch."""
 
@@ -92,12 +96,20 @@ def read_log(
         If an estimator cannot be built, or needs data that the log does not have.
     """
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
-    choices = {c.label: c for c in spec.estimators}
+    choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
     built = dict(zip(choices, load_estimators(choices.values()), strict=True))
     for label, one in built.items():
-        estimator.check_needs(one, label, {"fixes"} | ({"baro"} if spec.baro else set()))
+        estimator.check_needs(one, label, {"fixes", *spec.instruments})
     records = read_records(spec)
-    checks = validity.check_recording(records.imu, records.fixes, records.baro, np.asarray(spec.antenna_b))
+    for choice in spec.estimators:
+        if is_autopilot(choice.use):
+            built[choice.label] = autopilot.build(choice.use, spec.imu, records.origin)
+    built = {choice.label: built[choice.label] for choice in spec.estimators}
+    checks = validity.check_recording(
+        records.imu, records.fixes, records.instruments, np.asarray(spec.antenna_b)
+    )
+    if spec.imu.format in AUTOPILOTS:  # it turned the axes to those of the vehicle, which may fly sideways
+        checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.reported:  # every fix is as good as it says, unless the log asks for something else
         weighing = {
             label for label, choice in choices.items() if estimator.takes_option(choice.use, REPORTED)
@@ -108,6 +120,10 @@ def read_log(
             built[label] = pipeline.build_estimator(replace(choice, options=options))
         if weighing and records.fixes.valid.any():
             checks.append(_describe_accuracy(records))
+    if spec.vibration:
+        imu, found = assume_vibration(spec.assumed.imu, records.imu)
+        spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
+        checks.append(found)
     if tune_noise:
         standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
         imu, found = assume_rest_noise(spec.assumed.imu, records.imu, standstills)
@@ -136,7 +152,7 @@ def _describe_accuracy(records: LogRecords) -> Check:
 
 
 def navigate_log(
-    log: str | Path | RecordedLog, *, outages: Sequence[float] = (), places: int = 10
+    log: str | Path | RecordedLog, *, outages: Sequence[float] | None = (), places: int = 10
 ) -> RunResult:
     """Run estimators on a recording and judge them; one that raises has failed.
 
@@ -148,6 +164,7 @@ def navigate_log(
         The path of a log, or what :func:`read_log` returns.
     outages : sequence of float
         Durations of GNSS outages to simulate [s]; each is simulated at ``places`` places, in separate runs.
+        None: 10, 30 and 60 s, as far as the recording has room for them; none beside a reference.
     places : int
         Number of places of each outage.
 
@@ -166,11 +183,14 @@ def navigate_log(
     log = log if isinstance(log, RecordedLog) else read_log(log)
     clock = time.process_time()
     spec = log.spec
-    session = Session(spec, log.records, find_start(log.records, spec), log.reference)
-    for duration in outages:
+    session = Session(spec, log.records, _find_start(log), log.reference)
+    cuts = session.choose_cuts(places) if outages is None else dict.fromkeys(outages, places)
+    for duration in cuts:
         session.check_room(duration)
     keep, withheld = session.split_fixes()
-    data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
+    gaps = own_judge.find_outages(session.fixes)
+    ends = np.array([end for _, end in gaps])
+    data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t, ends]))
     present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
     for label, one in log.estimators.items():
         estimator.check_needs(one, label, present, spec.name)
@@ -181,21 +201,30 @@ def navigate_log(
         try:
             solution = estimator.answer(one, label, data, session.initial)
             unmodelled = estimator.list_unmodelled(one, label, spec.assumed)
-            drifts += [
-                make_drift_row(
-                    label, duration, session.run_outages(one, label, duration, places), spec.assumed.imu
-                )
-                for duration in outages
-            ]
+            if isinstance(one, autopilot.AutopilotEstimator):
+                drifts += [
+                    make_drift_row(label, drift.duration, [drift], spec.assumed.imu)
+                    for drift in own_judge.measure_outages(solution, session.fixes, data, gaps)
+                ]
+            else:
+                drifts += [
+                    make_drift_row(
+                        label, duration, session.run_outages(one, label, duration, count), spec.assumed.imu
+                    )
+                    for duration, count in cuts.items()
+                ]
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
         disk_arrays.release()
-        if log.reference is None:
+        if log.reference is None and isinstance(one, autopilot.AutopilotEstimator):
+            errors[label], judged = own_judge.judge(solution, spec.evaluation_from)
+        elif log.reference is None:
             errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
         else:
             errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
-        coverage = measure_coverage(solution, data)
+        own = isinstance(one, autopilot.AutopilotEstimator)
+        coverage = None if own else measure_coverage(solution, data)  # rows missing there are the logger's
         values, required = {**judged, "unmodelled": unmodelled}, list_requirements(spec.document, label)
         metrics[label] = add_verdict(label, values, coverage, required)
         solutions[label] = solution
@@ -231,6 +260,14 @@ def navigate_log(
     )
 
 
+def _find_start(log: RecordedLog) -> InitialState:
+    """Return the initial state; by the heading of the autopilot's estimate if the log asks for it."""
+    own = None
+    if log.spec.start.heading_from == AUTOPILOT:
+        own = autopilot.build(AUTOPILOT, log.spec.imu, log.records.origin).attitude
+    return find_start(log.records, log.spec, own)
+
+
 class Session:
     """A recording from its start on: the data for the filters, and the fixes or the reference that judge."""
 
@@ -244,12 +281,12 @@ class Session:
         fixes, imu = recorded.fixes, recorded.imu
         newest = np.concatenate([[-np.inf], np.maximum.accumulate(fixes.t)[:-1]])
         after_start = fixes.t > initial.t if initial.alignment == "given" else fixes.t >= initial.t
-        good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= imu.t.max())
+        last = float(imu.t.max())
+        good = fixes.valid & (fixes.t > newest) & after_start & (fixes.t <= last)
         self.spec, self.recorded, self.initial, self.reference = spec, recorded, initial, judge_by
         self.fixes = fixes.take(good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
-        last = float(imu.t.max())
         if spec.evaluation_from >= last:
             raise ConfigError(
                 f"{spec.name}.toml: [evaluation] from_s = {spec.evaluation_from:g} s is outside the "
@@ -272,16 +309,28 @@ class Session:
     def make_data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
         """Return the data for an estimator; IMU intervals are divided to end at each fix and output."""
         fixes, output_t = self.fixes.take(keep), np.unique(output_t)
-        baro = self.recorded.baro
-        cuts = [output_t, fixes.t] + ([baro.t] if baro is not None else [])
+        others = self.recorded.instruments
+        cuts = [output_t, fixes.t, *(record.t for record in others.values())]
         return SensorData(
             imu=divide_intervals(self.recorded.imu, np.concatenate(cuts)),
             fixes=fixes,
-            baro=baro,
             antenna_b=np.asarray(self.spec.antenna_b),
             specs=self.spec.assumed,
             output_t=output_t,
+            ground_alt=self.recorded.ground_alt,
+            date=self.spec.date,
+            **others,
         )
+
+    def choose_cuts(self, most: int) -> dict[float, int]:
+        """Return the lengths [s] of outages for which the recording has room, and at how many places.
+
+        At ``most``, and no more than have room beside each other: cuts that overlap tell the same twice.
+        """
+        if self.reference is not None:
+            return {}
+        room = float(self.fixes.t[-1]) - self.first
+        return {one: min(most, int(room // one)) for one in CUTS if 2.0 * one <= room}
 
     def check_room(self, duration: float) -> None:
         """Raise ConfigError if an outage does not fit into the judged part of the recording."""

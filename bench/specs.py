@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
+AUTOPILOT = "autopilot"
+"""Name of the estimate in the log of an autopilot, as an estimator."""
 DEFAULT_DATE = 2026.0
 """Date of a flight without one in its profile: 1 January 2026 [decimal years]."""
 

@@ -78,6 +78,8 @@ ENDINGS: Mapping[str, Unit] = {
     "_pa": Unit("Pa"),
     "_nt": Unit("nT", 1e-9),
     "_ut": Unit("uT", 1e-6),
+    "_mgauss": Unit("mgauss", 1e-7),
+    "_gauss": Unit("gauss", 1e-4),
     "_db": Unit("dB"),
     "_m2": Unit("m^2"),
     "_m": Unit("m"),

@@ -45,9 +45,12 @@ class _LogCommand(click.Command):
 @estimator_option("use only this one, of the file, built in")
 @click.option(
     "--outages",
-    callback=parse_durations,
-    metavar="S,S,...",
-    help="cut out GNSS for this long and judge the drift by the fixes that were cut out",
+    callback=lambda ctx, param, given: (
+        None if given is None else parse_durations(ctx, param, "" if given == "none" else given)
+    ),
+    metavar="S,S,...|none",
+    help="cut out GNSS for this long and judge the drift by the fixes that were cut out  [default: 10,30,60 "
+    "where the recording is long enough; none where a reference judges]",
 )
 @click.option(
     "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
@@ -73,12 +76,14 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
     data is reported first. Every fifth fix is withheld from the filters to judge them;
     --outages cuts out GNSS at several places and judges the drift by the fixes there,
-    or by the [reference] of the log.
+    or by the [reference] of the log. The log of an autopilot has its own estimate, too:
+    -e autopilot, or -e autopilot:1 for its second instance.
     Writes a results folder as bench run does, without truth.
 
     \b
     Example:
       bench navigate drive.toml -e loose-15 --outages 10,30,60
+      bench navigate flight.bin -e autopilot -e loose-full
     """
     from bench.store import to_json
     from bench.workbench.record_verbs import navigate_log

@@ -14,7 +14,7 @@ from bench.installed import find_installed
 from bench.instruments import INSTRUMENTS
 from bench.navigation.estimator import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import EstimatorChoice
+from bench.specs import AUTOPILOT, EstimatorChoice
 from bench.wording import quantity, suggest
 
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
@@ -141,15 +141,26 @@ def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: b
 _EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other forms of an estimator name
 
 
-def check_estimators(choices: Sequence[EstimatorChoice]) -> list[str]:
-    """Check that built-in estimators exist, and that labels are unique and can be part of a file name."""
+def is_autopilot(use: str) -> bool:
+    """Tell whether a name is that of an autopilot's own estimate: ``autopilot``, ``autopilot:INSTANCE``."""
+    return use.partition(":")[0] == AUTOPILOT
+
+
+def check_estimators(choices: Sequence[EstimatorChoice], *, of_log: bool = False) -> list[str]:
+    """Check that built-in estimators exist, and that labels are unique and can be part of a file name.
+
+    ``of_log``: of a recording, in which an autopilot may have its own.
+    """
     wrong = []
     labels: list[str] = []
     for number, choice in enumerate(choices, 1):
         place = f"[[estimator]] {number}: "
         if choice.use in ("file:", "command:"):
             wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
-        if not is_known(choice.use):
+        if is_autopilot(choice.use):
+            if not of_log:
+                wrong.append(f"{place}use = {choice.use!r} is for the log of an autopilot: bench navigate")
+        elif not is_known(choice.use):
             hint = suggest(choice.use, list_names(), "estimators")
             wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
         what = f"{place}label = {choice.label!r}"
@@ -179,7 +190,7 @@ def check_options(document: Mapping[str, Any]) -> list[str]:
 
 def is_code(use: str) -> bool:
     """Return whether a text names a program or a Python class, code that a file runs with permission only."""
-    return ":" in use and not use.startswith("file:") and use not in BUILT_IN
+    return ":" in use and not use.startswith("file:") and use not in BUILT_IN and not is_autopilot(use)
 
 
 def is_guarded(use: str) -> bool:
@@ -211,12 +222,17 @@ def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -
     ]
 
 
-def check_requested(choices: Sequence[EstimatorChoice], names: Sequence[str]) -> list[str]:
+def check_requested(
+    choices: Sequence[EstimatorChoice], names: Sequence[str], *, of_log: bool = False
+) -> list[str]:
     """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
     if objects := [one for one in names if not isinstance(one, str)]:
         return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
     labels = {choice.label for choice in choices}
-    unknown = [name for name in names if name not in labels and not is_known(name)]
+    own = [name for name in names if is_autopilot(name) and name not in labels]
+    if own and not of_log:
+        return [f"estimator {own[0]!r} is for the log of an autopilot: bench navigate"]
+    unknown = [name for name in names if name not in {*labels, *own} and not is_known(name)]
     known = labels.union(list_names()) if unknown else labels
     return [
         f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"

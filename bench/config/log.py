@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -18,15 +19,19 @@ from bench.config.profile import choose_estimators, describe_choice, less_empty,
 from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
-from bench.specs import DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, Guard
+from bench.instruments import INSTRUMENTS
+from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.specs import DEFAULT_DATE, DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, Guard
 from bench.wording import as_toml
 
-FORMATS = ("table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
+FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
 _MATLAB = ".mat"
 _TABLES = (".csv", ".parquet", _MATLAB)
 _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".ulg": "ulog",
+    ".bin": "dataflash",
+    ".px4log": "dataflash",
     ".bag": "rosbag",
     ".db3": "rosbag",
     ".mcap": "mcap",
@@ -37,7 +42,7 @@ NAV = ".nav"
 """Ending of a solution of KF-GINS, which only a reference may be."""
 WITHHOLD = 5
 """One fix in so many judges a log without a reference."""
-_TOPICS = ("ulog", "rosbag", "mcap", "navego")
+_TOPICS = ("ulog", "dataflash", "rosbag", "mcap", "navego")
 """Formats that name what they hold; so does a table, if it is a MATLAB file."""
 
 
@@ -66,13 +71,14 @@ class ReferenceSpec:
 class StartSpec:
     """What the estimators know of the initial state."""
 
-    alignment: str  # "given", "level" or "course"
+    alignment: str  # "given", "level", "hover" or "course"
     at: float  # earliest start, since the first row of the IMU [s]
     align_for: float  # level: longest standstill to use, course: length of the track to use [s]
     drift_sd: float  # course: sd of the angle between track and heading [rad]
     attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
     tilt_sd: float  # given [rad]
-    heading_sd: float  # given [rad]
+    heading_sd: float  # given, or of its source [rad]
+    heading_from: str  # level, hover: "magnetometer" or "autopilot"; empty: unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +89,10 @@ class LogSpec:
     title: str
     imu: SourceSpec
     gnss: SourceSpec | None
-    baro: SourceSpec | None
+    instruments: Mapping[str, SourceSpec]  # name of an instrument -> where its rows are
+    ground_alt: float | None  # ellipsoidal height of the ground below a radar [m]; None: not told
+    date: float  # decimal year
+    vibration: bool  # assume the noise of the record where it is more than that of the datasheet
     mounting: tuple[float, float, float]  # roll, pitch, yaw of the IMU axes in b [rad]
     misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
     antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
@@ -94,6 +103,7 @@ class LogSpec:
     start: StartSpec
     estimators: tuple[EstimatorChoice, ...]
     evaluation_from: float  # [s]
+    until: float  # end of what counts [s]
     output_rate: float  # [Hz]
     withhold: int
     reference: ReferenceSpec | None  # None: withheld fixes judge
@@ -143,7 +153,7 @@ def load_log(
         table = table.model_copy(update={"evaluation": evaluation})
     elif table.reference and withhold:
         wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which judges alone")
-    tables = {"imu": table.imu, "gnss": table.gnss, "baro": table.baro}
+    tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
     sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
     reference = _find_source(table.reference, "reference", beside, place, wrong)
     assumed: dict[str, Any] = {}
@@ -161,8 +171,8 @@ def load_log(
     wrong += [f"{place}{line}" for line in changes.check({}, dict(table.sensors.assumed))]
     choices = make_choices(table.estimator, overrides, beside)
     across = (
-        checks.check_estimators(choices)
-        + checks.check_requested(choices, estimators or ())
+        checks.check_estimators(choices, of_log=True)
+        + checks.check_requested(choices, estimators or (), of_log=True)
         + checks.check_requirements(table.requirement, choices)
         + _check_start(table)
     )
@@ -183,17 +193,21 @@ def load_log(
         title=table.title or path.stem,
         imu=imu,
         gnss=sources["gnss"],
-        baro=sources["baro"],
+        instruments={kind: source for kind in INSTRUMENTS if (source := sources[kind]) is not None},
+        ground_alt=table.radar.ground_alt_m if table.radar else None,
+        date=DEFAULT_DATE if table.date is None else _to_year(table.date),
+        vibration=table.imu.vibration,
         mounting=_to_radians(table.imu.mounting_deg),
         misalignment=_to_radians(table.imu.misalignment_deg),
         antenna_b=from_imu(gnss_at),
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
         quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, path.name),
-        assumed=AssumedSpecs(imu=assumed["imu"], gnss=assumed["gnss"], baro=assumed["baro"]),
+        assumed=AssumedSpecs(**assumed),
         start=_make_start(table.alignment),
         estimators=choices,
         evaluation_from=float(table.evaluation.from_s),
+        until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
         output_rate=float(table.evaluation.output_hz),
         withhold=withhold,
         reference=ReferenceSpec(
@@ -221,7 +235,7 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
     """
     top = {key: document[key] for key in ("file", "format") if key in document}
     spread: dict[str, Any] = {}
-    for kind in ("imu", "gnss", "baro", "reference"):
+    for kind in ("imu", "gnss", *INSTRUMENTS, "reference"):
         value = document.get(kind)
         if isinstance(value, str):
             if "file" not in top:
@@ -280,9 +294,19 @@ def _check_start(table: LogTable) -> list[str]:
         ]
         wrong += [f"[alignment] duration_s has no effect with {kind}"] if asked.duration_s is not None else []
     else:
-        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in present]
+        given = [key for key in present if not (key == "heading_sd_deg" and asked.heading)]
+        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in given]
+    if asked.heading and asked.kind not in ("level", "hover"):
+        wrong.append(f"[alignment] heading is for kind = 'level' or 'hover', not for {kind}")
+    if asked.heading == "magnetometer" and table.mag is None:
+        wrong.append("[alignment] heading = 'magnetometer' needs a table [mag]")
     if asked.kind != "course" and asked.drift_deg is not None:
         wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if table.mag is not None:
+        year = None if table.date is None else table.date.year
+        if year is None or not FIRST_YEAR <= year < LAST_YEAR:
+            known = f"of {FIRST_YEAR:g} to {LAST_YEAR - 1:g}, by which the magnetic field is known"
+            wrong.append(f"[mag] needs a date above all tables, {known}: date = 2024-05-31")
     if table.gnss is None:
         wrong.append("[gnss] is missing: the start needs a position, and the evaluation needs fixes")
     return wrong
@@ -290,7 +314,8 @@ def _check_start(table: LogTable) -> list[str]:
 
 def _make_start(row: LogAlignmentTable) -> StartSpec:
     attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
-    default = 10.0 if row.kind == "course" else 60.0  # as in a profile
+    default = {"course": 10.0, "hover": 4.0}.get(row.kind, 60.0)  # as in a profile
+    heading_sd = 10.0 if row.heading else 2.0
     return StartSpec(
         alignment=row.kind,
         at=float(row.at_s),
@@ -298,8 +323,14 @@ def _make_start(row: LogAlignmentTable) -> StartSpec:
         drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
         attitude=_to_radians(attitude),
         tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
-        heading_sd=math.radians(2.0 if row.heading_sd_deg is None else row.heading_sd_deg),
+        heading_sd=math.radians(heading_sd if row.heading_sd_deg is None else row.heading_sd_deg),
+        heading_from=row.heading or "",
     )
+
+
+def _to_year(day: datetime.date) -> float:
+    """Return a day as a decimal year."""
+    return day.year + (day.timetuple().tm_yday - 1) / 365.25
 
 
 def _read_classes(table: Mapping[str, float], shown: str) -> dict[int, float]:

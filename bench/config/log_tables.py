@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import datetime
 from collections import Counter
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 from pydantic_core import PydanticCustomError
 
-from bench.config.profile_tables import AlignmentTable, EstimatorTable, EvaluationTable, RequirementTable
+from bench.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, between
 
 _Angle = Annotated[float, between(-360, 360)]
@@ -34,7 +35,9 @@ class FileTable(Table):
 
     file: str
     """A path relative to the log."""
-    format: Literal["table", "ulog", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = None
+    format: Literal["table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = (
+        None
+    )
     """Format of the file; that of its ending if left out."""
     topic: str | None = None
     """What the file calls it: a message, a topic or a structure."""
@@ -53,6 +56,8 @@ class ImuTable(FileTable):
     """What it is turned beyond that: roll, pitch, yaw."""
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """Where it is, from any point on board: forward, right, down."""
+    vibration: bool = False
+    """Filters assume the noise from sample to sample of this record, where its datasheet has less."""
 
 
 class GnssTable(FileTable):
@@ -70,6 +75,25 @@ class GnssTable(FileTable):
 
 class BaroTable(FileTable):
     """The barometer."""
+
+
+class MagTable(FileTable):
+    """The magnetometer, in the axes of the vehicle."""
+
+
+class AirspeedTable(FileTable):
+    """The airspeed sensor."""
+
+
+class RadarTable(FileTable):
+    """The range finder that looks down."""
+
+    ground_alt_m: Annotated[float, between(-1000, 10000)] | None = None
+    """Ellipsoidal height of the ground below it; by its first reading and the first fix if left out."""
+
+
+class OdometerTable(FileTable):
+    """The wheel."""
 
 
 class ReferenceTable(FileTable):
@@ -92,6 +116,14 @@ class LogAssumedTable(Table):
     """That of the GNSS receiver; needed if there is one."""
     baro: str | None = None
     """That of the barometer; needed if there is one."""
+    mag: str | None = None
+    """That of the magnetometer; needed if there is one."""
+    airspeed: str | None = None
+    """That of the airspeed sensor; needed if there is one."""
+    radar: str | None = None
+    """That of the range finder; needed if there is one."""
+    odometer: str | None = None
+    """That of the wheel; needed if there is one."""
 
 
 class LogSensorsTable(Table):
@@ -100,14 +132,20 @@ class LogSensorsTable(Table):
     assumed: LogAssumedTable
 
 
-class LogAlignmentTable(AlignmentTable):
+class LogAlignmentTable(Table):
     """What the estimators know of the initial state; they find the rest by alignment.
 
     ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
-    ``course``: nothing.
+    ``hover``: position, velocity and tilt by fixes and IMU in steady flight. ``course``: nothing.
     """
 
-    kind: Literal["given", "level", "course"] = "course"
+    kind: Literal["given", "level", "hover", "course"] = "course"
+    """What the estimators are told of the start."""
+    heading: Literal["magnetometer", "autopilot"] | None = None
+    """With "level" or "hover": whence the heading is. If left out it is unknown, and motion finds it."""
+    duration_s: Annotated[float, between(1, 3600)] | None = None
+    """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10;
+    with "hover" that of steady flight, 4."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
     """With "course" the standard deviation of the angle from course to heading, 2 if left out."""
     at_s: Annotated[float, between(0, 86400)] = 0.0
@@ -121,7 +159,7 @@ class LogAlignmentTable(AlignmentTable):
     tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
     """With "given": how well roll and pitch are known, 0.5 if left out."""
     heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
-    """With "given": how well the heading is known, 2 if left out."""
+    """How well the heading is known. If left out 2 with "given", 10 by a magnetometer or an autopilot."""
 
 
 class LogEvaluationTable(EvaluationTable):
@@ -130,6 +168,8 @@ class LogEvaluationTable(EvaluationTable):
     Left out: 5, or 0 where a reference judges.
     """
 
+    until_s: Annotated[float, between(0, 1e6)] | None = None
+    """Where the recording ends for filters and judge: before a crash, a shutdown; its end if left out."""
     withhold: Annotated[int, NOT_NEGATIVE] | None = None
     """Of so many fixes one is kept from the filters to judge them; 0: none. If left out 5, or 0 beside a
     reference."""
@@ -140,9 +180,15 @@ class LogTable(Table):
 
     title: str | None = None
     """What it is, in words."""
+    date: datetime.date | None = None
+    """Day of the recording, by which the magnetic field is known; a magnetometer needs it."""
     imu: ImuTable
     gnss: GnssTable | None = None
     baro: BaroTable | None = None
+    mag: MagTable | None = None
+    airspeed: AirspeedTable | None = None
+    radar: RadarTable | None = None
+    odometer: OdometerTable | None = None
     reference: ReferenceTable | None = None
     sensors: LogSensorsTable
     alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)

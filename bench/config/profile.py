@@ -259,6 +259,8 @@ def make_choices(
 def _make_label(use: str) -> str:
     """Return the default label of an estimator: the name of its class, file or program."""
     kind, _, rest = use.rpartition(":")
+    if checks.is_autopilot(use):
+        return use.replace(":", "-")
     if use.startswith(_OUTSIDE):
         kind, _, rest = use.partition(":")
         words = rest.split() if kind == "command" else [rest]

@@ -17,8 +17,8 @@ from bench.units import STANDARD_GRAVITY
 
 SIGMAS = 5.0
 """A deviation counts beyond this many of its standard deviations."""
-GRAVITY_OFF = 0.03
-"""Allowed relative error of the specific force [1]: more than the bias of any usual IMU."""
+GRAVITY_OFF = 0.02
+"""Allowed relative error of the specific force [1]: more than the bias of usual IMUs."""
 RATE_OFF = 0.05
 """Allowed relative error of the angular rates [1]: more than the scale factor of any usual gyro."""
 SHIFT_OFF = 0.02

@@ -22,6 +22,9 @@ TAU = 1.0
 """Averaging time of the Allan deviation [s]: a bias changes little within it."""
 LEAST = 10.0
 """Shortest time at rest that tells a noise [s]: it is then known to a third or better."""
+WINDOW = 1.0
+"""Length of the stretches whose noise is compared [s]."""
+_SHAKEN = 0.9  # quantile of the noise of the stretches: the median of the noisiest fifth
 _MARGIN = 0.5  # to the ends of a standstill [s]
 _STEPS = 8  # averages begin this often in each averaging time
 _MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
@@ -49,6 +52,46 @@ def measure_rest_noise(
     noise = _MAD * np.median(np.abs(np.concatenate(apart)), axis=0) / np.sqrt(2.0 * TAU)
     gyro, accel = (float(np.sqrt(np.mean(np.square(part)))) for part in (noise[:3], noise[3:]))
     return gyro, accel
+
+
+def measure_vibration(imu: ImuData) -> tuple[FloatArray, FloatArray]:
+    """Return the noise of gyros [rad/sqrt(s)] and accelerometers [m/s/sqrt(s)] (3,) while it shakes most.
+
+    Second differences of neighbouring rates have sqrt(6) times the deviation of white noise, and next to
+    nothing of a motion that is slow against the samples. The figure is that of the noisiest fifth of the
+    seconds, by its median: an engine runs in the flight, not before it.
+    """
+    rows = np.flatnonzero(imu.valid)
+    dt = float(np.median(imu.dt[rows]))
+    many = max(round(WINDOW / dt), 3)
+    noise = []
+    for increments in (imu.dtheta_b, imu.dvel_b):
+        rate = increments[rows] / imu.dt[rows, None]
+        bend = rate[2:] - 2.0 * rate[1:-1] + rate[:-2]
+        count = len(bend) // many
+        if not count:
+            noise.append(np.zeros(3))
+            continue
+        power = np.square(bend[: count * many]).reshape(count, many, 3).mean(axis=1)
+        noise.append(np.sqrt(np.quantile(power, _SHAKEN, axis=0) / 6.0 * dt))
+    return noise[0], noise[1]
+
+
+def assume_vibration(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check]:
+    """Return a datasheet with the larger of its noise and that of a recording, and a line that says so."""
+    words, triads, ratios = [], dict[str, TriadSpec](), list[float]()
+    for name, axes in zip(("gyro", "accel"), measure_vibration(imu), strict=True):
+        triad = getattr(spec, name).averaged()
+        noise = float(np.sqrt(np.mean(np.square(axes))))
+        shown = format_noise_figures(name, replace(triad, random_walk=noise))["white noise"]
+        ratio = noise / triad.random_walk if triad.random_walk > 0 else np.inf
+        taken = "assumed" if ratio > 1.0 else f"less than in {spec.name}, which is assumed"
+        words.append(f"{name} {shown}, {ratio:.3g} times {spec.name}: {taken}")
+        triads[name] = replace(triad, random_walk=max(noise, triad.random_walk))
+        ratios.append(ratio)
+    text = f"imu: noise from sample to sample: {'; '.join(words)}"
+    changed = replace(spec, gyro=triads["gyro"], accel=triads["accel"])
+    return changed, Check("vibration_ratio", max(ratios), text, True)
 
 
 def _sum_up(imu: ImuData, rows: IntArray) -> FloatArray:

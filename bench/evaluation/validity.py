@@ -7,6 +7,9 @@ in the air (`bench.evaluation.motion_checks`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
@@ -14,7 +17,7 @@ from bench.data import GnssFixes, ImuData
 from bench.earth import gravity_n, matrix_en, to_ecef
 from bench.evaluation.motion_checks import GRAVITY_OFF, SHIFT_OFF, SIGMAS, check_motion, guess_force_unit
 from bench.evaluation.recorded_motion import Check, RecordedMotion
-from bench.instruments import BaroData
+from bench.instruments import INSTRUMENTS
 from bench.wording import format_number
 
 TILT_OFF = np.deg2rad(20.0)
@@ -34,7 +37,7 @@ _FEWEST = 20  # smallest number of fixes for a correlation
 
 
 def check_recording(
-    imu: ImuData, fixes: GnssFixes, baro: BaroData | None, antenna_b: FloatArray
+    imu: ImuData, fixes: GnssFixes, instruments: Mapping[str, Any], antenna_b: FloatArray
 ) -> list[Check]:
     """Check a recording; return the results in reading order.
 
@@ -44,21 +47,23 @@ def check_recording(
         In frame b, in the order of the file.
     fixes : GnssFixes
         With times of the same clock.
-    baro : BaroData or None
-        With times of the same clock.
+    instruments : mapping
+        Records by name of the instrument, with times of the same clock.
     antenna_b : (3,) array
         GNSS antenna relative to the IMU [m], b.
     """
     checks = [*_check_times("imu", imu.t, imu.valid), *_check_times("gnss", fixes.t, fixes.valid)]
-    if baro is not None:
-        checks += _check_times("baro", baro.t, baro.valid)
+    for name, record in instruments.items():
+        checks += _check_times(name, record.t, record.valid)
     with np.errstate(all="ignore"):  # figures may overflow; what is not finite is reported as it is
         motion = RecordedMotion.from_records(imu, fixes)
         velocity = _check_velocity(motion)
         checks += [_check_rates(motion), *_check_rest(motion), *velocity]
         if not any(check.name.startswith("velocity_ratio") for check in velocity):
             checks += check_motion(motion, np.asarray(antenna_b))
-        return checks if baro is None else [*checks, *_check_baro(motion, baro)]
+        if "baro" in instruments:
+            checks += _check_heights("baro", motion, instruments["baro"])
+        return checks
 
 
 def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
@@ -176,28 +181,29 @@ def _fit_ratio(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     return ratio, float(np.sqrt(_variance_of_sum(x * (y - ratio * x)))) / power
 
 
-def _check_baro(motion: RecordedMotion, baro: BaroData) -> list[Check]:
-    """Compare the heights of the barometer with those of the receiver."""
-    good = baro.valid & np.isfinite(baro.alt_baro)
-    rows = np.flatnonzero(good)[np.unique(baro.t[good], return_index=True)[1]]
-    inside = (motion.fix_t >= baro.t[rows].min(initial=np.inf)) & (
-        motion.fix_t <= baro.t[rows].max(initial=-np.inf)
+def _check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:
+    """Compare the heights of a barometer with those of the receiver."""
+    height_b = INSTRUMENTS[name].values(record)[:, 0]
+    good = record.valid & np.isfinite(height_b)
+    rows = np.flatnonzero(good)[np.unique(record.t[good], return_index=True)[1]]
+    inside = (motion.fix_t >= record.t[rows].min(initial=np.inf)) & (
+        motion.fix_t <= record.t[rows].max(initial=-np.inf)
     )
     height = motion.lla[inside, 2]
     if len(height) < _FEWEST or height.std() < _LEAST_CLIMB:
         return []
-    own = np.interp(motion.fix_t[inside], baro.t[rows], baro.alt_baro[rows])
+    own = np.interp(motion.fix_t[inside], record.t[rows], height_b[rows])
     x, y = height - height.mean(), own - own.mean()
     ratio = float(x @ y / (x @ x))
     seconds = float(motion.fix_t[inside][-1] - motion.fix_t[inside][0])
     sd = float(np.std(y - ratio * x) / np.std(x)) / np.sqrt(max(seconds / _WANDER, 1.0))
-    text = f"baro: heights change by {ratio:.3f} of those of the receiver (sd {sd:.3f})"
+    text = f"{name}: heights change by {ratio:.3f} of those of the receiver (sd {sd:.3f})"
     bad = abs(ratio - 1.0) > max(_GAIN_OFF, SIGMAS * sd)
     if bad:
         text += (
             ": are these feet?" if abs(ratio / 3.281 - 1.0) < 0.1 else ": the unit or the sign looks wrong"
         )
-    return [Check("baro_ratio", ratio, text, not bad)]
+    return [Check(f"{name}_ratio", ratio, text, not bad)]
 
 
 def _mean_rate(t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray) -> FloatArray:

@@ -20,6 +20,9 @@ FAILED, DIVERGED, NO_CLAIM, INCOMPLETE = "failed", "diverged", "no claim", "inco
 """Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy, it answers
 only a part."""
 
+UNJUDGED = "not judged"
+"""Verdict where nothing can judge: no truth, no fix that it has not used, and innovations that fit."""
+
 _ALIKE = 1e-3  # relative difference of two errors that are the same one [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
@@ -115,6 +118,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
         return DIVERGED, f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(
             " ."
         ) + "."
+    if values.get("used_every_fix"):
+        return _judge_by_innovations(label, values)
     mean, states = values.get("nees_mean"), values.get("nees_states")
     low, high = values.get("nees_low"), values.get("nees_high")
     if mean is None or states is None or low is None or high is None:
@@ -139,16 +144,17 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
         return OVERCONFIDENT, f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
     if mean < low:
         return UNDERCONFIDENT, f"{label} is underconfident, its covariance is too large: {error} ({figures})."
-    wrong = [
-        name.removeprefix("nis_mean_")
-        for name in values
-        if name.startswith("nis_mean_") and not name.endswith("_all") and is_outside(name, values)
-    ]
+    wrong = _find_wrong_innovations(values)
     loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
-    if loud and "withheld_fixes" in values:  # no truth: its own innovations are the best witness
-        ratios = [f"{name} {values[f'nis_mean_{name}']:.3g}" for name in loud]
-        most = ", at most ".join([" and ".join(ratios), format_number(values[f"nis_high_{loud[0]}"], 3)])
-        return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {most} possible: {error}."
+    if wrong and "withheld_fixes" in values:  # no truth: its own innovations are the best witness
+        named = _describe_innovations(loud or wrong, values, "high" if loud else "low")
+        if loud:
+            return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {named}: {error}."
+        why = "its measurements scatter less than they claim, and what wanders slowly in them does not show"
+        return (
+            UNDERCONFIDENT,
+            f"{label} is underconfident by its innovations, NIS of {named}: {why}; {error}.",
+        )
     word = "consistent with its covariance as far as one run can tell"
     largest = values.get("pos_max_h_m") or 0.0
     if largest > DIVERGED_HORIZONTAL:  # that it is right does not make it of use
@@ -157,6 +163,42 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
     if wrong:
         text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."
     return CONSISTENT, text
+
+
+def _find_wrong_innovations(values: Mapping[str, Any]) -> list[str]:
+    """Return the sensors whose mean NIS is outside its band."""
+    return [
+        name.removeprefix("nis_mean_")
+        for name in values
+        if name.startswith("nis_mean_") and not name.endswith("_all") and is_outside(name, values)
+    ]
+
+
+def _describe_innovations(names: Sequence[str], values: Mapping[str, Any], end: str) -> str:
+    """Return the NIS of sensors, each with the end of its band."""
+    limit = "at most" if end == "high" else "at least"
+    return " and ".join(
+        f"{name} {values[f'nis_mean_{name}']:.3g} ({limit} {format_number(values[f'nis_{end}_{name}'], 3)})"
+        for name in names
+    )
+
+
+def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
+    """Judge an estimate that has used every fix, without a truth: its innovations are the only witness."""
+    wrong = _find_wrong_innovations(values)
+    loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
+    used = "it has used every fix, so none says how far it is off"
+    if loud:
+        named = _describe_innovations(loud, values, "high")
+        return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {named}; {used}."
+    known = [name for name in values if name.startswith("nis_mean_") and not name.endswith("_all")]
+    if not known:
+        return UNJUDGED, f"{label} is not judged: {used}, and the log has no innovations of it."
+    fit = "its innovations fit what it claims"
+    if wrong:
+        quiet = _describe_innovations(wrong, values, "low")
+        fit = f"its innovations are smaller than it claims, NIS of {quiet}"
+    return UNJUDGED, f"{label} is not judged: {used}; {fit}."
 
 
 def _explain(values: Mapping[str, Any]) -> str:

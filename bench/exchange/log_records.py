@@ -21,17 +21,19 @@ from bench.config.log import LogSpec, SourceSpec
 from bench.data import GnssFixes, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
+from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.row_selection import drop_others, drop_repeated, drop_unreported
-from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS, OPTIONAL, LogRows
+from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
-from bench.instruments import BaroData
+from bench.instruments import INSTRUMENTS, BaroData
 from bench.rotation import from_euler, multiply, rotate
-from bench.specs import AssumedSpecs
+from bench.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
 from bench.units import SAME_INSTANT
 
 MOST_INSTANTS = 400_000
 """Most instants of a solution, each of some kB: 11 hours at 10 Hz."""
+_SETTING = 10.0  # time at the start by which an altimeter is set [s]
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
 
@@ -42,7 +44,8 @@ class LogRecords:
 
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
-    baro: BaroData | None
+    instruments: Mapping[str, Any]  # name -> record
+    ground_alt: float  # ellipsoidal height of the ground below a radar [m]
     reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
@@ -58,7 +61,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     """
     assert spec.gnss is not None
     imu_rows, gnss_rows = _read_rows(spec.imu, "imu"), _read_rows(spec.gnss, "gnss")
-    baro_rows = None if spec.baro is None else _read_rows(spec.baro, "baro")
+    others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
     origin = float(imu_rows.t[0])
     imu = _make_imu(imu_rows, spec, origin)
     _check_length(imu, spec)
@@ -70,23 +73,35 @@ def read_records(spec: LogSpec) -> LogRecords:
             f"{spec.gnss.path.name}: its times, {there}, do not overlap those of {spec.imu.path.name}, "
             f"{origin:.9g} to {last + origin:.9g} s; both files must use one clock"
         )
+    if np.isfinite(spec.until):
+        imu, fixes = _cut(imu, spec.until), _cut(fixes, spec.until)
+    instruments = {
+        kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
+    }
+    if "baro" in instruments and spec.imu.format in AUTOPILOTS:
+        instruments["baro"] = _set_altimeter(instruments["baro"], fixes, spec.start.at)
     return LogRecords(
         imu=imu,
         fixes=fixes,
-        baro=None if baro_rows is None else _make_baro(baro_rows, spec.assumed, origin),
+        instruments=instruments,
+        ground_alt=_find_ground(spec, instruments, fixes),
         reported=_find_report(gnss_rows.values, spec),
         origin=origin,
-        notes=tuple(
-            note for rows in (imu_rows, gnss_rows, baro_rows) if rows is not None for note in rows.notes
-        ),
+        notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
     )
+
+
+def _cut(record: Any, until: float) -> Any:
+    """Return the rows of a record until an instant [s]."""
+    rows = record.t <= until
+    return replace(record, **{one.name: getattr(record, one.name)[rows] for one in fields(record)})
 
 
 def _read_rows(source: SourceSpec, kind: str) -> LogRows:
     shown, topic = source.path.name, source.topic
     form = "navego" if _is_navego(source, kind) else source.format
     if form == "table":
-        kinds = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind]
+        kinds = {"imu": IMU, "gnss": GNSS, **INSTRUMENT_ROWS}[kind]
         table = read_table(source.path, kinds, OPTIONAL, MOST_ROWS, source.columns, structure=topic)
         rows = LogRows.from_table(table, shown)
     else:
@@ -285,16 +300,48 @@ def _make_covariance(values: Mapping[str, FloatArray], block: str, otherwise: Fl
     return cov
 
 
-def _make_baro(rows: LogRows, assumed: AssumedSpecs, origin: float) -> BaroData:
-    assert assumed.baro is not None
-    t, alt = rows.t - origin, rows.values["alt_baro"][:, 0]
-    return BaroData(
+def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> Any:
+    """Return the record of an instrument; its sd is that of its datasheet, if the file says none."""
+    row, assumed = INSTRUMENTS[kind], getattr(spec.assumed, kind)
+    t, value = rows.t - origin, rows.values[row.value].reshape(len(rows.t), row.width)
+    sd = rows.values.get("sd")
+    if sd is None and kind == "airspeed":
+        known = np.where(np.isfinite(value[:, 0]), value[:, 0], 0.0)
+        sd = airspeed_sd(assumed, known, SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE)
+    columns: dict[str, Any] = {row.value: value if row.width > 1 else value[:, 0]}
+    columns["sd"] = np.full(len(t), assumed.white_sd) if sd is None else sd
+    return row.record(
         t=t,
         t_arrival=_find_arrival(rows, origin),
-        valid=np.isfinite(alt) & _find_flagged(rows),
-        alt_baro=alt,
-        sd=rows.values.get("sd", np.full(len(t), assumed.baro.white_sd)),
+        valid=np.asarray(np.isfinite(value).all(axis=1)) & _find_flagged(rows),
+        **columns,
     )
+
+
+def _set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float) -> BaroData:
+    """Return a barometer set at the start to the height by the fixes, as a pilot sets it to that of a field.
+
+    The pressure of the day is in no log: without that its heights are off by a hundred metres.
+    """
+    near = fixes.valid & (fixes.t >= begin) & (fixes.t <= begin + _SETTING)
+    known = baro.valid & np.isfinite(baro.alt_baro)
+    if not near.any() or not known.any():
+        return baro
+    order = np.argsort(baro.t[known], kind="stable")
+    own = np.interp(fixes.t[near], baro.t[known][order], baro.alt_baro[known][order])
+    return replace(baro, alt_baro=baro.alt_baro + np.median(fixes.lla[near, 2] - own))
+
+
+def _find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes) -> float:
+    """Return the height of the ground below a radar: as the log says, or where it first looked on it [m]."""
+    if spec.ground_alt is not None or "radar" not in instruments:
+        return spec.ground_alt or 0.0
+    radar, heights = instruments["radar"], INSTRUMENTS["radar"].values(instruments["radar"])[:, 0]
+    seen, near = np.flatnonzero(radar.valid), np.flatnonzero(fixes.valid)
+    if not len(seen) or not len(near):
+        return 0.0
+    fix = near[np.argmin(np.abs(fixes.t[near] - radar.t[seen[0]]))]
+    return float(fixes.lla[fix, 2] - heights[seen[0]])
 
 
 def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:

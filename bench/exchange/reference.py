@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import rotation
 from bench.arrays import FloatArray
-from bench.config.log import NAV, ReferenceSpec
+from bench.config.log import NAV, ReferenceSpec, SourceSpec
 from bench.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
 from bench.earth import difference_n, matrix_en
 from bench.errors import ConfigError
@@ -23,6 +23,8 @@ from bench.evaluation.fixes import point_errors
 from bench.evaluation.metrics import judge_epochs
 from bench.evaluation.recorded_motion import Check
 from bench.exchange import imports
+from bench.exchange.autopilot import NEAR, look, read_truth
+from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.solutions import (
     DEVIATIONS,
@@ -103,6 +105,8 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
 def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
     """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them."""
     source, shown = spec.source, spec.source.path.name
+    if source.format in AUTOPILOTS and source.topic is None and look(source.format, source.path).truth:
+        return _read_truth(source)
     if source.format != "table":
         rows = imports.read(source.format, source.path, "gnss", source.topic)
         return rows, np.full((len(rows.t), 4), np.nan), None
@@ -117,6 +121,18 @@ def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | N
         q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
         q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
     return rows, q_nb, table.columns.get("attitude sd")
+
+
+def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:
+    """Return the truth of a simulator at the times of its positions."""
+    own = read_truth(source)
+    q_nb = np.full((len(own.t), 4), np.nan)
+    if len(own.attitude_t):
+        unknown = np.full((len(own.attitude_t), 3), np.nan)
+        cov = np.zeros((len(own.attitude_t), 9, 9))
+        attitude = _make_solution(own.attitude_t, unknown, unknown, own.q_nb, cov)
+        q_nb = resample(_as_foreign(attitude, source.path.name), own.t, NEAR).q_nb
+    return LogRows(own.t, {"lla": own.lla, "vel_n": own.vel_n}), q_nb, None
 
 
 def _make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n: int) -> FloatArray:

@@ -98,7 +98,19 @@ BARO: Mapping[str, tuple[Group, ...]] = {
 }
 """Barometric altitude, or static pressure."""
 
+_SD = (group("length", "sd"),)
+INSTRUMENT_ROWS: Mapping[str, Mapping[str, tuple[Group, ...]]] = {
+    "baro": BARO,
+    "mag": {"time": _TIMES, "field": (_name_axes("field", "field"),), **_FLAGS},
+    "airspeed": {"time": _TIMES, "airspeed": (group("speed", "airspeed_true"),), **_FLAGS},
+    "radar": {"time": _TIMES, "height": (group("length", "height"),), "sd": _SD, **_FLAGS},
+    "odometer": {"time": _TIMES, "speed": (group("speed", "speed"),), **_FLAGS},
+}
+"""Instrument -> kinds of columns: what it measures, forward, right, down where it has axes."""
+
 _ALONE = ("interval", "arrival", "valid", "sd", "quality", "signal", "satellites")
+_MEASURED = {"field": "field_b", "airspeed": "airspeed_true", "height": "height", "speed": "speed"}
+"""Kind of columns -> column of the record of its instrument."""
 _SPREADS = {
     "position sd": "sd_pos",
     "velocity sd": "sd_vel",
@@ -111,7 +123,7 @@ OPTIONAL = ("velocity", *_SPREADS, *_ALONE)
 
 COLUMNS = {
     what: "; ".join(f"{kind}: {list_names(groups)}" for kind, groups in kinds.items())
-    for what, kinds in {"imu": IMU, "gnss": GNSS, "baro": BARO}.items()
+    for what, kinds in {"imu": IMU, "gnss": GNSS, **INSTRUMENT_ROWS}.items()
 }
 """Column names of the tables of a log, as text."""
 
@@ -123,8 +135,8 @@ class LogRows:
     ``values`` of an IMU: ``gyro`` [rad/s] and ``accel`` [m/s^2] or ``dtheta`` [rad] and ``dvel`` [m/s], (N,
     3). Of a receiver: ``lla`` (N, 3) and, if the file has them, ``vel_n``, ``sd_pos``, ``sd_vel`` (N, 3),
     ``cov_pos``, ``cov_vel`` (N, 9), ``dilution`` (N, 1 or 2), ``quality``, ``signal`` [dB-Hz] and
-    ``satellites`` (N,). Of a barometer: ``alt_baro`` (N, 1) [m], ``sd`` (N,). Of any: ``interval`` [s],
-    ``arrival`` on the clock of the file [s], ``valid`` (N,).
+    ``satellites`` (N,). Of an instrument: the column of its record, as (N, k), and ``sd`` (N,) if the file
+    says it. Of any: ``interval`` [s], ``arrival`` on the clock of the file [s], ``valid`` (N,).
     """
 
     t: FloatArray  # (N,) on the clock of the file [s]
@@ -150,6 +162,7 @@ class LogRows:
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
             values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
+        values |= {record: found[kind] for kind, record in _MEASURED.items() if kind in found}
         values |= {name: found[name][:, 0] for name in _ALONE if name in found}
         notes = (f"{shown}: {table.list_unused()}",) if table.unused else ()
         return cls(found["time"][:, 0], values, notes)

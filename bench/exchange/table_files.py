@@ -37,6 +37,7 @@ UNITS = {
     "rate": ("rad/s", "deg/s", "deg/h"),
     "acceleration": ("m/s^2", "g", "mg"),
     "pressure": ("Pa", "hPa"),
+    "field": ("uT", "nT", "T", "gauss", "mgauss"),
     "signal": ("dB-Hz",),
     "": ("",),
 }

@@ -32,6 +32,7 @@ _MARKS = {
     verdict.CONSISTENT: ("good", "✓"),
     verdict.UNDERCONFIDENT: ("wide", "△"),
     verdict.NO_CLAIM: ("none", "–"),
+    verdict.UNJUDGED: ("none", "–"),
     "undecided": ("none", "?"),
 }
 """Verdict -> class of its card, and a sign for those who do not see colours; all others are bad."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import datetime
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +16,35 @@ from bench.config.log import LogSpec, load_log
 from bench.errors import ConfigError
 from bench.evaluation.motion_checks import SHIFT_OFF
 from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.rest_noise import assume_vibration
 from bench.evaluation.validity import check_recording
+from bench.exchange import autopilot, imports
 from bench.exchange.exports.column_files import START
+from bench.exchange.imports.contents import Contents
 from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, Found, find_tables, find_texts
 from bench.files import check_file, read_json
 from bench.navigation.start.course import LEAST_SPEED
+from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.wording import one_line, quote_toml
+from bench.workbench.log_starts import ChosenStart, choose_start
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
-_SEVERAL = (".ulg", ".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
-_DATASHEETS = {"imu": "adis16475", "gnss": "l1-code", "baro": "bmp388"}
+_BAGS = (".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
+_FLIGHTS = {".ulg": "ulog", ".bin": "dataflash", ".px4log": "dataflash"}
+"""Endings of logs of autopilots -> their format."""
+_DATASHEETS = {
+    "imu": "adis16475",
+    "gnss": "l1-code",
+    "baro": "bmp388",
+    "mag": "hmc5883l",
+    "airspeed": "ms4525do",
+    "radar": "lr-d1",
+}
+_FLIGHT_IMU = "mpu-9250"  # of the class that autopilots carry
+_SHAKES = 2.0  # noise of a recording over that of its datasheet that is worth believing [1]
 _REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
 _MOST_CONFIGURATION = 1_000_000  # [byte]
 _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offset_s", "imu_shift_s"))
@@ -42,8 +59,8 @@ def new_log(name: str, *, console: Console) -> None:
     ----------
     name : str
         A table with the columns of an IMU, whose fixes are in it or in a table beside it; the increments of
-        KF-GINS, with its fixes beside them; or a ULog, a bag or an MCAP file. The log, ``FILE.toml``, is
-        written beside it.
+        KF-GINS, with its fixes beside them; the log of an autopilot (ULog, DataFlash); a bag or an MCAP file.
+        The log, ``FILE.toml``, is written beside it.
 
     Raises
     ------
@@ -59,7 +76,11 @@ def new_log(name: str, *, console: Console) -> None:
         raise ConfigError(f"{log}: exists already and is not replaced")
     if not path.exists():
         raise ConfigError(f"{path}: no such file")
-    if path.is_dir() or path.suffix.lower() in _SEVERAL:
+    form = _FLIGHTS.get(path.suffix.lower())
+    if form is not None:
+        _write_flight(path, form, log, console)
+        return
+    if path.is_dir() or path.suffix.lower() in _BAGS:
         found = {kind: Found(path, {}, ()) for kind in ("imu", "gnss")}
     elif path.suffix.lower() == TEXT:
         found = find_texts(path)
@@ -93,6 +114,108 @@ def new_log(name: str, *, console: Console) -> None:
     console.print(f"Next: bench navigate {log}")
 
 
+def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
+    """Write the log of an autopilot's recording, which knows its sensors, day and lever arms itself."""
+    held = autopilot.look(form, path)
+    for kind in ("imu", "gnss"):
+        if kind not in held.sensors:
+            imports.read(form, path, kind, None)  # says why
+            raise ConfigError(f"{path.name}: its {kind} has no usable row")
+    sensors = [kind for kind in held.sensors if kind != "mag" or _has_field(held.date)]
+    try:
+        clocks: dict[str, str] = {}
+        spec, records = _read_back(log, _tell_flight(path, held, sensors, clocks))
+        for key in ("velocity_offset_s", "time_offset_s"):
+            _add_clock(clocks, key, spec, records)
+            spec, records = _read_back(log, _tell_flight(path, held, sensors, clocks))
+        _, shaken = assume_vibration(spec.assumed.imu, records.imu)
+        start = choose_start(spec, records)
+        if start is None and not _gives_a_course(records):
+            begin, end = float(records.imu.t[0]), float(records.imu.t.max())
+            raise ConfigError(
+                f"{path.name}: no filter can start between {begin:.2f} and {end:.2f} s: it needs fixes with "
+                "velocities for a second, 10 s at rest, or 10 s above 5 m/s"
+            )
+        shakes = (shaken.value or 0.0) > _SHAKES
+        text = _tell_flight(path, held, sensors, clocks, start, shakes=shakes)
+        _read_back(log, text)
+    except BaseException:
+        log.unlink(missing_ok=True)
+        raise
+    console.print(f"{path.name}: {', '.join(sensors)}" + _list_own(held), soft_wrap=True)
+    for line in clocks.values():
+        console.print(f"  {line}", soft_wrap=True)
+    if start is not None and start.until is not None:
+        console.print(f"  it tumbles and lies still: judged until {start.until:.1f} s", soft_wrap=True)
+    console.print(f"Wrote {log}. Lines with a question are for you.", soft_wrap=True)
+    console.print(f"Next: bench navigate {log}", soft_wrap=True)
+
+
+def _has_field(day: datetime.date | None) -> bool:
+    return day is not None and FIRST_YEAR <= day.year < LAST_YEAR
+
+
+def _list_own(held: Contents) -> str:
+    own = [text for there, text in ((held.truth, "the truth"), (held.estimate, "its own estimate")) if there]
+    return f"; {' and '.join(own)}" if own else ""
+
+
+def _add_clock(clocks: dict[str, str], key: str, spec: LogSpec, records: LogRecords) -> None:
+    """Add a line of [gnss] that puts the times of fixes or velocities right, where the motion shows it.
+
+    All other sensors have the clock of the IMU.
+    """
+    name, sign = {"velocity_offset_s": ("velocity_shift_s", 1.0), "time_offset_s": ("imu_shift_s", -1.0)}[key]
+    if not RecordedMotion.from_records(records.imu, records.fixes).moves:
+        return
+    checks = check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
+    off = next((one.value for one in checks if one.name == name and not one.good), None)
+    if off is not None:
+        clocks[key] = f"{key} = {sign * off:+.3f}  # by the motion: right?"
+
+
+def _tell_flight(
+    path: Path,
+    held: Contents,
+    sensors: Sequence[str],
+    clocks: Mapping[str, str],
+    start: ChosenStart | None = None,
+    *,
+    shakes: bool = False,
+) -> str:
+    """Return the text of the log of a flight."""
+    lines = [f"title = {quote_toml(path.stem)}", f"file = {quote_toml(path.name)}"]
+    lines += [f"date = {held.date}"] if "mag" in sensors else []
+    places = {"imu": held.imu, "gnss": held.antenna}
+    known = held.imu is not None and held.antenna is not None and (any(held.imu) or any(held.antenna))
+    for kind in sensors:
+        lines += ["", f"[{kind}]"]
+        if kind in places and known:
+            lines.append(f"position_m = {json.dumps(places[kind])}  # by the parameters of the autopilot")
+        elif kind == "gnss":
+            lines.append("# where is its antenna: forward, right, down?  position_m = [0.0, 0.0, 0.0]")
+        if kind == "imu" and shakes:
+            lines.append("vibration = true  # its samples are noisier than its datasheet")
+        lines += clocks.values() if kind == "gnss" else []
+    lines += ["", "[reference]  # the truth of the simulator"] if held.truth else []
+    lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
+    lines += [f'{kind} = "{_FLIGHT_IMU if kind == "imu" else _DATASHEETS[kind]}"' for kind in sensors]
+    lines += ["", "[alignment]"]
+    if start is None:
+        lines += ['kind = "course"']
+    else:
+        lines += [f'kind = "{start.kind}"', f"at_s = {start.at:g}", f"duration_s = {start.duration:g}"]
+        if start.heading:
+            lines.append(f'heading = "{start.heading}"  # "autopilot": as it thought')
+        lines += ["", "[evaluation]", f"from_s = {start.evaluated_from:.1f}"]
+        lines += (
+            [f"until_s = {start.until:.1f}  # it tumbles, and lies still"] if start.until is not None else []
+        )
+    lines += ["", "[[estimator]]", 'use = "loose-full"']
+    lines += ["", "[[estimator]]", 'use = "autopilot"'] if held.estimate else []
+    return "\n".join(lines) + "\n"
+
+
 def _try_log(
     log: Path, found: Mapping[str, Found], antenna: tuple[list[float], str] | None, clocks: dict[str, str]
 ) -> LogRecords:
@@ -103,7 +226,7 @@ def _try_log(
     """
     spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
     for kind, key, name in _CLOCKS:
-        checks = check_recording(records.imu, records.fixes, None, np.asarray(spec.antenna_b))
+        checks = check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
         off = next((one.value for one in checks if one.name == name and not one.good), None)
         if off is not None:
             clocks[kind] = f"{key} = {off:+.3f}  # by the motion: right?"

@@ -29,7 +29,7 @@ def navigate_log(
     name: str,
     *,
     console: Console,
-    outages: Sequence[float],
+    outages: Sequence[float] | None,
     places: int,
     out: Path | None,
     recording: bool,
@@ -65,7 +65,9 @@ def navigate_log(
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
     elif log.reference is None:
-        console.print("Withheld fixes tell little of the IMU; its drift shows in cuts: --outages 10,30,60")
+        console.print(
+            "Withheld fixes tell little of the IMU; the recording is too short for cuts without GNSS"
+        )
     save(result, folder, recording=recording, report=report, force=force, say=console.print)
     print_end(console, folder, begun)
     return {"metrics": result.metrics, **result.more}

@@ -30,7 +30,12 @@ class Recorded:
 
     def check(self) -> dict[str, Check]:
         """Return the checks by name."""
-        return {c.name: c for c in check_recording(self.imu, self.fixes, self.baro, self.antenna_b)}
+        return {
+            c.name: c
+            for c in check_recording(
+                self.imu, self.fixes, {} if self.baro is None else {"baro": self.baro}, self.antenna_b
+            )
+        }
 
 
 def record(name: str, run: int = 0) -> Recorded:

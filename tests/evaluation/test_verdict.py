@@ -56,12 +56,32 @@ def test_without_a_truth_loud_innovations_are_overconfident():
     log = verdict(**sound, **nis, withheld_fixes=50)
     assert log["verdict"] == "overconfident"
     assert log["verdict_text"] == (
-        "loose-15 is overconfident by its innovations, NIS of gnss_position 120, at most 3.2 possible: "
+        "loose-15 is overconfident by its innovations, NIS of gnss_position 120 (at most 3.2): "
         "withheld fixes lie 13.7 m away."
     )
-    quiet = {**nis, "nis_mean_gnss_position": 1.0}
-    assert verdict(**sound, **quiet, withheld_fixes=50)["verdict"] == "consistent"
+    quiet = verdict(**sound, **{**nis, "nis_mean_gnss_position": 1.0}, withheld_fixes=50)
+    assert quiet["verdict"] == "underconfident"
+    assert "NIS of gnss_position 1 (at least 2.8): its measurements scatter less" in quiet["verdict_text"]
+    fits = {**nis, "nis_mean_gnss_position": 3.0}
+    assert verdict(**sound, **fits, withheld_fixes=50)["verdict"] == "consistent"
     assert verdict(**sound, **nis)["verdict"] == "consistent"
+
+
+def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
+    values = {"converged": True, "reason": None, "used_every_fix": True}
+    nis = {"nis_mean_baro": 1.5, "nis_low_baro": 0.8, "nis_high_baro": 1.2}
+    loud = add_verdict("autopilot", {**values, **nis})
+    assert loud["verdict"] == "overconfident"
+    assert "NIS of baro 1.5 (at most 1.2); it has used every fix" in loud["verdict_text"]
+    assert loud["outside"] == ["nis_mean_baro"]
+    for mean, says in (
+        (1.0, "its innovations fit"),
+        (0.1, "smaller than it claims, NIS of baro 0.1 (at least 0.8)"),
+    ):
+        quiet = add_verdict("autopilot", {**values, **nis, "nis_mean_baro": mean})
+        assert quiet["verdict"] == "not judged"
+        assert says in quiet["verdict_text"]
+    assert "has no innovations of it" in add_verdict("autopilot", values)["verdict_text"]
 
 
 @pytest.mark.parametrize(

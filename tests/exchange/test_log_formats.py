@@ -315,7 +315,7 @@ def test_bags_of_ros_1_and_2_and_mcap(tmp_path, made, name, write):
     write(tmp_path / name, made)
     found = log(tmp_path, name, name, name, imu_more="mounting_deg = [180.0, 0.0, 0.0]")
     same(found, made)
-    assert_allclose(found.baro.alt_baro, made["baro"]["alt"], atol=1e-3)
+    assert_allclose(found.instruments["baro"].alt_baro, made["baro"]["alt"], atol=1e-3)
     sd = np.sqrt(found.fixes.cov_vel_n[0, 0, 0])
     assert sd == pytest.approx(drives.VEL_SD[0])
 
@@ -332,7 +332,7 @@ def test_ulog_of_px4(tmp_path, made, increments, old):
     ulog(tmp_path / "log.ulg", made, increments, old)
     found = log(tmp_path, "log.ulg", "log.ulg", "log.ulg", gnss_more="quality = [6]")
     same(found, made, single=True)
-    assert_allclose(found.baro.alt_baro, made["baro"]["alt"], atol=1e-3)
+    assert_allclose(found.instruments["baro"].alt_baro, made["baro"]["alt"], atol=1e-3)
     if not old:
         assert set(found.fixes.satellites) == {17}
 

@@ -37,8 +37,8 @@ def test_an_export_of_the_bench_is_read_whole(tmp_path):
     assert_allclose(found.fixes.t_arrival, data.fixes.t_arrival - origin, atol=1e-9)
     assert_allclose(found.fixes.cov_pos_n, data.fixes.cov_pos_n)
     assert_allclose(found.fixes.cov_vel_n, data.fixes.cov_vel_n)
-    assert_array_equal(found.baro.sd, data.baro.sd)
-    assert_array_equal(found.baro.alt_baro, data.baro.alt_baro)
+    assert_array_equal(found.instruments["baro"].sd, data.baro.sd)
+    assert_array_equal(found.instruments["baro"].alt_baro, data.baro.alt_baro)
 
 
 def test_fixes_repeated_at_the_rate_of_the_imu_are_thinned_and_that_is_said(tmp_path):

@@ -50,7 +50,7 @@ PARSED = {
 }
 """Commands that are only parsed -> why."""
 
-CLONE = {"own-log": "tests"}
+CLONE = {"own-log": "tests", "autopilots": "tests"}
 """Pages that show files of the repository -> the folder that has them."""
 GNSS = ROOT / "tests" / "data" / "gnss"
 RINEX = {"site.rnx": "ESBC00DNK_2020177_GR_360s.rnx.gz", "brdc.rnx": "ESBC00DNK_2020177_GR_MN.rnx.gz"}

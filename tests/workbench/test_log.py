@@ -49,7 +49,9 @@ def folder(tmp_path_factory):
 def checks(path):
     spec = load_log(str(path))
     recorded = read_records(spec)
-    found = validity.check_recording(recorded.imu, recorded.fixes, recorded.baro, np.array(spec.antenna_b))
+    found = validity.check_recording(
+        recorded.imu, recorded.fixes, recorded.instruments, np.array(spec.antenna_b)
+    )
     return {c.name: c for c in found}
 
 
@@ -258,7 +260,7 @@ def test_the_standard_deviation_of_the_clock_shift_is_honest():
         n = len(imu["t"])
         angles, speeds = 0.01 * imu["gyro"], 0.01 * imu["accel"]
         record = ImuData(imu["t"], np.full(n, 0.01), np.ones(n, bool), angles, speeds)
-        found_now = validity.check_recording(record, fixes_of(gnss), None, drives.ARM)
+        found_now = validity.check_recording(record, fixes_of(gnss), {}, drives.ARM)
         shift = next(c for c in found_now if c.name == "imu_shift_s")
         sd = float(shift.text.rpartition("sd ")[2].partition(" ")[0])
         found.append((shift.value, sd))
@@ -649,7 +651,10 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
         (('file = "imu.csv"', 'file = "drive.toml"'), "its ending does not show the format"),
         (('file = "imu.csv"', 'file = "imu.csv"\nformat = "kf"'), "format = 'kf' must be 'table'"),
         (('file = "imu.csv"', 'file = "drive.toml"\nformat = "table"'), "a table ends in"),
-        (('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'), "topic is for ulog, rosbag, mcap, navego"),
+        (
+            ('file = "imu.csv"', 'file = "imu.csv"\ntopic = "a"'),
+            "topic is for ulog, dataflash, rosbag, mcap",
+        ),
         (('file = "imu.csv"', 'file = "none.csv"'), "no such file"),
         (('file = "imu.csv"', 'file = "imu.csv"\ncolumns = { gyro_x_rad_s = "wx" }'), "no column 'wx'"),
         (('gnss = "gnss.toml"', ""), "gnss is missing"),

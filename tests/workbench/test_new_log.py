@@ -73,7 +73,7 @@ def test_clocks_that_the_motion_shows_to_be_apart_are_put_right(tmp_path, late, 
     assert [dict(one.options) for one in log.estimators] == [asked]
     assert ("by the motion: right?" in said) == (late > 0.0)
     records = read_records(log)
-    checks = check_recording(records.imu, records.fixes, None, np.asarray(log.antenna_b))
+    checks = check_recording(records.imu, records.fixes, {}, np.asarray(log.antenna_b))
     assert all(one.good for one in checks if one.name == "imu_shift_s")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from bench.exchange.rows import LogRows
 
 _ADAPTERS = {
     "ulog": "bench.exchange.imports.ulog",
+    "dataflash": "bench.exchange.imports.flash_rows",
     "rosbag": "bench.exchange.imports.bags",
     "mcap": "bench.exchange.imports.bags",
     "navego": "bench.exchange.imports.navego_structures",
@@ -25,11 +28,11 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     Parameters
     ----------
     form : str
-        "ulog", "rosbag", "mcap", "navego", "kf-gins" or "rtklib".
+        "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins" or "rtklib".
     path : Path
         The file, or the folder of a ROS 2 bag.
     kind : str
-        "imu", "gnss" or "baro".
+        "imu", "gnss" or an instrument.
     topic : str or None
         Topic in the file; None if the file has only one.
 
@@ -38,17 +41,23 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     ConfigError
         If the file is broken, is not of this format, or has no such rows: one line.
     """
-    adapter = import_module(_ADAPTERS[form])
+    with explain_missing(form, path):
+        rows = import_module(_ADAPTERS[form]).read(form, path, kind, topic)
+    assert isinstance(rows, LogRows)
+    return rows
+
+
+@contextmanager
+def explain_missing(form: str, path: Path) -> Iterator[None]:
+    """Raise ConfigError inside if the package of a format is not installed."""
     try:
-        rows = adapter.read(form, path, kind, topic)
+        yield
     except ModuleNotFoundError as error:
         if error.name is None or not error.name.startswith(_PACKAGES.get(form, "-")):
             raise
         raise ConfigError(
             f"{path.name}: needs the package {_PACKAGES[form]}: pip install 'ins-gnss-bench[logs]'"
         ) from None
-    assert isinstance(rows, LogRows)
-    return rows
 
 
 def describe_damage(path: Path, error: BaseException) -> ConfigError:

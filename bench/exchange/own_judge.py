@@ -1,0 +1,67 @@
+"""Judge the estimate of an autopilot without a reference: by real outages and by its own innovations.
+
+It has used every fix, so a fix says nothing of its error, but for the first one after a while without any:
+when that was measured, the autopilot had not used it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.data import ErrorSeries, GnssFixes, NavSolution, SensorData
+from bench.evaluation.consistency import mean_nis, nis_by_sensor
+from bench.evaluation.failures import describe_failure
+from bench.evaluation.fixes import antenna_errors
+from bench.evaluation.outages import OutageDrift
+
+_GAP, _SHORTEST = 5.0, 2.0
+"""An outage is longer than so many usual intervals between fixes, and [s]."""
+
+
+def find_outages(fixes: GnssFixes) -> list[tuple[float, float]]:
+    """Return the last fix before each real outage, and the one that ends it [s]."""
+    t = fixes.t[fixes.valid]
+    steps = np.diff(t)
+    if not len(steps):
+        return []
+    most = max(_GAP * float(np.median(steps)), _SHORTEST)
+    return [(float(t[k]), float(t[k + 1])) for k in np.flatnonzero(steps > most)]
+
+
+def measure_outages(
+    solution: NavSolution, fixes: GnssFixes, data: SensorData, outages: Sequence[tuple[float, float]]
+) -> list[OutageDrift]:
+    """Return the drift at the fix that ends each outage, of a solution that has its instant."""
+    drifts = []
+    for begin, end in outages:
+        errors = antenna_errors(solution, fixes.take(fixes.t == end), data)
+        if not len(errors) or not np.isfinite(errors.pos_n[-1]).all():
+            continue
+        row = int(np.argmin(np.abs(solution.t - end)))
+        variance = np.diag(solution.cov[row])[:2]
+        drifts.append(
+            OutageDrift(
+                start=begin,
+                duration=end - begin,
+                drift=float(np.hypot(*errors.pos_n[-1, :2])),
+                drift_v=float(abs(errors.pos_n[-1, 2])),
+                claimed=float(np.sqrt(variance.mean())),
+            )
+        )
+    return drifts
+
+
+def judge(solution: NavSolution, evaluation_from: float) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return no errors, and the metrics of the innovations."""
+    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
+    values["used_every_fix"] = True
+    for ending, first in (("", evaluation_from), ("_all", -np.inf)):
+        for name, one in nis_by_sensor(solution.innovations, first).items():
+            mean = mean_nis(one.nis, one.dof)
+            figures = {"mean": mean.mean, "low": mean.low, "high": mean.high}
+            values.update({f"nis_{part}_{name}{ending}": value for part, value in figures.items()})
+    none = np.empty((0, 3))
+    return ErrorSeries(np.empty(0), none, none, none, np.empty(0), np.empty(0), 0), values

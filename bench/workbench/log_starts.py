@@ -1,0 +1,119 @@
+"""Choose how the filters of a recording start, and where it is judged: what bench new log writes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.config.log import LogSpec, StartSpec
+from bench.errors import ConfigError, EstimatorError
+from bench.evaluation.recorded_motion import RecordedMotion
+from bench.exchange.log_records import LogRecords
+from bench.exchange.log_start import HOVER, choose_stretch, find_start
+from bench.log_pipeline import Session
+from bench.navigation.start import alignment
+from bench.navigation.start.leveling import LEAST_REST
+
+_SILENT = 0.5  # an IMU silent for longer is a new start [s]
+_EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]
+_SETTLES, _SHARE = 60.0, 0.25  # time after a start that is not judged: at most [s], and of a short record [1]
+_TUMBLES = 20.0  # angular rate of an impact [rad/s]
+_LIES = 2.0  # ground speed that a wreck does not reach [m/s]
+_WRECKED = 3.0  # time from an impact to rest [s]
+_LONGEST_REST = 60.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenStart:
+    """The tables [alignment] and [evaluation] of a log, in the units of the file."""
+
+    kind: str  # "level" or "hover"
+    at: float  # [s]
+    duration: float  # [s]
+    heading: str  # "magnetometer" or empty
+    evaluated_from: float  # [s]
+    until: float | None  # before an impact [s]
+
+
+def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
+    """Return a start that the record allows: at rest, else in steady flight; None if there is none.
+
+    It lies in the longest stretch that the IMU covers without a gap. The heading is that of the magnetometer;
+    without one it is unknown, and several are tried until motion shows which is right.
+    """
+    begin, end = _find_covered(records)
+    until = find_impact(records)
+    end = end if until is None else min(end, until)
+    heading = "magnetometer" if "mag" in records.instruments else ""
+    rests = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
+    for first, last in rests:
+        first = max(first, begin)
+        if min(last, end) - first > LEAST_REST + 1.0 and end - last > LEAST_REST:
+            rest = float(np.floor(min(last - first - 1.0, _LONGEST_REST)))
+            if _holds(spec, records, "level", first, rest, heading):
+                return _judge_from("level", first, rest, heading, end, until)
+    for length in (HOVER, 0.5 * HOVER, 1.0):
+        at = choose_stretch(records.fixes, begin, max(begin + _EARLY * (end - begin), begin + 2.0 * length))
+        if _holds(spec, records, "hover", at, length, heading):
+            return _judge_from("hover", at, length, heading, end, until)
+    return None
+
+
+def _find_covered(records: LogRecords) -> tuple[float, float]:
+    """Return the longest stretch without a gap of the IMU, between the first and the last fix [s]."""
+    imu, fixes = records.imu, records.fixes
+    t = imu.t[imu.valid]
+    usable = fixes.t[fixes.valid & (fixes.t >= t[0]) & (fixes.t <= t[-1])]
+    if not len(usable):
+        return float(t[0]), float(t[-1])
+    gaps = np.flatnonzero(np.diff(t) > _SILENT)
+    begins, ends = np.append(t[0], t[gaps + 1]), np.append(t[gaps], t[-1])
+    begins, ends = np.maximum(begins, usable[0]), np.minimum(ends, usable[-1])
+    k = int(np.argmax(ends - begins))
+    return float(begins[k]), float(ends[k])
+
+
+def find_impact(records: LogRecords) -> float | None:
+    """Return a second before the IMU tumbles and lies still for good [s]; None if that does not happen."""
+    imu, fixes = records.imu, records.fixes
+    rate = np.linalg.norm(imu.dtheta_b, axis=1) / imu.dt
+    wild = np.flatnonzero(imu.valid & (rate > _TUMBLES))
+    if not len(wild):
+        return None
+    at = float(imu.t[wild[0]])
+    later = fixes.valid & (fixes.t > at + _WRECKED)
+    speed: FloatArray = np.hypot(fixes.vel_n[later, 0], fixes.vel_n[later, 1])
+    return at - 1.0 if not (speed > _LIES).any() else None
+
+
+def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: float, heading: str) -> bool:
+    """Tell whether the estimators can start so."""
+    start = StartSpec(
+        alignment=kind,
+        at=at,
+        align_for=duration,
+        drift_sd=0.0,
+        attitude=(0.0, 0.0, 0.0),
+        tilt_sd=0.0,
+        heading_sd=np.deg2rad(10.0),
+        heading_from=heading,
+    )
+    tried = replace(spec, start=start, evaluation_from=0.0, until=np.inf)
+    try:
+        session = Session(tried, records, find_start(records, tried))
+        data = session.make_data(np.ones(len(session.fixes), np.bool_), np.array([session.last]))
+        alignment.complete(data, session.initial)
+    except (ConfigError, EstimatorError):
+        return False
+    return True
+
+
+def _judge_from(
+    kind: str, at: float, duration: float, heading: str, end: float, until: float | None
+) -> ChosenStart:
+    """Return the start with the time that a filter gets to settle after it."""
+    begun = at + duration
+    settled = begun + min(_SETTLES, _SHARE * max(end - begun, 0.0))
+    return ChosenStart(kind, round(at, 2), duration, heading, round(settled, 1), until)

@@ -1,0 +1,278 @@
+"""The autopilot's own estimate as an estimator, the truth of a simulator, and starts that logs allow."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import log_pipeline, rotation
+from bench.cli import main
+from bench.config.log import SourceSpec, load_log
+from bench.errors import WRONG, ConfigError
+from bench.exchange import autopilot, own_judge
+from bench.exchange.imports.contents import tell_innovations, turn_quaternion
+from bench.exchange.log_records import read_records
+from bench.exchange.log_start import find_magnetic_heading, find_start
+from bench.signals.magnetic import field_n
+from tests.exchange import flown
+from tests.exchange.flash import write_flash
+from tests.exchange.test_dataflash import FLIGHTS
+
+LOG = """
+file = "flight.bin"
+date = 2024-02-07
+[imu]
+[gnss]
+position_m = [-0.6, 0.3, -1.0]
+{more}
+[sensors.assumed]
+imu = "mpu-9250"
+gnss = "rtk-fixed"
+mag = "hmc5883l"
+[mag]
+[alignment]
+{start}
+[evaluation]
+from_s = 40.0
+[[estimator]]
+use = "loose-15"
+[[estimator]]
+use = "autopilot"
+"""
+
+
+def write_log(folder: Path, more: str = "", start: str = 'kind = "course"', **how) -> Path:
+    flown.write_flight(folder / "flight.bin", **how)
+    (folder / "flight.toml").write_text(LOG.format(more=more, start=start))
+    return folder / "flight.toml"
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """The flight of a simulator, judged by the truth in its own log."""
+    return bench.navigate_log(write_log(tmp_path_factory.mktemp("sim"), "[reference]"))
+
+
+def test_the_truth_in_a_log_judges_both_in_one_table(judged):
+    own, ours = judged.metrics["autopilot"], judged.metrics["loose-15"]
+    assert own["pos_rmse_h_m"] == pytest.approx(np.sqrt(2.6**2 + 1.0), abs=0.2)  # 2 m, 3 m from 80 s on
+    assert own["pos_rmse_d_m"] == pytest.approx(0.5, abs=0.02)
+    assert own["vel_rmse_3d_mps"] < 0.01
+    assert own["heading_rmse_deg"] < 0.01
+    assert ours["pos_rmse_h_m"] < 0.1
+    assert ours["heading_rmse_deg"] < 1.0
+    assert {"reference_epochs", "nees_mean"} <= own.keys() & ours.keys()
+
+
+def test_an_error_is_that_of_the_core_that_flew(judged):
+    errors = judged.errors["autopilot"]
+    assert_allclose(np.nanmean(errors.pos_n[errors.t < 79.8][:, :2], axis=0), flown.OFF_N[:2], atol=0.01)
+    assert_allclose(errors.pos_n[errors.t > 80.3][:, 0], flown.OFF_N[0] + 1.0, atol=0.03)
+    claimed = np.sqrt(np.einsum("kii->ki", judged.solutions["autopilot"].cov[:, :3, :3]))
+    assert_allclose(claimed[-1], flown.SD, rtol=1e-6)
+    assert_allclose(judged.solutions["autopilot"].gyro_bias_b[-1], [np.deg2rad(0.1), 0.0, 0.0])
+
+
+def test_changes_of_lane_and_resets_are_events(judged):
+    kinds = {
+        row[2]: row for row in judged.solutions["autopilot"].events.rows() if row[2] in ("lane", "reset")
+    }
+    assert kinds["lane"][0] == pytest.approx(80.0, abs=0.11)
+    assert kinds["lane"][3] == "core 1 after 0"
+    assert kinds["reset"][3] == "EKF3 lane switch 1"
+
+
+def test_variances_of_innovations_follow_from_test_ratios(judged):
+    """XKF4.SV is the root of sum z^2 over gate^2 sum S: NIS = n (SV gate)^2, whatever the innovations."""
+    values = judged.metrics["autopilot"]
+    assert values["nis_mean_gnss_position"] == pytest.approx(2 * (0.2 * 5.0) ** 2, rel=1e-3)
+    table = judged.solutions["autopilot"].innovations
+    first = table.code == table.sensor.index("gnss_position")
+    z = table.z[first].reshape(-1, 2)
+    assert_allclose(
+        table.S[first].reshape(-1, 2).sum(axis=1) * (0.2 * 5.0) ** 2, (z**2).sum(axis=1), rtol=1e-5
+    )
+
+
+def test_without_a_truth_no_fix_judges_it(tmp_path):
+    """Its fixes are not withheld: it has used them. An outage that happened tells its drift."""
+    log = log_pipeline.read_log(write_log(tmp_path, truth=False, silent=(90.05, 110.05)))
+    result = log_pipeline.navigate_log(log)
+    values = result.metrics["autopilot"]
+    assert "pos_rmse_h_m" not in values
+    assert values["verdict"] == "not judged"
+    assert "has used every fix" in values["verdict_text"]
+    assert result.metrics["loose-15"]["withheld_fixes"] > 50
+    (row,) = [one for one in result.more["outages"] if one["estimator"] == "autopilot"]
+    assert row["duration_s"] == pytest.approx(20.2, abs=0.01)
+    assert row["rms_h_m"] == pytest.approx(
+        np.hypot(3.0, 1.0), abs=0.2
+    )  # 0.02 m of the fix, 2 m/s late by 10 ms
+    assert row["claimed_median_h_m"] == pytest.approx(1.1774 * 1.5, rel=1e-3)
+
+
+def test_cuts_are_for_filters_that_run_here(tmp_path):
+    result = log_pipeline.navigate_log(log_pipeline.read_log(write_log(tmp_path, truth=False)), outages=None)
+    assert {row["estimator"] for row in result.more["outages"]} == {"loose-15"}
+    assert [row["duration_s"] for row in result.more["outages"]] == [10.0, 30.0]
+    assert [row["places"] for row in result.more["outages"]] == [10, 3]
+
+
+def test_an_instance_by_its_number(tmp_path):
+    path = flown.write_flight(tmp_path / "flight.bin")
+    source = SourceSpec(path, "dataflash")
+    zero, one = (autopilot.read_estimate(source, k).motion for k in (0, 1))
+    assert_allclose((one.lla - zero.lla)[:, 0] * 6.36e6, 1.0, rtol=0.01)
+    with pytest.raises(ConfigError, match=r"flight\.bin: .*no records XKF1:2"):
+        autopilot.read_estimate(source, 2)
+    with pytest.raises(ConfigError, match="must be a number"):
+        autopilot.build("autopilot:primary", source, 0.0)
+
+
+def test_the_name_is_for_logs_of_autopilots(tmp_path, capsys):
+    assert main(["run", "static", "-e", "autopilot"]) == WRONG
+    assert "for the log of an autopilot: bench navigate" in capsys.readouterr().err
+    shutil.copy(Path(__file__).parents[1] / "logs" / "drive.toml", tmp_path)
+    drive = Path(__file__).parents[1] / "logs" / "drive.toml"
+    with pytest.raises(ConfigError, match=r"imu\.parquet is no log of an autopilot"):
+        log_pipeline.read_log(drive, estimators=["autopilot"])
+
+
+def test_a_real_estimate_agrees_with_the_receiver_that_it_used(tmp_path):
+    """The EKF of the copter keeps within its metres of the fixes, its heading with its magnetometer."""
+    shutil.copy(FLIGHTS / "copter.bin", tmp_path)
+    assert main(["new", "log", str(tmp_path / "copter.bin")]) == 0
+    spec = load_log(str(tmp_path / "copter.toml"))
+    records = read_records(spec)
+    own = autopilot.build("autopilot", spec.imu, records.origin)
+    session = log_pipeline.Session(spec, records, find_start(records, spec))
+    data = session.make_data(np.ones(len(session.fixes), np.bool_), session.fixes.t[::5])
+    solution = own.run(data, session.initial)
+    off = np.hypot(*bench.earth.difference_n(solution.lla, session.fixes.lla[::5])[:, :2].T)
+    assert np.median(off) < 1.0
+    assert np.max(off) < 4.0
+
+
+# --- starts -------------------------------------------------------------------------------------------
+
+
+def test_a_magnetic_heading_is_exact_without_errors():
+    """Any attitude below 80 deg of tilt, any acceleration of half a g, by rotation matrices."""
+    rng = np.random.default_rng(3)
+    g_n = np.array([0.0, 0.0, 9.81])
+    for _ in range(50):
+        roll, pitch, heading = rng.uniform([-1.2, -1.0, -np.pi], [1.2, 1.0, np.pi])
+        C_nb = rotation.matrix(rotation.from_euler(roll, pitch, heading))
+        felt_n = rng.uniform(-2.0, 2.0, 3) - g_n
+        m_n = np.array([20.0, 1.5, 43.0])
+        found = find_magnetic_heading(C_nb.T @ felt_n, felt_n, C_nb.T @ m_n, np.arctan2(1.5, 20.0))
+        assert abs(np.angle(np.exp(1j * (found - heading)))) < 1e-3
+
+
+@pytest.mark.parametrize("at", [25.0, 60.0, 100.0])
+@pytest.mark.parametrize("heading", ["magnetometer", "autopilot"])
+def test_a_start_in_motion_finds_the_attitude(tmp_path, at, heading):
+    """While the car winds and accelerates; the truth is that of the drive."""
+    start = f'kind = "hover"\nheading = "{heading}"\nat_s = {at}'
+    log = log_pipeline.read_log(write_log(tmp_path, "[reference]", start))
+    own = autopilot.build("autopilot", log.spec.imu, log.records.origin)
+    initial = find_start(log.records, log.spec, own.attitude)
+    true = flown.drives.truth()
+    k = int(np.argmin(np.abs(true.t - log.records.origin - initial.t)))
+    off = rotation.to_rotvec(rotation.multiply(initial.q_nb, rotation.conjugate(true.q_nb[k])))
+    assert np.abs(off[:2]).max() < 3 * np.sqrt(initial.cov[6, 6])
+    assert np.rad2deg(abs(off[2])) < 3.0
+    assert_allclose(initial.lla[2], true.lla[k, 2], atol=0.2)
+
+
+def test_without_a_heading_several_are_tried(tmp_path):
+    log = write_log(tmp_path, "[reference]", 'kind = "hover"\nat_s = 22.0')
+    values = bench.navigate_log(bench.read_log(log, estimators=["loose-15"])).metrics["loose-15"]
+    assert values["converged"]
+    assert values["heading_rmse_deg_all"] is not None
+
+
+def test_a_real_start_has_the_attitude_of_the_autopilot(tmp_path):
+    """Tilt within 3 deg and heading within 5 of an attitude by another filter on board, motors running."""
+    shutil.copy(FLIGHTS / "quad.px4log", tmp_path)
+    assert main(["new", "log", str(tmp_path / "quad.px4log")]) == 0
+    spec = load_log(str(tmp_path / "quad.toml"))
+    assert spec.start.heading_from == "magnetometer"
+    records = read_records(spec)
+    own = autopilot.build("autopilot", spec.imu, records.origin)
+    for at in (1.0, 6.0, 12.0, 20.0):
+        initial = find_start(records, replace(spec, start=replace(spec.start, at=at)))
+        theirs = own.attitude(initial.t)
+        off = np.rad2deg(rotation.to_rotvec(rotation.multiply(initial.q_nb, rotation.conjugate(theirs))))
+        assert np.abs(off[:2]).max() < 3.0
+        assert abs(off[2]) < 5.0
+
+
+@pytest.mark.parametrize(
+    ("start", "says"),
+    [
+        ('kind = "course"\nheading = "magnetometer"', "heading is for kind = 'level' or 'hover'"),
+        ('kind = "hover"\nat_s = 1000.0', "no usable fix from there on"),
+    ],
+)
+def test_a_start_that_cannot_be(tmp_path, start, says):
+    with pytest.raises(ConfigError, match=says):
+        bench.navigate_log(write_log(tmp_path, start=start))
+
+
+# --- parts --------------------------------------------------------------------------------------------
+
+
+def test_variances_of_a_quaternion_become_those_of_angles():
+    """Monte Carlo, 200 000 draws of the elements: a variance is known to 0.32 %, 99.9 % band 1.1 %."""
+    rng = np.random.default_rng(7)
+    q = rotation.from_euler(0.3, -0.5, 2.0)
+    diagonal = np.array([1e-6, 4e-6, 2e-6, 8e-6])
+    dq = rng.normal(size=(200_000, 4)) * np.sqrt(diagonal)
+    phi = 2.0 * rotation.multiply(dq, np.broadcast_to(rotation.conjugate(q), dq.shape))[:, 1:]
+    assert_allclose(turn_quaternion(diagonal[None], q[None])[0], phi.var(axis=0), rtol=0.011)
+
+
+def test_a_repeated_innovation_is_one(tmp_path):
+    t = np.arange(6.0)
+    z = np.array([[1.0], [1.0], [2.0], [2.0], [0.0], [3.0]])
+    S = np.array([[4.0], [4.0], [4.0], [4.0], [4.0], [np.nan]])
+    table = tell_innovations({"baro": (t, z, S)})
+    assert table.t.tolist() == [0.0, 2.0]
+    assert_allclose(table.nis, [0.25, 1.0])
+
+
+def test_only_long_silences_are_outages():
+    t = np.concatenate([np.arange(0, 10, 0.2), np.arange(10.8, 20, 0.2), np.arange(25, 30, 0.2)])
+    n = len(t)
+    record = bench.data.GnssFixes(
+        t, t, np.ones(n, np.bool_), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3)),
+        np.zeros((n, 3, 3)), np.zeros(n, np.int64),
+    )  # fmt: skip
+    (gap,) = own_judge.find_outages(record)
+    assert gap == pytest.approx((19.8, 25.0), abs=0.11)
+
+
+def test_a_declination_of_the_day_counts():
+    there = np.array([[np.deg2rad(-35.4), np.deg2rad(149.2), 600.0]])
+    north, east, _ = field_n(there, 2015.9)[0]
+    assert np.rad2deg(np.arctan2(east, north)) == pytest.approx(12.2, abs=0.5)  # Canberra
+
+
+def test_a_log_without_imu_is_refused_in_a_line(tmp_path, capsys):
+    kinds = {name: flown.KINDS[name] for name in ("GPS", "XKF1")}
+    rows = [
+        ("GPS", (int(2e5 * k), 0, 3, 1000, 2300, 9, 1.0, 47.0, 11.0, 600.0, 1.0, 0.0, 0.0)) for k in range(20)
+    ]
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    assert main(["navigate", str(path)]) == WRONG
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "x.bin: no records RISI or IMU; it has GPS" in said
+    assert not path.with_suffix(".toml").exists()

@@ -1,0 +1,182 @@
+"""Logs of ArduPilot and of PX4 before 2017: records, sensors, damage."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.errors import ConfigError
+from bench.exchange import imports
+from bench.exchange.imports.dataflash import DataFlash
+from bench.exchange.imports.flash_rows import look
+from tests.exchange.flash import HEAD, unpack, write_flash
+
+FLIGHTS = Path(__file__).parents[1] / "logs" / "flights"
+IMU = ("QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
+GPS = ("QBBIHBcLLefff", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ")
+GPA = ("QBCCCCBIHf", "TimeUS,I,VDop,HAcc,VAcc,SAcc,VV,SMS,Delta,Und")
+PARM = ("QNf", "TimeUS,Name,Value")
+
+
+def read(path: Path, kind: str, topic: str | None = None):
+    return imports.read("dataflash", path, kind, topic)
+
+
+def fix(t_us: int, status=3, lat=-35.0, spd=10.0, course=30.0, vz=-1.0, instance=0):
+    return ("GPS", (t_us, instance, status, 1000, 2300, 9, 1.5, lat, 149.0, 600.0, spd, course, vz))
+
+
+@pytest.mark.parametrize("name", ["copter.bin", "quad.px4log"])
+def test_every_number_is_that_of_an_independent_reader(name):
+    log, found = DataFlash(FLIGHTS / name), {}
+    for record, at, values in unpack(FLIGHTS / name):
+        found.setdefault(record, []).append((at, values))
+    assert set(log.names) == set(found) - {"FMT"}
+    for record in log.names:
+        starts, rows = zip(*found[record], strict=True)
+        assert log.find_starts(record).tolist() == list(starts)
+        for label, column in log.read(record).items():
+            if column.ndim == 1:
+                assert_allclose(column, [row[label] for row in rows], rtol=1e-12)
+    assert log.skipped == 0
+
+
+def test_damage_costs_the_records_it_hits_and_no_others(tmp_path):
+    raw = bytearray((FLIGHTS / "copter.bin").read_bytes())
+    whole = DataFlash(FLIGHTS / "copter.bin")
+    starts = whole.find_starts("IMU")
+    del raw[starts[500] + 10 : starts[500] + 30]  # bytes are lost within a record
+    raw[starts[900]] = 0  # a head is hit
+    path = tmp_path / "damaged.bin"
+    path.write_bytes(raw[:-7])
+    log = DataFlash(path)
+    before, after = whole.read("IMU"), log.read("IMU")
+    kept = np.isin(before["TimeMS"], after["TimeMS"])
+    assert 2 <= np.count_nonzero(~kept) <= 4
+    assert_allclose(after["GyrX"], before["GyrX"][kept])
+    assert log.skipped > 0
+    assert "are no records" in " ".join(read(path, "imu").notes)
+
+
+def test_files_that_are_no_logs(tmp_path):
+    for content in (b"", b"\xa3", HEAD * 200, bytes(range(256)) * 20):
+        path = tmp_path / "x.bin"
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=r"no records of a DataFlash log"):
+            DataFlash(path)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_damage_gives_rows_or_a_line(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    raw = np.frombuffer((FLIGHTS / "copter.bin").read_bytes(), np.uint8).copy()
+    hit = rng.integers(0, len(raw), 300)
+    raw[hit] = rng.integers(0, 256, 300)
+    path = tmp_path / "x.bin"
+    path.write_bytes(raw.tobytes())
+    for kind in ("imu", "gnss", "baro", "mag", "airspeed", "radar"):
+        with contextlib.suppress(ConfigError):
+            rows = read(path, kind)
+            assert len(rows.t) == len(next(iter(rows.values.values())))
+
+
+def test_a_fix_in_si(tmp_path):
+    rows = [
+        ("PARM", (1, "GPS1_DELAY_MS", 150.0)),
+        fix(1_000_000, status=1),
+        fix(1_200_000),
+        ("GPA", (1_200_100, 0, 1.2, 0.9, 1.4, 0.3, 1, 1200, 200, -48.5)),
+        fix(1_400_000, instance=1, lat=10.0),
+    ]
+    path = write_flash(tmp_path / "x.bin", {"PARM": PARM, "GPS": GPS, "GPA": GPA}, rows)
+    found = read(path, "gnss")
+    assert len(found.t) == 2  # those of the first receiver
+    assert np.isnan(found.values["lla"][0]).all()  # no fix in three dimensions
+    assert_allclose(found.t, [0.85, 1.05])
+    assert_allclose(found.values["arrival"], [1.0, 1.2])
+    assert_allclose(found.values["lla"][1], [np.deg2rad(-35.0), np.deg2rad(149.0), 648.5], rtol=1e-9)
+    assert_allclose(found.values["vel_n"][1], [10 * np.cos(np.pi / 6), 5.0, -1.0], rtol=1e-6)
+    assert_allclose(found.values["sd_pos"][1], [0.9 / 2**0.5, 0.9 / 2**0.5, 1.4])
+    assert_allclose(found.values["sd_vel"][1], 0.3 / 3**0.5)
+    other = read(path, "gnss", "GPS:1")
+    assert_allclose(other.values["lla"][0, 0], np.deg2rad(10.0), rtol=1e-7)
+    assert look(path).sensors == ("gnss",)
+
+
+def test_a_receiver_without_vertical_velocity_has_none(tmp_path):
+    rows = [fix(1_000_000), ("GPA", (1_000_100, 0, 1.2, 0.9, 1.4, 0.3, 0, 1000, 200, 0.0))]
+    path = write_flash(tmp_path / "x.bin", {"GPS": GPS, "GPA": GPA}, rows)
+    assert np.isnan(read(path, "gnss").values["vel_n"][0, 2])
+
+
+def test_instances_of_an_imu(tmp_path):
+    rows = [("IMU", (k * 10_000, k % 2, 0.1 + k % 2, 0, 0, 0, 0, -9.8)) for k in range(10)]
+    path = write_flash(tmp_path / "x.bin", {"IMU": IMU}, rows)
+    assert_allclose(read(path, "imu").values["gyro"][:, 0], 0.1)
+    assert_allclose(read(path, "imu", "IMU:1").values["gyro"][:, 0], 1.1)
+    with pytest.raises(ConfigError, match="no records IMU:2"):
+        read(path, "imu", "IMU:2")
+
+
+def test_increments_of_the_replay_are_those_of_its_rates(tmp_path):
+    rng, rows, sums = np.random.default_rng(1), [], np.zeros(6)
+    rates = rng.normal(size=(400, 6))
+    for k, rate in enumerate(rates):
+        dt = 0.0025 * (1.0 + 0.1 * (k % 3))
+        values = rate * dt
+        sums += values
+        rows.append(("RFRH", (2_500 * (k + 1), 0)))
+        rows.append(("RISI", (*values[3:], *values[:3], dt, dt, 15, 0)))
+        rows.append(("RISI", (*np.ones(6), dt, dt, 15, 1)))
+    kinds = {"RFRH": ("QB", "TimeUS,TF"), "RISI": ("ffffffffBB", "DVX,DVY,DVZ,DAX,DAY,DAZ,DVDT,DADT,Flags,I")}
+    found = read(write_flash(tmp_path / "x.bin", kinds, rows), "imu")
+    assert_allclose(found.t, 0.0025 * np.arange(1, 401))
+    both = np.hstack([found.values["dtheta"], found.values["dvel"]])
+    assert_allclose(both.sum(axis=0), sums, rtol=1e-6)
+    assert_allclose(both / found.values["interval"][:, None], rates, rtol=1e-5, atol=1e-6)
+
+
+def test_times_of_px4_are_those_of_the_record_ahead():
+    log = DataFlash(FLIGHTS / "quad.px4log")
+    imu, gnss = read(FLIGHTS / "quad.px4log", "imu"), read(FLIGHTS / "quad.px4log", "gnss")
+    assert_allclose(imu.t, log.read("TIME")["StartTime"] * 1e-6)  # one IMU row each
+    assert 80 < 1.0 / np.median(np.diff(imu.t)) < 85
+    assert_allclose(np.median(np.diff(gnss.t)), 0.2, atol=0.005)
+    assert_allclose(gnss.values["arrival"] - gnss.t, 0.2)  # INAV_DELAY_GPS
+
+
+def test_airspeed_becomes_true_by_the_density(tmp_path):
+    pressure, temperature = 70_000.0, 263.15  # about 3000 m
+    rows = [
+        ("BARO", (1_000_000, 0, 3000.0, pressure, temperature - 273.15)),
+        ("ARSP", (1_000_000, 0, 50.0, 1)),
+    ]
+    kinds = {"BARO": ("QBfff", "TimeUS,I,Alt,Press,GndTemp"), "ARSP": ("QBfB", "TimeUS,I,Airspeed,H")}
+    found = read(write_flash(tmp_path / "x.bin", kinds, rows), "airspeed")
+    sea = 101_325.0 / 288.15
+    assert_allclose(found.values["airspeed_true"], 50.0 * (sea / (pressure / temperature)) ** 0.5, rtol=1e-6)
+
+
+def test_a_range_finder_and_a_magnetometer(tmp_path):
+    rows = [
+        ("RFND", (1_000_000, 0, 12.3, 4)),
+        ("RFND", (1_100_000, 0, 99.0, 2)),
+        ("MAG", (1_000_000, 0, 200, -50, 400, 1)),
+    ]
+    kinds = {
+        "RFND": ("QBCB", "TimeUS,Instance,Dist,Stat"),
+        "MAG": ("QBhhhB", "TimeUS,I,MagX,MagY,MagZ,Health"),
+    }
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    radar = read(path, "radar")
+    assert_allclose(radar.values["height"], [12.3, 99.0])
+    assert radar.values["valid"].tolist() == [1.0, 0.0]
+    assert_allclose(read(path, "mag").values["field_b"], [[20e-6, -5e-6, 40e-6]])
+
+
+def test_what_a_log_lacks_is_said():
+    with pytest.raises(ConfigError, match=r"copter\.bin: no records ARSP; it has BARO, CMD"):
+        read(FLIGHTS / "copter.bin", "airspeed")
+    assert look(FLIGHTS / "copter.bin").sensors == ("imu", "gnss", "baro", "mag")
