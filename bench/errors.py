@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, UNSEEN, BUG, INTERRUPTED = 0, 1, 2, 3, 4, 5, 70, 130
+DONE, NEGATIVE, WRONG, NOT_FLOWN, MACHINE, UNSEEN, UNDECIDED = 0, 1, 2, 3, 4, 5, 6
+BUG, INTERRUPTED = 70, 130
 """Exit statuses."""
 
 STATUSES = {
@@ -12,6 +13,7 @@ STATUSES = {
     NOT_FLOWN: "the aircraft could not be loaded, trimmed or flown",
     MACHINE: "the machine failed: disk full, no viewer",
     UNSEEN: "the results are written, but not their recording or report",
+    UNDECIDED: "a study cannot decide what was asked; it says what would",
     BUG: "a bug, or an estimator that raised, with its traceback",
     INTERRUPTED: "interrupted",
 }

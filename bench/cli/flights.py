@@ -118,16 +118,28 @@ def fly(profile: str, **options: Any) -> int:
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")
-def list_all(kind: str | None, as_json: bool) -> int:
+@click.option("--long", "long", is_flag=True, help="of sensors: a table of their figures, each in one unit")
+def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     """List the profiles, aircraft, legs, sensors, estimators, export formats and studies there are.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
     aircraft also say what is known of each, where from, and what no source states,
-    bench list legs the keys of each, what they may be, and their defaults.
+    bench list legs the keys of each, what they may be, and their defaults. bench list
+    sensors --long has the figures of all sensors side by side.
     """
-    from bench.workbench.show import list_catalog, print_catalog
+    from bench.workbench.show import list_catalog, print_catalog, print_sensors
 
-    if as_json:
+    if long and kind != "sensors":
+        raise click.UsageError("--long is for bench list sensors")
+    if long and as_json:
+        from bench.config.figure_table import tabulate_figures
+        from bench.config.listing import KINDS
+        from bench.store import to_json
+
+        click.echo(to_json({kind: tabulate_figures(kind) for kind in KINDS}), nl=False)
+    elif long:
+        print_sensors(new_console())
+    elif as_json:
         from bench.store import to_json
 
         rows = {name: [entry.as_dict() for entry in entries] for name, entries in list_catalog(kind).items()}

@@ -16,8 +16,13 @@ from bench.cli.group import (
     new_console,
     out_option,
     report_option,
+    seed_option,
+    set_option,
 )
-from bench.errors import DONE, NEGATIVE, ConfigError
+from bench.errors import DONE, NEGATIVE, UNDECIDED, ConfigError
+
+_SHARED = {"overrides": set_option, "seed": seed_option}
+"""Options of studies that other verbs have, too."""
 
 
 class _Studies(click.Group):
@@ -66,14 +71,15 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
         from bench.studies.study_folder import describe_study
         from bench.workbench.study_verb import run_study
 
-        chosen = {key: value for key, value in given.items() if value is not None}
+        chosen = {key: value for key, value in given.items() if value not in (None, {})}
         if chosen.get("report") is False and "out" not in chosen:
             raise ConfigError(f"study {name}: --no-report is for -o DIR, which writes one")
         console = new_console(stderr=as_json)
         result = run_study(name, console=console, **{"out": None, "jobs": None} | chosen)
         if as_json:
             click.echo(to_json(describe_study(result)), nl=False)
-        return DONE if result.findings.good else NEGATIVE
+        findings = result.findings
+        return NEGATIVE if not findings.good else UNDECIDED if findings.undecided else DONE
 
     command: Callable[..., Any] = run
     for decorate in (
@@ -84,14 +90,18 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
         jobs_option,
     ):
         command = decorate(command)
-    for key, field in reversed(module.Options.model_fields.items()):
-        command = _make_parameter(key, field)(command)
+    fields = module.Options.model_fields
+    shared = [key for key in fields if key in _SHARED]
+    for key in [*reversed(shared), *(key for key in reversed(fields) if key not in shared)]:
+        command = _make_parameter(key, fields[key])(command)
     text = f"{question}\n\n{module.__doc__.partition(chr(10))[2].strip()}"
     return click.command(name, help=text, epilog=STATUS)(command)
 
 
 def _make_parameter(key: str, field: Any) -> Callable[[Any], Any]:
     """Return the argument or the option for a field of the options of a study."""
+    if key in _SHARED:
+        return _SHARED[key]
     if field.is_required():
         return click.argument(key, metavar=key.upper())
     flag, words = key.replace("_", "-"), " ".join((field.description or "").split())

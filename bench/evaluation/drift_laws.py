@@ -53,6 +53,29 @@ def gyro_bias_drift(T: float) -> float:
     return RADIUS * (T - math.sin(SCHULER * T) / SCHULER)
 
 
+def tilt_drift(T: float) -> float:
+    """Return the horizontal drift per tilt at the start after a time T [s] without aiding [m per rad]."""
+    return STANDARD_GRAVITY * accel_bias_drift(T)
+
+
+def velocity_drift(T: float) -> float:
+    """Return the horizontal drift per velocity error at the start after a time T [s] [m per m/s]."""
+    return math.sin(SCHULER * T) / SCHULER
+
+
+def accel_noise_drift(T: float) -> float:
+    """Return the horizontal drift per velocity random walk after a time T [s] [m per m/s/sqrt(s)]."""
+    x = SCHULER * T
+    return math.sqrt(max(0.5 * x - 0.25 * math.sin(2 * x), 0.0) / SCHULER**3)
+
+
+def gyro_noise_drift(T: float) -> float:
+    """Return the horizontal drift per angular random walk after a time T [s] [m per rad/sqrt(s)]."""
+    x = SCHULER * T
+    grown = max(1.5 * x - 2.0 * math.sin(x) + 0.25 * math.sin(2 * x), 0.0)
+    return STANDARD_GRAVITY * math.sqrt(grown / SCHULER**5)
+
+
 def drift_sd(
     T: float,
     imu: ImuSpec,
@@ -64,6 +87,26 @@ def drift_sd(
     tilt: float = 0.0,
 ) -> float:
     """Return the standard deviation by axis of the horizontal drift of an unaided INS [m].
+
+    Parameters are those of :func:`split_drift`.
+    """
+    parts = split_drift(
+        T, imu, heading=heading, calibrated=calibrated, position=position, velocity=velocity, tilt=tilt
+    )
+    return math.hypot(*parts.values())
+
+
+def split_drift(
+    T: float,
+    imu: ImuSpec,
+    *,
+    heading: FloatArray | None = None,
+    calibrated: bool = True,
+    position: float = 0.0,
+    velocity: float = 0.0,
+    tilt: float = 0.0,
+) -> dict[str, float]:
+    """Return the standard deviation by axis of the horizontal drift of an unaided INS by its source [m].
 
     Parameters
     ----------
@@ -81,24 +124,21 @@ def drift_sd(
     b_a, b_g = accel.bias_instability, gyro.bias_instability
     if not calibrated:
         b_a, b_g = math.hypot(b_a, accel.turn_on_bias_sd), math.hypot(b_g, gyro.turn_on_bias_sd)
-    pendulum = accel_bias_drift(T)
-    by_accel, by_gyro = pendulum, gyro_bias_drift(T)
+    by_accel, by_gyro = accel_bias_drift(T), gyro_bias_drift(T)
     if heading is not None and len(heading) > 1:
         left = x * np.linspace(1.0, 0.0, len(heading))  # phase of the pendulum that is left at each step
         turn = np.exp(1j * (heading - heading[0]))
         by_accel = abs(np.trapezoid(np.sin(left) / w * turn, dx=T / (len(heading) - 1)))
         by_gyro = abs(np.trapezoid(RADIUS * (1.0 - np.cos(left)) * turn, dx=T / (len(heading) - 1)))
-    return math.hypot(
-        position,
-        velocity * math.sin(x) / w,
-        STANDARD_GRAVITY * tilt * pendulum,
-        b_a * by_accel,
-        b_g * by_gyro,
-        accel.random_walk * math.sqrt(max(0.5 * x - 0.25 * math.sin(2 * x), 0.0) / w**3),
-        STANDARD_GRAVITY
-        * gyro.random_walk
-        * math.sqrt(max(1.5 * x - 2.0 * math.sin(x) + 0.25 * math.sin(2 * x), 0.0) / w**5),
-    )
+    return {
+        "position": position,
+        "velocity": abs(velocity * velocity_drift(T)),
+        "tilt": tilt * tilt_drift(T),
+        "accelerometer bias": b_a * by_accel,
+        "gyro bias": b_g * by_gyro,
+        "accelerometer noise": accel.random_walk * accel_noise_drift(T),
+        "gyro noise": gyro.random_walk * gyro_noise_drift(T),
+    }
 
 
 def _radii(sd: float) -> dict[str, float | None]:

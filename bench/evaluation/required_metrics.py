@@ -63,7 +63,7 @@ def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> 
     found = []
     for row in rows:
         word = MET if _keeps(row, values) else MISSED
-        value = _take(row, values)
+        value = take_value(row, values)
         shown = "has no value" if value is None else f"is {_show(row, value)}"
         if not values.get("converged", True):
             shown += " in a run that did not converge"
@@ -124,20 +124,20 @@ def count_deciding_runs(count: int, n: int, share: float) -> int | None:
     return None
 
 
-def _keeps(row: Mapping[str, Any], values: Values) -> bool:
-    value = _take(row, values)
-    if value is None or not values.get("converged", True):
-        return False
-    return bool(value <= row.get("most", math.inf) and value >= row.get("least", -math.inf))
-
-
-def _take(row: Mapping[str, Any], values: Values) -> float | None:
-    """Return the value of a metric, of several the worst; None if there is none, or one is missing."""
+def take_value(row: Mapping[str, Any], values: Values) -> float | None:
+    """Return the value of the metric of a row, of several the worst; None if one is missing."""
     pattern = re.escape(row["metric"]).replace(re.escape(EVERY), r"\d+")
     found = [value for name, value in values.items() if re.fullmatch(pattern, name)]
     if not found or not all(isinstance(value, int | float) and math.isfinite(value) for value in found):
         return None
     return float(max(found) if "most" in row else min(found))
+
+
+def _keeps(row: Mapping[str, Any], values: Values) -> bool:
+    value = take_value(row, values)
+    if value is None or not values.get("converged", True):
+        return False
+    return bool(value <= row.get("most", math.inf) and value >= row.get("least", -math.inf))
 
 
 def _describe(row: Mapping[str, Any]) -> str:

@@ -65,6 +65,7 @@ class Series:
     marks: bool = False  # dots instead of lines
     band: tuple[int, int] | None = None  # the lines between which a claim or an expectation lies
     most: float = np.inf  # rows a second that are enough to show it [Hz]
+    labels: tuple[str, ...] = ()  # N, beside the dots; empty: none
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,7 @@ class Plot:
     across: str = "s"  # unit of the horizontal axis
     over: str = "time"  # quantity of the horizontal axis
     log: str = ""  # "x", "y" or "xy": axes with powers of ten at equal distances
+    ticks: tuple[tuple[float, str], ...] = ()  # places on the horizontal axis and their names; empty: numbers
 
     def limits(self) -> tuple[float, float]:
         """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
@@ -198,10 +200,17 @@ def draw_line(
 
 
 def draw_dots(
-    key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, size: float = 1.5
+    key: str,
+    t: FloatArray,
+    values: FloatArray,
+    name: str,
+    colour: Colour,
+    size: float = 1.5,
+    labels: tuple[str, ...] = (),
 ) -> Series:
-    """Return a dot for each value."""
-    return shorten(Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True))
+    """Return a dot for each value, with names (N,) beside them if there are."""
+    dots = Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True, labels=labels)
+    return dots if labels else shorten(dots)
 
 
 def find_gaps(t: FloatArray) -> IntArray:

@@ -202,7 +202,8 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
                     borderaxespad=0.0, borderpad=0.2, handlelength=1.5, handletextpad=0.4, columnspacing=1.0,
                     labelspacing=0.3,
                 )  # fmt: skip
-        rows[-1].set_xlabel(f"{plots[-1].over} [{plots[-1].across}]")
+        axis = plots[-1]
+        rows[-1].set_xlabel(f"{axis.over} [{axis.across}]" if axis.across else axis.over)
     return figure
 
 
@@ -259,9 +260,14 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
                 label = name if name not in seen else None
                 line = {"ls": "", "marker": ".", "ms": 1.5} if one.marks else {"lw": 0.8}
                 axes.plot(one.t, one.values[:, k], color=_darken(colour), label=label, **line)
+                for x, y, text in zip(one.t, one.values[:, k], one.labels, strict=False):
+                    axes.annotate(text, (x, y), (3, 0), textcoords="offset points", fontsize=_NAME)
                 seen.add(name)
     for axis in plot.log:
         getattr(axes, f"set_{axis}scale")("log")
+    if plot.ticks:
+        axes.set_xticks([at for at, _ in plot.ticks], [name for _, name in plot.ticks])
+        axes.set_xlim(plot.ticks[0][0] - 0.5, plot.ticks[-1][0] + 0.9)
     axes.set_ylim(plot.limits())
     axes.tick_params(width=0.6, length=2.5)
     axes.spines[["top", "right"]].set_visible(False)

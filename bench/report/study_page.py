@@ -45,6 +45,14 @@ def _say(value: object) -> str:
 
 
 def _draw(plot: Plot) -> Figure:
+    axis = f"{plot.over} [{plot.across}]" if plot.across else plot.over
+    return page.make_figure(plot, _find_window(plot), ())._replace(title=f"{plot.title} over {axis}")
+
+
+def _find_window(plot: Plot) -> tuple[float, float]:
+    """Return where the horizontal axis begins and ends; names of dots have room to their right."""
+    if plot.ticks:
+        return plot.ticks[0][0] - 0.5, plot.ticks[-1][0] + 0.9
     ends = [(line.t[np.isfinite(line.t)].min(), line.t[np.isfinite(line.t)].max()) for line in plot.series]
     first, last = float(min(low for low, _ in ends)), float(max(high for _, high in ends))
     if first == last:
@@ -52,8 +60,7 @@ def _draw(plot: Plot) -> Figure:
     if any(line.marks for line in plot.series):  # whole dots at the ends, too
         margin = (last / first) ** 0.03 if "x" in plot.log else 0.03 * (last - first)
         first, last = (first / margin, last * margin) if "x" in plot.log else (first - margin, last + margin)
-    figure = page.make_figure(plot, (first, last), ())
-    return figure._replace(title=f"{plot.title} over {plot.over} [{plot.across}]")
+    return first, last
 
 
 def _fill(table: StudyTable) -> dict[str, Any]:

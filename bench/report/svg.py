@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.plots.series import Colour, Plot, Series, Shade, round_number
 from bench.wording import replace_control
 
@@ -23,6 +23,7 @@ _GRAIN = 10.0  # steps per pixel
 _STRAIGHT = 2.0  # points so near the line between their neighbours are left out [steps]
 _DOT = 3  # diameter [pixels]
 _END = 0.12  # of the width: numbers nearer to the end of a time axis give way to that of the end
+_LETTER, _ROW = 5.0, 10.0  # width of a letter and height of a row of the names of dots [pixels]
 _FAR = 20.0  # beyond so many widths or heights points are not told apart
 
 Window = tuple[float, float]
@@ -68,6 +69,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     body += [_draw_band(frame, series) for series in plot.series if series.band is not None]
     for series in plot.series:
         body += _draw_series(frame, series)
+    body += _draw_labels(frame, plot)
     marks = [
         f'<text x="{_LEFT - 6}" y="{_TOP + row / _GRAIN + 4:.0f}" text-anchor="end">{text}</text>'
         for row, text in _mark_rows(frame, "y" in plot.log)
@@ -85,7 +87,7 @@ def _take_logarithms(plot: Plot) -> Plot:
     if "x" in plot.log:
         kept = [one.t > 0.0 for one in series]
         series = [
-            replace(one, t=np.log10(one.t[rows]), values=one.values[rows])
+            replace(one, t=np.log10(one.t[rows]), values=one.values[rows], labels=_select(one.labels, rows))
             for one, rows in zip(series, kept, strict=True)
         ]
     if "y" in plot.log:
@@ -93,6 +95,10 @@ def _take_logarithms(plot: Plot) -> Plot:
             replace(one, values=np.log10(np.where(one.values > 0.0, one.values, np.nan))) for one in series
         ]
     return replace(plot, series=tuple(series))
+
+
+def _select(labels: Sequence[str], rows: BoolArray) -> tuple[str, ...]:
+    return tuple(label for label, kept in zip(labels, rows, strict=True) if kept) if labels else ()
 
 
 def describe(plot: Plot) -> str:
@@ -147,8 +153,9 @@ def _format_length(metres: float) -> str:
 def _open_area(frame: Frame, plot: Plot) -> str:
     """Return the start of the area of the lines; the script of the page reads what its edges are worth."""
     edges = " ".join(f"{edge:.9g}" for edge in (*frame.x, *frame.y))
+    kind = "still" if plot.ticks else "area"  # the script moves along numbers only
     return (
-        f'<svg class="area" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
+        f'<svg class="{kind}" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
         f'data-edges="{edges}" data-unit="{escape(plot.across)}" data-log="{plot.log}">'
     )
@@ -196,6 +203,11 @@ def _format_mark(value: float) -> str:
 
 def _mark_times(frame: Frame, plot: Plot) -> Iterable[str]:
     """Yield the numbers below a plot; an axis of time ends on one, with its unit."""
+    if plot.ticks:
+        columns, _ = frame.place(np.array([at for at, _ in plot.ticks]), np.full(len(plot.ticks), frame.y[0]))
+        for column, (_, name) in zip(columns, plot.ticks, strict=True):
+            yield _mark_time(_LEFT + column / _GRAIN, "middle", escape(name))
+        return
     steps, numbers = _round_marks(*frame.x, 7, log="x" in plot.log)
     if plot.across == "s" and not plot.log:
         last = frame.x[1] - _END * (frame.x[1] - frame.x[0])
@@ -276,6 +288,28 @@ def _thin(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
     falls = 2 * y[first] <= top + bottom  # begins nearer its top: rows count downwards
     pairs = np.column_stack([np.where(falls, top, bottom), np.where(falls, bottom, top)])
     return np.repeat(x[first], 2), pairs.ravel()
+
+
+def _draw_labels(frame: Frame, plot: Plot) -> Iterable[str]:
+    """Yield the names of dots, to their right; those that would lie on others are moved up or down."""
+    places: list[tuple[int, int, str]] = []
+    for series in plot.series:
+        if series.labels:
+            columns, rows = frame.place(series.t, series.values[:, 0])
+            places += zip(columns.tolist(), rows.tolist(), series.labels, strict=True)
+    line, wide, high = round(_GRAIN * _ROW), round(_GRAIN * frame.width), round(_GRAIN * frame.height)
+    used: list[tuple[int, int, int]] = []  # begin, end, row
+    for x, y, text in sorted(places):
+        length = round(_GRAIN * _LETTER * len(text))
+        begin = min(x + line // 2, wide - length)
+        free = (
+            row
+            for row in sorted(range(line // 2, high, line // 4), key=lambda row: abs(row - y))
+            if all(begin >= b or begin + length <= a or abs(row - other) >= line for a, b, other in used)
+        )
+        row = next(free, y)
+        used.append((begin, begin + length, row))
+        yield f'<text class="name" x="{begin}" y="{row + line // 3}">{escape(text)}</text>'
 
 
 def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Colour | None = None) -> str:

@@ -36,12 +36,12 @@ from bench.studies.drawn_errors import (
     output_times,
     split_draws,
 )
-from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Words, Work
+from bench.studies.study import Count, Findings, FlightOptions, StudyTable, Words, Work
 
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 
 
-class Options(StudyOptions):
+class Options(FlightOptions):
     """What may be asked."""
 
     profile: str
@@ -49,14 +49,14 @@ class Options(StudyOptions):
     estimators: Words | None = None
     """estimators to hold against the bound; left out: those of the profile"""
     imu: str | None = None
-    """IMU of the catalog instead of that of the profile"""
+    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
     draws: Count = 20
     """noise draws of each estimator"""
 
 
 def run(options: Options, work: Work) -> Findings:
     """Return the bound and the ratio of each estimator to it."""
-    flight = Flight(options.profile, options.imu, options.estimators)
+    flight = Flight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
     profile, truth = flight.load()
     built = pipeline.build_estimators(profile)
     check_flight(profile.sensors, built)

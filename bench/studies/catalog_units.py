@@ -1,47 +1,140 @@
-"""The IMUs of the catalog as a buyer sees them: class, and how much of them no source states."""
+"""IMUs as a buyer sees them: of the catalog or in a file of one's own, their class and what no source states.
+
+A figure that a datasheet leaves out is zero in its model, which flatters the unit. What is typical of a class
+is the median of the figures that the catalog has for units of this class, those that are assumed included.
+"""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from bench.config import list_sensors
+import numpy as np
+
+from bench.config.datasheets import read_imu
+from bench.config.library import find_datasheet
+from bench.config.listing import CATALOG, list_missing_figures
+from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
-from bench.wording import suggest
+from bench.fields import triad_figures_of
+from bench.specs import TriadSpec
+from bench.units import from_si, to_si
 
 CLASSES = ("consumer", "industrial", "tactical", "navigation")
 """Classes of IMUs, from cheap to dear. The catalog has no prices."""
 
 _INCOMPLETE = ("kvh-dsp-1760",)  # gyros without accelerometers
+_LIMITS = ("range", "bandwidth", "quantization")
+"""Figures whose absence makes a model no better by a class: they are not filled in."""
+
+
+class Typical(NamedTuple):
+    """A figure that a datasheet leaves out, as it is usual in its class."""
+
+    gap: str  # in words, as in ``Unit.absent``
+    key: str  # ``gyro.bias_instability_deg_h``
+    value: float  # in the unit of the key
+    units: tuple[str, ...]  # of the catalog that have it
+    assumed: bool  # no source states it for any of them
 
 
 class Unit(NamedTuple):
-    """An IMU of the catalog."""
+    """An IMU of the catalog, or of a file."""
 
-    grade: str  # of `CLASSES`, or "synthetic"
-    absent: int  # figures that no source states and that are zero in its model
+    name: str  # in the catalog, or the path of its file
+    grade: str  # of `CLASSES`; "synthetic" or "" stand outside of them
+    absent: tuple[str, ...]  # figures, in words, that no source states and that are zero in its model
+    typical: tuple[Typical, ...]  # of them, those that units of its class have
+
+    @property
+    def filled(self) -> dict[str, Any]:
+        """Values of a profile that fly the unit with what is typical of its class."""
+        return {f"sensors.imu.{one.key}": one.value for one in self.typical}
+
+    @property
+    def short(self) -> str:
+        """Its name in a picture."""
+        return Path(self.name).stem
 
 
 def list_units() -> Mapping[str, Unit]:
     """Return every complete IMU of the catalog by name."""
-    found = {}
-    for entry in list_sensors():
-        if entry.kind == "imu" and entry.name not in _INCOMPLETE:
-            grade = re.split("[,;]", entry.note)[0]
-            absent = entry.note.partition("absent: ")[2]
-            found[entry.name] = Unit(grade, len(absent.split(", ")) if absent else 0)
-    return found
+    names = sorted(path.stem for path in (CATALOG / "imu").glob("*.toml"))
+    return {name: _find_unit(name) for name in names if name not in _INCOMPLETE}
 
 
 def find_units(study: str, names: Sequence[str]) -> Mapping[str, Unit]:
-    """Return the IMUs of these names; ConfigError with a line for each that is not there."""
-    known = list_units()
-    wrong = [
-        f"study {study}: units: {name!r} is no IMU of the catalog{suggest(name, known, 'IMUs')}"
-        for name in names
-        if name not in known
-    ]
+    """Return the IMUs of these names, or of these files; ConfigError with a line for each that is wrong."""
+    found, wrong = dict[str, Unit](), list[str]()
+    for name in names:
+        try:
+            found[name] = _find_unit(name)
+            if name in _INCOMPLETE:
+                wrong.append(f"study {study}: units: {name} has no accelerometers")
+        except ConfigError as error:
+            wrong += [f"study {study}: units: {line}" for line in error.messages]
     if wrong:
         raise ConfigError(*wrong)
-    return {name: known[name] for name in names}
+    return found
+
+
+def _find_unit(name: str) -> Unit:
+    path, shown = find_datasheet("imu", name, Path())
+    read_imu(path, shown)
+    document = read_toml(path, shown)
+    grade = str(document.get("class", ""))
+    absent = tuple(list_missing_figures("imu", document))
+    return Unit(name, grade, absent, tuple(_fill_gaps(grade, absent)))
+
+
+def _fill_gaps(grade: str, absent: Sequence[str]) -> Iterator[Typical]:
+    for gap in absent:
+        triad, _, sought = gap.partition(" ")
+        if sought not in _LIMITS:
+            yield from find_typical(grade, triad, sought)
+
+
+@lru_cache
+def find_typical(grade: str, triad: str, sought: str) -> tuple[Typical, ...]:
+    """Return what is typical of a class for a figure by its name on datasheets; nothing if no unit has it.
+
+    Of several figures with this name the one that most units have counts. A bias instability comes with its
+    correlation time.
+    """
+    fields = [name for name, one in triad_figures_of(TriadSpec).items() if one.sought == sought]
+    found = max((_gather(grade, triad, name) for name in fields), key=len)
+    if not found:
+        return ()
+    rows = [found, _gather(grade, triad, "bias_correlation")] if sought == "bias instability" else [found]
+    return tuple(_take_median(f"{triad} {sought}", row) for row in rows if row)
+
+
+def _gather(grade: str, triad: str, name: str) -> list[tuple[str, str, float, bool]]:
+    """Return unit, key, value in SI of a figure in a class, and whether it is assumed."""
+    keys = triad_figures_of(TriadSpec)[name].keys(name, triad)
+    found = []
+    for path in sorted((CATALOG / "imu").glob("*.toml")):
+        sheet = read_toml(path, path.name)
+        if sheet.get("class") != grade or grade not in CLASSES:
+            continue
+        for key in keys:
+            value = sheet.get(triad, {}).get(key)
+            if value is not None:
+                size = float(np.sqrt(np.mean(np.square(value))))
+                assumed = f"{triad}.{key}" in sheet.get("assumed", ())
+                found.append((path.stem, key, to_si(key, size), assumed))
+    return found
+
+
+def _take_median(gap: str, rows: Sequence[tuple[str, str, float, bool]]) -> Typical:
+    triad, key = gap.partition(" ")[0], rows[0][1]
+    value = from_si(key, float(np.median([row[2] for row in rows])))
+    return Typical(
+        gap,
+        f"{triad}.{key}",
+        float(f"{value:.4g}"),
+        tuple(row[0] for row in rows),
+        all(row[3] for row in rows),
+    )

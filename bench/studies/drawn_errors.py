@@ -17,6 +17,7 @@ from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator
 from bench.specs import EstimatorChoice, Profile
+from bench.studies.study import read_settings
 
 INTERVAL = 1.0
 """Between the instants of a study [s]."""
@@ -24,11 +25,13 @@ INTERVAL = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """A profile with one IMU, by names: what a worker makes the rest from."""
+    """A profile with one IMU, by names, and what is replaced in it: what a worker makes the rest from."""
 
     profile: str
     imu: str | None = None
     estimators: tuple[str, ...] | None = None
+    overrides: tuple[str, ...] = ()  # KEY=VALUE of the profile
+    seed: int | None = None  # of the profile if None
 
     def load(self) -> tuple[Profile, Trajectory]:
         """Return the profile and its truth, flown at most once in a process."""
@@ -37,8 +40,10 @@ class Flight:
 
 @lru_cache(maxsize=2)
 def _load(flight: Flight) -> tuple[Profile, Trajectory]:
-    overrides = {} if flight.imu is None else {"sensors.imu": flight.imu}
-    profile = load_profile(flight.profile, overrides, None, flight.estimators)
+    overrides = read_settings(flight.overrides)
+    if flight.imu is not None:
+        overrides["sensors.imu"] = flight.imu
+    profile = load_profile(flight.profile, overrides, flight.seed, flight.estimators)
     check_sensors(profile.sensors)
     truth = pipeline.fly(profile)
     pipeline.check_times(profile, float(truth.t[-1]))

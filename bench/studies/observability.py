@@ -26,7 +26,7 @@ from bench.plots import series
 from bench.plots.series import Plot
 from bench.studies.drawn_errors import Flight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
-from bench.studies.study import Findings, StudyOptions, StudyTable, Work
+from bench.studies.study import Findings, FlightOptions, StudyTable, Work
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
@@ -41,18 +41,18 @@ _FIGURES = (  # column -> states of `FIGURES`, SI over unit
 )
 
 
-class Options(StudyOptions):
+class Options(FlightOptions):
     """What may be asked."""
 
     profile: str = "s-turns"
     """name of a shipped profile, or the path of a .toml file"""
     imu: str | None = None
-    """IMU of the catalog instead of that of the profile"""
+    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
 
 
 def run(options: Options, work: Work) -> Findings:
     """Return what is known before, in and after turns."""
-    profile, truth = Flight(options.profile, options.imu).load()
+    profile, truth = Flight(options.profile, options.imu, None, options.overrides, options.seed).load()
     work.progress("the best linear estimator", 0, 2)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)

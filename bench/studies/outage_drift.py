@@ -1,19 +1,20 @@
-"""How far the position drifts without GNSS, by unit, grade and phase of flight, 10 to 600 s after its loss.
+"""How far the position drifts without GNSS, by unit, grade and phase of flight, second by second.
 
 Measured: an aerosonde flies a figure-eight and S-turns, then GNSS is lost while it flies straight, turns on
-and on, or climbs; the horizontal growth of the error over noise draws, with its interval. Beside it the
-closed form of the datasheet with a perfect start, along the headings that are flown. The error itself, with
-what it was at the loss, is held against what the filter claims.
-By grade: the covariance of the 22-state filter on the flight of section 7.1, and what the bias of the grade
-alone would do if nothing had calibrated it (A-2.4.4, A-2.4.7, figures 2.4.1 and 2.4.2).
+and on, or climbs, or flights of your own from their first [[gnss_outage]] on; the horizontal growth of the
+error over noise draws, with its interval. Beside it the closed form of the datasheet along the headings that
+are flown, by source: biases and noise of a calibrated unit, and the velocity error of the receiver, which no
+filter tells from motion. The error itself, with what it was at the loss, is held against what the filter
+claims. By grade: the covariance of the 22-state filter on the flight of section 7.1 (`outage_grades`).
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, get_args
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -21,28 +22,16 @@ from bench import pipeline, rotation, store
 from bench.arrays import FloatArray
 from bench.campaigns.worker import fly, get_truth
 from bench.config import load_profile
-from bench.data import Trajectory
 from bench.errors import ConfigError
-from bench.evaluation.drift_laws import accel_bias_drift, drift_sd, gyro_bias_drift
-from bench.evaluation.ensemble import Estimate, pool_rmse
-from bench.plots import series
-from bench.plots.series import Plot, Series
+from bench.evaluation.drift_laws import split_drift
+from bench.evaluation.ensemble import Estimate, estimate_quantile, estimate_rate, pool_rmse
+from bench.evaluation.paired_draws import Pair, compare_draws_of
 from bench.specs import Profile
-from bench.studies.catalog_units import Unit, find_units
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
-from bench.studies.study import (
-    Count,
-    Durations,
-    Findings,
-    StudyOptions,
-    StudyTable,
-    Words,
-    Work,
-    format_estimate,
-    make_table,
-)
+from bench.studies.catalog_units import find_units
+from bench.studies.outage_grades import fill_grades, find_time, plot_grades, predict_grades, tell_grades
+from bench.studies.outage_tables import fill_drifts, plot_drifts, tell_drifts
+from bench.studies.study import Count, Durations, Findings, FlightOptions, Positive, Words, Work
 from bench.units import SAME_INSTANT
-from bench.wording import format_number
 
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]
@@ -55,23 +44,28 @@ _PRELUDE: tuple[dict[str, Any], ...] = (
 )
 _ALTITUDE = 1200.0  # of the profile [m]
 _CLIMB = 1.5  # [m/s]
+_RECEIVER = "l1-code"
 PHASES = ("straight", "turn", "climb")
 """What is flown without GNSS."""
 
 
-class Options(StudyOptions):
+class Options(FlightOptions):
     """What may be asked."""
 
     units: Words = ("grade-1", "grade-2", "grade-3", "stim300", "adis16475", "icm-42688-p")
-    """IMUs of the catalog"""
+    """IMUs of the catalog, or .toml files of your own"""
     phases: Words = PHASES
     """what is flown without GNSS: straight, turn, climb"""
+    profiles: Words | None = None
+    """flights instead of the phases, lost from their first [[gnss_outage]] on"""
     outages_s: Durations = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
     """times since the loss of GNSS; the longest is flown [s]"""
+    error_m: Positive = 5.0
+    """drift whose time is told [m]"""
     estimator: str = "loose-full"
     """the filter, a built-in one"""
-    gnss: str = "l1-code"
-    """the receiver, of the catalog"""
+    gnss: str | None = None
+    """the receiver, of the catalog or a file; left out: l1-code, or that of the profiles"""
     draws: Count = 10
     """noise draws of each unit and phase"""
 
@@ -83,72 +77,147 @@ class _Task:
     profile: Profile
     truth_key: str
     run: int
-    elapsed: tuple[float, ...]  # [s]
+    grid: tuple[float, ...]  # since the loss [s]
 
 
 @dataclass(frozen=True)
 class Drift:
-    """The growth of the error of one unit in one phase over draws, at each time since the loss."""
+    """The growth of the error of one unit in one phase over draws, second by second since the loss."""
 
-    rms: tuple[Estimate | None, ...]  # horizontal [m]
-    error: tuple[Estimate | None, ...]  # the error itself, with what it was at the loss, horizontal [m]
-    claimed: FloatArray  # of the error, horizontal, root mean square over the draws [m]
-    law: FloatArray  # horizontal, closed form [m]
-    axes: FloatArray  # (D, 3) root mean square north, east, down [m]
-    most: FloatArray  # largest horizontal [m]
-    runs: int  # that have a finite error at the end
+    grid: FloatArray  # (D,) since the loss [s]
+    grown: FloatArray  # (R, D, 5) north, east, down [m]; horizontal error squared, its claim [m^2]; NaN: lost
+    law: Mapping[str, FloatArray]  # (D,) by source, horizontal, closed form, root mean square [m]
+
+    @cached_property
+    def good(self) -> FloatArray:
+        """The draws (K, D, 5) that are not lost."""
+        return self.grown[np.isfinite(self.grown).all(axis=(1, 2))]
+
+    @property
+    def lost(self) -> int:
+        """Draws that have no finite error at some time."""
+        return len(self.grown) - len(self.good)
+
+    @property
+    def sizes(self) -> FloatArray:
+        """Horizontal growth (K, D) [m]."""
+        return np.asarray(np.hypot(self.good[:, :, 0], self.good[:, :, 1]))
+
+    @cached_property
+    def rms(self) -> FloatArray:
+        """Root mean square of the horizontal growth, and its 95 % interval (D, 3) [m]."""
+        return self._pool(np.square(self.sizes))
+
+    @cached_property
+    def error(self) -> FloatArray:
+        """The same of the horizontal error, with what it was at the loss (D, 3) [m]."""
+        return self._pool(self.good[:, :, 3])
+
+    def _pool(self, squares: FloatArray) -> FloatArray:
+        if len(squares) < 2:
+            return np.full((len(self.grid), 3), np.nan)
+        found = [pool_rmse(column) for column in squares.T]
+        return np.array([(one.value, one.low, one.high) for one in found])
+
+    @property
+    def claimed(self) -> FloatArray:
+        """The horizontal error that the filter claims, root mean square over the draws (D,) [m]."""
+        return np.asarray(np.sqrt(self.good[:, :, 4].mean(axis=0)))
+
+    @property
+    def whole_law(self) -> FloatArray:
+        """The closed form of all sources together (D,) [m]."""
+        return np.asarray(np.sqrt(sum((np.square(one) for one in self.law.values()), 0.0 * self.grid)))
+
+    def quantile(self, k: int, fraction: float) -> float | None:
+        """Return a quantile of the horizontal growth over the draws at an instant [m]."""
+        return estimate_quantile(self.sizes[:, k], fraction).value if len(self.good) else None
+
+    def rate_lost(self) -> Estimate:
+        """Return which share of draws is lost."""
+        return estimate_rate(self.lost, len(self.grown))
+
+    def find_times(self, limit: float) -> tuple[float | None, float | None, float | None]:
+        """Return when the drift is beyond a limit [m], and the ends of its 95 % interval [s]; None: never."""
+        value, low, high = self.rms.T
+        reached = (find_time(self.grid, column, limit) for column in (value, high, low))
+        return tuple(reached)  # type: ignore[return-value]
 
 
 def run(options: Options, work: Work) -> Findings:
     """Return the drift by unit and phase, and the covariances by grade."""
     elapsed = tuple(sorted(set(options.outages_s)))
     units = find_units("outages", options.units)
+    phases = options.profiles or options.phases
     if unknown := [
         f"study outages: phases: {name!r} must be one of {', '.join(PHASES)}"
-        for name in options.phases
+        for name in ([] if options.profiles else phases)
         if name not in PHASES
     ]:
         raise ConfigError(*unknown)
-    cases = [(unit, phase) for phase in options.phases for unit in options.units]
-    profiles = {case: make_profile(*case, elapsed[-1], options.gnss, options.estimator) for case in cases}
-    flights = {phase: profiles[options.units[0], phase] for phase in options.phases}
+    cases = [(unit, phase) for phase in phases for unit in options.units]
+    profiles = {case: make_profile(options, *case, elapsed[-1]) for case in cases}
+    flights = {phase: profiles[options.units[0], phase] for phase in phases}
     work.map("flying", fly, list(flights.values()))
+    grids = {phase: make_grid(flight, elapsed) for phase, flight in flights.items()}
     tasks = [
-        _Task(profile, store.truth_key(profile.flight), k, elapsed)
-        for profile in profiles.values()
+        _Task(profile, store.truth_key(profile.flight), k, grids[phase])
+        for (_, phase), profile in profiles.items()
         for k in range(options.draws)
     ]
     found = work.map(f"{options.estimator} without GNSS", measure_growth, tasks, first=[0])
     drifts = {
-        case: summarize(found[k * options.draws : (k + 1) * options.draws], profile, elapsed)
+        case: Drift(
+            np.array(grids[case[1]]),
+            np.stack(found[k * options.draws : (k + 1) * options.draws]),
+            find_law(profile, grids[case[1]]),
+        )
         for k, (case, profile) in enumerate(profiles.items())
     }
-    grades = list(_predict_grades(elapsed, work))
+    grades = predict_grades(elapsed[-1], work)
+    pairs = {phase: list(pair_units(drifts, options.units, phase)) for phase in phases}
     return Findings(
-        verdicts=(*_tell(options, drifts, elapsed), *_tell_grades(grades, elapsed)),
-        tables=(*_fill_drifts(drifts, units, elapsed), _fill_grades(grades, elapsed)),
-        figures=(*_plot_drifts(options, drifts, elapsed), *_plot_grades(grades, elapsed)),
+        verdicts=(*tell_drifts(options, drifts, pairs, elapsed), *tell_grades(grades, options.error_m)),
+        tables=(
+            *fill_drifts(drifts, units, elapsed, options.error_m),
+            fill_grades(grades, elapsed, options.error_m),
+        ),
+        figures=(*plot_drifts(options.units, phases, drifts), *plot_grades(grades)),
         draws=options.draws,
     )
 
 
-def make_profile(unit: str, phase: str, longest: float, gnss: str, estimator: str) -> Profile:
-    """Return the flight of a phase with a unit, GNSS lost for so long [s]; errors as for `load_profile`."""
+def make_profile(options: Options, unit: str, phase: str, longest: float) -> Profile:
+    """Return the flight of a phase, or a profile, with a unit; errors as for `load_profile`."""
+    given = {**options.settings, "sensors.imu": unit, "evaluation.output_hz": 1.0}
+    if options.profiles:
+        if options.gnss:
+            given["sensors.gnss"] = options.gnss
+        profile = load_profile(phase, given, options.seed, [options.estimator])
+        if not profile.sensors.gnss_outages:
+            raise ConfigError(f"study outages: {phase} has no [[gnss_outage]]")
+        return profile
     length = _LOSS - _PRELUDE_S + longest + _AFTER
     legs: dict[str, list[dict[str, Any]]] = {
         "straight": [{"kind": "straight", "duration_s": length}],
         "turn": [{"kind": "s-turns", "by_deg": 60.0, "bank_deg": 25.0, "count": 1 + int(length / 27.0)}],
         "climb": [{"kind": "climb", "to_alt_m": _ALTITUDE + _CLIMB * (length + 20.0), "rate_mps": _CLIMB}],
     }
-    values = {
+    own = {
         "leg": [*_PRELUDE, *legs[phase]],
         "rate_hz": 100,
         "gnss_outage": [{"start_s": _LOSS, "duration_s": longest + _LATER}],
-        "sensors.imu": unit,
-        "sensors.gnss": gnss,
-        "evaluation.output_hz": 1.0,
+        "sensors.gnss": options.gnss or _RECEIVER,
     }
-    return load_profile("gnss-denied-leg", values, estimators=[estimator])
+    return load_profile("gnss-denied-leg", own | given, options.seed, [options.estimator])
+
+
+def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
+    """Return every second since the loss, and the times asked for, as far as the outage goes [s]."""
+    start, stop = profile.sensors.gnss_outages[0]
+    last = min(elapsed[-1], stop - start - SAME_INSTANT)
+    grid = np.union1d(np.arange(1.0, last + SAME_INSTANT), elapsed)
+    return tuple(grid[grid <= last + SAME_INSTANT].tolist())
 
 
 def measure_growth(task: _Task) -> FloatArray:
@@ -157,191 +226,44 @@ def measure_growth(task: _Task) -> FloatArray:
     result = pipeline.run(task.profile, task.run, truth=truth)
     (label,) = result.metrics
     errors, solution = result.errors[label], result.solutions[label]
-    rows = np.searchsorted(errors.t, np.array([0.0, *task.elapsed]) + _LOSS + SAME_INSTANT, "right") - 1
+    loss = task.profile.sensors.gnss_outages[0][0]
+    rows = np.searchsorted(errors.t, np.array([0.0, *task.grid]) + loss + SAME_INSTANT, "right") - 1
     claimed = np.einsum("kii->ki", solution.cov)[np.searchsorted(solution.t, errors.t[rows] - SAME_INSTANT)]
-    horizontal = claimed[:, 0] + claimed[:, 1]
     pos = errors.pos_n[rows]
-    return np.column_stack([pos - pos[0], np.square(pos[:, :2]).sum(axis=1), horizontal])[1:]
+    squares = np.square(pos[:, :2]).sum(axis=1)
+    return np.column_stack([pos - pos[0], squares, claimed[:, 0] + claimed[:, 1]])[1:]
 
 
-def summarize(runs: Sequence[FloatArray], profile: Profile, elapsed: Sequence[float]) -> Drift:
-    """Return the statistics of the draws of one unit and phase."""
-    grown = np.stack(runs)  # (R, D, 5)
-    good = grown[np.isfinite(grown).all(axis=(1, 2))]
-    squares = np.square(good[:, :, :2]).sum(axis=2)
-    truth = get_truth(store.truth_key(profile.flight), profile)
+def find_law(profile: Profile, grid: Sequence[float]) -> dict[str, FloatArray]:
+    """Return the root mean square of the horizontal drift by the closed form (D,), by source [m].
 
-    def pool(values: FloatArray) -> tuple[Estimate | None, ...]:
-        return tuple(pool_rmse(values[:, k]) if len(good) > 1 else None for k in range(len(elapsed)))
-
-    return Drift(
-        rms=pool(squares),
-        error=pool(good[:, :, 3]),
-        claimed=np.sqrt(good[:, :, 4].mean(axis=0)),
-        law=np.array([_find_law(profile, truth, T) for T in elapsed]),
-        axes=np.sqrt(np.square(good[:, :, :3]).mean(axis=0)),
-        most=np.sqrt(squares.max(axis=0)),
-        runs=len(good),
-    )
-
-
-def _find_law(profile: Profile, truth: Trajectory, T: float) -> float:
-    """Return the root mean square of the horizontal drift by the closed form [m]."""
-    at = np.linspace(_LOSS, _LOSS + T, max(2, round(T) + 1))
-    rows = np.searchsorted(truth.t, at - SAME_INSTANT)
-    heading = rotation.to_euler(truth.q_nb[rows])[2]
+    The receiver leaves its slow velocity error at the loss, everything else is the unit's own.
+    """
+    truth, loss = get_truth(store.truth_key(profile.flight), profile), profile.sensors.gnss_outages[0][0]
+    at = np.arange(loss, loss + grid[-1] + 1.0)
+    heading = rotation.to_euler(
+        truth.q_nb[np.searchsorted(truth.t, at - SAME_INSTANT).clip(max=len(truth.t) - 1)]
+    )[2]
     sensors = profile.sensors
     velocity = sensors.gnss.vel_markov_sd if sensors.gnss else 0.0
-    return float(np.sqrt(2.0) * drift_sd(T, sensors.imu, heading=heading, velocity=velocity))
-
-
-@dataclass(frozen=True)
-class _Grown:
-    """A grade on the linear flight of section 7.1."""
-
-    name: str
-    phase: Phase
-    east: FloatArray  # growth of the east standard deviation [m]
-    by_accel: FloatArray  # what its bias alone would do [m]
-    by_gyro: FloatArray
-
-
-def _predict_grades(elapsed: Sequence[float], work: Work) -> Iterator[_Grown]:
-    rows = np.rint(elapsed).astype(int)
-    found = work.map("covariances by grade", _grow, [(name, int(rows[-1])) for name in GRADES])
-    for phase in get_args(Phase):
-        for name, sd in zip(GRADES, found, strict=True):
-            sigmas = GRADES[name].sigmas
-            by_accel, by_gyro = (
-                np.array([size * law(T) for T in elapsed])
-                for size, law in ((sigmas.da, accel_bias_drift), (sigmas.eps, gyro_bias_drift))
-            )
-            east = np.sqrt(np.maximum(sd[phase][rows] ** 2 - sd[phase][0] ** 2, 0.0))
-            yield _Grown(name, phase, east, by_accel, by_gyro)
-
-
-def _grow(asked: tuple[str, int]) -> dict[str, FloatArray]:
-    """Return the east standard deviation from the loss of GNSS on, second by second, of each phase [m]."""
-    name, seconds = asked
-    grade, flight = GRADES[name], LinearFlight()
-    for P in flight.carry(grade, flight.start(grade), 0, LOST):
-        lost = P
+    parts = [
+        split_drift(T, sensors.imu, heading=heading[: max(2, round(T) + 1)], velocity=velocity) for T in grid
+    ]
+    sources = {"receiver velocity" if key == "velocity" else key: key for key in parts[0]}
     return {
-        phase: flight.take_sd([lost, *LinearFlight(phase).carry(grade, lost, LOST, LOST + seconds)])[:, 0]
-        for phase in get_args(Phase)
+        name: np.sqrt(2.0) * np.array([part[key] for part in parts])
+        for name, key in sources.items()
+        if any(part[key] for part in parts)
     }
 
 
-# --- tables, words and figures ----------------------------------------------------------------------------
-
-
-def _fill_drifts(
-    drifts: dict[tuple[str, str], Drift], units: Mapping[str, Unit], elapsed: Sequence[float]
-) -> tuple[StudyTable, ...]:
-    """Return the horizontal drift beside the closed form, the error beside the claim, the drift by axis."""
-    rows, claims, by_axis = [], [], []
-    for (unit, phase), drift in drifts.items():
-        for k, T in enumerate(elapsed):
-            rms, error = (
-                (one.value, one.low, one.high) if one else (None, None, None)
-                for one in (drift.rms[k], drift.error[k])
-            )
-            rows.append((unit, phase, T, *rms, drift.law[k]))
-            claims.append((unit, phase, T, *error, drift.claimed[k]))
-            by_axis.append((unit, units[unit].grade, phase, T, *drift.axes[k], drift.most[k], drift.runs))
-    names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "law_m")
-    claim = ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "claimed_m")
-    more = ("unit", "class", "phase", "outage_s", "north_m", "east_m", "down_m", "largest_m", "runs")
-    title = "Horizontal drift since the loss of GNSS: RMS with its 95 % interval, closed form"
-    return (
-        make_table("drift", title, names, rows),
-        make_table("claims", "Horizontal error: RMS with its 95 % interval, as claimed", claim, claims),
-        make_table("axes", "RMS by axis, and the largest horizontal drift", more, by_axis),
-    )
-
-
-def _fill_grades(grades: Sequence[_Grown], elapsed: Sequence[float]) -> StudyTable:
-    rows = [
-        (one.name, one.phase, T, one.east[k], one.by_accel[k], one.by_gyro[k])
-        for one in grades
-        for k, T in enumerate(elapsed)
-    ]
-    names = ("grade", "phase", "outage_s", "growth_east_m", "accel_bias_m", "gyro_bias_m")
-    title = "By grade: covariance of the 22-state filter, 1 sigma, and each bias alone, not calibrated"
-    return make_table("grades", title, names, rows)
-
-
-def _tell(options: Options, drifts: dict[tuple[str, str], Drift], elapsed: Sequence[float]) -> Iterator[str]:
-    k = min(range(len(elapsed)), key=lambda n: abs(elapsed[n] - 60.0))
-    for phase in options.phases:
-        parts = []
-        for unit in options.units:
-            drift = drifts[unit, phase]
-            rms = drift.rms[k]
-            text = format_estimate(rms) if rms else "no two runs"
-            parts.append(f"{unit} {text}, law {format_number(drift.law[k], 3)}")
-        yield f"Drift after {elapsed[k]:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
-    outside = Counter(
-        unit
-        for (unit, _), drift in drifts.items()
-        for error, claimed in zip(drift.error, drift.claimed, strict=True)
-        if error is not None and not error.low <= claimed <= error.high
-    )
-    total = len(drifts) * len(elapsed)
-    missed = ", ".join(f"{unit} {count}" for unit, count in outside.items())
-    yield (
-        f"What {options.estimator} claims lies in the 95 % interval of the measured error in "
-        f"{total - outside.total()} of {total} cases" + (f"; not in, by unit: {missed}." if missed else ".")
-    )
-
-
-def _tell_grades(grades: Sequence[_Grown], elapsed: Sequence[float]) -> Iterator[str]:
-    parts = []
-    for one in grades:
-        if one.phase == "s-turns":
-            T = np.interp(5.0, one.east, elapsed, left=np.nan, right=np.nan)
-            parts.append(f"{one.name} {T:.0f} s" if np.isfinite(T) else f"{one.name} not within the outages")
-    yield f"By covariance the drift is 5 m east (1 sigma), S-turns flown on, after: {', '.join(parts)}."
-
-
-def _plot_drifts(
-    options: Options, drifts: dict[tuple[str, str], Drift], elapsed: Sequence[float]
-) -> Iterator[Plot]:
-    t = np.array(elapsed)
-    colours = series.estimator_colours(options.units)
-    for phase in options.phases:
-        lines: list[Series] = []
-        for unit in options.units:
-            drift, colour = drifts[unit, phase], colours[unit]
-            values = np.array([(e.value, e.low, e.high) if e else (np.nan,) * 3 for e in drift.error])
-            lines.append(Series(unit, t, values, (unit,) * 3, (colour,) * 3, (1.5, 1.0, 1.0), band=(1, 2)))
-            lines.append(series.draw_dots(f"{unit} claimed", t, drift.claimed, "claimed", colour, 3.0))
-        title = f"{phase}: horizontal error, RMS with 95 % band [m]"
-        yield Plot(("outages", phase), title, tuple(lines), over="outage", log="xy")
-    for phase in options.phases:
-        lines = []
-        for unit in options.units:
-            drift = drifts[unit, phase]
-            ratio = np.array([e.value if e else np.nan for e in drift.rms]) / drift.law
-            lines.append(series.draw_line(unit, t, ratio, unit, colours[unit]))
-        title = f"{phase}: drift over its closed form"
-        yield Plot(("outages", f"{phase}-over-law"), title, tuple(lines), over="outage", log="xy")
-
-
-def _plot_grades(grades: Sequence[_Grown], elapsed: Sequence[float]) -> Iterator[Plot]:
-    t = np.array(elapsed)
-    colours = series.estimator_colours(GRADES)
-    for phase in get_args(Phase):
-        here = [one for one in grades if one.phase == phase]
-        lines = tuple(series.draw_line(one.name, t, one.east, one.name, colours[one.name]) for one in here)
-        title = f"by grade, {phase}: growth of the east sigma [m]"
-        yield Plot(("outages", f"grades-{phase}"), title, lines, over="outage", log="xy")
-    for kind in ("accel", "gyro"):
-        lines = tuple(
-            series.draw_line(one.name, t, getattr(one, f"by_{kind}"), one.name, colours[one.name])
-            for one in grades
-            if one.phase == "straight"
-        )
-        word = "accelerometer" if kind == "accel" else "gyro"
-        title = f"{word} bias of the grade alone, not calibrated [m]"
-        yield Plot(("outages", f"{word}-bias-alone"), title, lines, over="outage", log="xy")
+def pair_units(
+    drifts: Mapping[tuple[str, str], Drift], units: Sequence[str], phase: str, near: float = 60.0
+) -> Iterator[Pair]:
+    """Yield each unit over the next better one, by their drift on the same draws near a time [s]."""
+    kept = [name for name in units if not drifts[name, phase].lost]
+    k = {name: int(np.argmin(np.abs(drifts[name, phase].grid - near))) for name in kept}
+    ordered = sorted(kept, key=lambda name: float(drifts[name, phase].rms[k[name], 0]))
+    for better, worse in pairwise(ordered):
+        first, second = (drifts[name, phase].sizes[:, k[name]] for name in (better, worse))
+        yield compare_draws_of((better, worse), first, second)

@@ -2,32 +2,34 @@
 
 KEY is what --set reaches: a value of the profile such as leg.2.bank_deg, or a figure of a datasheet it names
 such as sensors.gnss.latency_s, sensors.gnss.rate_hz, sensors.imu.gyro.noise_deg_sqrt_h; with sensors.assumed
-instead of sensors only the filter assumes it. All values have the same draws.
+instead of sensors only the filter assumes it. All values have the same draws; while the best and the worst
+are not told apart by them, draws are added up to --most-draws.
 """
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
-from bench.campaigns.outcome import Outcome
 from bench.config import load_profile
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
-from bench.evaluation.ensemble import compare_rmse
+from bench.evaluation.ensemble import Estimate, pool_rmse
 from bench.evaluation.metrics import find_metric
+from bench.evaluation.paired_draws import Pair, compare_draws_of
 from bench.places import PACKAGE
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.studies.study import (
     Count,
     Findings,
-    StudyOptions,
+    FlightOptions,
     StudyTable,
     Words,
     Work,
@@ -39,11 +41,13 @@ from bench.units import unit_of
 _SHOWN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 
 
+_TOLD = ("pos_rmse_h_m", "heading_rmse_deg")
+_ERROR = 0.025  # probability of a wrong word about two values: they are looked at twice
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of the value of its own, unless others are given."""
 
 
-class Options(StudyOptions):
+class Options(FlightOptions):
     """What may be asked."""
 
     profile: str
@@ -53,29 +57,94 @@ class Options(StudyOptions):
     estimators: Words | None = None
     """filters to judge; those of the profile if left out"""
     draws: Count = 12
-    """noise draws of each value"""
+    """noise draws of each value, at first"""
+    most_draws: Count = 24
+    """and at most, while two values are not told apart"""
+
+
+@dataclass(frozen=True)
+class Swept:
+    """One filter at one value: the metrics of its draws in order."""
+
+    value: Any
+    runs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def lost(self) -> int:
+        """Draws that did not converge."""
+        return sum(not row["converged"] for row in self.runs)
+
+    def select(self, name: str) -> dict[int, float]:
+        """Return a metric of the draws that converged, by their number."""
+        return {row["run"]: row[name] for row in self.runs if row["converged"] and row.get(name) is not None}
+
+    def pool(self, name: str) -> Estimate | None:
+        """Return the RMS of a metric over the draws that converged; None of fewer than two."""
+        known = np.array(list(self.select(name).values()))
+        return pool_rmse(np.square(known)) if len(known) > 1 else None
 
 
 def run(options: Options, work: Work) -> Findings:
     """Return the errors of each filter over the values."""
     values = find_values(options)
+    rows: list[Mapping[str, Any]] = []
+    draws, first = options.draws, 0
+    while True:
+        rows += _fly(options, values, first, draws, work)
+        swept = {
+            label: tuple(
+                Swept(value, tuple(row for row in rows if (row["estimator"], row["condition"]) == (label, k)))
+                for k, value in enumerate(values)
+            )
+            for label in dict.fromkeys(row["estimator"] for row in rows)
+        }
+        pairs = {(label, name): compare_ends(one, name) for label, one in swept.items() for name in _TOLD}
+        if draws >= options.most_draws or not any(pair and pair.deciding for pair in pairs.values()):
+            break
+        first, draws = draws, min(2 * draws, options.most_draws)
+    return Findings(
+        verdicts=tuple(_tell(options, swept, pairs)),
+        tables=(_fill(options, swept),),
+        figures=tuple(_plot(options, swept)),
+        draws=draws,
+        good=not any(one.lost for every in swept.values() for one in every),
+    )
+
+
+def _fly(
+    options: Options, values: Sequence[Any], first: int, draws: int, work: Work
+) -> list[Mapping[str, Any]]:
+    """Return a row for each filter, value and draw from ``first`` on."""
     spec = CampaignSpec(
         name="sensitivity",
         profiles=(options.profile,),
-        runs=options.draws,
+        runs=draws,
+        seed=options.seed,
         estimators=options.estimators,
+        fixed=options.settings,
         varied=tuple({options.key: value} for value in values),
     )
-    done = work.campaign(f"{options.key} of {options.profile}", spec)
-    outcomes = done.outcomes
-    labels = list(dict.fromkeys(one.label for one in outcomes))
-    by_label = {label: [one for one in outcomes if one.label == label] for label in labels}
-    return Findings(
-        verdicts=tuple(_tell(options, values, by_label, done.runs.to_pylist())),
-        tables=(_fill(options, values, by_label),),
-        figures=tuple(_plot(options, values, by_label)),
-        draws=options.draws,
-        good=all(one.converged.value == 1.0 for one in outcomes),
+    rows: list[Mapping[str, Any]] = work.campaign(
+        f"{options.key} of {options.profile}", spec, first
+    ).runs.to_pylist()
+    return rows
+
+
+def compare_ends(swept: Sequence[Swept], name: str) -> Pair | None:
+    """Compare the best and the worst value by a metric on the draws that both have; None without a pair."""
+    known = [(found.value, k) for k, one in enumerate(swept) if (found := one.pool(name)) is not None]
+    if len(known) < 2:
+        return None
+    best, worst = (swept[end(known)[1]] for end in (min, max))
+    first, second = best.select(name), worst.select(name)
+    both = sorted(first.keys() & second.keys())
+    if len(both) < 2 or best is worst:
+        return None
+    return compare_draws_of(
+        (str(best.value), str(worst.value)),
+        np.array([first[run] for run in both]),
+        np.array([second[run] for run in both]),
+        _ERROR,
     )
 
 
@@ -83,7 +152,7 @@ def find_values(options: Options) -> list[Any]:
     """Return the values to sweep; ConfigError if none are given and the key has no number of its own."""
     if options.values is not None:
         return [_read(text) for text in options.values]
-    own: Any = load_profile(options.profile).document
+    own: Any = load_profile(options.profile, options.settings).document
     parts = options.key.split(".")
     for k, part in enumerate(parts):
         own = own.get(part) if isinstance(own, Mapping) else None
@@ -107,69 +176,52 @@ def _read(text: str) -> Any:
         return text
 
 
-def _fill(options: Options, values: Sequence[Any], by_label: dict[str, list[Outcome]]) -> StudyTable:
+def _fill(options: Options, swept: Mapping[str, Sequence[Swept]]) -> StudyTable:
     rows = []
-    for label, outcomes in by_label.items():
-        for value, one in zip(values, outcomes, strict=True):
+    for label, every in swept.items():
+        for one in every:
             for name in _SHOWN:
-                found = one.errors.get(name)
+                found = one.pool(name)
                 measured = (found.value, found.low, found.high) if found else (None, None, None)
-                rows.append((label, value, name, *measured, one.converged_runs))
-    columns = ("estimator", options.key.rpartition(".")[2], "metric", "value", "low", "high", "runs")
+                rows.append((label, one.value, name, *measured, len(one.runs), one.lost))
+    columns = ("estimator", options.key.rpartition(".")[2], "metric", "value", "low", "high", "runs", "lost")
     title = f"{options.profile}, {options.key}: pooled over the runs that converged, 95 % intervals"
     return make_table("sensitivity", title, columns, rows)
 
 
 def _tell(
-    options: Options,
-    values: Sequence[Any],
-    by_label: dict[str, list[Outcome]],
-    runs: Sequence[Mapping[str, Any]],
+    options: Options, swept: Mapping[str, Sequence[Swept]], pairs: Mapping[tuple[str, str], Pair | None]
 ) -> Iterator[str]:
     unit = unit_of(options.key)
-    for label, outcomes in by_label.items():
-        for name in ("pos_rmse_h_m", "heading_rmse_deg"):
-            known = [k for k, one in enumerate(outcomes) if name in one.errors]
-            if len(known) < 2:
+    for label, every in swept.items():
+        for name in _TOLD:
+            pair = pairs[label, name]
+            if pair is None:
                 continue
-            least, most = (end(known, key=lambda k: outcomes[k].errors[name].value) for end in (min, max))
-            first, second = (_select(runs, label, k, name) for k in (most, least))
-            both = sorted(first.keys() & second.keys())
-            change = compare_rmse(
-                (label, label),
-                np.array([first[run] for run in both]),
-                np.array([second[run] for run in both]),
-                "",
-            ).difference
-            low, high = (format_estimate(outcomes[k].errors[name]) for k in (least, most))
-            yield (
-                f"{label}: {name} from {low} at {values[least]} {unit} to {high} at {values[most]} {unit}; "
-                f"on the same draws {format_estimate(change)} apart."
+            known = {str(one.value): found for one in every if (found := one.pool(name)) is not None}
+            low, high = (
+                f"{format_estimate(known[end])} at {end} {unit}" for end in (pair.first, pair.second)
             )
-        lost = [str(value) for value, one in zip(values, outcomes, strict=True) if one.converged.value < 1.0]
+            yield f"{label}: {name} from {low} to {high}; on the same draws {pair.sentence}."
+        lost = [f"{one.value} {unit} {one.lost} of {len(one.runs)}" for one in every if one.lost]
         if lost:
-            yield f"{label} did not converge in every run at {', '.join(lost)} {unit}."
+            yield f"{label} lost draws at {', '.join(lost)}: they are in no figure."
 
 
-def _select(runs: Sequence[Mapping[str, Any]], label: str, condition: int, name: str) -> dict[int, float]:
-    """Return a metric of the runs of a condition that converged, by the number of the run."""
-    mine = (row for row in runs if row["estimator"] == label and row["condition"] == condition)
-    return {row["run"]: row[name] for row in mine if row["converged"] and row.get(name) is not None}
-
-
-def _plot(options: Options, values: Sequence[Any], by_label: dict[str, list[Outcome]]) -> Iterator[Plot]:
+def _plot(options: Options, swept: Mapping[str, Sequence[Swept]]) -> Iterator[Plot]:
     """Yield a plot of each error over the value, or over its number if it is no number."""
+    values = [one.value for one in next(iter(swept.values()))]
     numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)
     x = np.array(values if numbers else range(1, len(values) + 1), float)
     over = options.key if numbers else f"number of the value of {options.key}"
     order = np.argsort(x)
-    colours = series.estimator_colours(by_label)
+    colours = series.estimator_colours(swept)
     for name in _SHOWN:
         lines = []
-        for label, outcomes in by_label.items():
+        for label, every in swept.items():
             rows = [
-                (found.value, found.low, found.high) if (found := one.errors.get(name)) else (np.nan,) * 3
-                for one in outcomes
+                (found.value, found.low, found.high) if (found := one.pool(name)) else (np.nan,) * 3
+                for one in every
             ]
             if np.isfinite(rows).any():
                 colour = colours[label]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -13,7 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 import bench
 from bench.campaigns.batches import Lost, compute
-from bench.campaigns.campaign_file import CampaignSpec
+from bench.campaigns.campaign_file import CampaignSpec, format_value
 from bench.campaigns.plan import plan_campaign
 from bench.campaigns.pools import ExecutorPool, ProcessPool, open_pool
 from bench.campaigns.running import Campaign, run_campaign
@@ -55,6 +57,25 @@ Words = Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(_split)]
 """An option that holds names; on the command line they are separated by commas."""
 
 
+def write_settings(given: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return values by dotted key as texts KEY=VALUE, which can be hashed, stored and typed again."""
+    return tuple(f"{key}={format_value(one)}" for key, one in given.items())
+
+
+def _take_settings(given: object) -> object:
+    return write_settings(given) if isinstance(given, Mapping) else given
+
+
+Settings = Annotated[tuple[str, ...], BeforeValidator(_take_settings)]
+"""An option that holds values of profiles to replace, each a text KEY=VALUE in TOML; a dict gives it."""
+
+Seed = Annotated[int, Field(ge=0)]
+"""An option that holds a seed."""
+
+LISTS = {"overrides": "--set"}
+"""Options of studies that are repeated on the command line, once for each value -> their flag."""
+
+
 class StudyOptions(BaseModel):
     """The options of a study: no unknown name, no NaN, no infinity.
 
@@ -65,6 +86,26 @@ class StudyOptions(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True, validate_default=True
     )
+
+
+class FlightOptions(StudyOptions):
+    """The options of a study that flies profiles: what is replaced in them, and the seed of its draws."""
+
+    overrides: Settings = ()
+    """values of the profiles to replace, or figures of datasheets they name"""
+    seed: Seed | None = None
+    """seed of the noise draws; left out: that of each profile"""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The values that are replaced, by dotted key."""
+        return read_settings(self.overrides)
+
+
+def read_settings(overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the values of texts KEY=VALUE by key."""
+    pairs = (text.partition("=") for text in overrides)
+    return {key: tomllib.loads(f"value = {value}")["value"] for key, _, value in pairs}
 
 
 @dataclass(frozen=True)
@@ -100,6 +141,7 @@ class Findings:
     figures: tuple[Plot, ...]  # the last part of each path names its file
     draws: int = 0  # noise draws behind each figure with an interval; 0: nothing is drawn
     good: bool = True  # no verdict is negative
+    undecided: bool = False  # what was asked cannot be told from so few draws
 
 
 @dataclass(frozen=True)
@@ -198,13 +240,15 @@ class Work:
             self.progress(what, len(found), len(items))
         return [found[k] for k in range(len(items))]
 
-    def campaign(self, what: str, spec: CampaignSpec, overrides: Mapping[str, Any] | None = None) -> Campaign:
-        """Run a campaign and return it; errors as for `bench.campaign`."""
+    def campaign(self, what: str, spec: CampaignSpec, first: int = 0) -> Campaign:
+        """Run the draws of a campaign from a number on and return it; errors as for `bench.campaign`."""
 
         def tell(now: Runs) -> None:
             self.progress(what, now.done, now.runs)
 
-        found = run_campaign(plan_campaign(spec, overrides), jobs=self.jobs, progress=tell)
+        plan = plan_campaign(spec)
+        plan = dataclasses.replace(plan, runs=tuple(one for one in plan.runs if one.run >= first))
+        found = run_campaign(plan, jobs=self.jobs, progress=tell)
         if found.interrupted:
             raise KeyboardInterrupt
         return found
@@ -257,6 +301,8 @@ def make_command(name: str, options: StudyOptions) -> Iterator[str]:
 
 def make_flag(key: str, value: Any) -> list[str]:
     """Return the words of the command line that give an option a value."""
+    if key in LISTS:
+        return [word for one in value for word in (LISTS[key], one)]
     flag = key.replace("_", "-")
     if isinstance(value, bool):
         return [f"--{flag}" if value else f"--no-{flag}"]

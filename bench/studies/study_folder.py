@@ -34,6 +34,7 @@ class _StoredSeries(_Stored):
     widths: list[float]
     marks: bool
     band: Annotated[tuple[_Line, _Line], ROWS] | None
+    labels: list[str] = []
 
     @model_validator(mode="after")
     def _fits(self) -> _StoredSeries:
@@ -42,6 +43,8 @@ class _StoredSeries(_Stored):
         whole = len(rows) == len(self.t) and all(len(row) == lines for row in rows)
         if not whole or {len(self.colours), len(self.widths)} != {lines} or max(self.band or (0,)) >= lines:
             raise ValueError("the columns of a line do not fit each other")
+        if self.labels and len(self.labels) != len(self.t):
+            raise ValueError("not every dot has its name")
         if not np.isfinite(np.array(self.t, float)).any():
             raise ValueError("a line has no place on its axis")
         return self
@@ -53,6 +56,7 @@ class _StoredPlot(_Stored):
     across: str
     over: str
     log: Literal["", "x", "y", "xy"]
+    ticks: list[Annotated[tuple[float, str], ROWS]] = []
     series: Annotated[list[_StoredSeries], Field(min_length=1)]
 
 
@@ -67,6 +71,7 @@ class _StoredStudy(_Stored):
     tables: list[str]
     draws: Annotated[int, Field(ge=0)]
     good: bool
+    undecided: bool = False
     wall_s: float
     provenance: dict[str, Any]
 
@@ -114,6 +119,7 @@ def _summarize(result: StudyResult) -> dict[str, Any]:
         "verdicts": result.verdicts,
         "draws": result.findings.draws,
         "good": result.findings.good,
+        "undecided": result.findings.undecided,
         "wall_s": result.wall_s,
         "provenance": result.provenance,
     }
@@ -134,7 +140,7 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
             plots = [_StoredPlot.model_validate(one) for one in read_json(folder / FIGURES)["figures"]]
             tables = tuple(_read_table(folder / TABLES, name) for name in found.tables)
             figures = tuple(map(_make_plot, plots))
-        findings = Findings(tuple(found.verdicts), tables, figures, found.draws, found.good)
+        findings = Findings(tuple(found.verdicts), tables, figures, found.draws, found.good, found.undecided)
         named = found.study, found.question, found.command, found.options
         return StudyResult(*named, findings, found.provenance, found.wall_s)
 
@@ -156,7 +162,10 @@ def _describe_plot(plot: Plot) -> dict[str, Any]:
 
 def _make_plot(found: _StoredPlot) -> Plot:
     lines = tuple(map(_make_series, found.series))
-    return Plot(tuple(found.path), found.title, lines, across=found.across, over=found.over, log=found.log)
+    return Plot(
+        tuple(found.path), found.title, lines, across=found.across, over=found.over, log=found.log,
+        ticks=tuple(found.ticks),
+    )  # fmt: skip
 
 
 def _make_series(found: _StoredSeries) -> Series:
@@ -169,4 +178,5 @@ def _make_series(found: _StoredSeries) -> Series:
         tuple(found.widths),
         marks=found.marks,
         band=found.band,
+        labels=tuple(found.labels),
     )

@@ -1,43 +1,43 @@
-"""Every IMU of the catalog flown on the same flights by the same filters: what a buyer compares by hand.
+"""IMUs flown on the same flights by the same filters: which class is enough, and what limits there.
 
-The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation.
-Beside what is measured stand the drift in 60 s that its datasheet alone expects, and how many figures no
-source states: these are zero in the model, which flatters the unit.
+The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation. All
+units have the same noise draws and are compared draw by draw; where a pair or a requirement is undecided,
+draws are added up to --most-draws. A unit that loses a draw is not usable on the flight. A figure that a
+datasheet leaves out is flown as typical of the class, which the answer rests on, and again as zero: the study
+says if that changes the answer.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
-from bench.campaigns.outcome import Outcome
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
+from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd
-from bench.evaluation.ensemble import Estimate, pool_rmse
-from bench.places import PACKAGE
-from bench.plots import series
-from bench.plots.series import Plot
-from bench.studies.catalog_units import CLASSES, Unit, find_units
-from bench.studies.study import (
-    Count,
-    Findings,
-    StudyOptions,
-    StudyTable,
-    Words,
-    Work,
-    format_estimate,
-    make_table,
-)
+from bench.evaluation.required_metrics import is_metric, judge_runs, list_requirements, take_value
+from bench.studies.catalog_units import Unit, find_units
+from bench.studies.drawn_errors import Flight
+from bench.studies.study import Count, Findings, FlightOptions, Positive, Words, Work, write_settings
+from bench.studies.unit_answer import Answer, draw_units, fill_tables, tell_answer
+from bench.studies.unit_limits import Limit, find_limit
+from bench.studies.unit_ranking import Flown, Ranking, rank_units
 
-_LAW_S = 60.0  # of the expected drift [s]
-_MANY = 8  # figures that no source states
+LAW_S = 60.0
+"""Time of the drift that the datasheet alone expects [s]."""
+
+_DRIFT, _RMSE = "outage_*_drift_h_m", "pos_rmse_h_m"
+_ERROR = 0.05  # probability of a wrong word about a pair, over all looks
+_FAR = 2  # a pair that needs more than so many times the most draws is left undecided
 
 
-class Options(StudyOptions):
+class Options(FlightOptions):
     """What may be asked."""
 
     units: Words = (
@@ -45,181 +45,156 @@ class Options(StudyOptions):
         *("adis16475", "adis16495", "mti-300", "vn-100"),
         *("bmi088", "icm-20948", "icm-42688-p", "icm-45686", "lsm6dsl", "mpu-6050", "mpu-9250"),
     )
-    """IMUs of the catalog"""
+    """IMUs of the catalog, or .toml files of your own"""
     profiles: Words = ("gnss-denied-leg",)
-    """flights"""
-    estimators: Words = ("loose-15", "loose-full")
+    """flights: shipped names, or .toml files; what is required is their [[requirement]]"""
+    estimators: Words = ("loose-full",)
     """filters"""
+    metric: str | None = None
+    """metric that is compared; left out: that of the first [[requirement]], else the drift in the outage"""
+    most: Positive | None = None
+    """largest value of the metric that is allowed, in 95 % of the runs, beside each [[requirement]]"""
     draws: Count = 6
-    """noise draws of each unit on each flight"""
+    """noise draws of each unit on each flight, at first"""
+    most_draws: Count = 24
+    """and at most, where something is undecided"""
+
+
+class Case(NamedTuple):
+    """A unit with its gaps as typical of its class, or as zero."""
+
+    unit: str
+    filled: bool
 
 
 def run(options: Options, work: Work) -> Findings:
-    """Return the table of units, and which are beaten by none of a lower class."""
+    """Return which class is enough on each flight for each filter, and what limits there."""
+    if options.metric is not None and not is_metric(options.metric):
+        raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
     units = find_units("sensors", options.units)
-    spec = CampaignSpec(
-        name="sensors",
-        profiles=options.profiles,
-        runs=options.draws,
-        estimators=options.estimators,
-        varied=tuple({"sensors.imu": name} for name in options.units),
-    )
-    found = work.campaign("units on flights", spec)
-    laws = {name: find_law(name) for name in options.units}
-    rows = list(_gather(found.outcomes, found.runs.to_pylist(), options))
+    answers = [one for profile in options.profiles for one in _answer(options, units, profile, work)]
+    asked = [one for one in answers if one.required]
     return Findings(
-        verdicts=tuple(_tell(rows, units, options)),
-        tables=_fill(rows, units, laws),
-        figures=tuple(_plot(rows, units, laws, options)),
+        verdicts=tuple(text for one in answers for text in tell_answer(one, units)),
+        tables=fill_tables(answers, units, {name: find_law(name) for name in units}, LAW_S),
+        figures=tuple(plot for one in answers for plot in draw_units(one, units)),
         draws=options.draws,
+        good=not any(one.missed for one in asked),
+        undecided=any(one.ranking.recommended is None and not one.missed for one in asked),
     )
 
 
 def find_law(name: str) -> float:
-    """Return the root mean square of the horizontal drift in 60 s that the datasheet expects [m]."""
-    spec = read_imu(*find_datasheet("imu", name, PACKAGE))
-    return float(np.sqrt(2.0) * drift_sd(_LAW_S, spec))
+    """Return the root mean square of the horizontal drift in `LAW_S` that the datasheet expects [m]."""
+    return float(np.sqrt(2.0) * drift_sd(LAW_S, read_imu(*find_datasheet("imu", name, Path()))))
 
 
-class _Row(dict[str, Any]):
-    """One unit on one flight by one filter: its names, and an estimate or None by metric."""
+def _answer(options: Options, units: Mapping[str, Unit], profile: str, work: Work) -> Iterator[Answer]:
+    """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
+    cases = [Case(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
+    looks = 1 + max(0, math.ceil(math.log2(max(1.0, options.most_draws / options.draws))))
+    flights = _Flights(options, units, profile, work)
+    flights.fly(cases, options.draws)
+    draws = options.draws
+    while True:
+        ranked = {label: flights.rank(label, _ERROR / looks) for label in flights.labels}
+        again = {name for one in ranked.values() for name in _list_open(one[0], options.most_draws)}
+        if not again or draws >= options.most_draws:
+            break
+        draws = min(2 * draws, options.most_draws)
+        flights.fly([case for case in cases if case.unit in again], draws)
+    for label, (ranking, bare) in ranked.items():
+        limits = tuple(_find_limits(options, units, profile, label, ranking, work))
+        yield Answer(profile, label, flights.metric(label), flights.required(label), ranking, bare, limits)
 
 
-def _gather(
-    outcomes: Sequence[Outcome], runs: Sequence[Mapping[str, Any]], options: Options
-) -> Iterator[_Row]:
-    conditions = [(profile, unit) for profile in options.profiles for unit in options.units]
-    each = len(outcomes) // len(conditions)
-    for k, one in enumerate(outcomes):
-        profile, unit = conditions[k // each]
-        mine = [
-            row
-            for row in runs
-            if row["profile"] == profile and row["sensors.imu"] == unit and row["estimator"] == one.label
-        ]
-        yield _Row(
-            unit=unit,
-            profile=profile,
-            estimator=one.label,
-            position=one.errors.get("pos_rmse_h_m"),
-            heading=one.errors.get("heading_rmse_deg"),
-            drift=_pool_drift(mine),
-            converged=one.converged_runs,
-        )
+def _list_open(ranking: Ranking, most: int) -> Iterator[str]:
+    """Yield the units that more draws may decide."""
+    for pair in ranking.list_open():
+        if pair.deciding is not None and pair.deciding <= _FAR * most:
+            yield from (pair.first, pair.second)
+    yield from (one.unit for one in ranking.list_undecided())
 
 
-def _pool_drift(rows: Sequence[Mapping[str, Any]]) -> Estimate | None:
-    """Return the horizontal drift at the end of the longest outage, over runs; None without an outage."""
-    names = [name for name in (rows[0] if rows else ()) if name.startswith("outage_") and "drift_h_m" in name]
-    values = np.array([[row[name] for name in names] for row in rows if row["converged"]], float)
-    if not names or len(values) < 2:
-        return None
-    return pool_rmse(np.square(np.nanmax(values, axis=1)))
+def _find_limits(
+    options: Options, units: Mapping[str, Unit], profile: str, label: str, ranking: Ranking, work: Work
+) -> Iterator[tuple[str, Limit]]:
+    """Yield what limits with the cheapest unit that is good enough, and with the best."""
+    front = ranking.front
+    if not front:
+        return
+    chosen = [(ranking.recommended or front[0]).best.unit, front[-1].best.unit]
+    for name in dict.fromkeys(chosen):
+        work.progress(f"what limits {name}", 0, 1)
+        overrides = (*options.overrides, *write_settings(units[name].filled))
+        flight = Flight(profile, name, (label,), overrides, options.seed)
+        found = find_limit(flight, label)
+        if found is not None:
+            yield name, found
 
 
-def _fill(
-    rows: Sequence[_Row], units: Mapping[str, Unit], laws: Mapping[str, float]
-) -> tuple[StudyTable, StudyTable]:
-    """Return the drift in the outage, and the errors of the whole flight."""
-    drifts, errors = [], []
-    for row in rows:
-        unit, position, heading = row["unit"], row["position"], row["heading"]
-        names = (unit, row["profile"], row["estimator"])
-        grade = (units[unit].grade, units[unit].absent, row["converged"])
-        drifts.append((*names, *_list_ends(row["drift"]), *grade))
-        errors.append((*names, *_list_ends(position), heading.value if heading else None, laws[unit]))
-    names = ("unit", "profile", "estimator")
-    columns = (*names, "drift_m", "low_m", "high_m", "class", "absent", "runs")
-    more = (*names, "pos_rmse_h_m", "low_m", "high_m", "heading_deg", f"law_{_LAW_S:g}_s_m")
-    return (
-        make_table("drift", "Horizontal drift in the outage: RMS with its 95 % interval", columns, drifts),
-        make_table("errors", "RMSE over the flight, and the drift that the datasheet expects", more, errors),
-    )
+class _Flights:
+    """The draws of one profile that are flown, by filter and unit."""
 
+    def __init__(self, options: Options, units: Mapping[str, Unit], profile: str, work: Work) -> None:
+        self._options, self._units, self._profile, self._work = options, units, profile, work
+        self._rows: dict[tuple[str, Case], list[Mapping[str, Any]]] = {}
+        self._document: Mapping[str, Any] = {}
 
-def _list_ends(found: Estimate | None) -> tuple[float | None, ...]:
-    return (found.value, found.low, found.high) if found else (None, None, None)
+    @property
+    def labels(self) -> list[str]:
+        """The filters."""
+        return list(dict.fromkeys(label for label, _ in self._rows))
 
-
-def find_front(rows: Sequence[_Row], units: Mapping[str, Unit], figure: str) -> list[str]:
-    """Return the units that no unit of the same or a lower class beats, from the lowest class on."""
-    ranked = sorted(
-        (CLASSES.index(units[row["unit"]].grade), row[figure].value, row["unit"])
-        for row in rows
-        if row[figure] is not None and units[row["unit"]].grade in CLASSES
-    )
-    front: list[str] = []
-    best = np.inf
-    for _, value, name in ranked:
-        if value < best:
-            front.append(name)
-            best = value
-    return front
-
-
-def _choose_figure(rows: Sequence[_Row]) -> tuple[str, str]:
-    """Return the figure that is compared, and what it is."""
-    if any(row["drift"] is not None for row in rows):
-        return "drift", "horizontal drift in the outage [m]"
-    return "position", "horizontal RMSE [m]"
-
-
-def _tell(rows: Sequence[_Row], units: Mapping[str, Unit], options: Options) -> Iterator[str]:
-    for profile in options.profiles:
-        for label in dict.fromkeys(row["estimator"] for row in rows):
-            here = [row for row in rows if row["profile"] == profile and row["estimator"] == label]
-            figure, what = _choose_figure(here)
-            values = {row["unit"]: row[figure] for row in here}
-            told = [
-                f"{name} ({units[name].grade}) {format_estimate(values[name])}"
-                for name in find_front(here, units, figure)
-            ]
-            yield f"{profile}, {label}, {what}: beaten by no unit of its class or below: {'; '.join(told)}."
-    bare = [name for name in units if units[name].absent >= _MANY]
-    if bare:
-        yield f"Flattered: {_MANY} or more figures are stated nowhere and zero here, of {', '.join(bare)}."
-    lost = sorted({row["unit"] for row in rows if row["converged"] < options.draws})
-    if lost:
-        yield f"Not every run converged with {', '.join(lost)}."
-
-
-def _plot(
-    rows: Sequence[_Row], units: Mapping[str, Unit], laws: Mapping[str, float], options: Options
-) -> Iterator[Plot]:
-    """Yield the figure over the class, with its front, and over what the datasheet expects."""
-    labels = list(dict.fromkeys(row["estimator"] for row in rows))
-    colours = series.estimator_colours(labels)
-    for profile in options.profiles:
-        by_class, by_law = [], []
-        for label in labels:
-            here = [row for row in rows if row["profile"] == profile and row["estimator"] == label]
-            figure, what = _choose_figure(here)
-            here = [row for row in here if row[figure] is not None and units[row["unit"]].grade in CLASSES]
-            if not here:
+    def fly(self, cases: Sequence[Case], draws: int) -> None:
+        """Fly these units up to so many draws; those that are there are not flown again."""
+        begun: dict[int, list[Case]] = {}
+        for case in cases:
+            known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
+            begun.setdefault(known, []).append(case)
+        for first, here in begun.items():
+            if first >= draws:
                 continue
-            y = np.array([row[figure].value for row in here])
-            rank = np.array([1.0 + CLASSES.index(units[row["unit"]].grade) for row in here])
-            law = np.array([laws[row["unit"]] for row in here])
-            front = find_front(here, units, figure)
-            at = np.array([[row["unit"] for row in here].index(name) for name in front])
-            by_class.append(series.draw_dots(f"{label} units", rank, y, label, colours[label], 4.0))
-            by_class.append(series.draw_line(label, rank[at], y[at], f"{label}, front", colours[label]))
-            by_law.append(series.draw_dots(label, law, y, label, colours[label], 4.0))
-        if by_class:
-            over = "class: 1 consumer, 2 industrial, 3 tactical, 4 navigation"
-            yield Plot(
-                ("sensors", f"{profile}-by-class"),
-                f"{profile}: {what}",
-                tuple(by_class),
-                across="1",
-                over=over,
-                log="y",
+            spec = CampaignSpec(
+                name="sensors",
+                profiles=(self._profile,),
+                runs=draws,
+                seed=self._options.seed,
+                estimators=self._options.estimators,
+                fixed=self._options.settings,
+                varied=tuple(
+                    {"sensors.imu": case.unit} | (self._units[case.unit].filled if case.filled else {})
+                    for case in here
+                ),
             )
-            yield Plot(
-                ("sensors", f"{profile}-by-datasheet"),
-                f"{profile}: {what}",
-                tuple(by_law),
-                across="m",
-                over=f"drift in {_LAW_S:g} s that the datasheet expects",
-                log="xy",
-            )
+            found = self._work.campaign(f"units on {self._profile}", spec, first)
+            self._document = found.conditions[0]["as_flown"]
+            for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):
+                self._rows.setdefault((row["estimator"], here[row["condition"]]), []).append(row)
+
+    def required(self, label: str) -> list[Mapping[str, Any]]:
+        """Return what the profile and the command require of a filter."""
+        rows = list_requirements(self._document, label)
+        if self._options.most is not None:
+            rows.append({"metric": self.metric(label), "most": self._options.most, "share": 0.95})
+        return rows
+
+    def metric(self, label: str) -> str:
+        """Return the name of the metric that is compared."""
+        required = list_requirements(self._document, label)
+        usual = _DRIFT if self._document.get("gnss_outage") else _RMSE
+        return self._options.metric or (required[0]["metric"] if required else usual)
+
+    def rank(self, label: str, error: float) -> tuple[Ranking, Ranking]:
+        """Return the ranking with gaps as typical of the class, and with gaps as zero."""
+        return self._rank(label, error, filled=True), self._rank(label, error, filled=False)
+
+    def _rank(self, label: str, error: float, *, filled: bool) -> Ranking:
+        flown = []
+        for name, unit in self._units.items():
+            rows = self._rows[label, Case(name, filled or not unit.typical)]
+            asked = {"metric": self.metric(label), "most": math.inf}
+            values = [take_value(asked, row) if row["converged"] else None for row in rows]
+            findings = judge_runs(label, rows, self.required(label))
+            flown.append(Flown(name, unit.grade, np.array(values, float), tuple(findings)))
+        return rank_units(flown, error)

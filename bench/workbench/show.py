@@ -10,11 +10,13 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import config
+from bench.config.figure_table import ASSUMED, tabulate_figures
 from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.estimator import BUILT_IN
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
+from bench.workbench.divided_table import Column, print_table
 
 _DEG = 180 / math.pi
 
@@ -125,6 +127,16 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
         _print_options(console)
     for line in list_plugin_problems():
         console.print(one_line(line), style="yellow")
+
+
+def print_sensors(console: Console) -> None:
+    """Print the figures of all sensors of the catalog, a table for each kind."""
+    for kind in KINDS:
+        figures = tabulate_figures(kind)
+        columns = {name: Column(cells, words=name in (kind, "class")) for name, cells in figures.items()}
+        print_table(console, columns, [kind], kind)
+    text = f"{ASSUMED} assumed, no source states it; - absent, the model lacks this error."
+    console.print(text, soft_wrap=True)
 
 
 def _print_grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:

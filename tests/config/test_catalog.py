@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 import bench
 from bench.cli import main
 from bench.config.datasheets import SENSORS, read_gnss, read_imu
+from bench.config.figure_table import tabulate_figures
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.sensors import imu
@@ -235,3 +236,21 @@ def test_every_imu_measures(path):
     assert np.isfinite(record.dtheta_b).all()
     assert np.isfinite(record.dvel_b).all()
     assert bias.gyro_b.any()
+
+
+def test_the_long_list_has_every_figure_in_one_unit(capsys):
+    """0.0028 deg/s/sqrt(Hz) is 0.168 deg/sqrt(h); what is assumed is marked, what is absent is no zero."""
+    columns = tabulate_figures("imu")
+    row = {name: cells[columns["imu"].index("icm-42688-p")] for name, cells in columns.items()}
+    assert row["gyro noise_deg_sqrt_h"] == "0.168"
+    assert row["gyro turn_on_bias_sd_deg_h"] == "601"
+    assert row["gyro bias_instability_deg_h"] == "5*"
+    assert row["gyro g_sensitivity_sd_deg_h_g"] == "-"
+    assert columns["class"].index("navigation") < columns["class"].index("tactical")
+    assert len({len(cells) for cells in columns.values()}) == 1
+    assert columns["imu"].index("hg9900") < columns["imu"].index("mpu-6050")
+    assert main(["list", "sensors", "--long"]) == 0
+    shown = capsys.readouterr().out
+    assert "zed-f9p" in shown
+    assert "* assumed" in shown
+    assert main(["list", "profiles", "--long"]) == 2

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from rich.console import Console
+from scipy import stats
 
 import bench
 from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import describe_direction, observe
+from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
 from bench.plots import series
+from bench.studies import budget as budget_study
 from bench.studies.budget import _give_colours
 from bench.workbench.result_table import print_bound
 
@@ -67,7 +70,7 @@ def flight(tmp_path_factory):
 
 
 def test_the_budget_of_a_short_flight(flight):
-    found = bench.study("budget", profile=flight, draws=6, jobs=1)
+    found = bench.study("budget", profile=flight, draws=150, jobs=1)
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t
@@ -77,6 +80,7 @@ def test_the_budget_of_a_short_flight(flight):
     sides = found.tables["side_by_side"].columns
     assert set(sides["agrees"]) == {"yes"}
     assert found.findings.good
+    assert not found.findings.undecided
     assert {"horizontal-position", "heading-shares"} <= set(found.figures)
     areas = [one for one in found.figures["heading-shares"].series if one.band is not None]
     assert_allclose(areas[-1].values[:, 0], 100.0)
@@ -84,6 +88,45 @@ def test_the_budget_of_a_short_flight(flight):
     assert thickness[:-1] == sorted(thickness[:-1], reverse=True)
     assert thickness[-1] < thickness[0], "the largest sources are shown, and the others summed"
     assert "At 34 s, end of the outage" in found.verdicts[0]
+
+
+def make_budget(variances):
+    """Return a budget of one instant: variance by source, the same of every state."""
+    names, values = tuple(variances), np.array(list(variances.values()))
+    return Budget(np.array([10.0]), names, np.tile(values, (1, 9, 1)), np.full((1, 9), values.sum()))
+
+
+def test_draws_and_covariance_agree_by_an_interval_that_can_fail():
+    """Of 200 draws a ratio of variances of 1.1 agrees and one of 1.6 does not; 2 draws tell nothing."""
+    budget = make_budget({"gyro": 4.0, "noise": 1.0, "small": 0.001})
+    at = {"the end": 0}
+    drawn = {"gyro": 4.0, "noise": 1.6, "all sources": 1.1 * 5.001, "small": 9.0}
+    squares = {name: np.full((1, 9), value) for name, value in drawn.items()}
+    rows = budget_study.pair_variances(budget, squares, at, 200)
+    found = dict(zip(rows["source"], rows["agrees"], strict=True))
+    assert found == {"gyro": "yes", "noise": "no", "all sources": "yes"}, "the small one is not compared"
+    k = rows["source"].index("noise")
+    low, high = (stats.chi2.ppf(p, 200) / 200 for p in (0.0005, 0.9995))
+    assert rows["variance_ratio"][k] == pytest.approx(1.6)
+    assert_allclose((rows["low"][k], rows["high"][k]), (1.6 / high, 1.6 / low))
+    assert_allclose((rows["covariance"][k], rows["drawn"][k]), np.sqrt([2.0, 3.2]))  # horizontal: two states
+    few = budget_study.pair_variances(budget, squares, at, 2)
+    assert set(few["agrees"]) == {"cannot tell"}
+    told = budget_study._compare(few, 2)
+    assert "agree in 0 of 15 figures" in told[0]
+    assert "In 15 figures 2 draws cannot tell" in told[1]
+    assert any("They disagree on noise, heading at 10 s" in text for text in budget_study._compare(rows, 200))
+
+
+def test_a_budget_of_few_draws_is_undecided(flight):
+    found = bench.study(
+        "budget", profile=flight, draws=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
+    )
+    assert found.findings.undecided
+    assert found.findings.good
+    assert "--draws 4" in found.command
+    assert "--seed 3" in found.command
+    assert "--set 'sensors.baro=\"bmp390\"'" in found.command
 
 
 def test_the_bound_of_a_short_flight(flight):

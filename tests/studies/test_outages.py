@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
+from bench.config.listing import PROFILES
 from bench.errors import ConfigError
+from bench.evaluation.drift_laws import drift_sd, split_drift
+from bench.studies import outage_drift
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight
+from bench.studies.outage_drift import Drift
+from bench.studies.outage_grades import find_time
+from bench.studies.outage_tables import tell_drifts
 
 ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each grade alone
     ("grade-1", 60): (0.18, 0.01),
@@ -19,7 +26,103 @@ ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each g
     ("grade-3", 300): (43.6, 21.2),
     ("grade-3", 600): (169, 166),
 }
+PRINTED_AFTER = {"grade-1": 155, "grade-2": 140, "grade-3": 84, "MEMS": 37}  # 5 m east, S-turns [s]
 DRAWS = 12
+
+
+def make_drift(sizes, law=None):
+    """Return the drift of R draws whose north error grows as sizes (R, D) by the second, claimed as 2 m."""
+    grid = np.arange(1.0, sizes.shape[1] + 1.0)
+    grown = np.zeros((*sizes.shape, 5))
+    grown[:, :, 0], grown[:, :, 3], grown[:, :, 4] = sizes, sizes**2, 4.0
+    return Drift(grid, grown, law or {"gyro bias": 0.1 * grid, "receiver velocity": 0.2 * grid})
+
+
+def test_a_convex_drift_reaches_its_limit_where_it_does():
+    """t^3 / 1000 is 5 m after 17.1 s; between 10 and 600 s in a line it would be after 10 s."""
+    t = np.arange(1.0, 601.0)
+    assert find_time(t, t**3 / 1000.0, 5.0) == pytest.approx(5000.0 ** (1.0 / 3.0), abs=0.02)
+    assert find_time(t, t, 0.5) == 1.0
+    assert find_time(t, t, 600.0) is None
+    assert find_time(t, np.where(t < 100, t, 0.0), 50.0) == pytest.approx(50.0)  # the first time
+
+
+def test_the_drift_of_draws_that_are_known():
+    """Two draws of t and 7 t: 5 t RMS, median 4 t; one is lost and in nothing."""
+    t = np.arange(1.0, 11.0)
+    lost = np.full(10, np.nan)
+    drift = make_drift(np.array([t, lost, 7.0 * t]))
+    assert (drift.lost, len(drift.good)) == (1, 2)
+    assert drift.rate_lost().value == pytest.approx(1.0 / 3.0)
+    assert_allclose(drift.rms[:, 0], 5.0 * t)
+    assert_allclose(drift.error[:, 0], 5.0 * t)
+    assert (drift.rms[:, 1] < drift.rms[:, 0]).all()
+    assert drift.quantile(1, 0.5) == pytest.approx(8.0)
+    assert_allclose(drift.claimed, 2.0)
+    assert_allclose(drift.whole_law, np.hypot(0.1, 0.2) * t)
+    value, low, high = drift.find_times(20.0)
+    assert value == pytest.approx(4.0)
+    assert low < value
+    assert high is None
+    assert make_drift(np.array([lost, t])).find_times(1.0) == (None, None, None)
+
+
+def test_the_closed_form_is_divided_by_source():
+    """On a straight course they are those of the datasheet; the receiver's wander is a part of its own."""
+    options = outage_drift.Options(outages_s=(60.0,), gnss="matched-white")
+    straight, wandering = (
+        outage_drift.make_profile(options.model_copy(update={"gnss": gnss}), "adis16475", "straight", 60.0)
+        for gnss in ("matched-white", "l1-code")
+    )
+    grid = outage_drift.make_grid(straight, (10.0, 60.0))
+    assert grid[0] == 1.0
+    assert grid[-1] == 60.0
+    assert len(grid) == 60
+    law, more = (outage_drift.find_law(one, grid) for one in (straight, wandering))
+    assert "receiver velocity" not in law
+    expected = split_drift(60.0, straight.sensors.imu)
+    for name, values in law.items():
+        assert values[-1] == pytest.approx(np.sqrt(2.0) * expected[name], rel=0.02), name
+    own = wandering.sensors.gnss.vel_markov_sd
+    assert more["receiver velocity"][-1] == pytest.approx(np.sqrt(2.0) * own * 60.0, rel=0.01)
+    both = Drift(np.array(grid), np.zeros((2, 60, 5)), more).whole_law[-1]
+    assert both == pytest.approx(np.sqrt(2.0) * drift_sd(60.0, wandering.sensors.imu, velocity=own), rel=0.02)
+
+
+def test_units_are_paired_from_the_best_on_and_one_with_a_lost_draw_is_not():
+    rng = np.random.default_rng(4)
+    t, noise = np.arange(1.0, 101.0), np.abs(rng.standard_normal((8, 1)))
+    lost = noise * t
+    lost[3] = np.nan
+    drifts = {
+        ("worse", "straight"): make_drift(2.0 * noise * t),
+        ("best", "straight"): make_drift(noise * t),
+        ("lost", "straight"): make_drift(0.1 * lost),
+    }
+    (pair,) = outage_drift.pair_units(drifts, ("worse", "lost", "best"), "straight")
+    assert (pair.first, pair.second, pair.word) == ("best", "worse", "better")
+    assert pair.ratio.value == pytest.approx(0.5)
+    told = list(
+        tell_drifts(outage_drift.Options(units="worse,lost,best"), drifts, {"straight": [pair]}, (60.0,))
+    )
+    assert any("best over worse 0.5 (0.5 to 0.5): better" in text for text in told)
+    assert any("lost straight 1 of 8" in text for text in told)
+    assert any("worse receiver velocity" in text for text in told)
+
+
+def test_a_flight_of_ones_own_is_lost_from_its_outage_on(tmp_path):
+    path = tmp_path / "own.toml"
+    text = (PROFILES / "gnss-denied-leg.toml").read_text()
+    path.write_text(text.replace("start_s = 180.0", "start_s = 200.0"))
+    options = outage_drift.Options(profiles=(str(path),), overrides={"rate_hz": 100}, seed=9)
+    profile = outage_drift.make_profile(options, "stim300", str(path), 600.0)
+    assert (profile.seed, profile.flight.rate) == (9, 100.0)
+    assert profile.sensors.gnss_outages[0][0] == 200.0
+    grid = outage_drift.make_grid(profile, (10.0, 60.5, 600.0))
+    assert max(grid) == pytest.approx(240.0, abs=1.1)
+    assert 60.5 in grid
+    with pytest.raises(ConfigError, match=r"survey has no \[\[gnss_outage"):
+        outage_drift.make_profile(options, "stim300", "survey", 60.0)
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +156,11 @@ def test_47_the_biases_of_the_grades_alone(matched):
     rows = list(zip(*table.values(), strict=True))
     for (grade, outage), printed in ALONE.items():
         found = next(row for row in rows if row[:3] == (grade, "straight", outage))
-        for value, one in zip(found[4:], printed, strict=True):
+        for value, one in zip(found[4:6], printed, strict=True):
             digits = len(f"{one}".replace(".", "").strip("0"))
             assert float(f"{value:.{digits}g}") == pytest.approx(one, rel=0.5 * 10.0 ** -(digits - 1))
+    after = {row[0]: row[-1] for row in rows if row[1] == "s-turns"}
+    assert {name: round(after[name]) for name in PRINTED_AFTER} == PRINTED_AFTER
     grown = {row[:3]: row[3] for row in rows}
     assert grown["MEMS", "s-turns", 300.0] == pytest.approx(227.0, rel=0.02)
     assert grown["grade-3", "s-turns", 300.0] == pytest.approx(27.5, rel=0.02)
@@ -73,7 +178,10 @@ def test_a_climb_drifts_as_straight_flight_and_a_steady_turn_less():
 
 @pytest.mark.parametrize(
     ("given", "message"),
-    [({"units": "stim"}, "'stim' is no IMU of the catalog"), ({"phases": "loop"}, "must be one of straight")],
+    [
+        ({"units": "stim"}, "imu = 'stim' is not in the catalog"),
+        ({"phases": "loop"}, "must be one of straight"),
+    ],
 )
 def test_a_wrong_name_is_one_line(given, message):
     with pytest.raises(ConfigError, match=message):

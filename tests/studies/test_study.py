@@ -19,11 +19,12 @@ from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.plots.series import Plot, draw_line
+from bench.plots.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.studies import STUDIES
 from bench.studies.study import StudyTable, find_study, format_estimate, make_command, read_options
+from bench.studies.study_folder import save_study
 from bench.workbench import study_verb
 
 SHORT = {"outages_s": (60, 300)}
@@ -138,6 +139,36 @@ def test_a_wrong_option_is_one_clear_line(given, message):
     assert message in str(raised.value)
 
 
+def test_names_of_dots_and_places_and_what_is_undecided_are_read_back(tmp_path):
+    """And stand in the picture: beside their dots, no two on each other, and below the axis."""
+    at, values = np.array([1.0, 1.0, 2.0]), np.array([10.0, 10.1, 100.0])
+    dots = draw_dots("units", at, values, "usable", (1, 2, 3), labels=("one", "two & a half", "three"))
+    plot = Plot(
+        ("s", "p"), "p", (dots,), across="", over="class", log="y", ticks=((1.0, "low"), (2.0, "high"))
+    )
+    made = bench.study("requirements", **SHORT)
+    findings = dataclasses.replace(made.findings, figures=(plot,), undecided=True)
+    save_study(tmp_path / "asked", dataclasses.replace(made, findings=findings))
+    read = bench.load_study(tmp_path / "asked")
+    assert read.findings.undecided
+    (again,) = read.figures.values()
+    assert again.ticks == plot.ticks
+    assert again.series[0].labels == dots.labels
+    drawn = study_page.make_page(read)
+    assert ">high</text>" in drawn
+    assert "p over class<" in drawn
+    rows = re.findall(r'<text class="name" x="(\d+)" y="(\d+)">([^<]*)</text>', drawn)
+    assert sorted(text for *_, text in rows) == ["one", "three", "two &amp; a half"]
+    assert abs(int(rows[0][1]) - int(rows[1][1])) >= 100
+    written = bench.write_figures(tmp_path / "asked", tmp_path / "figures", "svg")
+    assert len(written) == 1
+    broken = json.loads((tmp_path / "asked" / "figures.json").read_text())
+    broken["figures"][0]["series"][0]["labels"].pop()
+    (tmp_path / "asked" / "figures.json").write_text(json.dumps(broken))
+    with pytest.raises(ConfigError):
+        bench.load_study(tmp_path / "asked")
+
+
 def test_an_unknown_study_names_the_known():
     with pytest.raises(ConfigError, match="Did you mean 'requirements'"):
         bench.study("requirement")
@@ -152,7 +183,8 @@ def test_every_study_has_a_command_with_its_options(name):
         assert key not in {"jobs", "out", "force", "progress", "name", "report", "as_json"}
     shown = CliRunner().invoke(commands, ["study", name, "--help"], catch_exceptions=False).output
     for key, field in module.Options.model_fields.items():
-        assert (key.upper() if field.is_required() else f"--{key.replace('_', '-')}") in shown
+        flag = {"overrides": "--set"}.get(key, f"--{key.replace('_', '-')}")
+        assert (key.upper() if field.is_required() else flag) in shown
     required = {key: "x" for key, field in module.Options.model_fields.items() if field.is_required()}
     if not required:
         assert list(make_command(name, read_options(name, module.Options, {}))) == ["bench", "study", name]

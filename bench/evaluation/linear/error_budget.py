@@ -68,9 +68,10 @@ def motion_factors(path: Path, model: StateModel) -> FloatArray:
         return path.factors
     factors = path.factors.copy()
     known = np.array([model.process.thermal[0], 0.0, 0.0])
+    warm = warmth_kernel.py_func  # type: ignore[attr-defined]  # compiled it may only be called by kernels
     for k, T in enumerate(path.span):
         factors[k, WARMTH] = known[0]
-        warmth_kernel(T, model.process.thermal, path.lla[k, 2], known)
+        warm(T, model.process.thermal, path.lla[k, 2], known)
     return factors
 
 

@@ -1,0 +1,95 @@
+"""Which of two is better on the same noise draws, whether it matters, and how many more draws would tell.
+
+Draw k of both has the same noise, so that what both have in common is in no interval. What is compared is
+the ratio of root mean squares. A pair that is looked at several times while draws are added, or one of
+several pairs, gets a part of the probability of a wrong word (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.evaluation.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.regression import estimate_change, half_log_of_mean
+from bench.wording import format_number
+
+Word = Literal["better", "worse", "same", "undecided"]
+
+SAME = 0.05
+"""Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
+
+_MOST_DRAWS = 100_000  # that are thought of
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """The first of two over the second, by their root mean squares over the draws they share."""
+
+    first: str
+    second: str
+    ratio: Estimate
+    word: Word
+    draws: int
+    deciding: int | None  # draws that would decide if the spread stays; None: decided, or more than 100,000
+
+    @property
+    def sentence(self) -> str:
+        """Which is better and by how much, or how many draws would tell."""
+        text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval})"
+        if self.word != "undecided":
+            return f"{text}: {self.word}"
+        if self.deciding is None:
+            return f"{text}: undecided in {self.draws} draws, and more would hardly tell"
+        return f"{text}: undecided in {self.draws} draws, about {self.deciding - self.draws} more would tell"
+
+
+def compare_draws_of(
+    names: tuple[str, str], first: FloatArray, second: FloatArray, error: float = 1.0 - CONFIDENCE
+) -> Pair:
+    """Compare two by their errors on the same draws.
+
+    Parameters
+    ----------
+    names : (str, str)
+        What they are called.
+    first, second : (R,) array
+        Root mean square error, or an error, of each draw; draw k of both has the same noise. At least two.
+    error : float
+        Probability that the interval of the ratio misses it.
+
+    Returns
+    -------
+    pair : Pair
+        "better" or "worse" where the interval of the ratio excludes 1; "same" where it holds 1 and lies
+        within `SAME` of it.
+    """
+    if np.array_equal(first, second):
+        return Pair(*names, Estimate(1.0, 1.0, 1.0), "same", len(first), None)
+    by_draw = np.log(np.abs(first) / np.abs(second))
+    change = estimate_change(
+        np.square(second), np.square(first), half_log_of_mean, paired=True, by_draw=by_draw
+    )
+    low, high = change.interval(error)
+    edge = math.log1p(SAME)
+    word: Word = (
+        "better"
+        if high < 0.0
+        else "worse"
+        if low > 0.0
+        else "same"
+        if -edge <= low and high <= edge
+        else "undecided"
+    )
+    with np.errstate(over="ignore"):
+        ratio = Estimate(*(float(np.exp(one)) for one in (change.estimate, low, high)))
+    deciding = None
+    if word == "undecided":
+        clear = max(abs(change.estimate), edge - abs(change.estimate))
+        needed = len(first) * ((high - change.estimate) / clear) ** 2
+        deciding = math.ceil(needed) + 1 if needed < _MOST_DRAWS else None
+    return Pair(*names, ratio, word, len(first), deciding)

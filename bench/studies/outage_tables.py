@@ -1,0 +1,176 @@
+"""Tables, sentences and pictures of the drift without GNSS."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bench.evaluation.ensemble import Estimate
+from bench.evaluation.paired_draws import Pair
+from bench.plots import series
+from bench.plots.series import Plot, Series
+from bench.studies.catalog_units import Unit
+from bench.studies.study import StudyTable, format_estimate, make_table
+from bench.wording import format_number
+
+if TYPE_CHECKING:
+    from bench.studies.outage_drift import Drift, Options
+
+Drifts = Mapping[tuple[str, str], "Drift"]
+"""Unit and phase -> its drift."""
+
+
+def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]:
+    """Yield the times that are asked for and flown, with their rows."""
+    for T in elapsed:
+        k = int(np.argmin(np.abs(drift.grid - T)))
+        if abs(drift.grid[k] - T) < 1e-6:
+            yield T, k
+
+
+def fill_drifts(
+    drifts: Drifts, units: Mapping[str, Unit], elapsed: Sequence[float], limit: float
+) -> tuple[StudyTable, ...]:
+    """Return the horizontal drift, its sources, the time to a limit [m], error and claim, drift by axis."""
+    rows, claims, by_axis, sources, times = [], [], [], [], []
+    for (unit, phase), drift in drifts.items():
+        measured = len(drift.good) > 1
+        head = (unit, phase)
+        for T, k in _rows(drift, elapsed):
+            rms, error = ((tuple(one[k]) if measured else (None,) * 3) for one in (drift.rms, drift.error))
+            quantiles = (drift.quantile(k, 0.5), drift.quantile(k, 0.95))
+            rows.append((*head, T, *rms, *quantiles, drift.whole_law[k]))
+            claims.append((*head, T, *error, drift.claimed[k] if len(drift.good) else None))
+            axes = np.sqrt(np.square(drift.good[:, k, :3]).mean(axis=0)) if len(drift.good) else (None,) * 3
+            most = drift.sizes[:, k].max() if len(drift.good) else None
+            by_axis.append((unit, units[unit].grade, phase, T, *axes, most, drift.lost))
+            whole = drift.whole_law[k] ** 2
+            sources += [
+                (*head, T, name, part[k], 100.0 * part[k] ** 2 / whole) for name, part in drift.law.items()
+            ]
+        reached: tuple[Any, ...] = drift.find_times(limit) if measured else (None,) * 3
+        expected = (_find(drift, drift.whole_law, limit), _find(drift, drift.claimed, limit))
+        times.append((*head, *reached, *expected))
+    title = (
+        "Horizontal drift since the loss: RMS with its 95 % interval, median and 95 % of draws, closed form"
+    )
+    drift_names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "median_m", "p95_m", "law_m")
+    return (
+        make_table("drift", title, drift_names, rows),
+        make_table(
+            "times",
+            f"Time until the drift is {limit:g} m RMS, its 95 % interval; of the closed form, of the claim",
+            ("unit", "phase", "after_s", "low_s", "high_s", "law_s", "claimed_s"),
+            times,
+        ),
+        make_table(
+            "sources",
+            "The closed form by source: a calibrated unit, and the velocity error that the receiver leaves",
+            ("unit", "phase", "outage_s", "source", "rms_m", "share_percent"),
+            sources,
+        ),
+        make_table(
+            "claims",
+            "Horizontal error: RMS with its 95 % interval, as claimed",
+            ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "claimed_m"),
+            claims,
+        ),
+        make_table(
+            "axes",
+            "RMS by axis, and the largest horizontal drift",
+            ("unit", "class", "phase", "outage_s", "north_m", "east_m", "down_m", "largest_m", "lost"),
+            by_axis,
+        ),
+    )
+
+
+def _find(drift: Drift, values: Any, limit: float) -> float | None:
+    from bench.studies.outage_grades import find_time
+
+    return find_time(drift.grid, values, limit) if len(drift.good) else None
+
+
+def tell_drifts(
+    options: Options, drifts: Drifts, pairs: Mapping[str, Sequence[Pair]], elapsed: Sequence[float]
+) -> Iterator[str]:
+    """Yield drift, time to the limit, what makes it, pairs, claims and lost draws in sentences."""
+    near = min(elapsed, key=lambda T: abs(T - 60.0))
+    for phase, told in pairs.items():
+        parts, times, made = [], [], []
+        for unit in options.units:
+            drift = drifts[unit, phase]
+            k = int(np.argmin(np.abs(drift.grid - near)))
+            known = len(drift.good) > 1
+            text = format_estimate(Estimate(*drift.rms[k])) if known else "no two draws"
+            parts.append(f"{unit} {text}, law {format_number(drift.whole_law[k], 3)}")
+            times.append(f"{unit} {_say_time(drift, options.error_m)}")
+            source = max(drift.law, key=lambda name: float(drift.law[name][k]), default="nothing")
+            made.append(f"{unit} {source}")
+        yield f"Drift after {near:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
+        yield f"The drift is {options.error_m:g} m RMS, {phase}, after: {'; '.join(times)}."
+        yield f"By the closed form most of it is made by: {'; '.join(made)}."
+        if told:
+            yield f"On the same draws, {phase}: {'; '.join(pair.sentence for pair in told)}."
+    yield from _tell_claims(options.estimator, drifts, elapsed)
+    lost = [
+        f"{unit} {phase} {drift.lost} of {len(drift.grown)}"
+        for (unit, phase), drift in drifts.items()
+        if drift.lost
+    ]
+    if lost:
+        yield f"Draws lost, which are in no figure: {', '.join(lost)}."
+
+
+def _say_time(drift: Drift, limit: float) -> str:
+    if len(drift.good) < 2:
+        return "no two draws"
+    value, low, high = ("later" if one is None else f"{one:.0f}" for one in drift.find_times(limit))
+    return f"{value} s ({low} to {high})" if value != "later" else f"not in {drift.grid[-1]:g} s"
+
+
+def _tell_claims(label: str, drifts: Drifts, elapsed: Sequence[float]) -> Iterator[str]:
+    outside, total = Counter[str](), 0
+    for (unit, _), drift in drifts.items():
+        if len(drift.good) > 1:
+            for _, k in _rows(drift, elapsed):
+                total += 1
+                outside[unit] += not drift.error[k, 1] <= drift.claimed[k] <= drift.error[k, 2]
+    missed = ", ".join(f"{unit} {count}" for unit, count in outside.items() if count)
+    yield (
+        f"What {label} claims lies in the 95 % interval of the measured error in "
+        f"{total - outside.total()} of {total} cases" + (f"; not in, by unit: {missed}." if missed else ".")
+    )
+
+
+def plot_drifts(units: Sequence[str], phases: Sequence[str], drifts: Drifts) -> Iterator[Plot]:
+    """Yield the error of all units with its band and claim, and the drift over its closed form."""
+    colours = series.estimator_colours(units)
+    for phase in phases:
+        lines: list[Series] = []
+        ratios: list[Series] = []
+        key = phase.rpartition("/")[2].removesuffix(".toml")
+        for unit in units:
+            drift, colour = drifts[unit, phase], colours[unit]
+            if len(drift.good) < 2:
+                continue
+            name = unit.rpartition("/")[2]
+            lines.append(
+                Series(
+                    name, drift.grid, drift.error, (name,) * 3, (colour,) * 3, (1.5, 1.0, 1.0), band=(1, 2)
+                )
+            )
+            rows = np.unique(np.searchsorted(drift.grid, np.geomspace(1.0, drift.grid[-1], 25)))
+            lines.append(
+                series.draw_dots(
+                    f"{name} claimed", drift.grid[rows], drift.claimed[rows], f"{name} claimed", colour, 3.0
+                )
+            )
+            ratios.append(series.draw_line(name, drift.grid, drift.rms[:, 0] / drift.whole_law, name, colour))
+        if lines:
+            title = f"{phase}: horizontal error, RMS with 95 % band, and as claimed [m]"
+            yield Plot(("outages", key), title, tuple(lines), over="outage", log="xy")
+            title = f"{phase}: drift over its closed form"
+            yield Plot(("outages", f"{key}-over-law"), title, tuple(ratios), over="outage", log="xy")

@@ -1,0 +1,153 @@
+"""Which unit of which class is worth its price on one flight by one filter: by pairs of the same draws.
+
+From the cheapest class on, the best unit of a class is held against the best of the classes below. A unit
+that lost a draw is not usable and takes no part; one that no draw tells from the best of its class stands
+beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.evaluation.ensemble import Estimate, estimate_rate, pool_rmse
+from bench.evaluation.paired_draws import SAME, Pair, compare_draws_of
+from bench.evaluation.required_metrics import MET, UNDECIDED, Finding
+from bench.studies.catalog_units import CLASSES
+from bench.wording import format_number
+
+_LEAST = 2  # draws that have an interval
+
+
+@dataclass(frozen=True)
+class Flown:
+    """One unit on one flight by one filter."""
+
+    unit: str
+    grade: str  # of `CLASSES`, or another word for a unit that stands outside of them
+    values: FloatArray  # (R,) the figure that is compared, of each draw in order; NaN: lost
+    findings: tuple[Finding, ...] = ()  # of what is required
+
+    @property
+    def lost(self) -> int:
+        """Draws whose estimator diverged, failed or has no such figure."""
+        return int(np.isnan(self.values).sum())
+
+    @property
+    def rms(self) -> Estimate | None:
+        """Root mean square over the draws that are not lost, with its interval; None of fewer than two."""
+        known = self.values[~np.isnan(self.values)]
+        return pool_rmse(np.square(known)) if len(known) >= _LEAST else None
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is usable, and keeps what is required."""
+        if self.lost:
+            return "not usable"
+        words = {one.word for one in self.findings}
+        return "usable" if not words else next(word for word in ("missed", UNDECIDED, MET) if word in words)
+
+    @property
+    def loss(self) -> str:
+        """How many draws it lost, and of how many of all it loses."""
+        rate = estimate_rate(self.lost, len(self.values))
+        ends = (format_number(100.0 * end, 2) for end in (rate.low, rate.high))
+        return f"{self.unit} {self.lost} of {len(self.values)} ({' to '.join(ends)} % of all)"
+
+
+@dataclass(frozen=True)
+class Step:
+    """A class of units: the best in it, and what it buys over the classes below."""
+
+    grade: str
+    best: Flown
+    beside: tuple[Pair, ...]  # units of the class over the best that are the same or undecided
+    gain: Pair | None  # the best over that of the classes below; None: there is none below
+
+    @property
+    def pays(self) -> bool:
+        """Whether it is shown to be better than what is cheaper."""
+        return self.gain is None or self.gain.word == "better"
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The classes from cheap to dear, on one flight by one filter."""
+
+    steps: tuple[Step, ...]
+    flown: Mapping[str, Flown] = field(default_factory=dict)  # by unit
+
+    @property
+    def front(self) -> tuple[Step, ...]:
+        """The classes that are shown to be better than those below."""
+        return tuple(step for step in self.steps if step.pays)
+
+    @property
+    def recommended(self) -> Step | None:
+        """The cheapest class with a unit that is shown to meet what is required; None: none does."""
+        return next((step for step in self.steps if step.best.verdict == MET), None)
+
+    @property
+    def spread(self) -> float | None:
+        """The largest over the smallest error of usable units; None of fewer than two."""
+        found = [one.rms.value for one in self.flown.values() if not one.lost and one.rms]
+        return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else None
+
+    @property
+    def alike(self) -> bool:
+        """Whether the unit does not matter: the errors of all usable units are the same."""
+        return self.spread is not None and self.spread <= 1.0 + SAME
+
+    def list_open(self) -> list[Pair]:
+        """Return the pairs that more draws would tell, of classes that pay or may."""
+        gains = [step.gain for step in self.steps if step.gain is not None]
+        pairs = [*gains, *(pair for step in self.front for pair in step.beside)]
+        return [pair for pair in pairs if pair.word == "undecided" and pair.deciding is not None]
+
+    def list_undecided(self) -> list[Flown]:
+        """Return the units that may meet what is required, of classes up to the cheapest that does."""
+        found = self.recommended
+        top = len(CLASSES) if found is None else CLASSES.index(found.grade)
+        return [
+            one
+            for one in self.flown.values()
+            if one.verdict == UNDECIDED and one.grade in CLASSES and CLASSES.index(one.grade) <= top
+        ]
+
+
+def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
+    """Return the best of each class, and which classes pay.
+
+    Parameters
+    ----------
+    flown : sequence of Flown
+        On one flight by one filter; draw k of all has the same noise.
+    error : float
+        Probability of a wrong word, of each pair.
+    """
+    steps: list[Step] = []
+    best: Flown | None = None
+    for grade in CLASSES:
+        usable = [one for one in flown if one.grade == grade and not one.lost and len(one.values) >= _LEAST]
+        if not usable:
+            continue
+        met = [one for one in usable if one.verdict == MET]  # a unit that meets is asked for, if there is one
+        top = min(met or usable, key=_measure)
+        pairs = [_compare(one, top, error) for one in usable if one is not top]
+        beside = tuple(pair for pair in pairs if pair.word != "worse")
+        gain = None if best is None else _compare(top, best, error)
+        steps.append(Step(grade, top, beside, gain))
+        best = min((one for one in (best, *usable) if one is not None), key=_measure)
+    return Ranking(tuple(steps), {one.unit: one for one in flown})
+
+
+def _measure(one: Flown) -> float:
+    return float(np.mean(np.square(one.values)))
+
+
+def _compare(one: Flown, other: Flown, error: float) -> Pair:
+    n = min(len(one.values), len(other.values))
+    return compare_draws_of((one.unit, other.unit), one.values[:n], other.values[:n], error)
