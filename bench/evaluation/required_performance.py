@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.ensemble import Estimate, estimate_fraction, estimate_rate
+from bench.evaluation.required_metrics import MET, MISSED, UNDECIDED
 from bench.units import HOUR
 
 WITHIN, OUTSIDE_PER_HOUR = 0.95, 1e-5
 """Required: share of the flight time within RNP, and probability of an hour with more than twice RNP."""
+
+
+_SURE = 0.95  # probability of each bound
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,11 +46,6 @@ class Watched:
         return np.asarray(self.misleading & ~self.alert & ~(self.error <= self.limit))
 
 
-def estimate_availability(watched: Watched) -> Estimate:
-    """Return the share of the time without an alert."""
-    return estimate_fraction(~watched.alert)
-
-
 def estimate_per_run(happened: BoolArray) -> Estimate:
     """Return in which share of the runs something happened at any of their instants (R, M)."""
     return estimate_rate(int(happened.any(axis=1).sum()), len(happened))
@@ -65,41 +65,82 @@ def count_detected(watched: Watched, within: float) -> tuple[int, int]:
     return len(rows), told
 
 
-def estimate_discontinuity(watched: Watched, window: float) -> Estimate | None:
-    """Return how often a window of a duration [s] that begins without an alert has one; None: no window."""
+def count_windows(watched: Watched, window: float) -> tuple[BoolArray, BoolArray] | None:
+    """Return which windows (R, W) of a duration [s] begin without an alert, and which of these have one.
+
+    None if no window fits into a run.
+    """
     length = round(window / watched.interval)
     windows = watched.alert.shape[1] // length
     if not windows:
         return None
     parts = watched.alert[:, : windows * length].reshape(len(watched.alert), windows, length)
     begun = ~parts[:, :, 0]
-    share = float(begun.mean())
-    if share == 0.0:
-        return None
-    lost = estimate_fraction(begun & parts.any(axis=2))
-    return Estimate(lost.value / share, lost.low / share, min(lost.high / share, 1.0))
+    return begun, np.asarray(begun & parts.any(axis=2))
 
 
-def bound_per_hour(events: int, hours: float, confidence: float = 0.95) -> float:
-    """Return the largest rate per hour at which so few events in so many hours are not rarer than chance.
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A figure held against what is required: bounds of 95 % to each side, by flights as trials."""
+
+    found: Estimate
+    word: str  # MET, MISSED or UNDECIDED
+    more_h: float | None = None  # flight hours that would decide if they go on alike; None: decided, or never
+
+
+def judge_rate(events: int, hours: float, most: float) -> Judged:
+    """Judge a rate per hour by independent events in so many flight hours (Poisson).
+
+    It is met where the upper bound is at most ``most``, missed where the lower one is above. Undecided it
+    would be met after so many more hours without another event; nothing is extrapolated.
+
+    Examples
+    --------
+    >>> judge_rate(0, 3e5, 1e-5).word, round(judge_rate(0, 100.0, 1e-5).more_h)
+    ('met', 299473)
+    """
+    high = bound_per_hour(events, hours)
+    low = float(gammaincinv(float(events), 1.0 - _SURE)) / hours if events else 0.0
+    found = Estimate(events / hours, low, high)
+    if high <= most:
+        return Judged(found, MET)
+    if low > most:
+        return Judged(found, MISSED)
+    return Judged(found, UNDECIDED, bound_per_hour(events, most) - hours)
+
+
+def judge_share(inside: BoolArray, least: float, hours: float) -> Judged:
+    """Judge the share of the time that something holds (R, M), each of R flights a trial.
+
+    If it holds always, as many flights as ``ln 0.05 / ln least`` show it: one that is bad might be as rare.
+    """
+    found = estimate_fraction(inside, 2.0 * _SURE - 1.0)
+    if found.low >= least:
+        return Judged(found, MET)
+    if found.high < least:
+        return Judged(found, MISSED)
+    flights = len(inside)
+    if found.value in (0.0, 1.0):
+        needed = math.log(1.0 - _SURE) / math.log(least)
+    elif found.value == least:
+        return Judged(found, UNDECIDED)
+    else:
+        end = found.low if found.value > least else found.high
+        needed = flights * ((end - found.value) / (least - found.value)) ** 2
+    return Judged(found, UNDECIDED, max(needed - flights, 1.0) * hours / flights)
+
+
+def bound_per_hour(events: int, hours: float) -> float:
+    """Return the largest rate per hour at which so few events in so many hours are not rarer than 5 %.
 
     Examples
     --------
     >>> round(bound_per_hour(0, 3e5) * 1e5, 2)  # 300,000 hours without an event show 1e-5 per hour
     1.0
     """
-    from scipy.special import gammaincinv
-
-    return float(gammaincinv(events + 1.0, confidence)) / hours
+    return float(gammaincinv(events + 1.0, _SURE)) / hours
 
 
-def hours_flown(error: FloatArray, interval: float) -> float:
-    """Return how many hours the values (R, M) that are known stand for."""
-    return float(np.isfinite(error).sum()) * interval / HOUR
-
-
-def describe_estimate(found: Estimate | None) -> dict[str, Any]:
-    """Return value and limits of an estimate as the columns of a table."""
-    if found is None:
-        return {"value": None, "low": None, "high": None}
-    return {"value": found.value, "low": found.low, "high": found.high}
+def hours_flown(shape: tuple[int, ...], interval: float) -> float:
+    """Return how many hours R runs of M instants ``(R, M)`` at an interval [s] are."""
+    return math.prod(shape) * interval / HOUR

@@ -19,8 +19,10 @@ _ROLL = 5.0  # by which a turn begins before its arc and ends after it [s]
 def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return where a flight was off its tracks, and their directions.
 
-    Tracks are the straights between the points of each ``waypoints`` leg. A turn by a point has no track of
-    its own, nor has the way to the first point; the turn there is taken to be of 90 deg.
+    Tracks are the straights between the points of each ``waypoints`` leg, and the arcs by which its guidance
+    joins them: tangent to both, with the radius of the bank at the highest ground speed of the leg. With a
+    wind that changes with height the radius is not known from here, and the turns have no track. The way to
+    the first point has none; the turn there is taken to be of 90 deg.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tu
     speed = np.hypot(truth.vel_n[rows, 0], truth.vel_n[rows, 1])
     at = to_ecef(lla)
     off, course = np.full(len(t), np.nan), np.full(len(t), np.nan)
-    for leg, (start, end, _) in zip(spec.legs, truth.events.select("leg"), strict=False):
+    for number, (leg, (start, end, _)) in enumerate(zip(spec.legs, truth.events.select("leg"), strict=False)):
         inside = np.flatnonzero((t >= start) & (t < end))
         if not isinstance(leg, Waypoints) or len(inside) < len(leg.points):
             continue
@@ -51,19 +53,47 @@ def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tu
         points = to_ecef([(*place, alt) for place in places])
         passed = inside[_pass_in_order(np.linalg.norm(at[inside, None] - points, axis=2))]
         fastest = float(speed[inside].max())
-        radius = fastest**2 / (G * np.tan(leg.bank))
+        known = None if spec.wind_layers else _find_radius(spec, number, leg.bank)
+        radius = fastest**2 / (G * np.tan(leg.bank)) if known is None else known
+        rolling = _ROLL * fastest if known is None else 0.0
         tracks = [_lay_track(*pair, place) for pair, place in zip(pairwise(points), places, strict=False)]
         turns = [np.remainder(b[0] - a[0] + np.pi, 2 * np.pi) - np.pi for a, b in pairwise(tracks)]
-        arcs = [radius, *(radius * np.tan(0.5 * np.abs(turn)) for turn in turns)]
-        cuts = [*(arc + _ROLL * fastest for arc in arcs), 0.0]
+        arcs = [radius * np.tan(0.5 * np.abs(turn)) for turn in turns]
+        cuts = [radius + _ROLL * fastest, *(arc + rolling for arc in arcs), 0.0]
         for k, (direction, length, to_n) in enumerate(tracks):
             between = np.arange(passed[k], passed[k + 1] + 1)
-            north, east, _ = ((at[between] - points[k]) @ to_n).T
-            along = north * np.cos(direction) + east * np.sin(direction)
+            along, right = _resolve(at[between], points[k], to_n, direction)
             on = (along >= cuts[k]) & (along <= length - cuts[k + 1])
-            off[between[on]] = (east * np.cos(direction) - north * np.sin(direction))[on]
+            off[between[on]] = right[on]
             course[between[on]] = direction
+        for k, (turn, arc) in enumerate(zip(turns, arcs, strict=True) if known is not None else ()):
+            between, corner, to_n = np.arange(passed[k], passed[k + 2] + 1), points[k + 1], tracks[k + 1][2]
+            before, right = _resolve(at[between], corner, to_n, tracks[k][0])
+            after, _ = _resolve(at[between], corner, to_n, tracks[k + 1][0])
+            on = (before >= -arc) & (after <= arc) & np.isnan(off[between])
+            side = np.sign(turn)
+            ahead, across = (before + arc)[on], (right - side * radius)[on]  # from the centre of the arc
+            off[between[on]] = side * (radius - np.hypot(ahead, across))
+            course[between[on]] = tracks[k][0] + side * np.arctan2(ahead, -side * across)
     return off, course
+
+
+def _find_radius(spec: FlightSpec, number: int, bank: float) -> float:
+    """Return the radius of the turns of a leg, as its guidance lays them (`bench.flight.paths`) [m]."""
+    wanted = [spec.speed, *(getattr(leg, "speed", None) for leg in spec.legs[: number + 1])]
+    speeds = [speed for speed in wanted if speed is not None]
+    begun = [speed for speed in wanted[:-1] if speed is not None]
+    fastest = max(begun[-1], speeds[-1]) + spec.wind_speed
+    return float(fastest**2 / (G * np.tan(bank)))
+
+
+def _resolve(
+    at: FloatArray, origin: FloatArray, to_n: FloatArray, direction: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far points (K, 3) are along a direction [rad] and to its right, from an origin [m]."""
+    north, east, _ = ((at - origin) @ to_n).T
+    c, s = np.cos(direction), np.sin(direction)
+    return north * c + east * s, east * c - north * s
 
 
 def _pass_in_order(distance: FloatArray) -> IntArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,13 +13,12 @@ from bench.evaluation.paired_draws import Pair
 from bench.plots import series
 from bench.plots.series import Plot, Series
 from bench.studies.catalog_units import Unit
+from bench.studies.outage_grades import find_time
+from bench.studies.outage_growth import Drift
 from bench.studies.study import StudyTable, format_estimate, make_table
 from bench.wording import format_number
 
-if TYPE_CHECKING:
-    from bench.studies.outage_drift import Drift, Options
-
-Drifts = Mapping[tuple[str, str], "Drift"]
+Drifts = Mapping[tuple[str, str], Drift]
 """Unit and phase -> its drift."""
 
 
@@ -88,33 +87,36 @@ def fill_drifts(
 
 
 def _find(drift: Drift, values: Any, limit: float) -> float | None:
-    from bench.studies.outage_grades import find_time
-
     return find_time(drift.grid, values, limit) if len(drift.good) else None
 
 
 def tell_drifts(
-    options: Options, drifts: Drifts, pairs: Mapping[str, Sequence[Pair]], elapsed: Sequence[float]
+    units: Sequence[str],
+    label: str,
+    drifts: Drifts,
+    pairs: Mapping[str, Sequence[Pair]],
+    elapsed: Sequence[float],
+    limit: float,
 ) -> Iterator[str]:
     """Yield drift, time to the limit, what makes it, pairs, claims and lost draws in sentences."""
     near = min(elapsed, key=lambda T: abs(T - 60.0))
     for phase, told in pairs.items():
         parts, times, made = [], [], []
-        for unit in options.units:
+        for unit in units:
             drift = drifts[unit, phase]
             k = int(np.argmin(np.abs(drift.grid - near)))
             known = len(drift.good) > 1
             text = format_estimate(Estimate(*drift.rms[k])) if known else "no two draws"
             parts.append(f"{unit} {text}, law {format_number(drift.whole_law[k], 3)}")
-            times.append(f"{unit} {_say_time(drift, options.error_m)}")
+            times.append(f"{unit} {_say_time(drift, limit)}")
             source = max(drift.law, key=lambda name: float(drift.law[name][k]), default="nothing")
             made.append(f"{unit} {source}")
         yield f"Drift after {near:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
-        yield f"The drift is {options.error_m:g} m RMS, {phase}, after: {'; '.join(times)}."
+        yield f"The drift is {limit:g} m RMS, {phase}, after: {'; '.join(times)}."
         yield f"By the closed form most of it is made by: {'; '.join(made)}."
         if told:
             yield f"On the same draws, {phase}: {'; '.join(pair.sentence for pair in told)}."
-    yield from _tell_claims(options.estimator, drifts, elapsed)
+    yield from _tell_claims(label, drifts, elapsed)
     lost = [
         f"{unit} {phase} {drift.lost} of {len(drift.grown)}"
         for (unit, phase), drift in drifts.items()

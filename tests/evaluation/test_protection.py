@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 from scipy.stats import binom
 
 from bench.evaluation.protection import (
@@ -17,8 +18,10 @@ from bench.evaluation.required_performance import (
     Watched,
     bound_per_hour,
     count_detected,
-    estimate_availability,
-    estimate_discontinuity,
+    count_windows,
+    hours_flown,
+    judge_rate,
+    judge_share,
 )
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
@@ -111,8 +114,6 @@ def test_the_parts_of_the_stanford_diagram():
     assert watched.alert.tolist() == [[False, False, True, False, False, True]]
     assert watched.misleading.tolist() == [[False, True, False, True, True, False]]
     assert watched.hazardous.tolist() == [[False, False, False, True, True, False]]
-    twice = watch(np.ones((2, 4)), [[5, 5, 5, 50], [5, 50, 5, 50]])
-    assert estimate_availability(twice).value == pytest.approx(5 / 8)
 
 
 def test_an_error_is_told_in_time_or_not():
@@ -126,12 +127,53 @@ def test_an_error_is_told_in_time_or_not():
 def test_continuity_counts_windows_that_may_be_begun():
     level = np.full((2, 9), 5.0)
     level[0, 4] = level[1, 3:6] = 50.0  # the first run loses its second window, the other never begins it
-    lost = estimate_discontinuity(watch(np.ones((2, 9)), level), 3.0)
-    assert lost is not None
-    assert lost.value == pytest.approx(1 / 5)
-    assert estimate_discontinuity(watch(np.ones((2, 9)), level), 20.0) is None
+    begun, lost = count_windows(watch(np.ones((2, 9)), level), 3.0)
+    assert begun.tolist() == [[True, True, True], [True, False, True]]
+    assert lost.tolist() == [[False, True, False], [False, False, False]]
+    assert count_windows(watch(np.ones((2, 9)), level), 20.0) is None
 
 
 def test_300_000_hours_without_an_event_show_1e_5_per_hour():
     assert bound_per_hour(0, -np.log(0.05) / 1e-5) == pytest.approx(1e-5)
     assert bound_per_hour(1, 1.0) > bound_per_hour(0, 1.0)
+    assert hours_flown((60, 900), 2.0) == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize(("events", "hours"), [(0, 299_574.0), (3, 775_366.0)])
+def test_a_rate_is_met_from_the_hours_on_that_show_it(events, hours):
+    """By the chi-square quantiles of a Poisson rate; before, it says how many hours are missing."""
+    needed = stats.chi2.ppf(0.95, 2 * events + 2) / 2.0 / 1e-5
+    assert needed == pytest.approx(hours, rel=1e-4)
+    assert judge_rate(events, 1.001 * needed, 1e-5).word == "met"
+    before = judge_rate(events, 0.4 * needed, 1e-5)
+    assert before.word == "undecided"
+    assert before.more_h == pytest.approx(0.6 * needed)
+    assert before.found.value == pytest.approx(events / (0.4 * needed))
+
+
+def test_a_rate_is_missed_where_its_lower_bound_is_above():
+    """Two events: the rate is at least 0.355 / T with 95 %, by the chi-square quantile of 4 degrees."""
+    lower = stats.chi2.ppf(0.05, 4) / 2.0
+    assert judge_rate(2, 10.0, 0.999 * lower / 10.0).word == "missed"
+    assert judge_rate(2, 10.0, 1.001 * lower / 10.0).word == "undecided"
+    assert judge_rate(2, 10.0, 1.0).found.low == pytest.approx(lower / 10.0)
+
+
+def test_a_share_of_time_that_always_holds_needs_59_flights():
+    """0.95^59 < 0.05: a bad flight in twenty would have been seen; 40 flights of half an hour leave 9.5 h."""
+    assert judge_share(np.ones((59, 10), bool), 0.95, 1.0).word == "met"
+    few = judge_share(np.ones((40, 10), bool), 0.95, 20.0)
+    assert few.word == "undecided"
+    assert few.more_h == pytest.approx((np.log(0.05) / np.log(0.95) - 40) * 0.5)
+    assert judge_share(np.zeros((8, 10), bool), 0.95, 1.0).word == "missed"
+
+
+def test_a_share_counts_flights_and_not_instants():
+    """Five of ten flights are bad throughout: 500 instants do not show that it is less than 0.7."""
+    half = np.zeros((10, 50), bool)
+    half[:5] = True
+    found = judge_share(half, 0.7, 5.0)
+    assert found.word == "undecided"
+    assert found.more_h > 0.0
+    mixed = np.random.default_rng(3).random((10, 50)) < 0.5
+    assert judge_share(mixed, 0.7, 5.0).word == "missed"

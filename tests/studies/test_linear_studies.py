@@ -70,7 +70,7 @@ def flight(tmp_path_factory):
 
 
 def test_the_budget_of_a_short_flight(flight):
-    found = bench.study("budget", profile=flight, draws=150, jobs=1)
+    found = bench.study("budget", profile=flight, draws=140, jobs=1)
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t

@@ -13,8 +13,8 @@ from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd, split_drift
 from bench.studies import outage_drift
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight
-from bench.studies.outage_drift import Drift
 from bench.studies.outage_grades import find_time
+from bench.studies.outage_growth import Drift, pair_units
 from bench.studies.outage_tables import tell_drifts
 
 ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each grade alone
@@ -53,7 +53,6 @@ def test_the_drift_of_draws_that_are_known():
     lost = np.full(10, np.nan)
     drift = make_drift(np.array([t, lost, 7.0 * t]))
     assert (drift.lost, len(drift.good)) == (1, 2)
-    assert drift.rate_lost().value == pytest.approx(1.0 / 3.0)
     assert_allclose(drift.rms[:, 0], 5.0 * t)
     assert_allclose(drift.error[:, 0], 5.0 * t)
     assert (drift.rms[:, 1] < drift.rms[:, 0]).all()
@@ -99,12 +98,11 @@ def test_units_are_paired_from_the_best_on_and_one_with_a_lost_draw_is_not():
         ("best", "straight"): make_drift(noise * t),
         ("lost", "straight"): make_drift(0.1 * lost),
     }
-    (pair,) = outage_drift.pair_units(drifts, ("worse", "lost", "best"), "straight")
+    (pair,) = pair_units(drifts, ("worse", "lost", "best"), "straight")
     assert (pair.first, pair.second, pair.word) == ("best", "worse", "better")
     assert pair.ratio.value == pytest.approx(0.5)
-    told = list(
-        tell_drifts(outage_drift.Options(units="worse,lost,best"), drifts, {"straight": [pair]}, (60.0,))
-    )
+    names = ("worse", "lost", "best")
+    told = list(tell_drifts(names, "loose-full", drifts, {"straight": [pair]}, (60.0,), 5.0))
     assert any("best over worse 0.5 (0.5 to 0.5): better" in text for text in told)
     assert any("lost straight 1 of 8" in text for text in told)
     assert any("worse receiver velocity" in text for text in told)
