@@ -227,6 +227,49 @@ def test_38_the_kalman_filter_is_no_worse_than_the_other_methods():
             assert 1.2 * best[1] <= velocity, (name, best, velocity)
 
 
+def close_loop(form, course):
+    """Return (I - K H) Phi (22, 22) of a second of straight flight, and the navigator there."""
+    flight = LinearFlight(turns=False, course=course)
+    nav = flight.place(10.0)[0]
+    Phi, H, R = flight.move(GRADE.sigmas, 10)[0], *flight.measure(GRADE.sigmas, 10)
+    return (np.eye(22) - form.find_gain(H, R, list(range(7)), nav) @ H) @ Phi, nav
+
+
+@pytest.mark.parametrize("course", [0.0, 0.8, 2.5, -1.2])
+@pytest.mark.parametrize("seconds", [4.0, 10.0])
+def test_38_every_loop_of_the_complementary_filter_has_two_poles_where_they_are_meant(course, seconds):
+    """#38: exp(-T / time constant), whatever the course: a velocity and its tilt, the vertical velocity and
+    the upward accelerometer, height and the bias of the barometer; position alone has one.
+    """
+    form = given_gains.CompensatedDifferences(FLIGHT.start(GRADE), (1.0, 1.0), seconds)
+    M, nav = close_loop(form, course)
+    z, basis = math.exp(-1.0 / seconds), np.eye(22)
+    upward = np.zeros(22)
+    upward[12:15] = nav.B[2]
+    for pair in ((basis[3], basis[7]), (basis[4], basis[6]), (basis[5], upward), (basis[2], basis[15])):
+        loop = np.array([[a @ M @ b for b in pair] for a in pair])
+        assert np.trace(loop) == pytest.approx(2.0 * z, rel=1e-3)
+        assert np.linalg.det(loop) == pytest.approx(z * z, rel=1e-3)
+    assert_allclose(np.diag(M)[:2], z, rtol=1e-5)
+    assert np.abs(np.linalg.eigvals(M)).max() < 1.0 + 1e-6
+
+
+def test_38_the_fixed_gain_turns_with_the_course():
+    """#38: the closed loop has the same poles on every course, nine of them inside the unit circle."""
+    metres = np.ones(22)
+    metres[[0, 16]], metres[[1, 17]] = FLIGHT.reduced
+    P = FLIGHT.start(GRADE)
+    settled = given_gains.settle_gain(P / np.outer(metres, metres), NAV, GRADE.sigmas, (1.0, 1.0))
+    form = given_gains.ConstantGain(P, settled)
+    poles = [
+        np.sort(np.abs(np.linalg.eigvals(close_loop(form, course)[0]))) for course in (0.0, 0.8, 2.5, -1.2)
+    ]
+    for found in poles:
+        assert_allclose(found[:8], poles[0][:8], rtol=2e-3)
+        assert found[8] < 0.995
+        assert found[-1] < 1.0 + 1e-6
+
+
 def test_38_the_fading_fit_is_the_batch_solution():
     """#38: carried on from fix to fix, it is the least squares of all measurements at once, to 1e-8."""
     rng = np.random.default_rng(4)

@@ -12,7 +12,7 @@ from bench import rotation, sensors
 from bench.earth import difference_n
 from bench.errors import EstimatorError
 from bench.navigation.estimator import load
-from bench.navigation.models.classic import Classic22, process_model
+from bench.navigation.models.classic import Classic22, filter_loop, process_model
 from bench.navigation.models.classic.extrapolation import extrapolate
 from bench.navigation.register import vector_matching
 from bench.studies.linear_flight import GRADES, LinearFlight, update
@@ -113,6 +113,46 @@ def test_46_the_estimator_takes_the_curve_in_an_outage(curve):
     off = np.linalg.norm(difference_n(ours.lla, plain.lla)[~before, :2], axis=1)
     assert (off > 0).all()
     assert off[-1] < 500.0
+
+
+@pytest.mark.parametrize(
+    ("curve", "law"),
+    [
+        ("line", lambda t: 3.0 - 2.0 * t),
+        ("parabola", lambda t: 3.0 - 2.0 * t + 0.01 * t**2),
+        ("schuler", lambda t: 3.0 - 2.0 * t + 400.0 * np.sin(1.2406e-3 * t) - 50.0 * np.cos(1.2406e-3 * t)),
+    ],
+)
+def test_46_a_curve_goes_on_as_the_law_that_it_fits(curve, law):
+    """Two minutes are known, and a minute later it is as the law says; of the pendulum to the digits kept."""
+    t = np.arange(200.0, 320.0)
+    known = np.column_stack([law(t), -2.0 * law(t)])
+    found = extrapolate(curve, t, known, 380.0)
+    assert_allclose(found, [law(380.0), -2.0 * law(380.0)], rtol=2e-3)
+
+
+def test_46_what_a_curve_says_is_taken_off_as_an_estimate_is(monkeypatch):
+    """Along the last two errors, 130 m at once, the position is within 3 m of the prediction at first."""
+    sensed = sensors.sense(weaving(60.0, rate=50.0), units(), 1, 0)
+    fixes = sensed.data.fixes
+    data = replace(sensed.data, fixes=fixes.take(fixes.t < 40.0))
+    sizes = []
+
+    def go_on(curve, t, values, now):
+        sizes.append(np.linalg.norm(values[-1][:2]))
+        return values[-1] + (values[-1] - values[-2]) * (now - t[-1]) / (t[-1] - t[-2])
+
+    monkeypatch.setattr(filter_loop, "extrapolate", go_on)
+    plain, ours = (
+        Classic22(feedback=False, covariance_hz=2.0, outage=outage).run(data, sensed.initial)
+        for outage in ("prediction", "line")
+    )
+    k = np.searchsorted(plain.t, 41.8)
+    assert sizes[0] > 100.0
+    assert 0.0 < np.linalg.norm(difference_n(ours.lla, plain.lla)[k, :2]) < 3.0
+    assert np.linalg.norm((ours.vel_n - plain.vel_n)[k]) < 1.0
+    turned = rotation.to_rotvec(rotation.multiply(ours.q_nb, rotation.conjugate(plain.q_nb)))
+    assert np.linalg.norm(turned[k]) < 0.01
 
 
 def test_46_the_curve_needs_an_open_loop():
