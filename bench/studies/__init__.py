@@ -42,6 +42,10 @@ STUDIES: Mapping[str, Entry] = {
         "bench.studies.observability",
         "What do turns tell of heading and biases, and what stays unknown?",
     ),
+    "alignment": Entry(
+        "bench.studies.alignment",
+        "What do errors of an alignment cost on a route, how do they travel, and what tells them?",
+    ),
     "mechanizations": Entry(
         "bench.studies.mechanization_costs",
         "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
