@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.config.listing import CATALOG
+from bench.config.listing import find_sheets
 from bench.config.toml_file import read_toml
 from bench.fields import triad_figures_of
 from bench.specs import TriadSpec
@@ -29,7 +29,7 @@ def tabulate_figures(kind: str) -> dict[str, list[str]]:
     the model then lacks the error; :data:`ASSUMED` marks what no source states. Of figures by axis the root
     mean square is shown. The best class comes first.
     """
-    sheets = {path.stem: read_toml(path, path.name) for path in (CATALOG / kind).glob("*.toml")}
+    sheets = {name: read_toml(path, path.name) for name, (path, _) in find_sheets(kind).items()}
     names = sorted(sheets, key=lambda name: (_rank(sheets[name]), name))
     rows = [dict(_list_figures(sheets[name])) for name in names]
     heads = sorted({head for row in rows for head in row}, key=_place)
