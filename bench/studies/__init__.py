@@ -43,7 +43,7 @@ STUDIES: Mapping[str, Entry] = {
         "What do turns tell of heading and biases, and what stays unknown?",
     ),
     "alignment": Entry(
-        "bench.studies.alignment",
+        "bench.studies.alignment_errors",
         "What do errors of an alignment cost on a route, how do they travel, and what tells them?",
     ),
     "mechanizations": Entry(

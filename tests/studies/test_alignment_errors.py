@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.errors import ConfigError
-from bench.studies import alignment
+from bench.studies import alignment_errors
 
 RADIUS = 6_371_000.0
 
@@ -31,7 +31,7 @@ def test_54_a_short_leg_is_a_triangle_and_the_allowed_error_leads_back(found):
     for km, allowed in zip(table["length_km"], table["allowed_deg"], strict=True):
         off = RADIUS * np.arcsin(np.sin(1e3 * km / RADIUS) * np.sin(np.deg2rad(allowed)))
         assert off == pytest.approx(1000.0)
-    assert alignment.find_allowed(500.0, 1000.0) is None
+    assert alignment_errors.find_allowed(500.0, 1000.0) is None
 
 
 def test_19_the_descriptions_are_one_and_only_gyro_errors_change_that_in_inertial_axes(found):
