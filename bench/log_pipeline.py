@@ -23,6 +23,7 @@ from bench.evaluation import validity
 from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.evaluation.fixes import antenna_errors, judge
+from bench.evaluation.motion_noise import assume_motion_noise
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.required_metrics import list_requirements
@@ -68,6 +69,7 @@ def read_log(
     allow_code: bool = False,
     overrides: Mapping[str, Any] | None = None,
     tune_noise: bool = False,
+    motion_noise: bool = False,
     guard: Guard = DEFAULT_GUARD,
 ) -> RecordedLog:
     """Read a recording of real sensors and check its consistency; nothing is repaired.
@@ -85,6 +87,8 @@ def read_log(
         Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
     tune_noise : bool
         Let the filters assume the noise of the IMU at rest, where it is larger than that of its datasheet.
+    motion_noise : bool
+        Let them assume its noise while it moves, where that is larger.
     guard : Guard
         What programs and classes of others may take, and whether a class gets a process of its own.
 
@@ -124,11 +128,12 @@ def read_log(
         imu, found = assume_vibration(spec.assumed.imu, records.imu)
         spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
         checks.append(found)
-    if tune_noise:
-        standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
-        imu, found = assume_rest_noise(spec.assumed.imu, records.imu, standstills)
-        spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
-        checks.append(found)
+    for asked, assume in ((tune_noise, assume_rest_noise), (motion_noise, assume_motion_noise)):
+        if asked:
+            standstills = RecordedMotion.from_records(records.imu, records.fixes).find_standstills()
+            imu, found = assume(spec.assumed.imu, records.imu, standstills)
+            spec = replace(spec, assumed=replace(spec.assumed, imu=imu))
+            checks.append(found)
     judge_by = None
     if spec.reference is not None:
         judge_by = reference.read_reference(spec.reference, records.origin, float(records.imu.t.max()))

@@ -60,6 +60,11 @@ class _LogCommand(click.Command):
     is_flag=True,
     help="assume the noise of the IMU at rest if it is larger than that of its datasheet",
 )
+@click.option(
+    "--motion-noise",
+    is_flag=True,
+    help="assume the noise of the IMU while it moves if it is larger than that of its datasheet",
+)
 @recording_option
 @report_option
 @force_option()

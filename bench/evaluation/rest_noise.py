@@ -79,19 +79,8 @@ def measure_vibration(imu: ImuData) -> tuple[FloatArray, FloatArray]:
 
 def assume_vibration(spec: ImuSpec, imu: ImuData) -> tuple[ImuSpec, Check]:
     """Return a datasheet with the larger of its noise and that of a recording, and a line that says so."""
-    words, triads, ratios = [], dict[str, TriadSpec](), list[float]()
-    for name, axes in zip(("gyro", "accel"), measure_vibration(imu), strict=True):
-        triad = getattr(spec, name).averaged()
-        noise = float(np.sqrt(np.mean(np.square(axes))))
-        shown = format_noise_figures(name, replace(triad, random_walk=noise))["white noise"]
-        ratio = noise / triad.random_walk if triad.random_walk > 0 else np.inf
-        taken = "assumed" if ratio > 1.0 else f"less than in {spec.name}, which is assumed"
-        words.append(f"{name} {shown}, {ratio:.3g} times {spec.name}: {taken}")
-        triads[name] = replace(triad, random_walk=max(noise, triad.random_walk))
-        ratios.append(ratio)
-    text = f"imu: noise from sample to sample: {'; '.join(words)}"
-    changed = replace(spec, gyro=triads["gyro"], accel=triads["accel"])
-    return changed, Check("vibration_ratio", max(ratios), text, True)
+    gyro, accel = (float(np.sqrt(np.mean(np.square(axes)))) for axes in measure_vibration(imu))
+    return assume_noise(spec, (gyro, accel), "vibration_ratio", "noise from sample to sample")
 
 
 def _sum_up(imu: ImuData, rows: IntArray) -> FloatArray:
@@ -113,16 +102,27 @@ def assume_rest_noise(
     if found is None:
         text = f"imu: at rest for less than {LEAST:g} s; the noise assumed is that of {spec.name}"
         return spec, Check("rest_noise_ratio", None, text, True)
+    return assume_noise(
+        spec, found, "rest_noise_ratio", "noise at rest", "; while it moves there may be more"
+    )
+
+
+def assume_noise(
+    spec: ImuSpec, found: tuple[float, float], name: str, what: str, more: str = ""
+) -> tuple[ImuSpec, Check]:
+    """Return a datasheet with the larger of its noise and that of gyros and accelerometers found, and a line.
+
+    The line begins with ``what`` was found and ends with ``more``; its check is called ``name``.
+    """
     words, triads, ratios = [], dict[str, TriadSpec](), list[float]()
-    for name, noise in zip(("gyro", "accel"), found, strict=True):
-        triad = getattr(spec, name).averaged()
-        shown = format_noise_figures(name, replace(triad, random_walk=noise))["white noise"]
+    for kind, noise in zip(("gyro", "accel"), found, strict=True):
+        triad = getattr(spec, kind).averaged()
+        shown = format_noise_figures(kind, replace(triad, random_walk=noise))["white noise"]
         ratio = noise / triad.random_walk if triad.random_walk > 0 else np.inf
         taken = "assumed" if ratio > 1.0 else f"less than in {spec.name}, which is assumed"
-        words.append(f"{name} {shown}, {ratio:.3g} times {spec.name}: {taken}")
-        triads[name] = replace(triad, random_walk=max(noise, triad.random_walk))
+        words.append(f"{kind} {shown}, {ratio:.3g} times {spec.name}: {taken}")
+        triads[kind] = replace(triad, random_walk=max(noise, triad.random_walk))
         ratios.append(ratio)
-    text = f"imu: noise at rest: {'; '.join(words)}; while it moves there may be more"
-    return replace(spec, gyro=triads["gyro"], accel=triads["accel"]), Check(
-        "rest_noise_ratio", max(ratios), text, True
-    )
+    text = f"imu: {what}: {'; '.join(words)}{more}"
+    told = Check(name, max(ratios), text, True)
+    return replace(spec, gyro=triads["gyro"], accel=triads["accel"]), told
