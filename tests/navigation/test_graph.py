@@ -140,3 +140,15 @@ def test_gtsam_is_imported_by_a_run_alone():
 
 
 FLIGHT, UNITS = (5.0,), units()
+
+
+def test_the_invariant_filter_names_all_that_it_takes_for_white():
+    """Biases, each other error of the unit, and what wanders in the fixes, late as they are."""
+    gnss = replace(UNITS.assumed.gnss, pos_h_markov_sd=3.0, vel_markov_sd=0.05, latency=0.1)
+    imu = replace(IMU, gyro=replace(IMU.gyro, scale_factor_sd=0.01))
+    said = load("invariant-ekf", {}).unmodelled(replace(UNITS.assumed, gnss=gnss, imu=imu))
+    assert set(said) == {
+        *("gyro bias", "accelerometer bias", "gyro scale factor", "GNSS latency"),
+        *("time-correlated GNSS position error", "time-correlated GNSS velocity error"),
+    }
+    assert load("invariant-ekf", {}).unmodelled(replace(UNITS.assumed, imu=FINE)) == ()

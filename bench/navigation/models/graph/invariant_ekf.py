@@ -20,7 +20,7 @@ from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.engine.session import Kept, Scratch
-from bench.navigation.error_state_filter.aiding_sensors import FIXES
+from bench.navigation.error_state_filter.aiding_sensors import FIXES, unmodelled
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.models.classic.process_model import bias_and_walk
@@ -60,8 +60,8 @@ class InvariantEkf:
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
-        found = [f"{name} bias" for name, one in _triads(specs.imu) if bias_and_walk(one)[0] > 0]
-        return tuple(found)
+        biases = (f"{name} bias" for name, one in _triads(specs.imu) if bias_and_walk(one)[0] > 0)
+        return (*biases, *unmodelled(specs, [FIXES], ()))
 
 
 def _triads(imu: ImuSpec) -> tuple[tuple[str, Any], ...]:
