@@ -96,6 +96,10 @@ class OdometerTable(FileTable):
     """The wheel."""
 
 
+class HeadingTable(FileTable):
+    """The receiver with two antennas that tells the heading."""
+
+
 class ReferenceTable(FileTable):
     """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
 
@@ -124,6 +128,8 @@ class LogAssumedTable(Table):
     """That of the range finder; needed if there is one."""
     odometer: str | None = None
     """That of the wheel; needed if there is one."""
+    heading: str | None = None
+    """That of the receiver with two antennas; needed if there is one."""
 
 
 class LogSensorsTable(Table):
@@ -189,6 +195,7 @@ class LogTable(Table):
     airspeed: AirspeedTable | None = None
     radar: RadarTable | None = None
     odometer: OdometerTable | None = None
+    heading: HeadingTable | None = None
     reference: ReferenceTable | None = None
     sensors: LogSensorsTable
     alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)

@@ -105,11 +105,15 @@ INSTRUMENT_ROWS: Mapping[str, Mapping[str, tuple[Group, ...]]] = {
     "airspeed": {"time": _TIMES, "airspeed": (group("speed", "airspeed_true"),), **_FLAGS},
     "radar": {"time": _TIMES, "height": (group("length", "height"),), "sd": _SD, **_FLAGS},
     "odometer": {"time": _TIMES, "speed": (group("speed", "speed"),), **_FLAGS},
+    "heading": {"time": _TIMES, "direction": (group("angle", "heading"),), **_FLAGS},
 }
 """Instrument -> kinds of columns: what it measures, forward, right, down where it has axes."""
 
 _ALONE = ("interval", "arrival", "valid", "sd", "quality", "signal", "satellites")
-_MEASURED = {"field": "field_b", "airspeed": "airspeed_true", "height": "height", "speed": "speed"}
+_MEASURED = {
+    **{"field": "field_b", "airspeed": "airspeed_true", "height": "height", "speed": "speed"},
+    "direction": "heading",
+}
 """Kind of columns -> column of the record of its instrument."""
 _SPREADS = {
     "position sd": "sd_pos",

@@ -10,8 +10,11 @@ from scipy.io import savemat
 import bench
 from bench.baselines.experiments import open_experiment
 from bench.config.log import load_log
+from bench.config.log_tables import LogAssumedTable, LogTable
 from bench.errors import ConfigError
 from bench.exchange.log_records import read_records
+from bench.exchange.rows import INSTRUMENT_ROWS
+from bench.instruments import INSTRUMENTS
 from tests.exchange import drives
 from tests.exchange.exported import INVALID, make_run
 
@@ -178,3 +181,12 @@ def test_a_structure_that_is_not_there_or_not_alone_is_said_with_those_that_are(
         path.write_text(f'file = "all.mat"\n{tables}{SHEETS}')
         with pytest.raises(ConfigError, match="file at the top is for the sensors in that file, and none"):
             load_log(str(path))
+
+
+def test_every_instrument_has_columns_and_a_table_in_a_log():
+    """An instrument that is added is one that a log may have."""
+    assert set(INSTRUMENT_ROWS) == set(INSTRUMENTS)
+    assert set(INSTRUMENTS) <= set(LogTable.model_fields) & set(LogAssumedTable.model_fields)
+    for name, row in INSTRUMENTS.items():
+        values = {group: len(columns[0]) for group, columns in INSTRUMENT_ROWS[name].items()}
+        assert row.width in values.values()

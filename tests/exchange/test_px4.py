@@ -1,0 +1,98 @@
+"""ULogs of PX4: cuts of real logs and of simulations, read as pyulog alone has them."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from pyulog import ULog
+
+from bench.cli import main
+from bench.config.log import SourceSpec, load_log
+from bench.earth import difference_n
+from bench.errors import WRONG, ConfigError
+from bench.exchange import autopilot, imports
+from bench.exchange.log_records import read_records
+from tests.exchange.test_dataflash import FLIGHTS
+
+
+def raw(name: str, message: str) -> dict[str, np.ndarray]:
+    """Columns of a message, by pyulog."""
+    (found,) = [
+        one.data for one in ULog(str(FLIGHTS / name)).data_list if one.name == message and one.multi_id == 0
+    ]
+    return found
+
+
+@pytest.mark.parametrize("name", ["sitl.ulg", "sitl-truth.ulg"])
+def test_the_imu_is_the_stream_that_covers_the_time(name):
+    """vehicle_imu is there, too, twice a second, and no IMU at all."""
+    rows, own = imports.read("ulog", FLIGHTS / name, "imu", None), raw(name, "sensor_combined")
+    assert len(rows.t) == len(own["timestamp"]) > 50 * len(raw(name, "vehicle_imu")["timestamp"])
+    for axis in range(3):
+        assert_allclose(rows.values["gyro"][:, axis], own[f"gyro_rad[{axis}]"], rtol=1e-6)
+    with pytest.raises(ConfigError, match="vehicle_imu has 2 rows a second"):
+        imports.read("ulog", FLIGHTS / name, "imu", "vehicle_imu:0")
+
+
+def test_fixes_are_as_old_as_the_parameter_says():
+    rows, own = (
+        imports.read("ulog", FLIGHTS / "sitl.ulg", "gnss", None),
+        raw("sitl.ulg", "vehicle_gps_position"),
+    )
+    assert_allclose(rows.values["arrival"], 1e-6 * own["timestamp"])
+    assert_allclose(rows.values["arrival"] - rows.t, 0.11, atol=1e-6)
+    assert any("by EKF2_GPS_DELAY" in note for note in rows.notes)
+    assert_allclose(rows.values["sd_pos"][:, 0] * 2**0.5, own["eph"], rtol=1e-6)
+
+
+def test_a_magnetometer_is_in_tesla():
+    rows = imports.read("ulog", FLIGHTS / "sitl.ulg", "mag", None)
+    assert 30e-6 < np.linalg.norm(rows.values["field_b"], axis=1).mean() < 65e-6  # of the Earth
+
+
+def test_an_imu_that_does_not_cover_the_time_is_refused_in_a_line(tmp_path, capsys):
+    shutil.copy(FLIGHTS / "decimated.ulg", tmp_path)
+    assert main(["navigate", str(tmp_path / "decimated.ulg")]) == WRONG
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "8.6 rows a second, which measured 3.8 % of the time" in said
+    assert not (tmp_path / "decimated.toml").exists()
+
+
+def test_the_estimate_of_ekf2_with_its_claims():
+    own = autopilot.read_estimate(SourceSpec(FLIGHTS / "sitl.ulg", "ulog"), None)
+    local, states = raw("sitl.ulg", "vehicle_local_position"), raw("sitl.ulg", "estimator_states")
+    t, variance = own.variances
+    known = np.isfinite(own.motion.lla).all(axis=1)
+    assert_allclose(own.motion.t, 1e-6 * local["timestamp_sample"], rtol=1e-12)
+    assert_allclose(variance[:, 0] + variance[:, 1], np.square(local["eph"]), rtol=1e-5)
+    home = np.array([np.deg2rad(local["ref_lat"][-1]), np.deg2rad(local["ref_lon"][-1]), 0.0])
+    ned = difference_n(own.motion.lla[known], np.broadcast_to(home, (known.sum(), 3)))
+    assert_allclose(ned[-5:, :2], np.column_stack([local["x"], local["y"]])[known][-5:], atol=1e-3)
+    # PX4 of 2024 has three angles first: the covariance of the heading is the third number
+    late = t > 1e-6 * states["timestamp_sample"][-1]
+    assert_allclose(variance[late, 8], states["covariances[2]"][-1], rtol=1e-6)
+    assert set(own.innovations.sensor) >= {"gnss_position", "gnss_velocity", "baro"}
+    one = raw("sitl.ulg", "estimator_innovations")["gps_hvel[0]"]
+    mine = own.innovations.z[
+        (own.innovations.code == own.innovations.sensor.index("gnss_velocity"))
+        & (own.innovations.component == 0)
+    ]
+    assert np.isin(np.float32(mine), one).all()
+
+
+def test_the_truth_of_a_simulator_judges(tmp_path, capsys):
+    shutil.copy(FLIGHTS / "sitl-truth.ulg", tmp_path)
+    path = tmp_path / "sitl-truth.ulg"
+    assert main(["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "judged by the reference, sitl-truth.ulg" in said
+    assert "heading_rmse_deg" in said  # which no fix tells
+    log = load_log(str(tmp_path / "sitl-truth.toml"))
+    records = read_records(log)
+    truth = autopilot.read_truth(log.imu)
+    at = np.interp(records.fixes.t[-1] + records.origin, truth.t, truth.lla[:, 0])
+    assert_allclose(records.fixes.lla[-1, 0], at, atol=1e-8)
