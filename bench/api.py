@@ -45,8 +45,10 @@ def run(
     sensors: Mapping[str, str] | None = None,
     overrides: Mapping[str, Any] | None = None,
     bound: bool = False,
+    causes: bool | None = None,
     guard: Guard = DEFAULT_GUARD,
     progress: Callable[[float], None] | None = None,
+    progress_causes: Callable[[str, int], None] = lambda label, runs: None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
@@ -71,10 +73,16 @@ def run(
         Dotted keys and values that replace those of the file, as for `load_profile`.
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
+    causes : bool or None
+        Run a filter whose claim is broken again without each fault and each error that it does not model, a
+        dozen times, and say which made it so: ``causes`` and ``why_text`` in its metrics. None: only built-in
+        ones, True: those of others too, False: none.
     guard : Guard
         What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
         Called with the seconds flown so far.
+    progress_causes : callable
+        Called with the label of a filter and how often it ran again.
 
     Raises
     ------
@@ -95,7 +103,14 @@ def run(
         profile = load_profile(profile, changes, seed, estimators, guard=guard)
     if not isinstance(run, int | np.integer) or run < 0:
         raise ConfigError(f"bench.run: run = {run!r} must be a whole number, at least 0")
-    return pipeline.run(profile, int(run), bound=bound, progress=progress)
+    return pipeline.run(
+        profile,
+        int(run),
+        bound=bound,
+        causes=causes,
+        progress=progress,
+        progress_causes=progress_causes,
+    )
 
 
 def fly(

@@ -6,6 +6,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import fields
+from functools import partial
 from itertools import pairwise
 from math import degrees
 from typing import Any
@@ -125,7 +126,9 @@ def run(
     *,
     truth: Trajectory | None = None,
     bound: bool = False,
+    causes: bool | None = False,
     progress: Callable[[float], None] | None = None,
+    progress_causes: Callable[[str, int], None] = lambda label, runs: None,
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
@@ -142,8 +145,13 @@ def run(
         The truth, if it has been flown already.
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
+    causes : bool or None
+        Run a filter whose claim is broken again without what may be to blame (`bench.causes`); None: only if
+        it is built in.
     progress : callable or None
         Called with the seconds flown so far.
+    progress_causes : callable
+        Called with the label of a filter and how often it ran again.
 
     Raises
     ------
@@ -166,12 +174,13 @@ def run(
     clock["navigate"] = time.process_time()
     solutions, unmodelled, used = {}, dict[str, list[str] | None](), dict[str, float]()
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
+    specs = _list_specs(profile)
     for label, one in built.items():
         unmodelled[label] = None
         begun = _read_cpu_clock()
         try:
             solution = estimator.answer(one, label, sensed.data, sensed.initial)
-            unmodelled[label] = estimator.list_unmodelled(one, label, _list_specs(profile))
+            unmodelled[label] = estimator.list_unmodelled(one, label, specs)
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
             solution = make_failed_solution(sensed.data.output_t, *describe_error(label, error))
@@ -180,9 +189,10 @@ def run(
         used[label] = getattr(one, "cpu_s", _read_cpu_clock() - begun)
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
+    from bench.causes.explaining import DrawnRun, explain_run
     from bench.evaluation.coverage import measure_coverage
     from bench.evaluation.required_metrics import list_requirements
-    from bench.evaluation.verdict import add_verdict
+    from bench.evaluation.verdict import BROKEN, add_verdict
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
     for label, solution in solutions.items():
@@ -196,15 +206,28 @@ def run(
         }
         for label, solution in solutions.items()
     }
-    metrics = {
-        label: add_verdict(
-            label,
-            values,
-            measure_coverage(solutions[label], sensed.data),
-            list_requirements(profile.document, label),
-        )
+    requirements = {label: list_requirements(profile.document, label) for label in built}
+    covered = {label: measure_coverage(solutions[label], sensed.data) for label in built}
+    verdicts = {
+        label: add_verdict(label, values, covered[label], requirements[label])
         for label, values in metrics.items()
     }
+    clock["causes"] = time.process_time()
+    for choice in profile.estimators:
+        label = choice.label
+        if verdicts[label]["verdict"] in BROKEN and _is_searched(choice, causes):
+            found = explain_run(
+                DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation_from, specs),
+                choice,
+                built[label],
+                solutions[label],
+                sensed.data,
+                partial(progress_causes, label),
+            )
+            values = {**metrics[label], **found}
+            verdicts[label] = add_verdict(label, values, covered[label], requirements[label])
+    clock["compare"] = time.process_time()
+    metrics = verdicts
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, sensed.data).items():
         metrics[label]["same_as"] = other
@@ -243,6 +266,13 @@ def run(
             "printed": collect_printed(built),
         },
     )
+
+
+def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
+    """Tell whether the causes are searched of a filter whose claim is broken; one from a file cannot run."""
+    if choice.use.startswith("file:"):
+        return False
+    return choice.use in estimator.BUILT_IN if causes is None else causes
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:

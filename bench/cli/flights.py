@@ -50,6 +50,12 @@ from bench.errors import DONE, NEGATIVE
     help="the K-th noise draw of this seed",
 )
 @click.option("--bound", is_flag=True, help="hold the errors against the best linear estimator")
+@click.option(
+    "--causes/--no-causes",
+    "causes",
+    default=None,
+    help="run a filter whose claim is broken again without what may be to blame  [default: built-in ones]",
+)
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
 @json_option("the metrics")
 @recording_option

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from bench.evaluation.case import Case
-from bench.evaluation.consistency import chi2_quantile, count_independent, mean_nis
+from bench.evaluation.consistency import chi2_quantile, count_independent, mean_band, mean_nis
 from bench.evaluation.error_series import BLOCKS
 from bench.evaluation.failures import FAILED
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
@@ -80,10 +80,12 @@ def nees_band(edge: Edge, case: Case) -> float | None:
 
 
 def _find_edge(edge: Edge, states: int, samples: float) -> float | None:
-    if not samples:
-        return None
-    tail = 0.5 * (1.0 - NEES_PROBABILITY)
-    return chi2_quantile(tail if edge == "low" else 1.0 - tail, states * samples) / samples
+    return find_nees_band(states, samples)[0 if edge == "low" else 1] if samples else None
+
+
+def find_nees_band(states: int, samples: float) -> tuple[float, float]:
+    """Return the 99.9 % band of the mean of so many independent values of NEES."""
+    return mean_band(states, samples, NEES_PROBABILITY)
 
 
 def coverage_low(block: str, case: Case) -> dict[str, float | None]:

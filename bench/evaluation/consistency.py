@@ -26,7 +26,7 @@ def chi2_quantile(probability: float, dof: float) -> float:
     return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
-def mean_band(dof: float, n: int, probability: float) -> tuple[float, float]:
+def mean_band(dof: float, n: float, probability: float) -> tuple[float, float]:
     """Return the central interval of the mean of n independent chi-square variables with dof each.
 
     Examples

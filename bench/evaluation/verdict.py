@@ -9,9 +9,15 @@ import numpy as np
 
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.drift_laws import RAYLEIGH_95
-from bench.evaluation.error_series import DIVERGED_HORIZONTAL, TITLES
+from bench.evaluation.error_series import (
+    DIVERGED_HEADING,
+    DIVERGED_HEIGHT,
+    DIVERGED_HORIZONTAL,
+    DIVERGED_TILT,
+    DIVERGED_VELOCITY,
+    TITLES,
+)
 from bench.evaluation.required_metrics import MET, MISSED, judge_run
-from bench.navigation.unmodelled_effects import explain
 from bench.wording import format_number
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
@@ -19,11 +25,12 @@ OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "
 FAILED, DIVERGED, NO_CLAIM, INCOMPLETE = "failed", "diverged", "no claim", "incomplete"
 """Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy, it answers
 only a part."""
+BROKEN = (OVERCONFIDENT, UNDERCONFIDENT, DIVERGED)
+"""Verdicts of a claim that does not hold."""
 
 UNJUDGED = "not judged"
 """Verdict where nothing can judge: no truth, no fix that it has not used, and innovations that fit."""
 
-_ALIKE = 1e-3  # relative difference of two errors that are the same one [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
 
@@ -68,7 +75,7 @@ def add_verdict(
     label : str
         Of the estimator.
     values : dict
-        Its metrics, with ``unmodelled`` if it names the errors that it does not model.
+        Its metrics, with ``why_text`` if it is known why its claim is broken.
     coverage : Coverage or None
         How much of what was asked for it answers. If that is not enough, it has not converged: a filter that
         is silent where it errs must not look better than one that answers.
@@ -115,9 +122,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
         return FAILED, f"{label} {reason}"
     error = _describe_error(values)
     if not values["converged"]:
-        return DIVERGED, f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(
-            " ."
-        ) + "."
+        text = f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(" .")
+        return DIVERGED, f"{text}.{_tell_why(values)}"
     if values.get("used_every_fix"):
         return _judge_by_innovations(label, values)
     mean, states = values.get("nees_mean"), values.get("nees_states")
@@ -143,7 +149,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
             return OVERCONFIDENT, f"{label} is overconfident: {error} ({figures}).{_explain(values)}"
         return OVERCONFIDENT, f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
     if mean < low:
-        return UNDERCONFIDENT, f"{label} is underconfident, its covariance is too large: {error} ({figures})."
+        text = f"{label} is underconfident, its covariance is too large: {error} ({figures})."
+        return UNDERCONFIDENT, text + _tell_why(values)
     wrong = _find_wrong_innovations(values)
     loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
     if wrong and "withheld_fixes" in values:  # no truth: its own innovations are the best witness
@@ -156,9 +163,8 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
             f"{label} is underconfident by its innovations, NIS of {named}: {why}; {error}.",
         )
     word = "consistent with its covariance as far as one run can tell"
-    largest = values.get("pos_max_h_m") or 0.0
-    if largest > DIVERGED_HORIZONTAL:  # that it is right does not make it of use
-        word = f"honest, and up to {format_distance(largest)} off: {word}"
+    if far := find_far_off(values):  # that it is right does not make it of use
+        word = f"honest, and {far}: {word}"
     text = f"{label} is {word}: {error} ({figures})."
     if wrong:
         text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."
@@ -201,25 +207,35 @@ def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> tuple[str, s
     return UNJUDGED, f"{label} is not judged: {used}; {fit}."
 
 
-def _explain(values: Mapping[str, Any]) -> str:
-    """Return why an estimator is overconfident, as far as it is known.
+def find_far_off(values: Mapping[str, Any]) -> str:
+    """Return how far off a solution is that is of no use even if its claim is honest; empty if it is near.
 
-    A fault comes first in which the horizontal error of the run was the largest, then what the model leaves
-    out of the block with the largest error over its sigma.
+    The limits are those of `check_convergence`.
     """
-    worst_m = {
-        name.split("_")[1]: values[name]
-        for name in values
-        if name.startswith("fault_") and name.endswith("_max_h_m") and values[name] is not None
-    }
-    largest = max(worst_m, key=lambda number: worst_m[number], default=None)
-    if largest is not None and worst_m[largest] >= (1.0 - _ALIKE) * values.get("pos_max_h_m", np.inf):
-        return f" Why: its largest error, {format_distance(worst_m[largest])}, came in fault {largest}."
+    for name, limit, unit, what in (
+        ("pos_max_h_m", DIVERGED_HORIZONTAL, "", "off"),
+        ("pos_max_v_m", DIVERGED_HEIGHT, "", "off in height"),
+        ("vel_max_mps", DIVERGED_VELOCITY, "m/s", "off in velocity"),
+        ("tilt_rmse_deg", DIVERGED_TILT, "deg", "off in tilt"),
+        ("heading_max_deg", DIVERGED_HEADING, "deg", "off in heading"),
+    ):
+        value = values.get(name)
+        if value is not None and value > limit:
+            return f"up to {f'{value:.3g} {unit}' if unit else format_distance(value)} {what}"
+    return ""
+
+
+def _tell_why(values: Mapping[str, Any]) -> str:
+    """Return what was found out about a broken claim, after a space."""
+    return f" {values['why_text']}" if values.get("why_text") else ""
+
+
+def _explain(values: Mapping[str, Any]) -> str:
+    """Return why errors are larger than claimed, if that is known; else the block with the largest error."""
+    if why := _tell_why(values):
+        return why
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in TITLES}
     known = {block: ratio for block, ratio in ratios.items() if ratio is not None}
-    for block in sorted(known, key=lambda block: known[block], reverse=True):
-        if known[block] > 1.0 and (why := explain(list(values.get("unmodelled") or ()), block)):
-            return f" Why: {why}."
     worst = max(known, key=lambda block: known[block], default=None)
     if worst is None:
         return ""

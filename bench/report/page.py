@@ -36,7 +36,7 @@ _MARKS = {
     "undecided": ("none", "?"),
 }
 """Verdict -> class of its card, and a sign for those who do not see colours; all others are bad."""
-_BAD = ("bad", "✗")
+_BAD, _FAR = ("bad", "✗"), ("wide", "△")
 _INTRODUCTIONS = {
     "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
     "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
@@ -123,7 +123,8 @@ def make_page(name: str, result: RunResult) -> str:
 
 def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
     word = str(values.get("verdict", ""))
-    kind, mark = mark_of(word)
+    far = word == verdict.CONSISTENT and verdict.find_far_off(values)
+    kind, mark = _FAR if far else mark_of(word)
     remarks = [
         f"{begun:g} to {end:g} s: {text}"
         for what in ("alignment", "restart", "reset", "ended")

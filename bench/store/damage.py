@@ -60,6 +60,18 @@ def read_summary(folder: Path) -> dict[str, Any]:
     return summary
 
 
+_KINDS = {
+    "reason": str,
+    "unmodelled": list,
+    "same_as": str,
+    "program": dict,
+    "causes": list,
+    "looks_like": list,
+    "why_text": str,
+}
+"""Metric that is no number -> its type."""
+
+
 def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the entries of ``result.json`` that are of another type, and what they must be."""
     from bench.evaluation.metrics import find_metric  # not before there is one to check
@@ -84,7 +96,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
             number = value is None or isinstance(value, int | float)
             if find_metric(name) is not None and not number:
                 yield f"metrics.{label}.{name}", "a number"
-        for name, kind in (("reason", str), ("unmodelled", list), ("same_as", str), ("program", dict)):
+        for name, kind in _KINDS.items():
             if values.get(name) is not None and not isinstance(values[name], kind):
                 yield f"metrics.{label}.{name}", f"of type {kind.__name__}"
         if not isinstance(values.get("converged"), bool):

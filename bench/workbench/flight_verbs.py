@@ -33,12 +33,13 @@ def run(
     report: bool,
     force: bool,
     bound: bool = False,
+    causes: bool | None = None,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, write the results folder, and print the metrics.
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
-    ``bound`` holds the errors against the best linear estimator. ``profile_options`` are those of
+    ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
     `bench.config.load_profile`.
     """
     find_own_estimators()
@@ -46,8 +47,15 @@ def run(
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
-    with _show_progress(profile) as progress:
-        result = api.run(profile, run=draw, bound=bound, progress=progress)
+    with _show_progress(profile) as (progress, progress_causes):
+        result = api.run(
+            profile,
+            run=draw,
+            bound=bound,
+            causes=causes,
+            progress=progress,
+            progress_causes=progress_causes,
+        )
     store.leave_out_pandas()
     result_table.print_result(console, profile, result)
     result_table.print_bound(console, result.metrics)
@@ -78,7 +86,7 @@ def find_own_estimators() -> None:
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
     """Fly the truth of one profile into the cache, and print its legs and extremes; no estimator is run."""
     profile = config.load_profile(name, allow_code=True, **profile_options)
-    with _show_progress(profile) as progress:
+    with _show_progress(profile) as (progress, _):
         summary = api.describe_flight(profile, progress)
     show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
@@ -94,11 +102,16 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 
 
 @contextlib.contextmanager
-def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
-    """Provide a function that shows the seconds flown so far; nothing is shown before its first call."""
+def _show_progress(
+    profile: Profile,
+) -> Iterator[tuple[Callable[[float], None], Callable[[str, int], None]]]:
+    """Provide functions that show the seconds flown so far, and which filter runs again for its causes.
+
+    Nothing is shown before the first call.
+    """
     screen = PlainConsole(stderr=True)
     if not screen.is_interactive:
-        yield lambda t: None
+        yield lambda t: None, lambda label, runs: None
         return
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -111,9 +124,16 @@ def _show_progress(profile: Profile) -> Iterator[Callable[[float], None]]:
         bar = Progress(*columns, TimeElapsedColumn(), console=screen, transient=True)
         task = bar.add_task(f"flying {profile.name}", total=duration, flown="")
 
-        def show_time(t: float) -> None:
+        def start() -> None:
             if not bar.live.is_started:
                 stack.enter_context(bar)
+
+        def show_time(t: float) -> None:
+            start()
             bar.update(task, completed=t, flown=f"{t:.0f}{of} s")
 
-        yield show_time
+        def show_runs(label: str, runs: int) -> None:
+            start()
+            bar.update(task, description=f"why {label} is wrong", total=None, flown=f"run {runs}")
+
+        yield show_time, show_runs

@@ -49,7 +49,8 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     """
     for values in measured.values():
         if text := values.get("verdict_text"):
-            console.print(text, style=_STYLES.get(values["verdict"]))
+            far = values["verdict"] == verdict.CONSISTENT and verdict.find_far_off(values)
+            console.print(text, style="yellow" if far else _STYLES.get(values["verdict"]))
     names = list_key_figures(measured)
     for table in _divide(console, measured, names):
         console.print(table)
@@ -98,6 +99,8 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
             stderr = values["program"]["stderr"]
             last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""
             console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
+        if runs := values.get("causes_runs"):
+            remarks.setdefault(f"ran {runs} times more to find out why", []).append(label)
         if values.get("same_as"):
             remarks.setdefault(f"the same as {values['same_as']} with these sensors", []).append(label)
         if values.get("unmodelled"):

@@ -10,7 +10,6 @@ from rich.console import Console
 
 from bench.data import NavSolution
 from bench.evaluation.verdict import add_verdict, find_bounds, is_outside
-from bench.navigation import unmodelled_effects
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
 from bench.run_result import RunResult
 from bench.workbench import result_table
@@ -42,9 +41,8 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
     assert found["verdict"] == "overconfident"
     assert found["verdict_text"] == (
         "loose-15 is overconfident: horizontal error 13.7 m where it claims 0.7 m (NEES 1031, 9 expected, "
-        "1 to 29 possible in this run; east position inside 3 sigma 5 % of the time). Why: the GNSS error "
-        "wanders over minutes and R holds it as white (time-correlated GNSS position error not modelled); "
-        "loose-22 has states for it."
+        "1 to 29 possible in this run; east position inside 3 sigma 5 % of the time). Worst is the position, "
+        "in 3D: 20 sigma, root mean square."
     )
     assert found["outside"] == ["nees_mean", "coverage_3sigma_pos_e"]
 
@@ -95,15 +93,16 @@ def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
         ({"nees_mean": 0.1, "coverage_3sigma_pos_e": 1.0}, "underconfident", "covariance is too large"),
         ({"nees_mean": 9.0}, "overconfident", "NEES 9, 9 expected"),  # by its coverage
         ({"unmodelled": []}, "overconfident", "Worst is the position, in 3D: 20 sigma, root mean square."),
+        ({"why_text": "Why: the moon."}, "overconfident", "of the time). Why: the moon."),
         (
-            {"fault_1_max_h_m": 3.0, "fault_4_max_h_m": 50.5, "pos_max_h_m": 50.5},
-            "overconfident",
-            "Why: its largest error, 50.5 m, came in fault 4.",
+            {"nees_mean": 0.1, "coverage_3sigma_pos_e": 1.0, "coverage_3sigma_pos_n": 1.0, "why_text": "A."},
+            "underconfident",
+            "run). A.",
         ),
         (
-            {"fault_4_max_h_m": 1e4, "pos_max_h_m": 1e4},
-            "overconfident",
-            "Why: its largest error, 10 km, came in fault 4.",
+            {"converged": False, "reason": "lost", "why_text": "A."},
+            "diverged",
+            "lost. Horizontal error 13.7 m where it claims 0.7 m. A.",
         ),
         (
             {"unmodelled": [], "error_over_sigma_pos": 1234.0, "nees_mean": 4e4, "nees_high": 2345.0},
@@ -111,11 +110,6 @@ def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
             "Worst is the position, in 3D: 1230 sigma, root mean square.",
         ),
         ({"nees_mean": 4e4, "nees_high": 2345.0}, "overconfident", "1 to 2340 possible in this run"),
-        (
-            {"fault_4_max_h_m": 50.5, "pos_max_h_m": 80.0},
-            "overconfident",
-            "Why: the GNSS error wanders",
-        ),
         ({"nees_mean": None}, "no claim", "claims no accuracy"),
         ({"converged": False, "failed": True, "reason": "failed: boom"}, "failed", "loose-15 failed: boom"),
         (
@@ -154,12 +148,26 @@ def test_bounds_stand_beside_nees_nis_and_coverage():
     assert is_outside("nis_mean_baro", values)
 
 
-def test_every_remedy_is_an_estimator_whose_states_take_the_error():
-    assert unmodelled_effects.find_remedy(GNSS_MARKOV.takes[0]) == "loose-22 has states for it"
-    assert unmodelled_effects.find_remedy("gyro scale factor") == "loose-mems has states for it"
-    assert unmodelled_effects.find_remedy("barometer quantization") == "loose-full has states for it"
-    assert unmodelled_effects.find_remedy("vibration").startswith("no built-in")
-    assert unmodelled_effects.explain(["barometer quantization"], "pos") == ""
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        (
+            {"pos_max_h_m": 12048.0},
+            "loose-15 is honest, and up to 12 km off: consistent with its covariance",
+        ),
+        ({"pos_max_v_m": 301.0}, "is honest, and up to 301 m off in height"),
+        ({"vel_max_mps": 20.0}, "is honest, and up to 20 m/s off in velocity"),
+        ({"tilt_rmse_deg": 31.0}, "is honest, and up to 31 deg off in tilt"),
+        ({"heading_max_deg": 92.0}, "is honest, and up to 92 deg off in heading"),
+        ({"pos_max_h_m": 999.0, "heading_max_deg": 59.0}, "is consistent with its covariance"),
+    ],
+)
+def test_honest_and_useless_is_said(changes, part):
+    """A claim that is wide enough holds; what it claims is of no use beyond the limits of a divergence."""
+    sound = {"nees_mean": 9.0, "coverage_3sigma_pos_e": 1.0, "coverage_3sigma_pos_n": 1.0}
+    found = verdict(**sound, **changes)
+    assert found["verdict"] == "consistent"
+    assert part in found["verdict_text"]
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 9])

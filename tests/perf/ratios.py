@@ -342,7 +342,10 @@ def reporting(profile: Profile) -> list[Figure]:
 def commands() -> list[Figure]:
     """Whole commands, with pandas and without."""
     verbs = {
-        "run figure-eight --force -o again": ("bench run figure-eight, cached and warm", 2.5),
+        "run figure-eight --no-causes --force -o again": (
+            "bench run figure-eight --no-causes, cached and warm",
+            2.5,
+        ),
         "fly figure-eight": ("bench fly figure-eight, cached and warm", 0.8),
         "list": ("bench list", 0.4),
         "--help": ("bench --help", 0.5),
