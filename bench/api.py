@@ -76,7 +76,8 @@ def run(
     causes : bool or None
         Run a filter whose claim is broken again without each fault and each error that it does not model, a
         dozen times, and say which made it so: ``causes`` and ``why_text`` in its metrics. None: only built-in
-        ones, True: those of others too, False: none.
+        ones, True: those of others too. Before, solutions of others are tested for conventions that are
+        mistaken (``looks_like``). False: neither.
     guard : Guard
         What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None

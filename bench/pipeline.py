@@ -146,8 +146,9 @@ def run(
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     causes : bool or None
-        Run a filter whose claim is broken again without what may be to blame (`bench.causes`); None: only if
-        it is built in.
+        Find out why a claim is broken: by the conventions that it may be given in (filters of others), and by
+        running the filter again without what may be to blame (`bench.causes`). None: again only if it is
+        built in; False: neither.
     progress : callable or None
         Called with the seconds flown so far.
     progress_causes : callable
@@ -190,6 +191,7 @@ def run(
     check_starts(raised, len(built))
     clock["judge"] = time.process_time()
     from bench.causes.explaining import DrawnRun, explain_run
+    from bench.evaluation.convention_search import find_mistakes
     from bench.evaluation.coverage import measure_coverage
     from bench.evaluation.required_metrics import list_requirements
     from bench.evaluation.verdict import BROKEN, add_verdict
@@ -213,9 +215,15 @@ def run(
         for label, values in metrics.items()
     }
     clock["causes"] = time.process_time()
-    for choice in profile.estimators:
-        label = choice.label
-        if verdicts[label]["verdict"] in BROKEN and _is_searched(choice, causes):
+    for choice in profile.estimators if causes is not False else ():
+        label, values = choice.label, metrics[choice.label]
+        if verdicts[label]["verdict"] not in BROKEN:
+            continue
+        found = dict[str, Any]()
+        if choice.use not in estimator.BUILT_IN:
+            antenna_b, begin = sensed.data.antenna_b, profile.evaluation_from
+            found = find_mistakes(truth, solutions[label], antenna_b, begin)
+        if not found and _is_searched(choice, causes):
             found = explain_run(
                 DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation_from, specs),
                 choice,
@@ -224,7 +232,8 @@ def run(
                 sensed.data,
                 partial(progress_causes, label),
             )
-            values = {**metrics[label], **found}
+        if found:
+            values = {**values, **found}
             verdicts[label] = add_verdict(label, values, covered[label], requirements[label])
     clock["compare"] = time.process_time()
     metrics = verdicts
@@ -269,7 +278,7 @@ def run(
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
-    """Tell whether the causes are searched of a filter whose claim is broken; one from a file cannot run."""
+    """Tell whether a filter runs again to find out why its claim is broken; one from a file cannot."""
     if choice.use.startswith("file:"):
         return False
     return choice.use in estimator.BUILT_IN if causes is None else causes

@@ -14,13 +14,14 @@ import numpy as np
 from bench import store
 from bench.config import fault_tables
 from bench.config.checks import LABEL
-from bench.data import ErrorSeries, NavSolution
+from bench.data import ErrorSeries, NavSolution, Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import metrics
+from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.fixes import judge as judge_by_fixes
 from bench.evaluation.required_metrics import list_requirements
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.verdict import BROKEN, add_verdict
 from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.run_result import RunResult
@@ -79,7 +80,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         drawn=sensed.truth if sensed else None,
         data=run.sensors,
     )
-    return _make_score(label, solution, errors, measured, run, len(foreign))
+    return _make_score(label, solution, errors, measured, run, len(foreign), truth)
 
 
 def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: float | None) -> Score:
@@ -108,10 +109,17 @@ def _make_score(
     measured: dict[str, Any],
     run: RunResult,
     rows: int,
+    truth: Trajectory | None = None,
 ) -> Score:
+    """Return the verdict of a solution; with a truth also for which convention it may be mistaken."""
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
     required = list_requirements(run.profile, label)
-    judged = add_verdict(label, measured, measure_coverage(solution, run.sensors), required)
+    covered = measure_coverage(solution, run.sensors)
+    judged = add_verdict(label, measured, covered, required)
+    if truth is not None and judged["verdict"] in BROKEN:
+        antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
+        found = find_mistakes(truth, solution, antenna_b, run.profile["evaluation"]["from_s"])
+        judged = add_verdict(label, {**measured, **found}, covered, required)
     return Score(label, solution, errors, judged, run, coverage, rows)

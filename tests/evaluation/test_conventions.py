@@ -1,0 +1,196 @@
+"""Correct solutions given in another convention: each is named, and nothing is said of honest ones."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bench
+from bench import pipeline
+from bench.evaluation.convention_search import find_mistakes
+from bench.evaluation.known_conventions import Answers, compare, list_conventions, move
+from bench.evaluation.verdict import BROKEN, add_verdict
+from tests.evaluation import mistaken
+
+STRAIGHT = {**mistaken.MATCHED, "leg": [{"kind": "straight", "duration_s": 150.0}]}
+
+
+def conventions(found) -> list[str]:
+    return [row["convention"] for row in found.get("looks_like", ())]
+
+
+@pytest.mark.parametrize("mistake", mistaken.MISTAKES)
+def test_each_mistake_is_named_alone(mistake):
+    found = mistaken.ask(mistake, 0)
+    assert conventions(found) == [mistaken.MISTAKES[mistake][1]]
+    (row,) = found["looks_like"]
+    assert row["nees"] > 10 * row["nees_without"]
+    assert found["why_text"].startswith("Looks like ")
+
+
+def test_the_constants_are_those_that_were_put_there():
+    def constants(mistake):
+        return np.array(mistaken.ask(mistake, 0)["looks_like"][0]["constants"])
+
+    assert constants("0.1 s late") == pytest.approx([mistaken.LATE], abs=0.005)
+    assert constants("lever arm of 1 m") == pytest.approx(mistaken.ARM, abs=0.1)
+    assert constants("heights over the geoid") == pytest.approx([mistaken.GEOID], abs=1.0)
+    assert constants("turned by 2 deg") == pytest.approx(mistaken.TURN, abs=np.deg2rad(0.1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_each_mistake_is_named_in_other_draws(run):
+    wrong = {
+        mistake: conventions(mistaken.ask(mistake, run))
+        for mistake, (_, right) in mistaken.MISTAKES.items()
+        if conventions(mistaken.ask(mistake, run)) != [right]
+    }
+    assert wrong == {}
+
+
+def test_nothing_is_said_of_honest_solutions():
+    assert [conventions(mistaken.ask("", 1000 + run)) for run in range(4)] == [[]] * 4
+
+
+@pytest.mark.slow
+def test_nothing_is_said_of_200_honest_solutions():
+    assert sum("looks_like" in mistaken.ask("", 1000 + run) for run in range(200)) == 0
+
+
+def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
+    """Its claims are broken by a wandering error, by a spoof, by a drift: no constant undoes them."""
+    for name, use in (
+        ("figure-eight", "loose-15"),
+        ("gnss-faults", "loose-15"),
+        ("figure-eight", "gnss-only"),
+    ):
+        profile = bench.load_profile(name, estimators=[use])
+        truth = pipeline.fly(profile)
+        sensed = pipeline.sense(profile, truth, 1)
+        solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
+        verdict = add_verdict(use, pipeline.judge(profile, truth, solution, sensed.truth)[1])["verdict"]
+        assert verdict in BROKEN
+        begin = profile.evaluation_from
+        assert find_mistakes(truth, solution, sensed.data.antenna_b, begin) == {}
+
+
+def test_what_a_straight_flight_does_not_tell_is_named_together(monkeypatch):
+    profile = bench.load_profile("s-turns", STRAIGHT, estimators=["loose-15"])
+    truth = pipeline.fly(profile)
+    monkeypatch.setattr(mistaken, "fly", lambda name: (profile, truth))
+    late = mistaken.ask("0.1 s late", 0, "straight")
+    assert conventions(late) == ["time offset", "lever arm", "offset"]
+    time, arm, offset = (row["constants"] for row in late["looks_like"])
+    speed = np.linalg.norm(truth.vel_n[-1])
+    assert time[0] * speed == pytest.approx(-arm[0], abs=0.1)
+    assert np.linalg.norm(offset) == pytest.approx(-arm[0], abs=0.1)
+    assert "(this flight does not tell which)" in late["why_text"]
+    turned = conventions(mistaken.ask("turned by 2 deg", 0, "straight"))
+    assert turned == ["rotation of the body", "rotation of the level"]
+
+
+def test_two_mistakes_are_named_one_after_the_other():
+    solution, sensed = mistaken.give("conjugate", 0)
+    profile, truth = mistaken.fly()
+    both = mistaken.MISTAKES["velocities ENU"][0](solution, sensed.data)
+    found = find_mistakes(truth, both, sensed.data.antenna_b, profile.evaluation_from)
+    assert sorted(conventions(found)) == [
+        "an attitude from level to body, the conjugate quaternion",
+        "velocities east, north, up",
+    ]
+    assert {row["step"] for row in found["looks_like"]} == {1, 2}
+
+
+def test_the_place_of_the_antenna_is_recognized():
+    (arm,) = (one for one in list_conventions(mistaken.ARM) if one.name == "lever arm")
+    assert "the motion of the antenna" in arm.words(1.1 * mistaken.ARM)
+    assert "the motion of a point" in arm.words(mistaken.ARM + 1.0)
+
+
+# --- each convention by itself ----------------------------------------------------------------------------
+
+
+def answers(run: int = 0) -> tuple[Answers, object]:
+    solution, _ = mistaken.give("", run)
+    rows = slice(800, 2800, 20)
+    _, truth = mistaken.fly()
+    return (
+        Answers(
+            solution.t[rows],
+            solution.lla[rows],
+            solution.vel_n[rows],
+            solution.q_nb[rows],
+            solution.cov[rows],
+        ),
+        truth,
+    )
+
+
+@pytest.mark.parametrize(
+    "name", ["time offset", "lever arm", "height", "offset", "rotation of the body", "rotation of the level"]
+)
+def test_the_derivative_of_a_constant_is_that_of_what_it_undoes(name):
+    """By central differences: to undo a constant changes the errors by minus the derivative."""
+    own, truth = answers()
+    (one,) = (one for one in list_conventions(np.ones(3)) if one.name == name)
+    expected = one.derivative(move(truth, own))
+    for k in range(one.constants):
+        c = np.zeros(one.constants)
+        c[k] = 1e-3
+        sides = []
+        for step in (-c, c):
+            undone = one.undo(own, move(truth, own), step)
+            sides.append(compare(undone, move(truth, undone)))
+        measured = (sides[0] - sides[1]) / 2e-3
+        scale = np.abs(expected[:, :, k]).max()
+        assert measured == pytest.approx(expected[:, :, k], abs=0.02 * scale + 1e-4)
+
+
+def test_every_convention_is_tried_once():
+    names = [one.name for one in list_conventions(np.zeros(3))]
+    assert len(names) == len(set(names)) > 25
+
+
+# --- where it is said -------------------------------------------------------------------------------------
+
+
+class Late:
+    """A filter of somebody whose clock is 0.1 s off."""
+
+    def run(self, data, initial):
+        late = np.maximum(data.output_t - mistaken.LATE, data.output_t[0])
+        late[1:] = np.maximum(late[1:], data.output_t[0] + 1e-3 * np.arange(1, len(late)))
+        asked = replace(data, output_t=late)
+        solution = bench.navigation.estimator.load("loose-15", {}).run(asked, initial)
+        return replace(solution, t=data.output_t)
+
+
+def test_a_run_says_it_of_a_filter_of_others_and_not_of_a_built_in_one():
+    use = "tests.evaluation.test_conventions:Late"
+    profile = bench.load_profile("s-turns", mistaken.MATCHED, estimators=[use, "loose-15"], allow_code=True)
+    own, built_in = bench.run(profile).metrics.values()
+    assert conventions(own) == ["time offset"]
+    assert "Looks like answers that are 0.1" in own["verdict_text"]
+    assert "looks_like" not in built_in
+
+
+def test_score_says_it_of_a_solution_in_a_file(tmp_path):
+    profile = bench.load_profile("s-turns", mistaken.MATCHED, estimators=["loose-15"])
+    bench.save(bench.run(profile), tmp_path / "run", recording=False, report=False)
+    solution, _ = mistaken.give("velocities ENU", 0)
+    lat, lon, alt = solution.lla.T
+    sd = np.sqrt(np.einsum("kii->ki", solution.cov))
+    names = "t_s,lat_rad,lon_rad,alt_m,vel_n_mps,vel_e_mps,vel_d_mps,q_nb_w,q_nb_x,q_nb_y,q_nb_z"
+    names += "".join(
+        f",sd_{block}_{axis}_{unit}"
+        for block, unit in (("pos", "m"), ("vel", "mps"), ("phi", "rad"))
+        for axis in "ned"
+    )
+    table = np.column_stack([solution.t, lat, lon, alt, solution.vel_n, solution.q_nb, sd])
+    np.savetxt(tmp_path / "theirs.csv", table, delimiter=",", header=names, comments="", fmt="%.17g")
+    score = bench.score_solution(tmp_path / "theirs.csv", tmp_path / "run")
+    assert conventions(score.metrics) == ["velocities east, north, up"]
+    assert "Looks like velocities east, north, up" in score.metrics["verdict_text"]
