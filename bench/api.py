@@ -48,7 +48,6 @@ def run(
     causes: bool | None = None,
     guard: Guard = DEFAULT_GUARD,
     progress: Callable[[float], None] | None = None,
-    progress_causes: Callable[[str, int], None] = lambda label, runs: None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
@@ -82,8 +81,6 @@ def run(
         What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
         Called with the seconds flown so far.
-    progress_causes : callable
-        Called with the label of a filter and how often it ran again.
 
     Raises
     ------
@@ -104,14 +101,7 @@ def run(
         profile = load_profile(profile, changes, seed, estimators, guard=guard)
     if not isinstance(run, int | np.integer) or run < 0:
         raise ConfigError(f"bench.run: run = {run!r} must be a whole number, at least 0")
-    return pipeline.run(
-        profile,
-        int(run),
-        bound=bound,
-        causes=causes,
-        progress=progress,
-        progress_causes=progress_causes,
-    )
+    return pipeline.run(profile, int(run), bound=bound, causes=causes, progress=progress)
 
 
 def fly(

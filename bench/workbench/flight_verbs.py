@@ -12,7 +12,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import api, config, store
+from bench import api, config, pipeline, store
 from bench.run_result import RunResult
 from bench.saving import save
 from bench.specs import Profile
@@ -48,9 +48,9 @@ def run(
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
     with _show_progress(profile) as (progress, progress_causes):
-        result = api.run(
+        result = pipeline.run(
             profile,
-            run=draw,
+            draw,
             bound=bound,
             causes=causes,
             progress=progress,

@@ -201,7 +201,8 @@ def test_commands_within_sentences_exist(page):
         assert known is not None or verb in ("TOPIC", "VERB", "--help"), f"{page}: {span}"
         if isinstance(known, click.Group) and rest and not rest[0].startswith("-") and rest[0] != "NAME":
             known = known.get_command(click.Context(known), rest[0])
-        options = {name for param in known.params for name in param.opts} | {"--help"} if known else set()
+        params = known.params if known else ()
+        options = {name for param in params for name in (*param.opts, *param.secondary_opts)} | {"--help"}
         assert {word for word in rest if word.startswith("-")} <= options, f"{page}: {span}"
     for span in re.findall(r"`make (\w+)`", text):
         assert f"\n{span}:" in (ROOT / "Makefile").read_text(), f"{page}: make {span}"
