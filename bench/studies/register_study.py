@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from bench.studies.register_proofs import find_root, group_tests, run_tests
 from bench.studies.register_rows import ROWS
 from bench.studies.study import Findings, StudyOptions, StudyTable, Work
 
@@ -23,11 +24,16 @@ class Options(StudyOptions):
 
     row: Annotated[int, Field(ge=0, le=len(ROWS))] = 0
     """a row alone; 0 for all"""
+    prove: bool = False
+    """run the tests of the rows that are not computed, too; in the repository"""
 
 
 def run(options: Options, work: Work) -> Findings:
-    """Compute the rows that take seconds and name the tests of the others."""
+    """Compute the rows that take seconds, and name the tests of the others or run them."""
     rows = [row for row in ROWS if options.row in (0, row.number)]
+    tests = [row.test for row in rows if row.measure is None and row.test] if options.prove else []
+    groups = group_tests(find_root(), tests) if tests else []
+    proofs = {name: proof for found in work.map("tests", run_tests, groups) for name, proof in found.items()}
     parts: dict[str, dict[str, list[Any]]] = {}
     failed, opened = [], []
     states = Counter[str]()
@@ -37,6 +43,10 @@ def run(options: Options, work: Work) -> Findings:
         if row.measure is not None:
             found = row.measure()
             ours, holds = found.ours, "yes" if found.holds else "no"
+        elif row.test in proofs:
+            proof = proofs[row.test]
+            ours = f"{proof.cases - proof.failed} of {proof.cases} cases of its test, {proof.seconds:.0f} s"
+            holds = "yes" if proof.holds else "no"
         states[holds] += 1
         if holds == "no":
             failed.append(f"#{row.number} {row.what}: {row.required}, found {ours}")
@@ -55,8 +65,9 @@ def run(options: Options, work: Work) -> Findings:
         columns = parts.setdefault(next(name for last, name, _ in _PARTS if row.number <= last), {})
         for key, value in told.items():
             columns.setdefault(key, []).append(value)
+    how = "proven" if options.prove else "computed"
     verdicts = [
-        f"Of {len(rows)} rows, {states['yes']} computed here and holding, {states['test']} held by a test, "
+        f"Of {len(rows)} rows, {states['yes']} {how} here and holding, {states['test']} held by a test, "
         f"{states['no']} not holding, {states['open']} open."
     ]
     verdicts += [f"Does not hold: {text}." for text in failed]
