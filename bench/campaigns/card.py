@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
 
 from bench import pipeline, store
+from bench.campaigns.card_bound import bound_errors_of
+from bench.campaigns.card_causality import judge_causality
 from bench.campaigns.card_lines import (
     COUNT,
+    IMPOSSIBLE,
+    SHARE,
     Line,
     Rows,
     judge_flight,
@@ -21,25 +26,35 @@ from bench.campaigns.card_lines import (
     measure_speed,
     write_figure,
 )
-from bench.campaigns.card_suite import FULL, LATE, QUICK, VERSION, Suite, hash_suite
+from bench.campaigns.card_requirements import judge_requirements, read_requirements
+from bench.campaigns.card_suite import FULL, QUICK, VERSION, Suite, hash_suite
 from bench.campaigns.plan import Plan, hash_estimator, plan_campaign
 from bench.campaigns.running import Progress, run_campaign
+from bench.config.profile import make_choice
 from bench.config.tables import ROWS, Table, check_table
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
-from bench.exchange.solution_folder import write_sensors
+from bench.errors import ConfigError
+from bench.evaluation.required_metrics import MET, Finding
+from bench.exchange.solution_folder import share_equal_files, write_sensors
 from bench.files import read_json
-from bench.navigation.causality import measure_look_ahead
 from bench.specs import DEFAULT_GUARD, Guard
 from bench.wording import one_line
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
 
-_INSTANTS = 5  # at which the future is changed
 _SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
 
 YARDSTICK = "free-inertial"
 """The estimator whose CPU time is the unit of speed: the bare integration of the same IMU samples."""
+
+
+class LostDraw(Table):
+    """A draw that did not converge."""
+
+    flight: str
+    draw: int
+    reason: str
+    command: str  # that repeats it
 
 
 class Card(Table):
@@ -55,8 +70,11 @@ class Card(Table):
     speed: Line | None  # measured anew each time
     use: str = ""  # what was run, as -e takes it
     seed: int | None = None  # of all draws; None: those of the profiles
+    options: dict[str, Any] = Field(default_factory=dict)  # of the estimator
     program: str = ""  # hash of the source, or of the program, and of its options
+    answers: str = ""  # hash of all that it answered, every bit
     commands: dict[str, str] = Field(default_factory=dict)  # by flight: what repeats its first draw
+    lost: Annotated[tuple[LostDraw, ...], ROWS] = ()  # draws that did not converge
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -69,25 +87,61 @@ class Card(Table):
         by_topic: dict[str, list[Line]] = {}
         for line in self.lines:
             by_topic.setdefault(line.topic, []).append(line)
+        shares = [line.value for line in by_topic.get("coverage", ()) if line.figure == SHARE]
+        least = min((value for value in shares if value is not None), default=None)
+        parts = []
+        if least is not None:
+            share = "all" if least == 1.0 else f"at least {100.0 * least:.4g} % of the"
+            parts.append(f"answers {share} instants")
         counts = [line for line in by_topic["convergence"] if line.word == COUNT]
         good = [value for line in counts for value in line.by_draw if value is not None]
-        parts = [f"{self.estimator} converged in {sum(good):.0f} of {len(good)} draws"]
+        parts.append(f"converged in {sum(good):.0f} of {len(good)} draws")
         words = [line.word for line in by_topic.get("honesty", ())]
         found = [f"{word} on {words.count(word)}" for word in dict.fromkeys(words)]
         if found:
             parts.append(f"is {', '.join(found)} of {len(words)} flights")
         ratios = [line.value for line in by_topic.get("accuracy", ()) if line.value is not None]
-        if ratios:
-            least, most = (write_figure(end(ratios)) for end in (min, max))
-            parts.append(f"has {least} to {most} times the horizontal error of {self.against}")
-        return f"{', '.join(parts[:-1])} and {parts[-1]}." if len(parts) > 1 else f"{parts[0]}."
+        if ratios and self.against != self.estimator:
+            ends = " to ".join(write_figure(end(ratios)) for end in (min, max))
+            parts.append(f"has {ends} times the horizontal error of {self.against}")
+        parts += [
+            f"{line.sentence.partition(': ')[2].rstrip('.')}"
+            for line in by_topic.get("causality", ())
+            if line.value != 0.0
+        ]
+        below = [line for line in self.lines if line.word == IMPOSSIBLE]
+        parts += [f"is below the bound of causal filters in {len(below)} figures"] if below else []
+        kept = [line.word == MET for line in by_topic.get("requirements", ())]
+        parts += [f"meets {sum(kept)} of {len(kept)} requirements"] if kept else []
+        text = f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else parts[0]
+        return f"{self.estimator} {text}."
+
+    @property
+    def good(self) -> bool:
+        """Whether every draw converged, nothing looks ahead, and what is required is met."""
+        return (
+            not self.lost
+            and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
+            and all(line.word != IMPOSSIBLE for line in self.lines)
+            and all(line.word == MET for line in self.lines if line.topic == "requirements")
+        )
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Whether it keeps what is required, by flight."""
+        return tuple(
+            Finding(f"{line.flight}: {self.estimator}", line.figure, line.word, line.sentence)
+            for line in self.lines
+            if line.topic == "requirements"
+        )
 
 
 def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
     """Write the sensor data of every flight and draw of the suite, for solutions that are made elsewhere.
 
-    Each draw has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``. With a
-    ``solution.csv`` beside them in every one, ``make_card("file:FOLDER")`` judges the solutions.
+    Each draw has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``; long ones
+    are compressed, and increments have the digits that their noise leaves. With a ``solution.csv`` beside
+    them in every one, ``make_card("file:FOLDER")`` judges the solutions.
 
     Parameters
     ----------
@@ -116,6 +170,7 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
             draws.append(
                 {"folder": place.name, "flight": suite.members[cell.condition].name, "draw": one.run}
             )
+        share_equal_files(partial)
         suite_hash = hash_suite(plan)
         store.write_json(partial / "suite.json", {"suite": suite.name, "hash": suite_hash, "draws": draws})
     return folder
@@ -124,11 +179,15 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
 def make_card(
     estimator: str,
     *,
+    label: str | None = None,
+    options: Mapping[str, Any] | None = None,
     against: str = AGAINST,
     quick: bool = False,
     guard: Guard = DEFAULT_GUARD,
     seed: int | None = None,
+    requirements: Path | None = None,
     runs: Path | None = None,
+    resume: bool = True,
     jobs: int | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Card:
@@ -139,16 +198,24 @@ def make_card(
     estimator : str
         Built-in name, ``module:Class``, ``command:./program {sensors} {solution}``, or ``file:FOLDER`` with a
         solution for each draw that :func:`write_suite` wrote.
+    label : str or None
+        What the card calls it; None: its class, program or folder.
+    options : mapping or None
+        Its options.
     against : str
         The one to compare with.
     quick : bool
-        Seven flights of 8 draws instead of thirteen of 40.
+        Twelve flights of 8 draws instead of eighteen of 40.
     guard : Guard
         What programs and classes of others may take, and whether a class gets a process of its own.
     seed : int or None
         Of all draws; None: those of the profiles.
+    requirements : Path or None
+        File of rows ``[[requirement]]`` (`bench.campaigns.card_requirements`).
     runs : Path or None
-        Folder that keeps the runs; those that are there are not made again.
+        Folder that keeps the runs.
+    resume : bool
+        Runs that are there are not made again; if False they are replaced.
     jobs, progress
         As for `bench.campaigns.running.run_campaign`.
 
@@ -156,24 +223,35 @@ def make_card(
     ------
     bench.errors.ConfigError, bench.errors.EstimatorError
         If an estimator cannot be built.
+    KeyboardInterrupt
+        If it was interrupted; ``runs`` has what was finished.
     """
     suite = replace(QUICK if quick else FULL, seed=seed)
-    plan, labels = _plan(suite, estimator, against, guard)
-    own, other, yardstick = labels
-    resume = runs is not None and runs.is_dir()
-    result = run_campaign(plan, jobs=jobs, folder=runs, resume=resume, progress=progress)
+    names = [flight.name for flight in suite.members]
+    required = () if requirements is None else read_requirements(requirements, names)
+    plan, (own, other, yardstick) = _plan(suite, estimator, against, guard, label, options)
+    there = runs is not None and runs.is_dir()
+    result = run_campaign(
+        plan, jobs=jobs, folder=runs, resume=there and resume, force=there and not resume, progress=progress
+    )
+    if result.interrupted:
+        raise KeyboardInterrupt
     rows, cpu = result.runs.to_pylist(), result.estimator_cpu_s
 
     def select(name: str, label: str) -> Rows:
-        number = [flight.name for flight in suite.members].index(name)
-        return [row for row in rows if (row["condition"], row["estimator"]) == (number, label)]
+        return [row for row in rows if (row["condition"], row["estimator"]) == (names.index(name), label)]
 
     lines: list[Line] = []
     for flight in suite.members:
         beside = select(flight.name, other) if other != own else []
         without = select(flight.without, own) if flight.without else []
-        lines += judge_flight(flight, select(flight.name, own), beside, other, without)
-    lines.append(_judge_causality(plan, suite, own))
+        profile = next(cell.profile for cell in plan.cells if cell.condition == names.index(flight.name))
+        mine = select(flight.name, own)
+        lines += judge_flight(flight, mine, beside, other, without, bound_errors_of(profile))
+        lines += judge_requirements(flight.name, own, mine, required)
+    lines.append(judge_causality(plan, suite, own))
+    judged = [row for row in rows if row["estimator"] == own]
+    answers = " ".join(str(row.get("answers")) for row in judged)
     return Card(
         estimator=own,
         against=other,
@@ -184,48 +262,47 @@ def make_card(
         lines=tuple(lines),
         speed=measure_speed(cpu.get(own, ()), cpu.get(yardstick, ()), yardstick),
         use=estimator,
+        options=dict(options or {}),
         seed=seed,
         program=hash_estimator(plan, own),
-        commands={flight.name: select(flight.name, own)[0]["command"] for flight in suite.members},
+        answers=hashlib.sha256(answers.encode()).hexdigest()[:16],
+        commands={name: select(name, own)[0]["command"] for name in names},
+        lost=tuple(
+            LostDraw(
+                flight=names[row["condition"]],
+                draw=row["run"],
+                reason=one_line(str(row.get("reason"))),
+                command=row["command"],
+            )
+            for row in judged
+            if not row["converged"]
+        ),
     )
 
 
-def _judge_causality(plan: Plan, suite: Suite, label: str) -> Line:
-    """Return how far an estimator looks ahead, on the flight whose fixes come late or else on the first."""
-    names = [flight.name for flight in suite.members]
-    number = names.index(LATE) if LATE in names else 0
-    profile = next(cell.profile for cell in plan.cells if cell.condition == number)
-    (choice,) = (one for one in profile.estimators if one.label == label)
-    value = None
-    if choice.use.startswith("file:"):
-        text = "uses the future: not proven, its answers were made elsewhere"
-    else:
-        truth = pipeline.fly(profile)
-        one, other = (pipeline.sense(profile, truth, run) for run in range(2))
-        fixes, rng = one.data.fixes, np.random.default_rng(profile.seed)
-        assert fixes is not None  # every flight of the suite has them
-        before = fixes.t_arrival - np.median(np.diff(one.data.imu.t))  # where the next fix has not arrived
-        instants = np.sort(rng.choice(before[len(before) // 5 :], _INSTANTS, replace=False))
-        try:
-            found = measure_look_ahead(
-                lambda data: pipeline.navigate(choice, data, one.initial), one.data, other.data, instants
-            )
-            text, value = found.text, found.seconds if found.repeatable else None
-        except (ValueError, EstimatorError, EstimatorFailedError) as error:
-            text = f"uses the future: not proven, {one_line(str(error))[:200]}"
-    return Line(
-        topic="causality", flight=names[number], figure="look-ahead [s]", value=value, low=value, high=value,
-        sentence=f"{names[number]}: {text}.",
-    )  # fmt: skip
-
-
-def _plan(suite: Suite, estimator: str, against: str, guard: Guard) -> tuple[Plan, tuple[str, str, str]]:
+def _plan(
+    suite: Suite,
+    estimator: str,
+    against: str,
+    guard: Guard,
+    label: str | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> tuple[Plan, tuple[str, str, str]]:
     """Return the plan of a suite, and the labels of the estimator, of the other one and of the yardstick."""
-    uses = tuple(dict.fromkeys((estimator, against, YARDSTICK)))
-    plan = plan_campaign(replace(suite, estimators=uses), guard=guard)
+    if not label and not options:
+        uses = list(dict.fromkeys((estimator, against, YARDSTICK)))
+        plan = plan_campaign(replace(suite, estimators=tuple(uses)), guard=guard)
+        own = uses.index(estimator)
+    else:  # rows as a profile has them; the user names the code, not a file
+        name = label or make_choice(estimator).label
+        first = {"use": estimator, "label": name, "options": dict(options or {})}
+        others = dict.fromkeys((against, YARDSTICK))
+        given = [first, *({"use": use} for use in others)]
+        plan = plan_campaign(replace(suite, fixed={"estimator": given}), allow_code=True, guard=guard)
+        own, uses = 0, [name, *others]
     labels = [choice.label for choice in plan.cells[0].profile.estimators]
-    own, other, yardstick = (labels[uses.index(use)] for use in (estimator, against, YARDSTICK))
-    return plan, (own, other, yardstick)
+    last = len(uses) - 1 - uses[::-1].index(against)
+    return plan, (labels[own], labels[last], labels[uses.index(YARDSTICK)])
 
 
 def verify_card(
@@ -255,7 +332,8 @@ def verify_card(
     if not card.use:
         raise ConfigError("the card does not say which estimator it ran; make it with this version of bench")
     suite = replace(QUICK if card.suite.endswith("quick") else FULL, seed=card.seed)
-    plan, (own, *_) = _plan(suite, card.use, card.use, guard)
+    named = None if card.estimator == make_choice(card.use).label else card.estimator
+    plan, (own, *_) = _plan(suite, card.use, YARDSTICK, guard, named, card.options)
     if hash_suite(plan) != card.suite_hash:
         raise ConfigError(f"the card is of suite {card.suite_hash}; here it is {hash_suite(plan)}")
     chosen = secrets.SystemRandom().sample(range(len(plan.runs)), min(draws, len(plan.runs)))

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.campaigns.card import Card
-from bench.campaigns.card_lines import COUNT, Line, write_figure
+from bench.campaigns.card_lines import COUNT, SHARE, Line, write_figure
 from bench.errors import ConfigError
-from bench.evaluation import ensemble, regression
-from bench.evaluation.regression import Change
+from bench.evaluation import ensemble
+from bench.evaluation.regression import Change, average_changes, decide
 
 _SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
 _ERROR = 1.0 - ensemble.CONFIDENCE  # probability of any false word over the quantities
@@ -58,7 +58,7 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
     others = {(line.topic, line.flight, line.figure): line for line in second.lines}
     for line in first.lines:
         other = others.get((line.topic, line.flight, line.figure))
-        if other is None or line.topic == "robustness":  # its error is compared as accuracy
+        if other is None or line.topic in ("robustness", "requirements"):  # compared as accuracy
             continue
         if _are_same(line, other):
             same += 1
@@ -102,6 +102,9 @@ def _tell_values(one: Line, other: Line) -> str | None:
     if one.figure.startswith("median"):
         texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
         return "heading found after {} and {}".format(*texts)
+    if one.topic == "coverage" and one.figure != SHARE:
+        waited = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "first answer after {} and {}".format(*waited)
     if one.topic == "coverage":
         shares = (f"{100.0 * (line.value or 0.0):.4g}" for line in (one, other))
         return "answers at {} and {} % of the instants".format(*shares)
@@ -144,8 +147,7 @@ def _pool_flights(changes: FloatArray) -> Change:
     means = np.nanmean(changes, axis=1)
     seen = np.isfinite(changes).any(axis=0)
     by_draw = np.nanmean((changes - means[:, None])[:, seen], axis=0)
-    n = len(by_draw)
-    return Change(float(means.mean()), float(by_draw.std(ddof=1)) / n**0.5, n - 1.0, n)
+    return replace(average_changes(by_draw), estimate=float(means.mean()))
 
 
 def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
@@ -156,17 +158,20 @@ def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> 
     eight draws would prove nothing.
     """
     pooled = [_pool_flights(np.array([changes for _, _, changes in pairs])) for pairs in quantities]
-    proven, levels = _reject(pooled, _ERROR)
+    proven, levels = decide(pooled, _ERROR)
     found = []
     for pairs, change, differs, level in zip(quantities, pooled, proven, levels, strict=True):
         one, other, _ = pairs[0]
+        lost = _count_lost(pairs)
+        if differs and lost[change.estimate > 0.0] > lost[change.estimate <= 0.0]:
+            found.append(_tell_lost(names, one, change, lost))
+            continue
         if len(pairs) == 1:
             found.append(_tell_change(names, one, other, one.flight, change, level, differs))
             continue
-        pool = _tell_change(names, one, other, "all flights", change, level, differs)
-        found.append(pool)
+        found.append(_tell_change(names, one, other, "all flights", change, level, differs))
         flights = [_pool_flights(changes[None]) for *_, changes in pairs]
-        there, flight_levels = _reject(flights, _ERROR / len(quantities))
+        there, flight_levels = decide(flights, _ERROR / len(quantities))
         for k, (mine, theirs, _) in enumerate(pairs):
             word = bool(there[k]) if differs else None
             by = flight_levels[k] if differs else _ERROR
@@ -174,12 +179,21 @@ def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> 
     return found
 
 
-def _reject(changes: list[Change], error: float) -> tuple[list[bool], list[float]]:
-    """Return which changes are proven, and the errors of intervals that agree with that."""
-    rejected, levels = regression.reject_by_holm([change.p_value for change in changes], error)
-    if not rejected.all():
-        levels[~rejected] = levels[~rejected].min()  # where Holm's method stopped
-    return rejected.tolist(), levels.tolist()
+def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
+    """Return how many draws each card lacks that the other one has."""
+    lacks = [[np.isnan(np.array(line.by_draw, float)) for line in pair[:2]] for pair in pairs]
+    return sum(int((a & ~b).sum()) for a, b in lacks), sum(int((b & ~a).sum()) for a, b in lacks)
+
+
+def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
+    """Say that a filter is better only in the draws that it has not lost: it may lose the worst."""
+    k = int(change.estimate > 0.0)
+    text = (
+        f"{names[k]} is better in the draws that both have, but lost {lost[k]} that {names[1 - k]} kept: "
+        "not proven to differ"
+    )
+    text = f"all flights: {one.figure}: {text}."
+    return ComparedLine(one.topic, "all flights", one.figure, (None, None), text)
 
 
 def _tell_change(

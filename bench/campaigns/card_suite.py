@@ -11,7 +11,7 @@ from bench import store
 from bench.campaigns.campaign_file import CampaignSpec, Values
 from bench.campaigns.plan import Plan
 
-VERSION = 2
+VERSION = 3
 """Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
 
 
@@ -46,6 +46,17 @@ LATE = "late-fixes"
 _MATCHED: Values = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
 _GAPS = [_drop_imu(100.0, 0.5), _drop_imu(170.0, 2.0), _drop_imu(250.0, 10.0), _drop_imu(340.0, 5.0)]
 _LATE = [{"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 425.0, "added_s": 0.5}]
+_WEAVE = [
+    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 4},
+    {"kind": "straight", "duration_s": 30.0},
+]
+_WIDE = [
+    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 40.0, "bank_deg": 20.0, "count": 3},
+    {"kind": "straight", "duration_s": 20.0},
+]
+_AWAY = [{"kind": "straight", "duration_s": 240.0}]
 _QUICK = (
     SuiteFlight("figure-eight-matched", "figure-eight-matched"),
     SuiteFlight("figure-eight", "figure-eight"),
@@ -54,6 +65,11 @@ _QUICK = (
     SuiteFlight("imu-gaps", "s-turns", {**_MATCHED, "fault": _GAPS}, _PLAIN),
     SuiteFlight(LATE, "s-turns", {**_MATCHED, "fault": _LATE}, _PLAIN),
     SuiteFlight("heading-30-deg-off", "s-turns", {**_MATCHED, "initial_error_sd.heading_deg": 30.0}),
+    SuiteFlight("start-not-told", "s-turns", {"leg": _WEAVE, "alignment.kind": "course"}),
+    SuiteFlight("magnetometer", "s-turns", {"leg": _WEAVE, "sensors.mag": "rm3100"}),
+    SuiteFlight("standing-still", "static", {"leg.1.duration_s": 180.0}),
+    SuiteFlight("straight-out-mpu-9250", "s-turns", {"leg": _AWAY, "sensors.imu": "mpu-9250"}),
+    SuiteFlight("navion", "s-turns", {"leg": _WIDE, "aircraft": "navion", "start.speed_mps": 55.0}),
 )
 _FULL = (
     *_QUICK,

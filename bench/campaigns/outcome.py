@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.campaigns.groups import Group
-from bench.evaluation import ensemble
+from bench.evaluation import ensemble, regression
 from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
@@ -82,8 +83,17 @@ def summarize(group: Group) -> Outcome:
     )
 
 
-def compare(groups: Sequence[Group], metric: str = "pos_rmse_h_m", unit: str = "m") -> list[Comparison]:
-    """Compare the first of the groups with each other one, over the runs in which both converged."""
+@dataclass(frozen=True)
+class Pair:
+    """Two estimators of a condition: a metric of each in the runs in which both converged."""
+
+    names: tuple[str, str]
+    first: FloatArray
+    second: FloatArray
+
+
+def pair_runs(groups: Sequence[Group], metric: str = "pos_rmse_h_m") -> list[Pair]:
+    """Return the first of the groups of a condition beside each other one."""
     found = []
     for other in groups[1:]:
         both = groups[0].converged & other.converged
@@ -94,8 +104,21 @@ def compare(groups: Sequence[Group], metric: str = "pos_rmse_h_m", unit: str = "
         ]
         if len(pairs) >= _LEAST and all(None not in pair for pair in pairs):
             first, second = np.array(pairs, float).T
-            found.append(ensemble.compare_rmse((groups[0].label, other.label), first, second, unit))
+            found.append(Pair((groups[0].label, other.label), first, second))
     return found
+
+
+def compare(pairs: Sequence[Pair], unit: str = "m") -> list[Comparison]:
+    """Compare the pairs of all conditions of a campaign.
+
+    By Holm's method over them the probability of any false "better" is 5 %, however many there are.
+    """
+    changes = [regression.estimate_change(one.second**2, one.first**2, np.sqrt, paired=True) for one in pairs]
+    _, levels = regression.decide(changes, 1.0 - ensemble.CONFIDENCE)
+    return [
+        ensemble.compare_rmse(one.names, one.first, one.second, unit, 1.0 - level)
+        for one, level in zip(pairs, levels, strict=True)
+    ]
 
 
 def _pool_nis(group: Group) -> dict[str, MeanNis]:

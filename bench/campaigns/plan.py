@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
+import re
 import shlex
 import shutil
 from collections.abc import Sequence
@@ -28,6 +30,7 @@ from bench.places import PACKAGE
 from bench.specs import DEFAULT_GUARD, EstimatorChoice, FlightSpec, Guard, Profile
 
 _BLOCK = 1 << 20  # [byte]
+_MOST_NAMED = 200  # files that wrappers name
 
 
 @dataclass(frozen=True)
@@ -230,10 +233,35 @@ def _find_sources(choice: EstimatorChoice) -> list[Path]:
         except ValueError:  # building the estimator tells it
             return []
         on_path = [Path(found) for found in [shutil.which(words[0]) if words else None] if found]
-        return [path for path in (*on_path, *(choice.beside / word for word in words)) if path.is_file()]
+        given = [path for path in (*on_path, *(choice.beside / word for word in words)) if path.is_file()]
+        return given + find_named_files(given[len(on_path) :])
     if kind == "file":
         return sorted(path for path in (choice.beside / rest).rglob("*") if path.is_file())
-    return find_module_files(choice.use)
+    found = find_module_files(choice.use)
+    return found + find_named_files(found)
+
+
+def find_named_files(sources: Sequence[Path]) -> list[Path]:
+    """Return the files beside some sources that their texts name: the program that a wrapper calls.
+
+    And those that these name. What a wrapper finds by the PATH, or puts together, is not seen.
+    """
+    found, todo = dict.fromkeys(path.resolve() for path in sources), list(sources)
+    given = len(found)
+    while todo and len(found) < _MOST_NAMED:
+        path = todo.pop()
+        try:
+            text = path.read_text("utf-8") if path.stat().st_size <= _BLOCK else ""
+        except (OSError, UnicodeDecodeError):  # a program
+            continue
+        words = dict.fromkeys(re.findall(r"[\w./+-]*\w", text))
+        for word in dict.fromkeys([*words, *(word.rpartition("/")[2] for word in words)]):
+            named = path.parent / word
+            with contextlib.suppress(OSError):
+                if named.is_file() and named.resolve() not in found:
+                    found[named.resolve()] = None
+                    todo.append(named)
+    return sorted(list(found)[given:])
 
 
 def find_module_files(use: str) -> list[Path]:

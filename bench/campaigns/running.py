@@ -17,7 +17,7 @@ from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
 from bench.campaigns.groups import gather
 from bench.campaigns.journal import NAME, Journal
-from bench.campaigns.outcome import Outcome, compare, summarize
+from bench.campaigns.outcome import Outcome, Pair, compare, pair_runs, summarize
 from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
 from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
@@ -369,12 +369,12 @@ def _finish(
 ) -> Campaign:
     """Write the tables and the summary of the finished runs."""
     outcomes: list[Outcome] = []
-    comparisons: list[Comparison] = []
+    pairs: list[Pair] = []
     epochs: list[dict[str, Any]] = []
     for _, groups in itertools.groupby(gather(plan, journal), lambda group: group.number):
         of_condition = list(groups)
         outcomes += map(summarize, of_condition)
-        comparisons += compare(of_condition)
+        pairs += pair_runs(of_condition)
         epochs += map(describe_instants, of_condition)
     failed: dict[str, str] = {}
     cpu: list[float] = []
@@ -396,7 +396,7 @@ def _finish(
     profiles = {cell.condition: cell.profile.document for cell in reversed(plan.cells)}
     result = Campaign(
         outcomes=tuple(outcomes),
-        comparisons=tuple(comparisons),
+        comparisons=tuple(compare(pairs)),
         runs=store.read_table(place / RUNS),
         epochs=store.read_table(place / EPOCHS),
         planned=len(plan.runs),

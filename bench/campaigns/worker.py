@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -132,8 +133,9 @@ def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
     nis = nis_by_sensor(solution.innovations, begun)
     with np.errstate(all="ignore"):  # a filter that is lost may report any innovations
         repetition = sum_repetition(solution.innovations, begun)
+    metrics = {name: value for name, value in result.metrics[label].items() if _is_plain(value)}
     return {
-        "metrics": {name: value for name, value in result.metrics[label].items() if _is_plain(value)},
+        "metrics": {**metrics, "answers": hash_answers(solution)},
         "states": errors.states,
         "nis_dof": {sensor: int(series.dof.sum()) for sensor, series in nis.items()},
         "repetition": {
@@ -141,6 +143,14 @@ def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
         },
         "instants": encode(_thin(errors, solution, task.step)),
     }
+
+
+def hash_answers(solution: NavSolution) -> str:
+    """Return a hash of what a solution says, every bit: times, position, velocity, attitude, covariance."""
+    digest = hashlib.sha256()
+    for column in (solution.t, solution.lla, solution.vel_n, solution.q_nb, solution.cov):
+        digest.update(np.ascontiguousarray(column).data)
+    return digest.hexdigest()[:16]
 
 
 def _is_plain(value: object) -> bool:

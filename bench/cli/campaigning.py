@@ -22,6 +22,7 @@ from bench.cli.group import (
     junit_option,
     new_console,
     out_option,
+    parse_assignments,
     report_option,
     seed_option,
     set_option,
@@ -153,26 +154,39 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
 @commands.command(epilog=STATUS)
 @click.option("-e", "--estimator", metavar="NAME", help="the one to judge")
 @click.option("--against", default="loose-full", metavar="NAME", help="the one to compare it with")
-@click.option("--quick", is_flag=True, help="seven flights of 8 draws instead of thirteen of 40")
+@click.option("--label", metavar="NAME", help="what the card calls it  [default: its class or program]")
+@click.option(
+    "--option",
+    "given",
+    multiple=True,
+    callback=parse_assignments,
+    metavar="KEY=VALUE",
+    help="an option of it; repeat for more",
+)
+@click.option("--quick", is_flag=True, help="twelve flights of 8 draws instead of eighteen of 40")
 @jobs_option
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
 @click.option("--html", type=FILE, metavar="FILE", help="write it as a page")
 @click.option("--compare", "compared", type=FILE, nargs=2, metavar="A B", help="compare two cards")
 @click.option("--verify", "verified", type=FILE, metavar="FILE", help="repeat drawn runs of a card")
 @click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
-@click.option(
-    "--runs", type=FILE, metavar="DIR", help="keep the runs there; those that are there are not repeated"
-)
+@click.option("--require", "required", type=FILE, metavar="FILE", help="requirements that it has to keep")
+@click.option("--runs", type=FILE, metavar="DIR", help="keep the runs there  [default: cards/<label>-quick]")
+@click.option("--resume", is_flag=True, help="take the runs that are there, and make those that are missing")
 @seed_option
 @json_option("the card")
 @force_option("card")
 @guard_options
+@junit_option
 def card(
     as_json: bool,
     estimator: str | None,
     compared: tuple[Path, Path] | None,
     verified: Path | None,
     sensors: Path | None,
+    given: dict[str, Any],
+    required: Path | None,
+    junit: Path | None,
     **options: Any,
 ) -> int:
     """Judge a filter over a fixed suite of flights, beside a built-in one.
@@ -180,12 +194,15 @@ def card(
     Accuracy is a ratio to the other filter on the same noise, with its interval. Version
     and hash of the suite stand on the card: two cards with equal hashes compare.
     --seed draws noise that no filter was tuned on; --verify repeats some runs of a card.
+    The status is 1 if a draw did not converge, the filter looks ahead, or a requirement of
+    --require is not met.
     Solutions made elsewhere are judged, too: --sensors writes a folder for each draw,
     and file:DIR finds solution.csv in each of them.
 
     \b
     Examples:
       bench card -e mine:Filter --quick
+      bench card -e mine:Filter --option gain=2.0 --label gain-2 --require need.toml
       bench card --sensors draws --quick && bench card -e file:draws --quick
       bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
       bench card --compare mine.json theirs.json
@@ -201,6 +218,7 @@ def card(
         return DONE
     console = new_console(stderr=as_json)
     found: Any
+    status = DONE
     if verified is not None:
         found = check_card(verified, options["guard"], options["jobs"], console=console)
         if as_json:
@@ -209,7 +227,9 @@ def card(
     if compared is not None:
         found = [asdict(line) for line in print_comparison(compared, console=console)]
     else:
-        found = run_card(str(estimator), console=console, **options).model_dump()
+        made = run_card(str(estimator), console=console, options=given, requirements=required, **options)
+        write_findings(junit, made.estimator, made.findings)
+        status, found = DONE if made.good else NEGATIVE, made.model_dump()
     if as_json:
         click.echo(to_json(found), nl=False)
-    return DONE
+    return status

@@ -31,7 +31,7 @@ STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
 _HELP = {"max_content_width": 100, "show_default": True}
 
 
-def _parse_overrides(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
+def parse_assignments(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, Any]:
     """Parse KEY=VALUE; the value is read as TOML or, if that fails, as a text."""
     values: dict[str, Any] = {}
     for item in given:
@@ -72,7 +72,7 @@ def parse_durations(ctx: click.Context, param: click.Parameter, given: str | Non
 set_option = click.option(
     "--set",
     "overrides",
-    callback=_parse_overrides,
+    callback=parse_assignments,
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=completion.setting,

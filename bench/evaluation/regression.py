@@ -118,6 +118,20 @@ def estimate_change(
     return Change(estimate, standard_error, dof, len(new))
 
 
+def average_changes(by_draw: FloatArray) -> Change:
+    """Return the mean of the changes (N,) of N draws, by Student's t."""
+    n = len(by_draw)
+    return Change(float(by_draw.mean()), float(by_draw.std(ddof=1)) / n**0.5, n - 1.0, n)
+
+
+def decide(changes: Sequence[Change], error: float) -> tuple[list[bool], list[float]]:
+    """Return which changes are proven, by Holm, and the errors of the intervals that agree with that."""
+    rejected, levels = reject_by_holm([change.p_value for change in changes], error)
+    if not rejected.all():
+        levels[~rejected] = levels[~rejected].min()  # where Holm's method stopped
+    return rejected.tolist(), levels.tolist()
+
+
 def _jackknife_variance(left_out: FloatArray) -> float:
     """Return the variance of an estimate from its values with one draw left out each."""
     n = len(left_out)

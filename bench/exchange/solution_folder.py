@@ -7,12 +7,17 @@ answer.
 
 from __future__ import annotations
 
+import contextlib
+import gzip
 import hashlib
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from bench.data import InitialState, NavSolution, SensorData
+from bench import durable
+from bench.data import ImuData, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.exchange.exports.column_files import write as write_tables
 from bench.exchange.exports.outgoing import ExportData
@@ -23,7 +28,10 @@ SOLUTION = "solution.csv"
 """The answer, in the folder of its sensor data."""
 
 SENSORS = "sensors"
-"""Folder with the tables, beside the answer."""
+"""Folder with the tables, beside the answer; those of many rows are compressed (gzip)."""
+
+_FINE = 0.05  # resolution of increments over the noise of a sample: 2e-4 of its variance at most
+_MANY = 1 << 16  # a table above is compressed [byte]
 
 _DIGITS = 6  # of the figures in a name: another processor may differ in the last of sixteen
 
@@ -62,8 +70,48 @@ def write_sensors(root: Path, sensors: SensorData, initial: InitialState) -> Pat
         (folder / SENSORS).mkdir(parents=True)
     except FileExistsError:
         raise ConfigError(f"{folder}: exists; name a new folder") from None
-    write_sensor_tables(folder / SENSORS, sensors, initial)
+    thin = replace(sensors, imu=round_increments(sensors.imu))
+    write_sensor_tables(folder / SENSORS, thin, initial)
+    for path in sorted((folder / SENSORS).iterdir()):
+        if path.stat().st_size > _MANY:
+            packed = gzip.compress(path.read_bytes(), mtime=0)
+            durable.write(path.with_name(f"{path.name}.gz"), packed)
+            path.unlink()
     return folder
+
+
+def share_equal_files(root: Path) -> None:
+    """Let equal files below a folder be one on the disk: flights that differ in their faults share much."""
+    first: dict[bytes, Path] = {}
+    for path in sorted(path for path in root.rglob("*") if path.is_file()):
+        with path.open("rb") as file:
+            digest = hashlib.file_digest(file, "sha256").digest()
+        before = first.setdefault(digest, path)
+        if before is not path:
+            with contextlib.suppress(OSError):  # a file system without links keeps two
+                durable.rename(_link(before), path)
+
+
+def _link(path: Path) -> Path:
+    """Return another name of a file, beside it."""
+    other = path.with_name(f"{path.name}.link")
+    other.hardlink_to(path)
+    return other
+
+
+def round_increments(imu: ImuData) -> ImuData:
+    """Return the data of an IMU with increments of as few digits as its noise leaves meaning.
+
+    The noise of a sample is told by the second differences of neighbours; a unit without noise keeps all.
+    """
+    columns = {}
+    for name in ("dtheta_b", "dvel_b"):
+        values = getattr(imu, name)
+        bends = np.diff(values[imu.valid], 2, axis=0)
+        noise = float(np.median(np.abs(bends))) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+        digits = -math.floor(math.log10(_FINE * noise)) if noise > 1e-12 else None
+        columns[name] = values if digits is None else np.round(values, digits)
+    return replace(imu, **columns)
 
 
 def name_draw(sensors: SensorData, initial: InitialState) -> str:

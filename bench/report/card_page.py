@@ -11,8 +11,8 @@ from bench.report import page
 from bench.wording import format_number
 
 _TITLES = {
-    "convergence": "Does it converge?",
     "coverage": "Does it answer?",
+    "convergence": "Does it converge?",
     "causality": "Does it use the future?",
     "honesty": "Does it know its error?",
     "accuracy": "How accurate is it?",
@@ -24,6 +24,7 @@ _TITLES = {
     "faults": "Does it notice and survive faults?",
     "alarms": "Does it raise false alarms?",
     "robustness": "What do gaps in the IMU and late fixes do to it?",
+    "requirements": "Does it keep what is required?",
     "speed": "How fast is it?",
 }
 """Topic -> its heading, in the order of the page."""

@@ -18,6 +18,7 @@ from bench.campaigns.card import Card, describe_suite, make_card, read_card, ver
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
+from bench.config.profile import make_choice
 from bench.evaluation.ensemble import Estimate
 from bench.report import card_page, page
 from bench.report.writing import write_report
@@ -27,8 +28,8 @@ from bench.workbench.console import PlainConsole
 from bench.workbench.divided_table import Column, print_table
 from bench.workbench.flight_verbs import find_own_estimators
 
-CAMPAIGNS = Path("campaigns")
-"""Default folder for campaigns."""
+CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
+"""Default folders for campaigns, and for the runs of cards."""
 
 _IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
 _NEES = "ANEES / n"
@@ -176,20 +177,43 @@ def _format_estimate(estimate: Estimate | None) -> str:
 
 
 def run_card(
-    estimator: str, *, console: Console, out: Path | None, html: Path | None, force: bool, **options: Any
+    estimator: str,
+    *,
+    console: Console,
+    out: Path | None,
+    html: Path | None,
+    force: bool,
+    runs: Path | None,
+    resume: bool,
+    **options: Any,
 ) -> Card:
-    """Make the card of an estimator, print it and write it; options are those of `bench.make_card`."""
+    """Make the card of an estimator, print it and write it; options are those of `bench.make_card`.
+
+    Runs are kept in ``cards/<label>-<extent>`` or in ``runs``; only ``resume`` takes those that are there.
+    """
     find_own_estimators()
+    seed = options["seed"]
+    words = [options["label"] or make_choice(estimator).label, "quick" if options["quick"] else "full"]
+    kept = runs or CARDS / "-".join([*words, *([] if seed is None else [str(seed)])])
     if out is not None:
         store.check_file(out, force=force)
     if html is not None:
         page.check_page(html, force=force)
     with _show_progress(f"card of {estimator}") as progress:
-        card = make_card(estimator, progress=progress, **options)
+        try:
+            card = make_card(estimator, runs=kept, resume=resume, progress=progress, **options)
+        except KeyboardInterrupt:
+            console.print(f"{kept} has the finished runs; the same command with --resume continues.")
+            raise
     console.print(f"{card.estimator}, beside {card.against}: {describe_suite(card)}", soft_wrap=True)
     console.print(card.summary, soft_wrap=True)
     for sentence in card.sentences:
         console.print(sentence, soft_wrap=True)
+    for lost in card.lost[:_MOST_FAILURES]:
+        text = f"lost: {lost.flight}, draw {lost.draw}: {lost.reason[:200]}; {lost.command}"
+        console.print(Text(text, "red"), soft_wrap=True)
+    if len(card.lost) > _MOST_FAILURES:
+        console.print(f"{len(card.lost) - _MOST_FAILURES} more draws are lost; --json and -o name them.")
     if out is not None:
         store.write_json(out, card.model_dump())
         console.print(f"Wrote {out}.")
