@@ -40,7 +40,6 @@ _WITH = {"sensor_gyro": ("sensor_accel",)}
 """Message -> others that it needs."""
 _DOWNWARD = 25  # distance_sensor.orientation: ROTATION_DOWNWARD_FACING
 _GAUSS = 1e-4  # [T]
-_GPS_DELAY = 0.11  # default of EKF2_GPS_DELAY [s]
 
 
 @lru_cache(maxsize=1)
@@ -254,9 +253,9 @@ def _read_gnss(
     arrival = 1e-6 * np.asarray(data["timestamp"], float)
     values["arrival"] = arrival
     own = f"SENS_GPS{instance}_DELAY"
-    if own in log.initial_parameters:
+    if own in log.initial_parameters or "EKF2_GPS_DELAY" not in log.initial_parameters:
         return t, values
-    delay = 1e-3 * float(log.initial_parameters.get("EKF2_GPS_DELAY", 1e3 * _GPS_DELAY))
+    delay = 1e-3 * float(log.initial_parameters["EKF2_GPS_DELAY"])
     notes.append(f"a fix is {delay:.3g} s old when it is logged, by EKF2_GPS_DELAY")
     return arrival - delay, values
 
