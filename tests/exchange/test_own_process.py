@@ -308,7 +308,7 @@ def feed_all(sensed, guard: Guard, tmp_path: Path) -> list[Any]:
     data = sensed.data
     filter_ = bench.open_filter("attacks:Walks", sensed.initial, guard=guard)
     found = [filter_.feed(bench.take_piece(data, -np.inf, 1.0)), filter_.answer()]
-    early = filter_._copy()
+    early = filter_.copy()
     found += [filter_.feed(bench.take_piece(data, 1.0, 1.01)), filter_.answer(), filter_.answer()]
     found.append(early.feed(bench.take_piece(data, 1.0, 90.0)))  # which knows nothing of that
     filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "stopped.npz"), allow_code=True)
