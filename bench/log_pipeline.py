@@ -223,11 +223,11 @@ def navigate_log(
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
         disk_arrays.release()
         if log.reference is None and isinstance(one, autopilot.AutopilotEstimator):
-            errors[label], judged = own_judge.judge(solution, spec.evaluation_from)
+            errors[label], judged = own_judge.judge(solution, spec.evaluation.begin)
         elif log.reference is None:
-            errors[label], judged = judge(solution, withheld, data, spec.evaluation_from)
+            errors[label], judged = judge(solution, withheld, data, spec.evaluation)
         else:
-            errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation_from)
+            errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation)
         own = isinstance(one, autopilot.AutopilotEstimator)
         coverage = None if own else measure_coverage(solution, data)  # rows missing there are the logger's
         values, required = {**judged, "unmodelled": unmodelled}, list_requirements(spec.document, label)
@@ -292,12 +292,9 @@ class Session:
         self.fixes = fixes.take(good)
         if not len(self.fixes):
             raise ConfigError(f"{spec.name}.toml: no usable fix after the start at {initial.t:.2f} s")
-        if spec.evaluation_from >= last:
-            raise ConfigError(
-                f"{spec.name}.toml: [evaluation] from_s = {spec.evaluation_from:g} s is outside the "
-                f"recording, 0 to {last:.2f} s"
-            )
-        self.first, self.last = max(initial.t, spec.evaluation_from), last
+        if outside := spec.evaluation.describe_outside(last, "recording"):
+            raise ConfigError(f"{spec.name}.toml: {outside}")
+        self.first, self.last = max(initial.t, spec.evaluation.begin), last
 
     def make_output_times(self) -> FloatArray:
         """Return the output instants [s], a whole number of output intervals after t = 0."""

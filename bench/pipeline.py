@@ -111,7 +111,7 @@ def judge(
     return metrics.judge(
         truth,
         solution,
-        evaluation_from=profile.evaluation_from,
+        evaluation=profile.evaluation,
         outages=profile.sensors.gnss_outages,
         faults=profile.sensors.faults,
         assumed=profile.sensors.assumed,
@@ -221,11 +221,11 @@ def run(
             continue
         found = dict[str, Any]()
         if choice.use not in estimator.BUILT_IN:
-            antenna_b, begin = sensed.data.antenna_b, profile.evaluation_from
+            antenna_b, begin = sensed.data.antenna_b, profile.evaluation.begin
             found = find_mistakes(truth, solutions[label], antenna_b, begin)
         if not found and _is_searched(choice, causes):
             found = explain_run(
-                DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation_from, specs),
+                DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation.begin, specs),
                 choice,
                 built[label],
                 solutions[label],
@@ -243,7 +243,7 @@ def run(
     if bound and worked:
         errors = {label: judged[label][0] for label in worked}
         smoothing = {label: held.smooths(built[label]) for label in worked}
-        begin = profile.evaluation_from
+        begin = profile.evaluation.begin
         ratios = held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
         for label, rows in ratios.items():
             metrics[label]["bound"] = rows
@@ -333,9 +333,8 @@ def check_times(profile: Profile, end: float) -> None:
     problems = [
         f"{profile.name}: {what} {t:g} s is outside the flight, 0 to {end:g} s" for what, t in ends if t > end
     ]
-    if profile.evaluation_from >= end:
-        what = f"[evaluation] from_s = {profile.evaluation_from:g} s"
-        problems.append(f"{profile.name}: {what} is outside the flight, 0 to {end:g} s")
+    if outside := profile.evaluation.describe_outside(end, "flight"):
+        problems.append(f"{profile.name}: {outside}")
     if problems:
         raise ConfigError(*problems)
 

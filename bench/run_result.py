@@ -10,6 +10,7 @@ import bench
 from bench.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
 from bench.fields import Rebuilt
 from bench.notebook import Red, format_cell, make_frame, write_sentences, write_table
+from bench.specs import EvaluationWindow
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -30,6 +31,11 @@ class RunResult(Rebuilt):
     def name(self) -> str:
         """Name of the profile; empty for a log."""
         return str(self.provenance.get("profile") or "")
+
+    @property
+    def evaluation(self) -> EvaluationWindow:
+        """What its figures count."""
+        return EvaluationWindow.of_document(self.profile)
 
     @property
     def truth(self) -> Trajectory | None:

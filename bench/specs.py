@@ -18,6 +18,8 @@ from bench.fields import declared, figure, triad_figure
 from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
 from bench.spawned import machine_memory
+from bench.units import SAME_INSTANT
+from bench.wording import quantity
 
 if TYPE_CHECKING:
     from bench.signals.orbits import GlonassSets, KeplerSets
@@ -700,6 +702,42 @@ class EstimatorChoice:
 
 
 @dataclass(frozen=True, slots=True)
+class EvaluationWindow:
+    """What of a run its figures count: the options of ``[evaluation]`` that judge.
+
+    A further one is a field here, with its key in a file, and a key of `config.profile_tables`; the record
+    goes with the profile to wherever something is judged.
+    """
+
+    begin: float = field(default=0.0, metadata={"key": "from_s"})  # end of the alignment [s]
+
+    @property
+    def first(self) -> float:
+        """Instants from this one on count [s]: an instant that is the begin counts."""
+        return self.begin - SAME_INSTANT
+
+    @classmethod
+    def keys(cls) -> dict[str, str]:
+        """Return key in a file -> name of the field."""
+        return {f.metadata["key"]: f.name for f in fields(cls)}
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> EvaluationWindow:
+        """Return that of a profile or the file of a log, as flown."""
+        return cls(**{name: float(document["evaluation"][key]) for key, name in cls.keys().items()})
+
+    def describe_outside(self, end: float, of: str) -> str | None:
+        """Say that no instant until the ``end`` [s] of something counts; None if some do."""
+        if self.begin < end:
+            return None
+        return f"[evaluation] {quantity('from_s', self.begin)} is outside the {of}, 0 to {end:.6g} s"
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"figures from {self.begin:g} s on"
+
+
+@dataclass(frozen=True, slots=True)
 class Profile:
     """One experiment: flight, sensors, estimators and evaluation."""
 
@@ -709,7 +747,7 @@ class Profile:
     flight: Flight
     sensors: SensorsSpec
     estimators: tuple[EstimatorChoice, ...]
-    evaluation_from: float  # end of the alignment window [s]
+    evaluation: EvaluationWindow
     document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
 
     def __repr__(self) -> str:

@@ -21,7 +21,6 @@ from bench.campaigns.plan import plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.evaluation.ensemble_consistency import TOLERATED
 from bench.specs import Profile
-from bench.units import SAME_INSTANT
 from tests.navigation.honesty import choose_instants
 
 CAMPAIGN_FILES = Path(__file__).parent / "campaign_files"
@@ -88,7 +87,7 @@ def measure(file: Path, folder: Path) -> Iterator[Row]:
 
 def judge(group: Group, profile: Profile) -> Row:
     """Return the row of a group of runs; instants at which any of them has no NEES do not count."""
-    chosen = choose_instants(profile, group.kept_t) & (group.kept_t >= group.evaluation_from - SAME_INSTANT)
+    chosen = choose_instants(profile, group.kept_t) & (group.kept_t >= group.evaluation.first)
     nees = group.kept[group.converged][:, chosen, list(CHANNELS).index("nees")].astype(float)
     nees = nees[:, np.isfinite(nees).all(axis=0)]
     lost = len(group.metrics) - len(nees)

@@ -13,6 +13,7 @@ from numpy.testing import assert_array_equal
 from bench import disk_arrays, sensors
 from bench.evaluation import metrics
 from bench.navigation import estimator
+from bench.specs import EvaluationWindow
 from tests.weaving import units, weaving
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="arrays lie in memory here")
@@ -76,7 +77,7 @@ def test_a_longer_flight_takes_hardly_more_memory(monkeypatch):
             tracemalloc.start()
         sensed = sensors.sense(truth, spec, 1, 0)
         solution = estimator.load("loose-15", {}).run(sensed.data, sensed.initial)
-        metrics.judge(truth, solution, evaluation_from=60.0, outages=(), assumed=spec.assumed)
+        metrics.judge(truth, solution, evaluation=EvaluationWindow(60.0), outages=(), assumed=spec.assumed)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     more = (peaks[2] - peaks[1]) / (60 * 24 * 50)

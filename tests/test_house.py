@@ -73,6 +73,12 @@ def test_files_are_short():
     assert sorted(LONG_FILES.keys() - long) == [], "no longer long: take it out of LONG_FILES"
 
 
+def test_options_of_the_evaluation_travel_as_one_record():
+    """A further one is a key, a field of `EvaluationWindow` and its use: three files."""
+    named = [path.name for path in PACKAGE.rglob("*.py") if re.search(r"\bfrom_s\b", path.read_text())]
+    assert len(named) <= 8, f"pass EvaluationWindow on; from_s is named in {', '.join(sorted(named))}"
+
+
 def test_a_module_name_is_used_once():
     names: dict[str, list[str]] = {}
     for name in modules():

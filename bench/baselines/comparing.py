@@ -114,7 +114,7 @@ def _collect_runs(results: Sequence[RunResult]) -> Baseline:
     first = results[0]
     if "log" in first.more:
         assert first.sensors is not None  # a results folder has them
-        start, end = first.profile["evaluation"]["from_s"], float(first.sensors.imu.t.max())
+        start, end = first.evaluation.begin, float(first.sensors.imu.t.max())
         keys = [f"stretch {k}" for k in range(STRETCHES)]
         rows = [
             {label: collect_stretch(first, label, k, start, end) for label in first.errors}
@@ -124,10 +124,7 @@ def _collect_runs(results: Sequence[RunResult]) -> Baseline:
     else:
         ordered = sorted(results, key=lambda one: (one.seed, one.run))
         keys = [f"seed {one.seed}, run {one.run}" for one in ordered]
-        rows = [
-            {label: collect_draw(one, label, one.profile["evaluation"]["from_s"]) for label in one.metrics}
-            for one in ordered
-        ]
+        rows = [{label: collect_draw(one, label) for label in one.metrics} for one in ordered]
         truth = _describe_flight(first.profile)
     labels = [label for label in rows[0] if all(label in row for row in rows)]
     return _make_draws(

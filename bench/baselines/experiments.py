@@ -148,7 +148,7 @@ class Flight:
             return lose_draw(self, describe_error(error))
         sensed = result.records["sensed"]
         digest = digest_record([sensed.data, sensed.initial])
-        rows = {label: collect_draw(result, label, self.profile.evaluation_from) for label in result.metrics}
+        rows = {label: collect_draw(result, label) for label in result.metrics}
         if self._cpu:
             ratios = measure_cpu(result)
             rows = {k: replace(row, metrics={**row.metrics, CPU: ratios[k]}) for k, row in rows.items()}
@@ -180,12 +180,12 @@ def measure_cpu(result: RunResult) -> dict[str, Value]:
     return found
 
 
-def collect_draw(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
+def collect_draw(result: RunResult, label: str) -> EstimatorDraw:
     """Return the metrics that baselines hold, after the alignment window; none if the estimator failed."""
-    values, errors = result.metrics[label], result.errors[label]
+    values, errors, first = result.metrics[label], result.errors[label], result.evaluation.first
     metrics = {name: x for name, x in values.items() if is_watched(name) and not values.get("failed")}
     expected = {"nees_mean": float(errors.states)}
-    for sensor, nis in nis_by_sensor(result.solutions[label].innovations, from_s - SAME_INSTANT).items():
+    for sensor, nis in nis_by_sensor(result.solutions[label].innovations, first).items():
         expected[f"nis_mean_{sensor}"] = float(nis.dof.mean())
     expected |= {name: 1.0 for name in metrics if name.startswith("nees_bias_")}
     return EstimatorDraw(
@@ -193,7 +193,7 @@ def collect_draw(result: RunResult, label: str, from_s: float) -> EstimatorDraw:
         reason=values["reason"] or "",
         metrics=metrics,
         expected={name: value for name, value in expected.items() if name in metrics},
-        epochs=int(np.sum(errors.t >= from_s - SAME_INSTANT)),
+        epochs=int(np.sum(errors.t >= first)),
     )
 
 
@@ -234,7 +234,7 @@ class Recording:
 
     def measure(self, draw: int) -> Draw:
         """Return RMSE and mean NEES over one stretch of the judged time."""
-        result, start = self.result, self.log.spec.evaluation_from
+        result, start = self.result, self.log.spec.evaluation.begin
         end = float(self.log.records.imu.t.max())
         rows = {label: collect_stretch(result, label, draw, start, end) for label in result.errors}
         return Draw(digest_record([result.sensors]), rows)

@@ -37,7 +37,7 @@ def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     data = pipeline.sense(profile, truth, 0).data
     step = max(1, round(on_board.output_rate / _RATE))
     bound = bound_flight(truth, on_board, data, profile.seed, data.output_t[::step], smooth=False)
-    variance = variance_of(bound, smooth=False)[bound.t >= profile.evaluation_from - SAME_INSTANT]
+    variance = variance_of(bound, smooth=False)[bound.t >= profile.evaluation.begin - SAME_INSTANT]
     found = {}
     for topic, states in _STATES.items():
         least = float(np.sqrt(variance[:, states].sum(axis=1).mean()))

@@ -15,6 +15,7 @@ from bench.campaigns.binned import BinnedRuns
 from bench.campaigns.journal import Journal
 from bench.campaigns.plan import Cell, Condition, Plan, PlannedRun
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, decode
+from bench.specs import EvaluationWindow
 
 MOST_EXACT = 2000
 """Runs of a group whose instants are all kept in memory; beyond, percentiles come from fixed bins."""
@@ -34,7 +35,7 @@ class Group:
     condition: Condition
     label: str
     seeds: tuple[int, ...]  # of its flights
-    evaluation_from: float  # [s]
+    evaluation: EvaluationWindow
     metrics: tuple[Mapping[str, Any], ...]  # of each run
     states: int  # number of states in NEES
     nis_dof: tuple[Mapping[str, int], ...]  # degrees of freedom of the updates of each run, by sensor
@@ -49,10 +50,10 @@ class Group:
         """Mask (R,) of the runs that converged."""
         return np.array([one["converged"] for one in self.metrics], np.bool_)
 
-    def channel(self, name: str, from_s: float) -> FloatArray:
+    def channel(self, name: str, begin: float) -> FloatArray:
         """Return a channel (G, K) of the G runs that converged, from an instant on, where all have values."""
         column = self.kept[self.converged][:, :, list(CHANNELS).index(name)]
-        column = np.asarray(column[:, self.kept_t >= from_s], np.float64)
+        column = np.asarray(column[:, self.kept_t >= begin], np.float64)
         late = np.isfinite(column).all(axis=0)
         return column[:, late]
 
@@ -96,7 +97,7 @@ def _gather_condition(
             condition=plan.conditions[number],
             label=label,
             seeds=tuple(cell.profile.seed for cell in cells),
-            evaluation_from=cells[0].profile.evaluation_from,
+            evaluation=cells[0].profile.evaluation,
             metrics=metrics,
             states=max(row["states"] for row in rows[label]),
             nis_dof=tuple(row["nis_dof"] for row in rows[label]),

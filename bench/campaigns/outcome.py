@@ -13,7 +13,6 @@ from bench.evaluation import ensemble, regression
 from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
-from bench.units import SAME_INSTANT
 from bench.wording import format_number
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
@@ -59,7 +58,7 @@ def summarize(group: Group) -> Outcome:
     good = [one for one, converged in zip(group.metrics, group.converged, strict=True) if converged]
     errors: dict[str, Estimate] = {}
     consistency = None
-    late = group.evaluation_from - SAME_INSTANT
+    late = group.evaluation.first
     if len(good) >= _LEAST:
         by_name = {name: [one.get(name) for one in good] for name in POOLED}
         errors = {

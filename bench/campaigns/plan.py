@@ -10,7 +10,7 @@ import re
 import shlex
 import shutil
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache, cached_property
 from importlib.util import find_spec
 from pathlib import Path
@@ -68,7 +68,7 @@ class Cell:
             "sensors": store.hash_spec(profile.sensors),
             "seed": profile.seed,
             "estimators": [_describe_estimator(choice) for choice in profile.estimators],
-            "from": profile.evaluation_from,
+            "evaluation": asdict(profile.evaluation),
             "software": describe_software(),
         }
         return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]

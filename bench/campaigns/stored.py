@@ -76,17 +76,13 @@ class _Comparison(_Stored):
     runs: NonNegativeInt
 
 
-class _Evaluation(_Stored):
-    from_s: float
-
-
 class _Outage(_Stored):
     start_s: float
     duration_s: float
 
 
 class _Flown(_Stored):
-    evaluation: _Evaluation
+    evaluation: dict[str, _Number]
     gnss_outage: list[_Outage] = []
 
 

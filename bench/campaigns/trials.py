@@ -139,7 +139,7 @@ class LogTrial:
             overrides={**self._overrides, **figures},
             **self._code,
         )
-        self._from = log.spec.evaluation_from
+        self._from = log.spec.evaluation.begin
         return log_pipeline.navigate_log(log)
 
     def _split(self, t: FloatArray) -> FloatArray:
@@ -181,7 +181,7 @@ def measure_costs(task: RunTask) -> dict[str, Any]:
         sensed = pipeline.sense(profile, truth, task.run)
         solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
         disk_arrays.release()
-        rows = find_covered_epochs(solution) & (solution.t >= profile.evaluation_from - SAME_INSTANT)
+        rows = find_covered_epochs(solution) & (solution.t >= profile.evaluation.first)
         solution = select_epochs(solution, rows)
         errors = error_series(truth, solution)
         if not errors.states:

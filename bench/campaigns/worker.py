@@ -129,7 +129,7 @@ def _read_truth(flight: _Keyed) -> Trajectory:
 def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
     """Return what is kept of an estimator: its metrics, and its errors at some instants."""
     errors, solution = result.errors[label], result.solutions[label]
-    begun = task.profile.evaluation_from - SAME_INSTANT
+    begun = task.profile.evaluation.first
     nis = nis_by_sensor(solution.innovations, begun)
     with np.errstate(all="ignore"):  # a filter that is lost may report any innovations
         repetition = sum_repetition(solution.innovations, begun)

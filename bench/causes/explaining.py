@@ -31,7 +31,7 @@ class DrawnRun:
     spec: SensorsSpec
     seed: int
     run: int
-    from_s: float  # end of the alignment window [s]
+    begin: float  # end of the alignment window [s]
     on_board: AssumedSpecs  # datasheets of the sensors on board
 
 
@@ -68,7 +68,7 @@ def explain_run(
     count = 0
 
     def judge_here(solution: NavSolution) -> dict[str, BlockNees]:
-        found = judge_blocks(error_series(drawn.truth, solution), solution, drawn.from_s)
+        found = judge_blocks(error_series(drawn.truth, solution), solution, drawn.begin)
         disk_arrays.release()
         return found
 

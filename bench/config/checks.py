@@ -53,9 +53,8 @@ def check_outages(table: ExperimentTable) -> list[str]:
             wrong.append(f"{what} is outside the flight, 0 to {length:g} s")
     if rows and table.sensors.gnss is None:
         wrong.append("[[gnss_outage]] 1: there is no gnss in [sensors] to lose")
-    if table.evaluation.from_s >= length:
-        what = quantity("from_s", table.evaluation.from_s)
-        wrong.append(f"[evaluation] {what} is outside the flight, 0 to {length:g} s")
+    if outside := table.evaluation.window().describe_outside(length, "flight"):
+        wrong.append(outside)
     return wrong
 
 
@@ -84,10 +83,10 @@ def check_alignment(table: ExperimentTable) -> list[str]:
     if asked.kind == "course" and table.sensors.gnss is None:
         wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
     duration = choose_alignment_time(table)
-    if asked.kind != "given" and duration > table.evaluation.from_s:
+    if asked.kind != "given" and duration > (begin := table.evaluation.window().begin):
         wrong.append(
             f"[alignment] {quantity('duration_s', duration)} must not go beyond [evaluation] "
-            f"{quantity('from_s', table.evaluation.from_s)}"
+            f"{quantity('from_s', begin)}"
         )
     return wrong
 

@@ -21,7 +21,7 @@ from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import DEFAULT_DATE, DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, Guard
+from bench.specs import DEFAULT_DATE, DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, EvaluationWindow, Guard
 from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
@@ -102,7 +102,7 @@ class LogSpec:
     assumed: AssumedSpecs
     start: StartSpec
     estimators: tuple[EstimatorChoice, ...]
-    evaluation_from: float  # [s]
+    evaluation: EvaluationWindow
     until: float  # end of what counts [s]
     output_rate: float  # [Hz]
     withhold: int
@@ -206,7 +206,7 @@ def load_log(
         assumed=AssumedSpecs(**assumed),
         start=_make_start(table.alignment),
         estimators=choices,
-        evaluation_from=float(table.evaluation.from_s),
+        evaluation=table.evaluation.window(),
         until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
         output_rate=float(table.evaluation.output_hz),
         withhold=withhold,

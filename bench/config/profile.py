@@ -160,7 +160,7 @@ def load_profile(
         flight=flight,
         sensors=_make_sensors(table, aircraft, on_board, assumed),
         estimators=choices,
-        evaluation_from=float(table.evaluation.from_s),
+        evaluation=table.evaluation.window(),
         document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
     )
 

@@ -18,7 +18,7 @@ from bench.config.sheet import make_table_type
 from bench.config.tables import ROWS, Table, between
 from bench.instruments import INSTRUMENTS
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
+from bench.specs import ALTITUDES, SECONDS, SPEEDS, EvaluationWindow, Gust, Leg, Runway, WindLayer
 
 Seconds = Annotated[float, between(*SECONDS)]
 Altitude = Annotated[float, between(*ALTITUDES)]
@@ -209,6 +209,10 @@ class EvaluationTable(Table):
     """End of the alignment window: the metrics count from here on."""
     output_hz: Annotated[float, between(0.1, 400)] = 10.0
     """How often a solution is asked for."""
+
+    def window(self) -> EvaluationWindow:
+        """Return what the figures count."""
+        return EvaluationWindow.of_document({"evaluation": self.model_dump()})
 
 
 class RequirementTable(Table):

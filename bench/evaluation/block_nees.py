@@ -52,9 +52,9 @@ def measure_nees(error: FloatArray, cov: FloatArray) -> BlockNees:
     return BlockNees(states, float(nees.mean()), low, high, samples)
 
 
-def judge_blocks(errors: ErrorSeries, solution: NavSolution, from_s: float) -> dict[str, BlockNees]:
+def judge_blocks(errors: ErrorSeries, solution: NavSolution, begin: float) -> dict[str, BlockNees]:
     """Return the NEES of each block that a solution claims, from an instant on [s]; "all" is that of all."""
-    rows = find_covered_epochs(solution) & (solution.t >= from_s - SAME_INSTANT)
+    rows = find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT)
     claimed = claimed_blocks(solution)
     at, claims = select_epochs(errors, rows), select_epochs(solution, rows).cov
     error = np.hstack([at.pos_n, at.vel_n, at.phi_n])

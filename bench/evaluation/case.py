@@ -15,7 +15,7 @@ from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
-from bench.specs import AssumedSpecs, Fault
+from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, split_unit
 
 Outages = Sequence[tuple[float, float]]
@@ -68,7 +68,7 @@ class Case:
     faults: Mapping[str, Fault]  # number from 1: those that start inside
     scripted: tuple[Fault, ...]  # all faults of the run
     alarms: tuple[Alarms, ...]  # of the whole run
-    from_s: float  # [s]
+    begin: float  # of what counts [s]
     asked: int  # number of epochs asked for; of claims, t holds those with a solution
     silent: BoolArray  # (M,) epochs without an answer that nothing excuses
     coverage: Coverage | None  # of the whole run
@@ -184,7 +184,7 @@ def build_case(
         faults={str(k): f for k, f in enumerate(faults, 1)},
         scripted=tuple(faults),
         alarms=collect_alarms(nis, solution.events),
-        from_s=-np.inf,
+        begin=-np.inf,
         asked=len(errors) + len(missing),
         silent=np.zeros(len(errors), np.bool_) if silent is None else silent,
         coverage=coverage,
@@ -196,12 +196,12 @@ def build_case(
     )
 
 
-def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case:
-    """Return the epochs of a whole run from an instant on [s], with what starts after it.
+def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO_TIMES) -> Case:
+    """Return the epochs of a whole run that count, with what starts in them.
 
     ``missing`` holds the instants (K,) that were asked for and have no solution [s].
     """
-    begin = from_s - SAME_INSTANT
+    begin = evaluation.first
     rows = whole.t >= begin
     taken = as_slice(rows)
     nees = whole.nees[taken]
@@ -219,10 +219,10 @@ def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case
         nees=nees,
         nees_samples=count_independent(nees - whole.states),
         nis={name: whole.nis[name].take(counted) for name, counted in later.items() if counted.any()},
-        events=_count_events(whole.solution.events, from_s),
+        events=_count_events(whole.solution.events, evaluation.begin),
         outages=tuple(one for one in whole.outages if one[1] >= begin),
         faults={key: fault for key, fault in whole.faults.items() if fault.start >= begin},
-        from_s=from_s,
+        begin=evaluation.begin,
         asked=int(rows.sum() + np.sum(missing >= begin)),
         silent=whole.silent[taken],
         solution=select_epochs(whole.solution, rows),
@@ -231,7 +231,7 @@ def cut_case(whole: Case, from_s: float, missing: FloatArray = NO_TIMES) -> Case
     )
 
 
-def _count_events(events: Events, from_s: float) -> dict[str, int]:
+def _count_events(events: Events, begin: float) -> dict[str, int]:
     """Return the number of events by kind that begin at an instant [s] or later."""
-    kinds = [kind for kind, t in zip(events.kind, events.t, strict=True) if t >= from_s]
+    kinds = [kind for kind, t in zip(events.kind, events.t, strict=True) if t >= begin]
     return {kind: kinds.count(kind) for kind in sorted(set(kinds))}

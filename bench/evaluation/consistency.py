@@ -99,7 +99,7 @@ class SensorNis:
         return SensorNis(self.t[rows], self.nis[rows], self.dof[rows], self.accepted[rows])
 
 
-def nis_by_sensor(innovations: Innovations, from_s: float = -np.inf) -> dict[str, SensorNis]:
+def nis_by_sensor(innovations: Innovations, begin: float = -np.inf) -> dict[str, SensorNis]:
     """Return the NIS of each sensor from an instant on, one value per update.
 
     The table of innovations repeats the NIS of a measurement vector on the rows of its components, which are
@@ -110,7 +110,7 @@ def nis_by_sensor(innovations: Innovations, from_s: float = -np.inf) -> dict[str
     ----------
     innovations : Innovations
         Innovations of a solution.
-    from_s : float
+    begin : float
         First instant to include [s].
 
     Returns
@@ -128,7 +128,7 @@ def nis_by_sensor(innovations: Innovations, from_s: float = -np.inf) -> dict[str
     first = np.concatenate([[0], np.flatnonzero(~same) + 1])
     dof = np.diff(np.append(first, len(innovations)))
     accepted = np.logical_and.reduceat(innovations.accepted, first)
-    counted = innovations.t[first] >= from_s
+    counted = innovations.t[first] >= begin
     found = {}
     for code, name in enumerate(innovations.sensor):
         rows = (innovations.code[first] == code) & counted

@@ -49,7 +49,7 @@ class Mistake:
 
 
 def find_mistakes(
-    truth: Trajectory, solution: NavSolution, antenna_b: FloatArray, from_s: float
+    truth: Trajectory, solution: NavSolution, antenna_b: FloatArray, begin: float
 ) -> dict[str, Any]:
     """Return what the metrics of a solution whose claim is broken say of its conventions; empty for none.
 
@@ -61,7 +61,7 @@ def find_mistakes(
         What is judged.
     antenna_b : (3,) array
         Place of the antenna [m], b.
-    from_s : float
+    begin : float
         End of the alignment window [s].
 
     Returns
@@ -72,7 +72,7 @@ def find_mistakes(
         the flight does not tell apart; and ``why_text``.
     """
     claimed = claimed_blocks(solution)
-    rows = np.flatnonzero(find_covered_epochs(solution) & (solution.t >= from_s - SAME_INSTANT))
+    rows = np.flatnonzero(find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT))
     at = select_epochs(solution, rows[:: max(1, len(rows) // _MOST)])
     answers = Answers(at.t, at.lla, at.vel_n, at.q_nb, at.cov)
     steps = list[list[Mistake]]()

@@ -42,12 +42,12 @@ def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
     return max(min(first) - fault.start, 0.0) if first else None
 
 
-def count_false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, from_s: float) -> int:
+def count_false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, begin: float) -> int:
     """Count the alarms of one name, from an instant on [s], that belong to no fault."""
     count = 0
     for one in raised:
         if one.name == name:
-            explained = one.t < from_s
+            explained = one.t < begin
             for fault in faults:
                 if _concerns(fault, one):
                     explained |= _is_active(fault, one.t)
@@ -90,7 +90,7 @@ def false_alarms(case: Case) -> dict[str, float | None]:
     """Number of alarms of each sensor that no fault explains; absent in a run without faults."""
     if not case.scripted:
         return {}
-    count = partial(count_false_alarms, case.scripted, case.alarms, from_s=case.from_s - SAME_INSTANT)
+    count = partial(count_false_alarms, case.scripted, case.alarms, begin=case.begin - SAME_INSTANT)
     return {name: float(count(name)) for name in dict.fromkeys(one.name for one in case.alarms)}
 
 
@@ -108,7 +108,7 @@ def false_alarm_share(case: Case) -> float | None:
 
 def _outside_faults(case: Case) -> tuple[FloatArray, FloatArray]:
     """Return the whole seconds that are judged and without a fault, and the alarms in them [s]."""
-    first = max(case.from_s, float(case.t[0]))
+    first = max(case.begin, float(case.t[0]))
     seconds = np.arange(np.ceil(first - SAME_INSTANT), np.floor(case.t[-1]))
     for fault in case.scripted:
         seconds = seconds[(seconds + 1.0 <= fault.start) | (seconds >= fault.end)]

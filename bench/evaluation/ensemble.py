@@ -281,16 +281,16 @@ def measure_whiteness(normalized: Sequence[FloatArray], lags: int = LAGS) -> Whi
 
 
 def normalize_innovations(
-    innovations: Innovations, sensor: str, component: int, from_s: float = -np.inf
+    innovations: Innovations, sensor: str, component: int, begin: float = -np.inf
 ) -> FloatArray:
     """Return the innovations of one component of a sensor over their predicted standard deviations (K,)."""
     code = innovations.sensor.index(sensor)
-    rows = (innovations.code == code) & (innovations.component == component) & (innovations.t >= from_s)
+    rows = (innovations.code == code) & (innovations.component == component) & (innovations.t >= begin)
     return np.asarray(innovations.z[rows] / np.sqrt(innovations.S[rows]))
 
 
-def sum_repetition(innovations: Innovations, from_s: float, to_s: float = np.inf) -> dict[str, FloatArray]:
-    """Return what :func:`measure_repetition` pools, of one run in [from_s, to_s) [s], by sensor.
+def sum_repetition(innovations: Innovations, begin: float, end: float = np.inf) -> dict[str, FloatArray]:
+    """Return what :func:`measure_repetition` pools, of one run in [begin, end) [s], by sensor.
 
     Returns
     -------
@@ -300,7 +300,7 @@ def sum_repetition(innovations: Innovations, from_s: float, to_s: float = np.inf
     """
     found = {}
     for code, sensor in enumerate(innovations.sensor):
-        inside = (innovations.code == code) & (innovations.t >= from_s) & (innovations.t < to_s)
+        inside = (innovations.code == code) & (innovations.t >= begin) & (innovations.t < end)
         sums = np.zeros(3)
         for component in np.unique(innovations.component[inside]).tolist():
             rows = inside & (innovations.component == component)

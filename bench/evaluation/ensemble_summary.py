@@ -15,6 +15,7 @@ from bench.evaluation.ensemble import Comparison, Course, Estimate, Growth, Whit
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 from bench.evaluation.error_series import BLOCKS, claimed_blocks, estimated_blocks
 from bench.run_result import RunResult
+from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT
 
 SIGMAS = 3.0
@@ -47,7 +48,7 @@ class EnsembleSummary:
     consistency: Consistency | None  # None with fewer than 40 runs
 
 
-def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> EnsembleSummary:
+def summarize_runs(results: Sequence[RunResult], label: str, evaluation: EvaluationWindow) -> EnsembleSummary:
     """Return the statistics of an estimator over runs of one profile with different noise.
 
     Parameters
@@ -56,8 +57,8 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
         At least two runs that converged, with the same output instants.
     label : str
         The estimator.
-    from_s : float
-        End of the alignment window [s].
+    evaluation : EvaluationWindow
+        What counts.
 
     Raises
     ------
@@ -69,7 +70,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
         raise ValueError(f"{label}: {len(good)} of {len(results)} runs converged; at least 2 are needed")
     errors, solutions = [one.errors[label] for one in good], [one.solutions[label] for one in good]
     failed = sum(bool(one.metrics[label].get("failed")) for one in results)
-    late = errors[0].t >= from_s - SAME_INSTANT
+    late = errors[0].t >= evaluation.first
     columns = {"pos": "pos_n", "vel": "vel_n", "phi": "phi_n"}
     blocks = {
         name: np.stack([getattr(one, columns[name])[late] for one in errors])
@@ -82,14 +83,14 @@ def summarize_runs(results: Sequence[RunResult], label: str, from_s: float) -> E
     white: dict[tuple[str, int], list[FloatArray]] = {}
     for one in solutions:
         table = one.innovations
-        for sensor, series in nis_by_sensor(table, from_s - SAME_INSTANT).items():
+        for sensor, series in nis_by_sensor(table, evaluation.first).items():
             nis.setdefault(sensor, []).append(series)
             of_sensor = table.component[table.code == table.sensor.index(sensor)]
             for component in np.unique(of_sensor).tolist():
-                z = ensemble.normalize_innovations(table, sensor, component, from_s - SAME_INSTANT)
+                z = ensemble.normalize_innovations(table, sensor, component, evaluation.first)
                 white.setdefault((sensor, component), []).append(z)
     pos = blocks.get("pos")
-    edges = np.linspace(from_s, errors[0].t[-1] + SAME_INSTANT, INTERVALS + 1)
+    edges = np.linspace(evaluation.begin, errors[0].t[-1] + SAME_INSTANT, INTERVALS + 1)
     nees = np.stack([one.nees[late] for one in errors])
     return EnsembleSummary(
         label=label,

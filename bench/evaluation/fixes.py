@@ -18,6 +18,7 @@ from bench.evaluation.coverage import carry_on, find_excused, find_silent_epochs
 from bench.evaluation.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.metrics import METRICS, Carried, judge_epochs
+from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT
 
 _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
@@ -123,12 +124,12 @@ def point_errors(
 
 
 def judge(
-    solution: NavSolution, fixes: GnssFixes, data: SensorData, evaluation_from: float
+    solution: NavSolution, fixes: GnssFixes, data: SensorData, evaluation: EvaluationWindow
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors at the withheld fixes, and the metrics that need no attitude.
 
-    The metrics are those of `bench.evaluation.metrics` for position, velocity and innovations: ``x`` from
-    ``evaluation_from`` [s] on, ``x_all`` over the whole recording.
+    The metrics are those of `bench.evaluation.metrics` for position, velocity and innovations: ``x`` over
+    what ``evaluation`` counts, ``x_all`` over the whole recording.
     """
     errors = antenna_errors(solution, fixes, data)
     rows, _ = _match_instants(solution.t, errors.t)
@@ -151,7 +152,7 @@ def judge(
             values = judge_epochs(
                 judged,
                 at_fixes,
-                evaluation_from,
+                evaluation,
                 metrics=wanted,
                 carried=carried,
                 coverage=measure_coverage(solution, data),

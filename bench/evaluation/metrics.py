@@ -31,7 +31,7 @@ from bench.evaluation.error_series import (
 )
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
-from bench.specs import AssumedSpecs, Fault
+from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, unit_of
 
 Value = float | None
@@ -273,7 +273,7 @@ def judge(
     truth: Trajectory,
     solution: NavSolution,
     *,
-    evaluation_from: float,
+    evaluation: EvaluationWindow,
     outages: Outages,
     faults: Sequence[Fault] = (),
     assumed: AssumedSpecs | None = None,
@@ -289,8 +289,8 @@ def judge(
     solution : NavSolution
         The output of the estimator. Epochs before the end of the window that are NaN throughout belong to
         its alignment; ``x_all`` begins after them.
-    evaluation_from : float
-        End of the alignment window [s]; metrics ``x`` begin here, ``x_all`` at the start.
+    evaluation : EvaluationWindow
+        What metrics ``x`` count; ``x_all`` are of the whole run.
     outages : sequence of (start, end)
         Scripted GNSS outages, [start, end) [s], in order.
     faults : sequence of Fault
@@ -329,7 +329,7 @@ def judge(
     return errors, judge_epochs(
         judged,
         covered,
-        evaluation_from,
+        evaluation,
         outages=outages,
         faults=faults,
         missing=solution.t[~rows],
@@ -352,7 +352,7 @@ class Carried(NamedTuple):
 def judge_epochs(
     errors: ErrorSeries,
     solution: NavSolution,
-    evaluation_from: float,
+    evaluation: EvaluationWindow,
     *,
     outages: Outages = (),
     faults: Sequence[Fault] = (),
@@ -370,13 +370,13 @@ def judge_epochs(
     of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`. Metrics of accuracy are
     of ``carried``, if it is given, and so hold silent epochs.
     """
-    aligned = slice(count_aligning_epochs(solution, evaluation_from), None)
+    aligned = slice(count_aligning_epochs(solution, evaluation.begin), None)
     errors, solution = select_epochs(errors, aligned), select_epochs(solution, aligned)
     sound, reason = check_convergence(errors, solution, factored=factored)
     late = count_aligning_epochs(solution, np.inf)
     if late:
         first = solution.t[late]
-        sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation_from:g} s"
+        sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation.begin:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
         poses = Poses.from_errors(solution, errors)
         run = build_case(errors, solution, outages, faults, missing, assumed, drawn, poses, coverage=coverage)
@@ -389,7 +389,7 @@ def judge_epochs(
             )
         whole = _compute_metrics(run, every, solution, metrics)
         window = _compute_metrics(
-            cut_case(run, evaluation_from, missing), cut_case(every, evaluation_from), solution, metrics
+            cut_case(run, evaluation, missing), cut_case(every, evaluation), solution, metrics
         )
     lost = detection.find_lost_aiding(run)
     if sound and lost is not None:

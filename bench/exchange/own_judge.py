@@ -54,11 +54,11 @@ def measure_outages(
     return drifts
 
 
-def judge(solution: NavSolution, evaluation_from: float) -> tuple[ErrorSeries, dict[str, Any]]:
+def judge(solution: NavSolution, begin: float) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return no errors, and the metrics of the innovations."""
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     values["used_every_fix"] = True
-    for ending, first in (("", evaluation_from), ("_all", -np.inf)):
+    for ending, first in (("", begin), ("_all", -np.inf)):
         for name, one in nis_by_sensor(solution.innovations, first).items():
             mean = mean_nis(one.nis, one.dof)
             figures = {"mean": mean.mean, "low": mean.low, "high": mean.high}

@@ -35,6 +35,7 @@ from bench.exchange.solutions import (
 )
 from bench.exchange.table_files import check_times, read_table
 from bench.exchange.trajectory import KINDS
+from bench.specs import EvaluationWindow
 
 _TABLE = {
     **GNSS,
@@ -180,7 +181,7 @@ def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
 
 
 def judge(
-    solution: NavSolution, reference: Reference, data: SensorData, evaluation_from: float
+    solution: NavSolution, reference: Reference, data: SensorData, evaluation: EvaluationWindow
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution against a reference, and the metrics of what it has.
 
@@ -190,7 +191,7 @@ def judge(
     errors, moved = compare(solution, reference, data)
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     if len(errors):
-        values = judge_epochs(errors, moved, evaluation_from)
+        values = judge_epochs(errors, moved, evaluation)
     return errors, {**values, "reference_epochs": len(errors)}
 
 

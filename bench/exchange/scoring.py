@@ -64,16 +64,16 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
         rows = [
             (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
         ]
-        outages, evaluation = tuple(sorted(rows)), profile["evaluation"]
+        outages = tuple(sorted(rows))
         faults = fault_tables.read_faults(profile.get("fault", []))
-        t = select_output_times(truth.t, evaluation["output_hz"], outages)
+        t = select_output_times(truth.t, profile["evaluation"]["output_hz"], outages)
     foreign = read_solution(path, t_0=t_0)
     check_unit(foreign, float(truth.t[0]), truth.lla[0])
     solution = resample(foreign, t, longest)
     errors, measured = metrics.judge(
         truth,
         solution,
-        evaluation_from=evaluation["from_s"],
+        evaluation=run.evaluation,
         outages=outages,
         faults=faults,
         assumed=sensed.data.specs if sensed else None,
@@ -94,11 +94,10 @@ def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: floa
     if fixes is not None and len(fixes):
         check_unit(foreign, float(fixes.t[0]), fixes.lla[0])
     solution = resample(foreign, data.output_t, longest)
-    begun = run.profile["evaluation"]["from_s"]
     if by is not None:
-        errors, measured = reference.judge(solution, by, data, begun)
+        errors, measured = reference.judge(solution, by, data, run.evaluation)
     else:
-        errors, measured = judge_by_fixes(solution, run.records["withheld"], data, begun)
+        errors, measured = judge_by_fixes(solution, run.records["withheld"], data, run.evaluation)
     return _make_score(label, solution, errors, measured, run, len(foreign))
 
 
@@ -120,6 +119,6 @@ def _make_score(
     judged = add_verdict(label, measured, covered, required)
     if truth is not None and judged["verdict"] in BROKEN:
         antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
-        found = find_mistakes(truth, solution, antenna_b, run.profile["evaluation"]["from_s"])
+        found = find_mistakes(truth, solution, antenna_b, run.evaluation.begin)
         judged = add_verdict(label, {**measured, **found}, covered, required)
     return Score(label, solution, errors, judged, run, coverage, rows)

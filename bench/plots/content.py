@@ -72,7 +72,7 @@ class Content:
     sensed: Sensed
     solutions: Mapping[str, NavSolution]
     errors: Mapping[str, ErrorSeries]
-    evaluation_from: float  # end of the alignment window; earlier values do not scale a plot [s]
+    begin: float  # of what counts; earlier values do not scale a plot [s]
     antenna_mask: float | None = None  # elevation against b below which the antenna receives nothing [rad]
 
     @property
@@ -98,7 +98,7 @@ def gather_content(result: RunResult, *, in_space: bool = True) -> Content | Non
         sensed=result.sensed,
         solutions=result.solutions,
         errors=result.errors,
-        evaluation_from=float(result.profile["evaluation"]["from_s"]),
+        begin=result.evaluation.begin,
         antenna_mask=None if mask is None else radians(mask),
     )
 

@@ -31,7 +31,7 @@ def list_facts(result: RunResult) -> Iterable[str]:
     if wind := profile.get("wind"):
         yield f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°, turbulence {wind['turbulence']}"
     if "evaluation" in profile:
-        yield f"figures count from {profile['evaluation']['from_s']:g} s on"
+        yield str(result.evaluation)
 
 
 def list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:

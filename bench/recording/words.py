@@ -91,7 +91,7 @@ def _send_phase(stream: Any, entity: str, changes: Sequence[tuple[float, str]], 
 def make_summary(result: RunResult) -> str:
     """Return the markdown summary of a result: the experiment, and the metrics by estimator."""
     metrics, profile = result.metrics, result.profile
-    from_s = f"{profile['evaluation']['from_s']:g} s"
+    begin = f"{result.evaluation.begin:g} s"
     colours = ", ".join(
         f"{_escape(label)} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
     )
@@ -107,7 +107,7 @@ def make_summary(result: RunResult) -> str:
         *[f"- fault {_escape(text)}" for text in faults],
         "",
         f"{truth}; {colours}. ±3σ is what a filter claims about itself. Plots are hatched where GNSS is lost "
-        f"or a fault is scripted, and scaled to what comes after {from_s}.",
+        f"or a fault is scripted, and scaled to what comes after {begin}.",
     ]
     for label, values in metrics.items():
         for text in (values.get("verdict_text"), *list_sentences(values)):
@@ -120,7 +120,7 @@ def make_summary(result: RunResult) -> str:
             lines += ["", f"On board, but not modelled by **{_escape(label)}**: {missing}."]
     lines += [
         "",
-        f"**Metrics** from {from_s} on",
+        f"**Metrics** from {begin} on",
         "",
         f"| | {' | '.join(map(_escape, metrics))} |",
         f"|---|{'---:|' * len(metrics)}",

@@ -19,6 +19,7 @@ from bench.plots import series
 from bench.plots.series import Colour, Plot, Series
 from bench.report import page, svg
 from bench.report.page import Figure
+from bench.specs import EvaluationWindow
 from bench.units import unit_of
 from bench.wording import format_number
 
@@ -204,7 +205,7 @@ def plot_courses(
         here = {name: column[epochs["condition"] == number] for name, column in epochs.items()}
         if len(here["t_s"]):
             flown = condition["as_flown"]
-            begun = float(flown["evaluation"]["from_s"])
+            begun = EvaluationWindow.of_document(flown).begin
             lost = tuple(
                 (float(row["start_s"]), float(row["start_s"]) + float(row["duration_s"]))
                 for row in flown.get("gnss_outage", ())

@@ -12,6 +12,7 @@ from typing import Any
 import bench
 from bench.errors import BenchError, ConfigError
 from bench.files import check_file, read_json
+from bench.specs import EvaluationWindow
 from bench.store import parquet
 
 FORMAT = 1
@@ -80,7 +81,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
     if not (isinstance(profile, dict) and isinstance(profile.get("title"), str)):
         yield "profile.title", "a text"
     evaluation = profile.get("evaluation", {}) if isinstance(profile, dict) else {}
-    for name in ("from_s", "output_hz"):
+    for name in (*EvaluationWindow.keys(), "output_hz"):
         if not (isinstance(evaluation, dict) and isinstance(evaluation.get(name), int | float)):
             yield f"profile.evaluation.{name}", "a number"
     scene = summary.get("scene", {})

@@ -71,7 +71,7 @@ def run(options: Options, work: Work) -> Findings:
     errors = {
         label: np.concatenate(found[k * len(parts) : (k + 1) * len(parts)]) for k, label in enumerate(labels)
     }
-    phases = list_phases(bound.t, profile.evaluation_from, profile.sensors)
+    phases = list_phases(bound.t, profile.evaluation.begin, profile.sensors)
     columns: dict[str, list[Any]] = {
         name: []
         for name in ("estimator", "phase", "quantity", "rmse", "bound", "ratio", "low", "high", "unit")

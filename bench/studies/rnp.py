@@ -235,7 +235,7 @@ def _check(options: Options, profile: Profile) -> None:
 
 def _choose_rows(truth: Trajectory, profile: Profile) -> Any:
     """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
-    t = np.arange(np.ceil(max(profile.evaluation_from, truth.t[0])), truth.t[-1] + 1e-9, _INTERVAL)
+    t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + 1e-9, _INTERVAL)
     return np.unique(np.searchsorted(truth.t, t - 1e-6).clip(max=len(truth.t) - 1))
 
 

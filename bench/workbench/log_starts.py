@@ -15,6 +15,7 @@ from bench.exchange.log_start import HOVER, choose_stretch, find_start
 from bench.log_pipeline import Session
 from bench.navigation.start import alignment
 from bench.navigation.start.leveling import LEAST_REST
+from bench.specs import EvaluationWindow
 
 _SILENT = 0.5  # an IMU silent for longer is a new start [s]
 _EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]
@@ -100,7 +101,7 @@ def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: f
         heading_sd=np.deg2rad(10.0),
         heading_from=heading,
     )
-    tried = replace(spec, start=start, evaluation_from=0.0, until=np.inf)
+    tried = replace(spec, start=start, evaluation=EvaluationWindow(), until=np.inf)
     try:
         session = Session(tried, records, find_start(records, tried))
         data = session.make_data(np.ones(len(session.fixes), np.bool_), np.array([session.last]))

@@ -60,7 +60,7 @@ def navigate_log(
     judge = f"{len(result.records['withheld'])} fixes withheld"
     if log.reference is not None:
         judge = f"judged by the reference, {log.spec.document['reference']['file']}"
-    console.print(f"{title}: {judge}, figures from {log.spec.evaluation_from:g} s on", soft_wrap=True)
+    console.print(f"{title}: {judge}, {log.spec.evaluation}", soft_wrap=True)
     result_table.print_metrics(console, result.metrics, result.solutions)
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
@@ -237,10 +237,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     """
     score = api.score_solution(solution, folder, **options)
     run, label = score.run, score.label
-    begun = run.profile["evaluation"]["from_s"]
-    console.print(
-        f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, figures from {begun:g} s on"
-    )
+    console.print(f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, {run.evaluation}")
     result_table.print_metrics(
         console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
     )

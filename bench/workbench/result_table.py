@@ -37,8 +37,7 @@ _STYLES = {
 
 def print_result(console: Console, profile: Profile, run: RunResult) -> None:
     """Print verdicts and main metrics of one run, one column per estimator, and the errors not modelled."""
-    begun = profile.evaluation_from
-    console.print(f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, figures from {begun:g} s on")
+    console.print(f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, {run.evaluation}")
     print_metrics(console, run.metrics, run.solutions)
 
 

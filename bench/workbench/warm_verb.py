@@ -13,7 +13,7 @@ from bench.compiled import choose_cache
 from bench.errors import ConfigError
 from bench.flight.legs.level import Straight
 from bench.navigation.estimator import BUILT_IN
-from bench.specs import EstimatorChoice, FlightSpec, Profile
+from bench.specs import EstimatorChoice, EvaluationWindow, FlightSpec, Profile
 
 _EVERY_SENSOR = "all-sensors"
 """The shipped profile with the sensors that any built-in estimator uses."""
@@ -65,7 +65,7 @@ def _run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice
     flight = replace(base.flight, legs=(Straight(_SECONDS),), duration=None, rate=rate)
     truth = pipeline.fly(replace(base, flight=flight), cache=False)
     sensors = replace(profile.sensors, gnss_outages=(), faults=(), alignment="given")
-    short = replace(profile, sensors=sensors, evaluation_from=0.0)
+    short = replace(profile, sensors=sensors, evaluation=EvaluationWindow())
     sensed = pipeline.sense(short, truth)
     for choice in choices:
         solution = pipeline.navigate(choice, sensed.data, sensed.initial)

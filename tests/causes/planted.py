@@ -124,7 +124,7 @@ def ask(large: Collection[str], run: int) -> Answer:
     def measure(spec: SensorsSpec) -> dict[str, BlockNees]:
         sensed = sensors.sense(truth, spec, profile.seed, run)
         solution = estimator.answer(one, USE, sensed.data, sensed.initial)
-        return judge_blocks(error_series(truth, solution), solution, profile.evaluation_from)
+        return judge_blocks(error_series(truth, solution), solution, profile.evaluation.begin)
 
     spec = plant(profile.sensors, large)
     own = measure(spec)

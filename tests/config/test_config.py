@@ -283,7 +283,7 @@ def test_turbulence_by_name_and_by_number(tmp_path, word, severity):
 def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     name = write(tmp_path, "seed = 3\nturbulence_seed = 4\n" + PROFILE)
     plain = config.load_profile(name)
-    assert (plain.seed, plain.flight.turbulence_seed, plain.evaluation_from) == (3, 4, 60.0)
+    assert (plain.seed, plain.flight.turbulence_seed, plain.evaluation.begin) == (3, 4, 60.0)
     seeded = config.load_profile(name, seed=9)
     assert (seeded.seed, seeded.flight.turbulence_seed) == (9, 9)
     typed = config.load_profile(name, {"seed": 5, "leg.1.duration_s": 12, "evaluation.from_s": 20.0})
@@ -293,7 +293,7 @@ def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     told = config.load_profile(name, {"seed": 5, "turbulence_seed": 6}, seed=9)
     assert (told.seed, told.flight.turbulence_seed) == (5, 6)
     assert typed.flight.legs[0] == Straight(12.0)
-    assert typed.evaluation_from == 20.0
+    assert typed.evaluation.begin == 20.0
     assert config.load_profile(write(tmp_path), seed=None).flight.turbulence_seed == 0
 
 

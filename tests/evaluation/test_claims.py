@@ -12,6 +12,7 @@ from bench.data import SensorTruth
 from bench.evaluation.claims import count_independent
 from bench.evaluation.metrics import judge
 from bench.evaluation.verdict import is_outside
+from bench.specs import EvaluationWindow
 from bench.units import split_unit
 from tests.evaluation.solutions import COV, weaving_truth, wrong_solution
 
@@ -37,7 +38,7 @@ def measured(truth, tau, claim=1.0, runs=RUNS):
         errors = lasting(np.random.default_rng(k), tau, 601, 9) * np.sqrt(np.diag(COV))
         parts = {"pos_n": errors[:, :3], "vel_n": errors[:, 3:6], "phi_n": errors[:, 6:]}
         solution = wrong_solution(truth, every=2, cov=claim * COV, **parts)
-        found.append(judge(truth, solution, evaluation_from=0.0, outages=())[1])
+        found.append(judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1])
     return found
 
 
@@ -85,7 +86,7 @@ def test_errors_of_biases_have_rmse_coverage_and_squares(truth):
         extra_sd=np.tile(sd, (m, 1)),
     )
     drawn = SensorTruth(np.array([0.0, 60.0]), np.tile(true[:3], (2, 1)), np.tile(true[3:], (2, 1)))
-    found = judge(truth, solution, evaluation_from=0.0, outages=(), drawn=drawn)[1]
+    found = judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
     assert found["gyro_bias_rmse_x_deg_h"] == pytest.approx(np.rad2deg(2e-5) * 3600)
     assert found["gyro_bias_rmse_y_deg_h"] == pytest.approx(0.0, abs=1e-9)
     assert found["accel_bias_rmse_z_mg"] == pytest.approx(4e-3 / 9.80665e-3)
@@ -118,7 +119,7 @@ def test_an_honest_bias_state_stays_in_its_band_and_one_with_half_its_sigma_does
                 extra=off,
                 extra_sd=np.full_like(off, claim),
             )
-            found = judge(truth, one, evaluation_from=0.0, outages=(), drawn=drawn)[1]
+            found = judge(truth, one, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
             outside[claim] += sum(is_outside(f"nees_bias_{split_unit(name)[0]}", found) for name in names)
     assert outside[1.0] <= 6
     assert outside[0.5] > (0.5 if tau < 10.0 else 0.05) * RUNS * 6

@@ -30,7 +30,7 @@ def claims(profile, truth, assumed, **options):
         truth,
         lambda run: pipeline.sense(profile, truth, run),
         RUNS,
-        profile.evaluation_from,
+        profile.evaluation.begin,
         assumed,
     ).claims()
 

@@ -73,7 +73,7 @@ def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
         solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
         verdict = add_verdict(use, pipeline.judge(profile, truth, solution, sensed.truth)[1])["verdict"]
         assert verdict in BROKEN
-        begin = profile.evaluation_from
+        begin = profile.evaluation.begin
         assert find_mistakes(truth, solution, sensed.data.antenna_b, begin) == {}
 
 
@@ -96,7 +96,7 @@ def test_two_mistakes_are_named_one_after_the_other():
     solution, sensed = mistaken.give("conjugate", 0)
     profile, truth = mistaken.fly()
     both = mistaken.MISTAKES["velocities ENU"][0](solution, sensed.data)
-    found = find_mistakes(truth, both, sensed.data.antenna_b, profile.evaluation_from)
+    found = find_mistakes(truth, both, sensed.data.antenna_b, profile.evaluation.begin)
     assert sorted(conventions(found)) == [
         "an attitude from level to body, the conjugate quaternion",
         "velocities east, north, up",

@@ -16,7 +16,7 @@ from bench.evaluation.case import collect_alarms
 from bench.evaluation.detection import count_false_alarms, measure_delay
 from bench.navigation.models.loose_tight import Loose
 from bench.sensors import sense
-from bench.specs import Fault
+from bench.specs import EvaluationWindow, Fault
 from tests.weaving import units, weaving
 
 STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))
@@ -33,7 +33,7 @@ def judged(flight, *faults, run=0, estimator=None):
     """Metrics of the filter, and its solution."""
     sensed = sense(flight, replace(units(), faults=faults), 3, run)
     solution = (estimator or Loose()).run(sensed.data, sensed.initial)
-    _, found = metrics.judge(flight, solution, evaluation_from=30.0, outages=(), faults=faults)
+    _, found = metrics.judge(flight, solution, evaluation=EvaluationWindow(30.0), outages=(), faults=faults)
     return found, solution
 
 

@@ -163,7 +163,7 @@ def test_innovations_are_normalized_by_component():
         t, ("baro", "gnss"), np.ones(6, int), np.tile([0, 1], 3), np.arange(6.0), np.full(6, 4.0),
         np.zeros(6), np.ones(6, bool),
     )  # fmt: skip
-    assert ensemble.normalize_innovations(table, "gnss", 1, from_s=0.5).tolist() == [1.5, 2.5]
+    assert ensemble.normalize_innovations(table, "gnss", 1, begin=0.5).tolist() == [1.5, 2.5]
     assert len(ensemble.normalize_innovations(table, "baro", 0)) == 0
 
 

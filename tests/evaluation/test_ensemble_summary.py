@@ -8,8 +8,10 @@ import pytest
 import bench
 from bench.evaluation import ensemble
 from bench.evaluation.ensemble_summary import compare_estimators, summarize_runs
+from bench.specs import EvaluationWindow
 
 FROM_S = 10.0
+WINDOW = EvaluationWindow(FROM_S)
 SHORT = {
     "duration_s": 40.0,
     "evaluation.from_s": FROM_S,
@@ -28,7 +30,7 @@ def results():
 
 
 def test_the_summary_holds_the_statistics_of_the_runs(results):
-    found = summarize_runs(results, "loose-15", FROM_S)
+    found = summarize_runs(results, "loose-15", WINDOW)
     squares = np.array([one.metrics["loose-15"]["pos_rmse_h_m"] ** 2 for one in results])
     assert astuple(found.rmse["pos_h_m"]) == pytest.approx(astuple(ensemble.pool_rmse(squares)))
     heading = np.array([one.metrics["loose-15"]["heading_rmse_deg"] for one in results])
@@ -48,7 +50,7 @@ def test_the_summary_holds_the_statistics_of_the_runs(results):
 
 
 def test_growth_by_duration_of_an_outage_ends_with_its_metric(results):
-    found = summarize_runs(results, "loose-15", FROM_S).growth
+    found = summarize_runs(results, "loose-15", WINDOW).growth
     grown = np.array([one.metrics["loose-15"]["outage_1_growth_h_m"] for one in results])
     assert set(found) == {"1"}
     assert [row.elapsed for row in found["1"]] == [1.0, 3.0, 10.0, 12.0]
@@ -57,7 +59,7 @@ def test_growth_by_duration_of_an_outage_ends_with_its_metric(results):
 
 
 def test_nis_along_the_run_is_its_mean_in_parts(results):
-    summary = summarize_runs(results, "loose-15", FROM_S)
+    summary = summarize_runs(results, "loose-15", WINDOW)
     course = summary.nis_course["gnss_position"]
     silent = (course.t > 21.0) & (course.t < 31.0)  # the outage
     assert np.isnan(course.mean[silent]).all()
@@ -75,7 +77,7 @@ def test_runs_that_failed_and_runs_that_diverged_have_their_rates(results):
         replace_metrics(one, {"loose-15": one.metrics["loose-15"] | mark})
         for one, mark in zip(results, [*marks, {}, {}, {}], strict=True)
     ]
-    found = summarize_runs(others, "loose-15", FROM_S)
+    found = summarize_runs(others, "loose-15", WINDOW)
     assert found.runs == 6
     for rate, count in ((found.converged, 3), (found.diverged, 2), (found.failed, 1)):
         assert rate == ensemble.estimate_rate(count, 6)
@@ -87,7 +89,7 @@ def replace_metrics(result, metrics):
 
 
 def test_an_estimator_without_attitude_has_no_attitude(results):
-    found = summarize_runs(results, "gnss-only", FROM_S)
+    found = summarize_runs(results, "gnss-only", WINDOW)
     assert set(found.rmse) == {"pos_h_m", "pos_d_m", "vel_3d_mps"}
     assert set(found.coverage) == {"pos", "vel"}
 
@@ -103,4 +105,4 @@ def test_two_estimators_of_the_same_runs(results):
 def test_runs_that_did_not_converge_leave_too_few(results):
     broken = [replace_metrics(one, {"loose-15": {"converged": False}}) for one in results]
     with pytest.raises(ValueError, match="loose-15: 0 of 6 runs converged; at least 2 are needed"):
-        summarize_runs(broken, "loose-15", FROM_S)
+        summarize_runs(broken, "loose-15", WINDOW)

@@ -11,7 +11,7 @@ from bench import rotation
 from bench.data import Events, Innovations, SensorTruth, no_innovations
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, find_metric, judge
-from bench.specs import AssumedSpecs, Fault
+from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import unit_of
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 from tests.weaving import units
@@ -24,8 +24,9 @@ def truth():
     return weaving_truth()
 
 
-def metrics_of(truth, solution, evaluation_from=0.0, outages=(), faults=()):
-    return judge(truth, solution, evaluation_from=evaluation_from, outages=outages, faults=faults)[1]
+def metrics_of(truth, solution, begin=0.0, outages=(), faults=()):
+    evaluation = EvaluationWindow(begin)
+    return judge(truth, solution, evaluation=evaluation, outages=outages, faults=faults)[1]
 
 
 def some_innovations():
@@ -100,7 +101,7 @@ def test_cep_and_r95_are_the_smallest_radius_of_an_epoch_that_holds_its_share(tr
     m = len(range(0, len(truth), every))
     pos_n = random_errors(5, 4.0, m)
     errors, found = judge(
-        truth, wrong_solution(truth, every=every, pos_n=pos_n), evaluation_from=0.0, outages=()
+        truth, wrong_solution(truth, every=every, pos_n=pos_n), evaluation=EvaluationWindow(0.0), outages=()
     )
     radius = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
     down = np.abs(errors.pos_n[:, 2])
@@ -147,10 +148,10 @@ def test_a_metric_begins_at_the_end_of_the_alignment_window_and_its_twin_at_the_
     pos_n = np.zeros((201, 3))
     pos_n[:60, 0] = 100.0  # up to 5.9 s
     pos_n[60:, 0] = 2.0
-    found = metrics_of(truth, wrong_solution(truth, pos_n=pos_n), evaluation_from=6.0)
+    found = metrics_of(truth, wrong_solution(truth, pos_n=pos_n), begin=6.0)
     assert found["pos_max_h_m"] == pytest.approx(2.0, abs=1e-7)
     assert found["pos_max_h_m_all"] == pytest.approx(100.0, abs=1e-7)
-    found = metrics_of(truth, wrong_solution(truth, pos_n=pos_n), evaluation_from=5.9)
+    found = metrics_of(truth, wrong_solution(truth, pos_n=pos_n), begin=5.9)
     assert found["pos_max_h_m"] == pytest.approx(100.0, abs=1e-7)
 
 
@@ -175,7 +176,7 @@ def test_the_window_cuts_innovations_events_and_outages(truth):
 
 
 def test_a_run_that_ends_before_the_window_has_only_metrics_of_the_whole(truth):
-    found = metrics_of(truth, wrong_solution(truth, pos_n=[3.0, 4.0, 0.0]), evaluation_from=60.0)
+    found = metrics_of(truth, wrong_solution(truth, pos_n=[3.0, 4.0, 0.0]), begin=60.0)
     assert found["converged"] is True
     assert found["pos_rmse_h_m"] is None
     assert found["pos_rmse_h_m_all"] == pytest.approx(5.0, abs=1e-7)
@@ -347,7 +348,7 @@ def fully_judged(truth, faults=()):
     biased = replace(solution, extra_names=names, extra=np.zeros((201, 2)), extra_sd=np.ones((201, 2)))
     ends = np.array([0.0, 20.0])
     drawn = SensorTruth(ends, np.full((2, 3), 1e-4), np.full((2, 3), 1e-2))
-    settings = {"evaluation_from": 3.0, "outages": OUTAGES, "faults": faults, "drawn": drawn}
+    settings = {"evaluation": EvaluationWindow(3.0), "outages": OUTAGES, "faults": faults, "drawn": drawn}
     settings["assumed"] = AssumedSpecs(imu=units().imu, gnss=None)
     far = np.diag([1e6, 1e6, *np.diag(COV)[2:]])
     alone = replace(biased, innovations=no_innovations(), cov=np.tile(far, (201, 1, 1)))

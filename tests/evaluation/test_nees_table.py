@@ -13,6 +13,7 @@ from bench.campaigns.plan import Condition, plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.config.listing import list_profiles
 from bench.navigation import estimator
+from bench.specs import EvaluationWindow
 from tests import nees_table
 
 RNG = np.random.default_rng(5)
@@ -47,12 +48,13 @@ def test_the_interval_holds_the_mean_as_often_as_it_says():
 
 
 def test_faults_and_runs_that_were_lost_do_not_count():
-    profile = replace(bench.load_profile("gnss-faults"), evaluation_from=60.0)
+    profile = replace(bench.load_profile("gnss-faults"), evaluation=EvaluationWindow(60.0))
     t = np.arange(1.0, 261.0)
     kept = np.full((4, len(t), len(CHANNELS)), 9.0)
     kept[:, (t >= 80.0), :] = 1e6  # from the first fault on
     metrics = tuple({"converged": k < 3} for k in range(4))
-    group = Group(0, Condition("gnss-faults", {}), "loose-15", (1,), 60.0, metrics, 9, (), t, t, t, t, kept)
+    flown, start = Condition("gnss-faults", {}), EvaluationWindow(60.0)
+    group = Group(0, flown, "loose-15", (1,), start, metrics, 9, (), t, t, t, t, kept)
     found = nees_table.judge(group, profile)
     assert (found.mean, found.draws, found.lost) == (9.0, 3, 1)
     whole = nees_table.judge(group, replace(profile, sensors=replace(profile.sensors, faults=())))

@@ -11,6 +11,7 @@ from bench import earth, rotation
 from bench.data import Trajectory
 from bench.evaluation.metrics import judge
 from bench.evaluation.poses import align
+from bench.specs import EvaluationWindow
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 SPEED, LENGTH = 50.0, 100.0
@@ -32,7 +33,9 @@ def truth() -> Trajectory:
 
 
 def judged(truth, **errors):
-    return judge(truth, wrong_solution(truth, every=1, **errors), evaluation_from=0.0, outages=())[1]
+    return judge(
+        truth, wrong_solution(truth, every=1, **errors), evaluation=EvaluationWindow(0.0), outages=()
+    )[1]
 
 
 def test_a_constant_error_has_no_relative_error_and_vanishes_with_alignment(truth):
@@ -84,7 +87,7 @@ def test_the_time_offset_of_a_late_solution_is_found():
     solution = replace(solution, **{name: getattr(solution, name)[10:] for name in columns})
     shifted = rows - round(late * 100)
     solution = replace(solution, lla=truth.lla[shifted], vel_n=truth.vel_n[shifted])
-    found = judge(truth, solution, evaluation_from=0.0, outages=())[1]
+    found = judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1]
     assert found["time_offset_ms"] == pytest.approx(-1e3 * late, rel=0.01)
 
 

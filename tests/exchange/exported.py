@@ -12,6 +12,7 @@ from bench.data import Sensed, Trajectory
 from bench.evaluation import metrics
 from bench.evaluation.error_series import select_epochs
 from bench.run_result import RunResult
+from bench.specs import EvaluationWindow
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 
@@ -35,7 +36,7 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     sensed = replace(sensed, data=replace(sensed.data, fixes=fixes))
     rows = np.round(sensed.data.output_t * rate).astype(int)
     solution = select_epochs(wrong_solution(truth, every=1, **ERROR), rows)
-    errors, judged = metrics.judge(truth, solution, evaluation_from=5.0, outages=[LOST])
+    errors, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
     result = RunResult(
         profile.document,
         4,

@@ -167,7 +167,7 @@ def with_unit(profile: Profile, imu: ImuSpec) -> Profile:
 
 def choose_instants(profile: Profile, t: FloatArray) -> BoolArray:
     """Return the instants that are judged: after the alignment, at whole seconds, away from faults."""
-    return (t >= profile.evaluation_from) & (np.abs(t - np.round(t)) < 1e-6) & find_sound(profile, t)
+    return (t >= profile.evaluation.begin) & (np.abs(t - np.round(t)) < 1e-6) & find_sound(profile, t)
 
 
 def find_sound(profile: Profile, t: FloatArray) -> BoolArray:
@@ -199,7 +199,7 @@ def judge_draws(
                 continue
             judged.states = errors.states
             judged.nees.append(errors.nees[chosen])
-            series = consistency.nis_by_sensor(solution.innovations, profile.evaluation_from)
+            series = consistency.nis_by_sensor(solution.innovations, profile.evaluation.begin)
             for sensor, each in series.items():
                 sound = find_sound(profile, each.t)
                 kept = SensorNis(each.t[sound], each.nis[sound], each.dof[sound], each.accepted[sound])

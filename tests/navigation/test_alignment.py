@@ -23,7 +23,7 @@ from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
-from bench.specs import AxisFigures, ImuSpec, TriadSpec
+from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
 from tests.builders import at_rest, band, put
 from tests.weaving import DEG, IMU, units, weaving
 
@@ -516,7 +516,7 @@ def test_estimators_align_say_so_and_are_silent_before(name, kind):
         assert end >= 9.9
         assert ("levelled" if kind == "level" else "course") in text
         np.testing.assert_array_equal(silent, solution.t < end - 1e-6)
-    errors, judged = metrics.judge(truth, solution, evaluation_from=14.0, outages=())
+    errors, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(14.0), outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_h_m_all"] is not None
     assert len(errors) == len(solution)
@@ -526,7 +526,7 @@ def test_an_estimator_that_is_silent_beyond_the_window_did_not_converge():
     truth = standing(30.0)
     sensed = sensors.sense(truth, level(align_for=20.0), 1, 0)
     solution = load("loose-15", {}).run(sensed.data, sensed.initial)
-    _, judged = metrics.judge(truth, solution, evaluation_from=15.0, outages=())
+    _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(15.0), outages=())
     assert not judged["converged"]
     assert judged["reason"] == "no solution before t = 20 s; metrics begin at 15 s"
     nees = error_series(truth, solution).nees

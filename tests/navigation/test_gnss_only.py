@@ -25,6 +25,7 @@ from bench.navigation.estimator import load
 from bench.navigation.models.gnss_only import GnssOnly
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.singer import singer
+from bench.specs import EvaluationWindow
 from tests.builders import band, student
 from tests.weaving import GNSS, units, weaving
 
@@ -117,7 +118,7 @@ def test_in_a_flight_it_covers_its_errors_and_says_nothing_of_attitude(flight):
     truth, sensed = flight
     solution = GnssOnly().run(sensed.data, sensed.initial)
     bench.check_estimator(GnssOnly(), sensed.data, sensed.initial)
-    _, judged = metrics.judge(truth, solution, evaluation_from=10.0, outages=())
+    _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert judged["converged"]
     assert judged["nees_states"] == 6
     most = stats.binom.ppf(0.999, 80, 2 * stats.norm.sf(3.0)) / 80  # of what the 80 fixes allow

@@ -17,7 +17,7 @@ from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.estimator import find_same, load
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import AxisFigures, ImuSpec, TriadSpec
+from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student
 
 RUNS = 40
@@ -29,7 +29,7 @@ BY_AXIS = [name for name, one in triad_figures_of(TriadSpec).items() if one.by_a
 def profile():
     """Matched IMU and barometer, and the receiver of the catalog with its wandering error."""
     matched = load_profile("figure-eight-matched", {"sensors.gnss": "l1-code"})
-    return replace(matched, evaluation_from=120.0)
+    return replace(matched, evaluation=EvaluationWindow(120.0))
 
 
 def without_markov(specs):
@@ -68,7 +68,7 @@ def draws(estimator, profile, truth, runs, assumed=None):
         truth,
         lambda run: pipeline.sense(profile, truth, run),
         runs,
-        profile.evaluation_from,
+        profile.evaluation.begin,
         assumed,
     )
 

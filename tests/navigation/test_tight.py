@@ -23,7 +23,7 @@ from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, index_of
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose, Tight
-from bench.specs import Fault
+from bench.specs import EvaluationWindow, Fault
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving
@@ -296,7 +296,7 @@ def scripted(truth, sensed, step, ramp, start, end, **options):
     )
     drawn = sensors.sense(truth, replace(units(gnss=MATCHED), faults=(fault,)), 1, 0)
     solution = Tight(**options).run(drawn.data, drawn.initial)
-    _, found = metrics.judge(truth, solution, evaluation_from=10.0, outages=(), faults=(fault,))
+    _, found = metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=(), faults=(fault,))
     return found, solution, name
 
 

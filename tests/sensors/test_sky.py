@@ -20,7 +20,7 @@ from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
-from bench.specs import SkySpec
+from bench.specs import EvaluationWindow, SkySpec
 from tests.builders import band
 from tests.data import gnss_file
 from tests.synthetic import ORIGIN, still, turning
@@ -490,7 +490,7 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     sensed = sense(short_truth, replace(profile.sensors, gnss_outages=()), 1, 0)
     assert sensed.data.observations is not None
     solution = Loose().run(sensed.data, sensed.initial)
-    errors, _ = pipeline.judge(replace(profile, evaluation_from=20.0), short_truth, solution)
+    errors, _ = pipeline.judge(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
     facts = store.results._describe_record(sensed.data.observations, sensed.data)
     path = tmp_path / store.results.OBSERVATIONS

@@ -15,6 +15,7 @@ from bench.data import Events
 from bench.errors import ConfigError
 from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
+from bench.specs import EvaluationWindow
 from bench.studies import rnp
 from bench.units import STANDARD_GRAVITY
 
@@ -100,7 +101,7 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, **more):
     """Return the findings of flights of 100 s with errors of navigation and of the flight by number."""
     truth = SimpleNamespace(t=np.arange(0.0, 100.0))
     monkeypatch.setattr(
-        rnp, "_load", lambda *args: (SimpleNamespace(name="made", evaluation_from=0.0), truth)
+        rnp, "_load", lambda *args: (SimpleNamespace(name="made", evaluation=EvaluationWindow()), truth)
     )
 
     def fly(number):

@@ -30,7 +30,7 @@ from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import DEFAULT_GUARD, Guard, stream
+from bench.specs import DEFAULT_GUARD, EvaluationWindow, Guard, stream
 from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli
 
@@ -575,7 +575,7 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
         errors={"x": errors}, metrics={"x": {"converged": True, "reason": None}}, sensors=imu(1)
     )
     log = SimpleNamespace(
-        spec=SimpleNamespace(evaluation_from=9.0),
+        spec=SimpleNamespace(evaluation=EvaluationWindow(9.0)),
         records=SimpleNamespace(imu=SimpleNamespace(t=np.array([109.0]))),
         estimators={"x": None},
     )

@@ -400,7 +400,7 @@ def outcome(path):
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
     one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
     solution = estimator.answer(one, "x", data, session.initial)
-    _, metrics = judge(solution, withheld, data, spec.evaluation_from)
+    _, metrics = judge(solution, withheld, data, spec.evaluation)
     return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
 
 
@@ -767,5 +767,5 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         keep, withheld = session.split_fixes()
         data = session.make_data(keep, withheld.t)
         solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)
-        found.append(judge(solution, withheld, data, spec.evaluation_from)[1]["pos_rmse_h_m"])
+        found.append(judge(solution, withheld, data, spec.evaluation)[1]["pos_rmse_h_m"])
     assert found[0] < 0.5 * found[1]

@@ -18,6 +18,7 @@ from bench.cli import main
 from bench.evaluation import metrics
 from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
+from bench.specs import EvaluationWindow
 from bench.workbench.new import new_check
 from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
@@ -140,7 +141,7 @@ def test_the_filterpy_filter_of_the_guide_keeps_the_contract(truth, sensed, tmp_
     estimator = load("guide_filter:FixFilter", {})
     bench.check_estimator(estimator, sensed.data, sensed.initial)
     solution = estimator.run(sensed.data, sensed.initial)
-    _, judged = metrics.judge(truth, solution, evaluation_from=20.0, outages=())
+    _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(20.0), outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_3d_m"] < 6.0
     assert not [name for name in judged if "heading" in name]

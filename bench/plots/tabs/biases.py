@@ -61,7 +61,7 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             if len(drawn.t):
                 series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH, DRIFTING))
             path = ("estimators", label, "bias", name)
-            row.append(Plot(path, f"{label}: {title}", tuple(series), content.evaluation_from))
+            row.append(Plot(path, f"{label}: {title}", tuple(series), content.begin))
         if row:
             rows.append(row)
     return rows

@@ -38,7 +38,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
         )
         if len(series) > 1:
             path = ("comparison", title.partition(" ")[0])
-            plot = Plot(path, title, series, content.evaluation_from, FAR)
+            plot = Plot(path, title, series, content.begin, FAR)
             rows.append([plot, _take_logarithm(plot)])
     return {"": rows}
 

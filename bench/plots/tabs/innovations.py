@@ -56,7 +56,7 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
                 name += f", {axis}"
             series = _innovation_series(table, here & (table.component == component), colour)
             path = ("estimators", label, "innovation", sensor, axis)
-            row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.evaluation_from))
+            row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.begin))
         squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
         place = ("estimators", label, "nis", sensor)
         dof = int(nis.dof.max())
@@ -90,7 +90,7 @@ def _chi_square(content: Content, path: tuple[str, ...], title: str, squares: Se
     edges = [chi2_quantile(0.025, dof), chi2_quantile(0.975, dof)]
     t, values = squares.t[[0, -1]], np.array([edges, edges])
     band = Series("band", t, values, ("95 % band",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1))
-    return Plot(path, f"{title} ({dof} expected)", (band, squares), content.evaluation_from)
+    return Plot(path, f"{title} ({dof} expected)", (band, squares), content.begin)
 
 
 INNOVATIONS = Tab("Innovations", 60, _plots)

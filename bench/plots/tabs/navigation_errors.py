@@ -27,7 +27,7 @@ def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> 
                 title = f"{what} error about {axis}" if block == "phi" else f"{axis} {what} error"
                 series = draw_three_sigma("error", error.t, values[:, k], sigma[:, k], "error", colour)
                 path = ("estimators", label, what, axis)
-                rows.append([Plot(path, f"{label}: {title} [{unit}]", (series,), content.evaluation_from)])
+                rows.append([Plot(path, f"{label}: {title} [{unit}]", (series,), content.begin)])
         found[label] = rows
     return found
 
