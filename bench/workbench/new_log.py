@@ -14,7 +14,6 @@ from rich.console import Console
 from bench import durable
 from bench.config.log import LogSpec, load_log
 from bench.errors import ConfigError
-from bench.evaluation.motion_checks import SHIFT_OFF
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.evaluation.rest_noise import assume_vibration
 from bench.evaluation.validity import check_recording
@@ -322,12 +321,4 @@ def _write_log(
         lines += ['kind = "course"  # "level" if it stands for a minute before it moves?']
     else:
         lines += ['kind = "level"  # it does not move fast enough for a course', f"duration_s = {rest:.1f}"]
-    if "imu" in clocks:  # what is left of it is a state
-        options = f"{{ time_offset_sd = {SHIFT_OFF:g} }}"
-        lines += [
-            "",
-            "[[estimator]]",
-            'use = "loose-15"',
-            f"options = {options}  # of that clock",
-        ]
     return "\n".join(lines) + "\n"
