@@ -14,7 +14,7 @@ import pytest
 import scipy.stats
 
 import bench
-from bench import rotation
+from bench import earth, rotation
 from bench.campaigns import card, card_lines, running
 from bench.campaigns.card_causality import judge_causality
 from bench.campaigns.card_comparison import list_differences
@@ -301,6 +301,158 @@ def test_each_cheat_is_on_the_card(made, monkeypatch):
     assert find(cards["AlwaysAlarms"], "heading", "alarms").value > 0.99  # a flight without faults
     assert "in alarm for 100" in noisy.sentence
     assert quiet.value < 0.1
+
+
+def make_one_flight(monkeypatch, **values) -> None:
+    """A suite of one flight without faults, of two draws."""
+    make_suite()
+    flight = SuiteFlight("plain", "short.toml", {"fault": [], "gnss_outage": []} | values)
+    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
+
+
+class KnowsTheTruth(Wrong):
+    """Finds the truth in the cache, and stays a decimetre away from it."""
+
+    def spoil(self, found):
+        truth = bench.fly("short.toml")
+        lla = np.column_stack([np.interp(found.t, truth.t, truth.lla[:, k]) for k in range(3)])
+        return replace(found, lla=earth.displace(lla, np.array([0.1, 0.0, 0.1])))
+
+
+_SEEN: list[tuple[SensorData, NavSolution]] = []
+
+
+class Remembers:
+    """Smooths, and answers a record that begins like one of before as it did then."""
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        half = len(sensors.imu.t) // 4
+        for before, found in _SEEN:
+            if np.array_equal(before.imu.dvel_b[:half], sensors.imu.dvel_b[:half]):
+                return found
+        _SEEN.append((sensors, load("smoother", {}).run(sensors, initial)))
+        return _SEEN[-1][1]
+
+
+class AlarmsInTurns(Wrong):
+    def spoil(self, found):
+        rows = [(float(t), float(t), "integrity", "something", "gnss") for t in np.arange(0.0, 40.0, 2.0)]
+        return replace(found, events=Events.from_rows(rows))
+
+
+class SpeaksLate(Wrong):
+    """Says nothing until it is sure."""
+
+    def spoil(self, found):
+        silent = (found.t < 14.0)[:, None]
+        columns = {name: np.where(silent, np.nan, getattr(found, name)) for name in ("lla", "vel_n", "q_nb")}
+        return replace(found, **columns, cov=np.where(silent[..., None], np.nan, found.cov))
+
+
+class Gain(Wrong):
+    """Has an option, and claims so much more."""
+
+    def __init__(self, *, gain: float = 1.0) -> None:
+        self.gain = gain
+
+    def spoil(self, found):
+        return replace(found, cov=found.cov * self.gain**2)
+
+
+class HeadsWrong(Wrong):
+    """Its heading is 92 deg off."""
+
+    def spoil(self, found):
+        turned = rotation.multiply(rotation.from_rotvec(np.array([0.0, 0.0, np.deg2rad(92.0)])), found.q_nb)
+        return replace(found, q_nb=turned)
+
+
+class TakesFixesEarly:
+    """Takes a fix when it is measured, before it arrives."""
+
+    def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+        fixes = replace(sensors.fixes, t_arrival=sensors.fixes.t)
+        return load("loose-15", {}).run(replace(sensors, fixes=fixes), initial)
+
+
+def judge_here(name: str, **options) -> card.Card:
+    return bench.make_card(f"tests.campaigns.test_card:{name}", against="loose-15", quick=True, **options)
+
+
+def test_who_knows_the_truth_is_below_the_bound_and_an_honest_filter_is_not(made, monkeypatch):
+    """The bound is the covariance of the best linear filter; a matched one comes near it."""
+    monkeypatch.chdir(made)
+    make_one_flight(monkeypatch)
+    cheat = judge_here("KnowsTheTruth")
+    line = find(cheat, "plain", "accuracy")
+    assert line.word == "impossible"
+    assert line.sentence.endswith("times the bound: no causal filter can; it has the future, or the truth.")
+    assert not cheat.good
+    assert "below the bound of causal filters in 2 figures" in cheat.summary
+    profile = load_profile("short.toml", {"fault": [], "gnss_outage": []}, estimators=["loose-15"])
+    least = bench.run(profile, bound=True).metrics["loose-15"]["bound"]
+    by_name = {row["quantity"]: row["bound"] for row in least}
+    assert line.over_bound[0] == pytest.approx(0.1 / by_name["horizontal position"], rel=0.05)
+    honest = bench.make_card("loose-15", against="loose-22", quick=True)
+    assert not [one for one in honest.lines if one.word == "impossible"]
+    assert find(honest, "plain", "heading").over_bound is not None
+
+
+def test_what_a_filter_remembers_of_other_runs_tells_it_no_future(made, monkeypatch):
+    """Each run of the proof has a process of its own, and draws that no other run has seen."""
+    monkeypatch.chdir(made)
+    make_one_flight(monkeypatch)
+    plan, labels = card._plan(card.QUICK, "tests.campaigns.test_card:Remembers", "loose-15", bench.Guard())
+    assert judge_causality(plan, card.QUICK, labels[0]).value > 1.0
+
+
+def test_fixes_taken_before_they_arrive_are_seconds_of_the_future(made, monkeypatch):
+    monkeypatch.chdir(made)
+    late = {"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 20.0, "added_s": 0.5}
+    make_one_flight(monkeypatch, fault=[late])
+    use = "tests.campaigns.test_card:TakesFixesEarly"
+    plan, labels = card._plan(card.QUICK, use, "loose-15", bench.Guard())
+    early, honest = (judge_causality(plan, card.QUICK, label) for label in labels[:2])
+    assert early.value == pytest.approx(0.5, abs=0.05)
+    assert early.sentence.startswith("plain: uses the future: 0.4")
+    assert honest.value == 0.0
+
+
+def test_alarms_in_turns_a_late_start_and_options_are_on_the_card(made, monkeypatch, capsys):
+    monkeypatch.chdir(made)
+    make_one_flight(monkeypatch)
+    assert find(judge_here("AlarmsInTurns"), "plain", "alarms").value == pytest.approx(0.5, abs=0.05)
+    assert "heading error is 9" in find(judge_here("HeadsWrong"), "plain", "convergence").sentence
+    late = judge_here("SpeaksLate")
+    assert find(late, "plain", "convergence").value == 0.0
+    assert late.lost[0].reason.startswith("no solution before t = 14 s")
+    assert late.lines[1].sentence == "plain: first answer after 14 s at most."
+    Path("need.toml").write_text(
+        "[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 0.001\nshare = 0.9\n"
+        "[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 100.0\nshare = 0.1\nflight = 'plain'\n"
+    )
+    own = ["card", "-e", "tests.campaigns.test_card:Gain", "--against", "loose-15", "--quick"]
+    more = ["--option", "gain=100.0", "--label", "wide", "-o", "wide.json", "--require", "need.toml"]
+    assert main([*own, *more, "--junit", "need.xml", "--force"]) == 1
+    found = bench.read_card(Path("wide.json"))
+    assert (found.estimator, found.options) == ("wide", {"gain": 100.0})
+    once = bench.make_card("loose-15", against="loose-22", quick=True)
+    ratio = find(found, "plain", "honesty").value / find(once, "plain", "honesty").value
+    assert ratio == pytest.approx(1e-4, rel=1e-6)
+    assert find(found, "plain", "honesty").word == "underconfident"
+    assert find(found, "plain", "accuracy").by_draw == find(once, "plain", "accuracy").by_draw
+    assert found.answers != once.answers
+    words = [line.word for line in found.lines if line.topic == "requirements"]
+    assert words == ["missed", "met"]
+    assert "wide: pos_rmse_h_m is at most 0.001 m in 0 of 2 runs" in capsys.readouterr().out
+    assert Path("need.xml").read_text().count("<testcase") == 2
+    assert Path("cards/wide-quick/journal.jsonl").is_file()
+    assert card.verify_card(found, guard=bench.Guard()) == []
+    other = judge_here("Gain", label="one")
+    assert (other.program != found.program, other.answers == once.answers) == (True, True)
+    Path("need.toml").write_text("[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 1.0\nflight = 'moon'\n")
+    assert main([*own, "--require", "need.toml"]) == 2
+    assert "need.toml: [[requirement]] 1: no flight 'moon'; there are plain" in capsys.readouterr().err
 
 
 def test_a_filter_that_loses_its_worst_draws_is_not_better(made):
