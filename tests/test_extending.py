@@ -310,7 +310,28 @@ def run(options: Options, work: Work) -> Findings:
     },
 )
 
+EVALUATION = Toy(
+    inserted={
+        "bench/config/profile_tables.py": [
+            (
+                "    output_hz: Annotated[float, between(0.1, 400)] = 10.0\n",
+                '    until_s: Annotated[float, between(0, 86400)] = 86400.0\n    """Count until then."""\n',
+            )
+        ],
+        "bench/specs.py": [
+            (
+                "\n    @property\n    def first(self)",
+                '    end: float = field(default=86400.0, metadata={"key": "until_s"})  # [s]\n',
+            )
+        ],
+        "bench/evaluation/case.py": [
+            ("    taken = as_slice(rows)\n", "    rows &= whole.t < evaluation.end\n")
+        ],
+    }
+)
+
 TOYS = {
+    "an option of the evaluation": EVALUATION,
     "a study": STUDY,
     "a metric": METRIC,
     "a recording tab": TAB,
@@ -402,6 +423,7 @@ start_s = 8.0
 duration_s = 0.75
 [evaluation]
 from_s = 2.0
+until_s = 11.0
 [[estimator]]
 use = "loose-15"
 options = { laser = true, shear = true }
@@ -424,13 +446,14 @@ loose, laser = result.solutions["loose-15"], result.sensed.data.laser
 state = loose.extra_names.index("gyro_shear_rad")
 t, drawn = recording.column("run/flight.rrd", "/laser/height/height", "Scalars:scalars")
 table, events = loose.innovations, result.truth.events
+counted = (loose.t >= 2.0) & (loose.t < 11.0)
 here = table.code == table.sensor.index("laser")
 roll_rate, pitch_rate = result.truth.dtheta_b[:, :2].T
 wrong = result.sensed.data.imu.dtheta_b[:, 0] - roll_rate
 print(json.dumps({
     "package": bench.__file__,
     "metrics": result.metrics,
-    "mean": float(np.hypot(*result.errors["loose-15"].pos_n[loose.t >= 2.0, :2].T).mean()),
+    "mean": float(np.hypot(*result.errors["loose-15"].pos_n[counted, :2].T).mean()),
     "legs": [text for kind, text in zip(events.kind, events.text) if kind == "leg"],
     "heading": float(np.ptp(np.unwrap(2 * np.arctan2(result.truth.q_nb[:, 3], result.truth.q_nb[:, 0])))),
     "zeroed": laser.t[laser.height == 0.0].tolist(),
