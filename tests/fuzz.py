@@ -293,7 +293,7 @@ baro = "baro.toml"
     spec = load_log(str(folder / "drive.toml"))
     if form.startswith(("ros", "mcap")):
         imu = replace(spec.imu, time_offset=-test_log_formats.EPOCH)
-        spec = replace(spec, imu=imu, gnss=SourceSpec(folder / "gnss.csv"), baro=None)
+        spec = replace(spec, imu=imu, gnss=SourceSpec(folder / "gnss.csv"), instruments={})
     return Case(
         files, lambda _: bench.navigate_log(folder / "drive.toml"), not binary, lambda _: read_records(spec)
     )

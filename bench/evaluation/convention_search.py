@@ -72,6 +72,8 @@ def find_mistakes(
         the flight does not tell apart; and ``why_text``.
     """
     claimed = claimed_blocks(solution)
+    if not claimed:
+        return {}
     rows = np.flatnonzero(find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT))
     at = select_epochs(solution, rows[:: max(1, len(rows) // _MOST)])
     answers = Answers(at.t, at.lla, at.vel_n, at.q_nb, at.cov)

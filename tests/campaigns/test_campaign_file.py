@@ -76,6 +76,8 @@ def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
     words = shlex.split(row["command"])
     assert main([*words[1:], "--no-rrd", "-o", "alone"]) == 0
     metrics = json.loads(Path("alone/result.json").read_text())["metrics"]["loose-15"]
+    why = row.pop("verdict_text").partition(" Worst is")[0]
+    assert metrics["verdict_text"].startswith(why)  # that of a run goes on: why
     assert {name: metrics[name] for name in row if name in metrics} == {
         k: v for k, v in row.items() if k in metrics
     }

@@ -293,7 +293,7 @@ def test_each_cheat_is_on_the_card(made, monkeypatch):
         assert line.value == 0.0, name
         assert f"converged in 0 of {DRAWS} draws; draw 0: {reason}" in line.sentence, line.sentence
         assert "converged in 0 of 9 draws" in cards[name].summary
-    assert find(cards["AnswersWhereItIsSure"], "short", "coverage").value < 0.6
+    assert find(cards["AnswersWhereItIsSure"], "short", "coverage").value < 0.7
     noisy, quiet = (
         find(one, "short", "alarms") for one in (cards["AlwaysAlarms"], bench.read_card(made / "a.json"))
     )

@@ -8,6 +8,7 @@ import pytest
 from bench import sensors
 from bench.evaluation import fixes
 from bench.navigation.models.loose_tight import Loose
+from bench.specs import EvaluationWindow
 from tests.weaving import units, weaving
 
 
@@ -24,7 +25,7 @@ def judged(case, *, variance=None, velocity=True):
         cov[100:, 0, 0] = variance
     vel_n = data.fixes.vel_n if velocity else np.full_like(data.fixes.vel_n, np.nan)
     given = replace(data.fixes, vel_n=vel_n)
-    return fixes.judge(replace(solution, cov=cov), given, data, 10.0)[1]
+    return fixes.judge(replace(solution, cov=cov), given, data, EvaluationWindow(10.0))[1]
 
 
 def test_a_negative_variance_is_a_broken_filter_whatever_the_fixes_lack(case):

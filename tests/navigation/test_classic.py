@@ -330,7 +330,7 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
         ({"admissible_deg": True}, "admissible_deg = true must be a number"),
         (
             {"gate": 3},
-            "unknown option 'gate'\n  known options: admissible_deg, correction_period, covariance",
+            "unknown option 'gate'. Did you mean 'gate_probability'?\n  known options: admissible_deg",
         ),
         ({"form_": "qr"}, "unknown option 'form_'. Did you mean 'form'?"),
     ],

@@ -389,14 +389,14 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         (
             "loose-15",
             {"gate": 1},
-            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, alpha_deg",
+            "unknown option 'gate'. Did you mean 'gate_probability'?\n  known options: adaptive_noise",
         ),
         ("free-inertial", {"gnss": True}, "option 'gnss' is fixed to false; leave it out"),
         ("error-ekf", {"admissible_deg": 2.0}, "option 'admissible_deg' is fixed to 1; leave it out"),
         (
             "free-inertial",
             {"gate": 1},
-            "unknown option 'gate'\n  known options: adaptive_noise, airspeed, alpha_deg",
+            "unknown option 'gate'. Did you mean 'gate_probability'?\n  known options: adaptive_noise",
         ),
         ("loose-15", {"covariance_hz": 0.0}, "covariance_hz = 0 Hz must be positive"),
         ("loose-15", {"covariance_hz": float("nan")}, "covariance_hz = nan Hz must be a finite number"),

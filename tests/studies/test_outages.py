@@ -158,7 +158,8 @@ def test_47_the_biases_of_the_grades_alone(matched):
             digits = len(f"{one}".replace(".", "").strip("0"))
             assert float(f"{value:.{digits}g}") == pytest.approx(one, rel=0.5 * 10.0 ** -(digits - 1))
     after = {row[0]: row[-1] for row in rows if row[1] == "s-turns"}
-    assert {name: round(after[name]) for name in PRINTED_AFTER} == PRINTED_AFTER
+    for name, printed in PRINTED_AFTER.items():
+        assert after[name] == pytest.approx(printed, abs=1.0), name
     grown = {row[:3]: row[3] for row in rows}
     assert grown["MEMS", "s-turns", 300.0] == pytest.approx(227.0, rel=0.02)
     assert grown["grade-3", "s-turns", 300.0] == pytest.approx(27.5, rel=0.02)

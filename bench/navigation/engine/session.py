@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from bench.arrays import IntArray
 from bench.data import SensorData
 from bench.specs import AssumedSpecs
-from bench.wide_rows import LANES, widened
 
 _T = TypeVar("_T")
 Kept = Annotated[_T, "kept"]
@@ -142,6 +141,8 @@ def fork(value: Any) -> Any:
 
 def _copy_array(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy, C-ordered and writeable; rows of whole cache lines begin at one (`bench.wide_rows`)."""
+    from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
+
     wide = array.ndim == 2 and array.dtype == np.float64 and array.shape[1] % LANES == 0
     return widened(array) if wide else np.array(array, order="C")
 
