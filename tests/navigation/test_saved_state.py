@@ -193,7 +193,7 @@ def alter(arrays: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
     ways = [
         lambda: array[:-1],
         lambda: np.concatenate([array, array]),
-        lambda: np.nan_to_num(array).astype(np.int64 if array.dtype.kind == "f" else np.float64),
+        lambda: np.zeros(array.shape, np.int64 if array.dtype.kind == "f" else np.float64),
         lambda: array.ravel(),
         lambda: array * array.dtype.type(0),
         lambda: array[::-1].copy(),
