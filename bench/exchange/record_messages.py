@@ -1,18 +1,20 @@
 """Records as bytes for another process: nothing in them can run.
 
-A message is a text and a body. The text is JSON: words and numbers as they are, a record as its class and the
-number of its rows, an array as its kind and shape. The body is all arrays as they lie in memory, each at a
-multiple of :data:`ALIGNED` but for those of truth values. A record was checked when it was made; on arrival
-it is put together as it was. A filter in pieces gets and gives some forty arrays at each piece: what is the
-same of all records of a class is worked out once.
+A message is a text and a body. The text is JSON: words as they are, a record as its class and the number of
+its rows, an array as its kind and shape. The body is all numbers and arrays as they lie in memory, each at a
+multiple of :data:`ALIGNED` but for columns of truth values. A record was checked when it was made; on arrival
+it is put together as it was. A filter in pieces gets and gives some forty arrays at each piece, and one text
+serves many pieces: what follows from it is worked out once.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import struct
+from collections.abc import Callable, Mapping
 from dataclasses import fields
+from functools import lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,11 +40,15 @@ from bench.specs import AssumedSpecs
 ALIGNED = 8
 """Every array begins at a multiple of this in the body [byte]."""
 
-_KIND, _CONTENT = "=", "of"
-"""Keys of the dictionary that stands for a record or an array; no other one has the first."""
+_RECORD, _ARRAY, _MAPPING, _LIST, _WORD_LIST = "record", "array", "mapping", "list", "words"
+_FLOAT, _INT = ("float",), ("int",)
+"""What the lists of the text begin with."""
 
 _PADDING = bytes(ALIGNED)
-_PLAIN = frozenset((int, float, str, bool, type(None)))
+_WORDS = frozenset((str, bool, type(None)))
+_LARGEST = 1 << 63  # an integer beyond it goes as its digits
+_REPEATED = 1 << 12  # a smaller text or body may come again [byte]
+_pack_float, _pack_int = struct.Struct("<d").pack, struct.Struct("<q").pack
 
 
 class _Plan:
@@ -56,6 +62,7 @@ class _Plan:
         )
         self.kind = kind
         self.others = [f.name for f in fields(kind) if f.name not in numbers and f.name != _LEFT_OUT]
+        self.put = {f.name: getattr(kind, f.name).__set__ for f in fields(kind)}  # past what is frozen
         self._shapes = [(name, declared[name].kind, declared[name].shape) for name in numbers]
         self._numbers, self._others = _make_getter(numbers), _make_getter(self.others)
         self._first = numbers[0] if numbers else None
@@ -96,9 +103,9 @@ class _Plan:
             record: Any = object.__new__(self.kind)
             self._empty[width] = record
             for name, kind, shape, *_ in self.columns(width)[0]:
-                object.__setattr__(record, name, read_only(np.empty((0, *shape), kind)))
+                self.put[name](record, read_only(np.empty((0, *shape), kind)))
             for name in self.others:
-                object.__setattr__(record, name, ())
+                self.put[name](record, ())
         return self._empty[width]
 
 
@@ -137,6 +144,10 @@ _PLANS = {
 }
 
 
+_COLUMNS = {float: 0, int: 1, bool: 2}  # of `_Views.columns`
+_NUMBERS = {_FLOAT[0]: 0, _INT[0]: 1}
+
+
 class RecordMessage:
     """A value on its way: its text, and its body in parts; of a record of others ``check`` its arrays."""
 
@@ -144,31 +155,39 @@ class RecordMessage:
         self._check = check
         self.parts: list[Any] = []  # arrays and bytes
         self.size = 0  # of the body [byte]
-        self.text = _encode(self._take(value)).encode()
+        tree = self._take(value)
+        self.text = _write_text(tree) if self.size < _REPEATED else _write_text.__wrapped__(tree)
 
     def _take(self, value: Any) -> Any:
+        """Return what the text says of a value; its arrays and numbers go into the body."""
         kind = type(value)
-        if kind in _PLAIN:
+        if kind in _WORDS:
+            return value
+        if kind is float or (kind is int and -_LARGEST <= value < _LARGEST):
+            self.parts.append(_pack_float(value) if kind is float else _pack_int(value))
+            self.size += ALIGNED
+            return _FLOAT if kind is float else _INT
+        if kind is int:
             return value
         if (plan := _PLANS.get(kind.__name__)) is not None and kind is plan.kind:
             rows, width, arrays, others, size = plan.take(value, self._check)
             if not rows and all(type(one) is tuple and not one for one in others):
-                return {_KIND: kind.__name__, _CONTENT: [0, width]}
+                return (_RECORD, kind.__name__, 0, width)
             self.parts += arrays
             self._pad(size)
-            rest = (one if type(one) in _PLAIN else self._take(one) for one in others)
-            return {_KIND: kind.__name__, _CONTENT: [rows, width, *rest]}
+            return (_RECORD, kind.__name__, rows, width, *map(self._take, others))
         if isinstance(value, np.ndarray):
             if value.dtype.hasobject:
                 raise TypeError(f"an array of {value.dtype} is no array of numbers or words")
             self.parts.append(np.ascontiguousarray(value))
             self._pad(value.nbytes)
-            return {_KIND: value.dtype.str, _CONTENT: value.shape}
+            return (_ARRAY, value.dtype.str, *value.shape)
         if isinstance(value, Mapping):
-            return {str(key): self._take(inner) for key, inner in value.items()}
+            return (_MAPPING, *map(str, value), *map(self._take, value.values()))
         if isinstance(value, list | tuple):
-            return [self._take(inner) for inner in value]
-        return value
+            words = all(type(one) in _WORDS for one in value)
+            return (_WORD_LIST, *value) if words else (_LIST, *map(self._take, value))
+        return self._take(value.item() if isinstance(value, np.generic) else str(value))
 
     def _pad(self, size: int) -> None:
         self.size += size
@@ -205,69 +224,107 @@ def read_message(text: bytes, body: NDArray[np.uint8], specs: AssumedSpecs | Non
 
     Raises
     ------
-    ValueError, TypeError
+    ValueError, TypeError, KeyError, IndexError
         If the text is none, or an array does not lie in the body.
     """
-    return _Reader(body, specs).give(json.loads(text))
+    give, size = _read_text(text) if len(text) < _REPEATED else _read_text.__wrapped__(text)
+    if body.size != size:
+        raise ValueError(f"the body has {body.size} bytes, the text says {size}")
+    return give(_Views((body.view(np.float64), body.view(np.int64), body.view(np.bool_)), body, specs))
 
 
-class _Reader:
-    """Gives the arrays of a body in their order."""
+class _Views(NamedTuple):
+    """A body as it can be looked at, and what its records are given besides."""
 
-    def __init__(self, body: NDArray[np.uint8], specs: AssumedSpecs | None) -> None:
-        self._specs, self._place = specs, 0
-        self._body, self._truths = body, body.view(np.bool_)
-        self._numbers: dict[type, NDArray[Any]] = {float: body.view(np.float64), int: body.view(np.int64)}
+    columns: tuple[NDArray[Any], ...]
+    body: NDArray[np.uint8]
+    specs: AssumedSpecs | None
 
-    def give(self, value: Any) -> Any:
-        if type(value) is dict:
-            if (kind := value.get(_KIND)) is None:
-                return {key: self.give(inner) for key, inner in value.items()}
-            plan = _PLANS.get(kind)
-            content = value[_CONTENT]
-            return self._give_array(kind, content) if plan is None else self._give_record(plan, content)
-        if type(value) is list:
-            return [self.give(inner) for inner in value]
-        return value
 
-    def _give_record(self, plan: _Plan, content: list[Any]) -> Any:
-        rows, width = content[0], content[1]
-        if not rows and len(content) == 2:
-            return plan.give_empty(width)
-        record: Any = object.__new__(plan.kind)
-        put = object.__setattr__
-        place = self._place
-        for name, kind, shape, count, _ in plan.columns(width)[0]:
-            size = rows * count
-            if kind is bool:
-                array, place = self._truths[place : place + size], place + size
-            else:
-                first = place // ALIGNED
-                array, place = self._numbers[kind][first : first + size], place + ALIGNED * size
-            put(record, name, array.reshape(rows, *shape) if shape else array)
-        self._place = place + -place % ALIGNED
-        for name, value in zip(plan.others, content[2:], strict=True):
-            if type(value) not in _PLAIN:
-                value = tuple(value) if type(value) is list else self.give(value)
-            put(record, name, value)
-        if plan.kind is SensorData:
-            put(record, _LEFT_OUT, self._specs)
-        return record
+_Give = Callable[[_Views], Any]
 
-    def _give_array(self, kind: str, shape: list[int]) -> NDArray[Any]:
+
+@lru_cache(maxsize=256)
+def _read_text(text: bytes) -> tuple[_Give, int]:
+    """Return what makes the value of a text from its body, and the size of that body [byte]."""
+    reader = _TextReader()
+    give = reader.read(json.loads(text))
+    return give, reader.place
+
+
+class _TextReader:
+    """Goes through a text and gives every array its place in the body."""
+
+    def __init__(self) -> None:
+        self.place = 0
+
+    def read(self, tree: Any) -> _Give:
+        """Return what gives the value of a part of the text."""
+        if type(tree) is not list:
+            return lambda views: tree
+        mark, *content = tree
+        if mark == _RECORD:
+            return self._read_record(*content)
+        if mark == _ARRAY:
+            return self._read_array(*content)
+        if mark == _WORD_LIST:
+            return lambda views: list(content)
+        if mark == _MAPPING:
+            half = len(content) // 2
+            parts = tuple(zip(content[:half], map(self.read, content[half:]), strict=True))
+            return lambda views: {key: give(views) for key, give in parts}
+        if mark == _LIST:
+            gives = tuple(map(self.read, content))
+            return lambda views: [give(views) for give in gives]
+        return self._read_number(_NUMBERS[mark])
+
+    def _read_number(self, column: int) -> _Give:
+        index = self.place // ALIGNED
+        self.place += ALIGNED
+        return lambda views: views.columns[column].item(index)
+
+    def _read_array(self, kind: str, *shape: int) -> _Give:
         dtype = np.dtype(kind)
         if dtype.hasobject:
             raise ValueError(f"an array of {dtype} is no array of numbers or words")
-        size = dtype.itemsize * math.prod(shape)
-        array = self._body[self._place : self._place + size].view(dtype).reshape(shape)
-        self._place += size + -size % ALIGNED
-        return array
+        begin, size = self.place, dtype.itemsize * math.prod(shape)
+        self._go_on(size)
+        return lambda views: views.body[begin : begin + size].view(dtype).reshape(shape)
+
+    def _read_record(self, kind: str, rows: int, width: int, *others: Any) -> _Give:
+        plan = _PLANS[kind]
+        if not rows and not others:
+            return lambda views: plan.give_empty(width)
+        begin, columns = self.place, []
+        for name, kind_of, shape, count, _ in plan.columns(width)[0]:
+            each = 1 if kind_of is bool else ALIGNED
+            part = slice(begin // each, begin // each + rows * count)
+            begin += rows * count * each
+            columns.append((plan.put[name], _COLUMNS[kind_of], part, (rows, *shape) if shape else None))
+        self._go_on(begin - self.place)
+        rest = [(plan.put[name], self.read(one)) for name, one in zip(plan.others, others, strict=True)]
+        put_specs = plan.put.get(_LEFT_OUT)
+
+        def give(views: _Views) -> Any:
+            record: Any = object.__new__(plan.kind)
+            for put, column, part, shape in columns:
+                array = views.columns[column][part]
+                put(record, array if shape is None else array.reshape(shape))
+            for put, inner in rest:
+                value = inner(views)
+                put(record, tuple(value) if type(value) is list else value)
+            if put_specs is not None:
+                put_specs(record, views.specs)
+            return record
+
+        return give
+
+    def _go_on(self, size: int) -> None:
+        if size < 0:
+            raise ValueError("an array of less than no bytes")
+        self.place += size + -size % ALIGNED
 
 
-def _to_plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    return str(value)
-
-
-_encode = json.JSONEncoder(default=_to_plain, separators=(",", ":")).encode
+@lru_cache(maxsize=256)
+def _write_text(tree: Any) -> bytes:
+    return json.dumps(tree, separators=(",", ":")).encode()
