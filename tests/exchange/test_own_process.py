@@ -345,7 +345,8 @@ def test_records_arrive_as_they_were(sensed):
     assert drawn.data.observations is not None
     unknown = replace(drawn.initial, alignment="level", q_nb=np.full(4, np.nan))
     empty = bench.take_piece(drawn.data, -2.0, -1.0)
-    sent = {"records": [drawn.data, empty, unknown], "words": ["ü", None, True, 1.5, np.inf, 2**70, {"a": (1, 2)}]}
+    words = ["ü", None, True, 1.5, np.inf, 2**70, {"a": (1, 2)}]
+    sent = {"records": [drawn.data, empty, unknown], "words": words}
     message = RecordMessage(sent)
     body = np.frombuffer(b"".join(message.parts), np.uint8)
     found = read_message(message.text, body, drawn.data.specs)
