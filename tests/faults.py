@@ -4,7 +4,8 @@
 check, a baseline, a saved filter, an export and the cache of truths, ``all`` every one: the disk is full
 (ENOSPC), it fails (EIO), the process is killed, or killed in the middle of a write. Afterwards what was there
 before, or what was to be written, must be whole, and the next command must work and leave nothing behind.
-Each point is a process of its own, forked from one in which all is loaded and flown.
+Each point is a process of its own, forked from one in which all is loaded and flown; every processor takes
+its share.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import multiprocessing
 import os
 import random
 import shutil
@@ -376,9 +378,15 @@ def strike(points: int | None, seed: int, say: Callable[[str], object] = print) 
             listed = list_points(work, _copy(before, place / "counted"))
             every += [(work, before, at, name, way) for at, name in enumerate(listed) for way in WAYS]
         chosen = every if points is None else draw.sample(every, min(points, len(every)))
+
+        def check(index: int) -> tuple[str, str]:
+            work, before, at, _, way = chosen[index]
+            return check_point(work, before, place / f"struck-{os.getpid()}", at, way)
+
         states: dict[str, Counter[str]] = {}
-        for work, before, at, name, way in chosen:
-            state, fault = check_point(work, before, place / "struck", at, way)
+        for (work, _, at, name, way), (state, fault) in zip(
+            chosen, _in_workers(check, len(chosen)), strict=True
+        ):
             states.setdefault(work.name, Counter())[state] += 1
             if fault:
                 wrong.append(f"{work.name}, {way} at point {at} ({name}): {fault}")
@@ -386,6 +394,21 @@ def strike(points: int | None, seed: int, say: Callable[[str], object] = print) 
             listed = ", ".join(f"{state} {count} times" for state, count in sorted(found.items()))
             say(f"{name}: {found.total()} points struck; {listed}")
     return wrong
+
+
+_work: Callable[[int], tuple[str, str]]
+
+
+def _in_workers(work: Callable[[int], tuple[str, str]], count: int) -> list[tuple[str, str]]:
+    """Return what some work gives for 0, 1, ...; every processor forks a worker that has all in memory."""
+    global _work
+    _work = work
+    with multiprocessing.get_context("fork").Pool() as pool:
+        return pool.map(_do, range(count), chunksize=1)
+
+
+def _do(index: int) -> tuple[str, str]:
+    return _work(index)
 
 
 def _copy(before: Path, folder: Path) -> Path:
