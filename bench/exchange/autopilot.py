@@ -17,7 +17,7 @@ from bench.config.log import SourceSpec
 from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
 from bench.exchange.imports import explain_missing
-from bench.exchange.imports.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion
+from bench.exchange.imports.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
 from bench.exchange.solutions import ForeignSolution, resample
 from bench.specs import AUTOPILOT
 
@@ -33,14 +33,17 @@ def look(form: str, path: Path) -> Contents:
     ConfigError
         If it cannot be read.
     """
-    with explain_missing(form, path):
-        if form == "ulog":
-            from bench.exchange.imports import ulog
+    try:
+        with explain_missing(form, path):
+            if form == "ulog":
+                from bench.exchange.imports import ulog
 
-            return ulog.look(path)
-        from bench.exchange.imports import flash_rows
+                return ulog.look(path)
+            from bench.exchange.imports import flash_rows
 
-        return flash_rows.look(path)
+            return flash_rows.look(path)
+    except KeyError as error:
+        raise ConfigError(f"{path.name}: a message of it has no field {error.args[0]!r}") from None
 
 
 def read_truth(source: SourceSpec) -> OwnMotion:
@@ -159,10 +162,7 @@ def build(use: str, source: SourceSpec, origin: float) -> AutopilotEstimator:
     ConfigError
         If the log has no such estimate.
     """
-    number = use.removeprefix(AUTOPILOT).removeprefix(":")
-    if number and not number.isdigit():
-        raise ConfigError(f"use = {use!r}: the instance after the colon must be a number, such as 0")
-    return AutopilotEstimator(source, origin, int(number) if number else None)
+    return AutopilotEstimator(source, origin, split_instance(use)[1])
 
 
 def _sample(

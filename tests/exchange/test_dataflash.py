@@ -1,14 +1,16 @@
 """Logs of ArduPilot and of PX4 before 2017: records, sensors, damage."""
 
 import contextlib
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.config.log import SourceSpec
 from bench.errors import ConfigError
-from bench.exchange import imports
+from bench.exchange import autopilot, imports
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.imports.flash_rows import look
 from tests.exchange.flash import HEAD, unpack, write_flash
@@ -180,3 +182,67 @@ def test_what_a_log_lacks_is_said():
     with pytest.raises(ConfigError, match=r"copter\.bin: no records ARSP; it has BARO, CMD"):
         read(FLIGHTS / "copter.bin", "airspeed")
     assert look(FLIGHTS / "copter.bin").sensors == ("imu", "gnss", "baro", "mag")
+
+
+def fmt(number: int, length: int, name: str, letters: str, labels: str) -> bytes:
+    """Return an FMT that may say anything."""
+    body = (number, length, name.encode(), letters.encode(), labels.encode())
+    return HEAD + bytes([128]) + struct.pack("<BB4s16s64s", *body)
+
+
+ROW = HEAD + b"\1" + bytes(4)
+LIES = {
+    "a label that is empty": fmt(1, 7, "IMU", "f", ",") + ROW * 3,
+    "no fields": fmt(1, 3, "IMU", "", "") + ROW[:3] * 3,
+    "a second layout, longer than the rest of the file": fmt(1, 7, "IMU", "f", "TimeUS")
+    + ROW * 3
+    + fmt(1, 195, "IMU", "ZZZ", "TimeUS,b,c"),
+    "times that are arrays": fmt(1, 67, "IMU", "a", "TimeUS") + (ROW + bytes(60)) * 3,
+    "times that are text": fmt(1, 7, "IMU", "n", "TimeUS") + ROW * 3,
+    "fixes without a status": fmt(1, 7, "GPS", "I", "TimeUS") + ROW * 3,
+    "parameters without a name": fmt(1, 7, "PARM", "f", "Value") + ROW * 3,
+    "parameters whose name is a number": fmt(1, 7, "PARM", "hh", "Name,Value") + ROW * 3,
+    "lanes without a number": fmt(2, 7, "XKF1", "f", "TimeUS")
+    + fmt(1, 7, "XKF4", "f", "PI")
+    + HEAD + b"\2" + bytes(4) + HEAD + b"\1" + struct.pack("<f", np.nan),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_a_log_that_lies_about_its_layout_gets_a_line(tmp_path, lie):
+    path = tmp_path / "x.bin"
+    path.write_bytes(LIES[lie])
+    with contextlib.suppress(ConfigError):
+        assert not autopilot.look("dataflash", path).sensors
+    with pytest.raises(ConfigError) as imu:
+        read(path, "imu")
+    with pytest.raises(ConfigError) as own:
+        autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    assert "\n" not in f"{imu.value}{own.value}"
+
+
+@pytest.mark.parametrize("week", [np.nan, np.inf])
+def test_a_week_that_is_no_number_is_no_day(tmp_path, week):
+    name, rows = ("QBBffBcLLefff", GPS[1]), [("GPS", (1, 0, 3, week, week, 9, 1.5, 1, 1, 1, 1, 1, 1))] * 3
+    assert look(write_flash(tmp_path / "x.bin", {"GPS": name}, rows)).date is None
+
+
+def test_the_second_layout_of_a_record_is_not_used(tmp_path):
+    path = tmp_path / "x.bin"
+    path.write_bytes(fmt(1, 7, "A", "f", "x") + ROW * 3 + fmt(1, 7, "A", "hh", "y,z") + ROW + bytes(300))
+    assert list(DataFlash(path).read("A")) == ["x"]
+
+
+@pytest.mark.parametrize("topic", ["IMU:x", "IMU:²", "IMU:-1", "IMU:1e2"])
+def test_an_instance_is_a_number(topic):
+    with pytest.raises(ConfigError, match="the instance after the colon must be a number"):
+        read(FLIGHTS / "copter.bin", "imu", topic)
+    with pytest.raises(ConfigError, match="the instance after the colon must be a number"):
+        imports.read("ulog", FLIGHTS / "sitl.ulg", "imu", topic.replace("IMU", "sensor_combined"))
+
+
+def test_an_airspeed_without_a_barometer_says_so(tmp_path):
+    kinds = {"ARSP": ("QBfB", "TimeUS,I,Airspeed,H")}
+    path = write_flash(tmp_path / "x.bin", kinds, [("ARSP", (1, 0, 5.0, 1))] * 3)
+    with pytest.raises(ConfigError, match="no records BARO"):
+        read(path, "airspeed")

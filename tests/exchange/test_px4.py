@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 
 import numpy as np
@@ -14,6 +15,7 @@ from bench.config.log import SourceSpec, load_log
 from bench.earth import difference_n
 from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, imports
+from bench.exchange.imports.ulog import measure_cover
 from bench.exchange.log_records import read_records
 from tests.exchange.test_dataflash import FLIGHTS
 
@@ -96,3 +98,34 @@ def test_the_truth_of_a_simulator_judges(tmp_path, capsys):
     truth = autopilot.read_truth(log.imu)
     at = np.interp(records.fixes.t[-1] + records.origin, truth.t, truth.lla[:, 0])
     assert_allclose(records.fixes.lla[-1, 0], at, atol=1e-8)
+
+
+@pytest.mark.parametrize("field", ["ref_alt", "z_valid", "x", "xy_reset_counter", "latitude_deg"])
+def test_a_log_whose_messages_lack_a_field_is_read_or_gets_a_line(tmp_path, field):
+    path, name = tmp_path / "x.ulg", field.encode()
+    whole = (FLIGHTS / "sitl-truth.ulg").read_bytes()
+    path.write_bytes(whole.replace(b" " + name + b";", b" " + name[:-1] + b"Z;"))
+    source = SourceSpec(path, "ulog")
+    for look in (
+        lambda: autopilot.look("ulog", path),
+        lambda: autopilot.read_truth(source),
+        lambda: autopilot.read_estimate(source, None),
+    ):
+        with contextlib.suppress(ConfigError):
+            look()
+
+
+def test_a_parameter_that_is_no_number_is_none(tmp_path):
+    path = tmp_path / "x.ulg"
+    whole = (FLIGHTS / "sitl.ulg").read_bytes()
+    path.write_bytes(whole.replace(b"float EKF2_GPS_DELAY", b"char8 EKF2_GPS_DELAY"))
+    assert path.read_bytes() != whole
+    notes = imports.read("ulog", path, "gnss", None).notes
+    assert not any("EKF2_GPS_DELAY" in note for note in notes)
+
+
+def test_rows_of_one_instant_have_a_cover():
+    data = {"gyro_integral_dt": np.full(5, 4000.0)}
+    assert measure_cover(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), data) == 1.0
+    assert measure_cover(0.004 * np.arange(5), data) == pytest.approx(1.0)
+    assert measure_cover(0.4 * np.arange(5), data) == pytest.approx(0.01)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -11,6 +12,7 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import EventRow, Innovations, no_innovations
+from bench.errors import ConfigError
 
 Vector = tuple[float, float, float]
 AUTOPILOTS = ("ulog", "dataflash")
@@ -57,8 +59,24 @@ class OwnEstimate:
     events: tuple[EventRow, ...] = ()  # resets and changes of lane
 
 
+def split_instance(topic: str) -> tuple[str, int | None]:
+    """Return the name in ``name`` or ``name:instance``, and the number of the instance.
+
+    Raises
+    ------
+    ConfigError
+        If it is no number of an instance.
+    """
+    name, _, text = topic.partition(":")
+    if text and not (text.isdecimal() and len(text) < 4):
+        raise ConfigError(f"{topic!r}: the instance after the colon must be a number, such as 0")
+    return name, int(text) if text else None
+
+
 def day_of_gps(week: float, second: float) -> datetime.date | None:
-    """Return the day of a GPS week and second; None before any receiver counted them."""
+    """Return the day of a GPS week and second; None before any receiver counted them, or if one is NaN."""
+    if not (math.isfinite(week) and math.isfinite(second)):
+        return None
     days = 7 * int(week) + int(second // 86400)
     return _GPS_EPOCH + datetime.timedelta(days=days) if 0 < days < 40_000 else None
 

@@ -7,6 +7,7 @@ Whatever is not such a record is skipped, and counted.
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -72,16 +73,16 @@ class DataFlash:
         self._layouts: dict[int, _Layout] = {}
         starts = self._follow(raw)
         self._starts = {
-            layout.name: (layout, np.array(starts[kind], np.int64))
+            layout.name: (layout, np.array(starts[kind]))
             for kind, layout in self._layouts.items()
             if starts[kind]
         }
         if not self._starts:
             raise ConfigError(f"{path.name}: no records of a DataFlash log (0xA3 0x95, with their FMT)")
 
-    def _follow(self, raw: bytes) -> list[list[int]]:
+    def _follow(self, raw: bytes) -> list[array[int]]:
         """Return where the records of each type start; read the layouts, count the bytes in between."""
-        starts: list[list[int]] = [[] for _ in range(256)]
+        starts = [array("q") for _ in range(256)]
         lengths = [0] * 256
         lengths[_FMT] = _FMT_LENGTH
         at, end, self.skipped = 0, len(raw), 0
@@ -104,15 +105,17 @@ class DataFlash:
         return starts
 
     def _learn(self, body: bytes, lengths: list[int]) -> list[int]:
-        """Take the layout in a FMT; one that contradicts its own length is not used."""
+        """Take the layout in a FMT; one that contradicts its own length, or an earlier one, is not used."""
         row = np.frombuffer(body, _FORMAT)[0]
         name, letters, labels = (row[key].decode("latin-1") for key in ("name", "letters", "labels"))
         names = [label.strip() for label in labels.split(",")][: len(letters)]
-        if len(names) < len(letters) or len(set(names)) < len(names) or set(letters) - set(_LETTERS):
+        named = 0 < len(letters) == len(names) == len(set(names)) and all(names)
+        if not named or set(letters) - set(_LETTERS):
             return lengths
         dtype = np.dtype([(label, _LETTERS[letter][0]) for label, letter in zip(names, letters, strict=True)])
         kind, length = int(row["type"]), int(row["length"])
-        if dtype.itemsize + 3 != length or kind == _FMT:
+        known = self._layouts.get(kind)
+        if dtype.itemsize + 3 != length or kind == _FMT or (known and known.body != dtype):
             return lengths
         factors = {label: _LETTERS[letter][1] for label, letter in zip(names, letters, strict=True)}
         self._layouts[kind] = _Layout(name, dtype, factors)
@@ -131,21 +134,24 @@ class DataFlash:
         return self._starts[name][1]
 
     def read(self, name: str) -> dict[str, FloatArray]:
-        """Return the columns (N,) of the records of a name, in the unit of their label; no text."""
+        """Return the columns (N,) of the records of a name, in the unit of their label: numbers only."""
         layout = self._starts[name][0]
         table = self._gather(name)
         with np.errstate(invalid="ignore", over="ignore"):  # damage may be any number
             return {
                 label: np.asarray(table[label], float) * factor
                 for label, factor in layout.factors.items()
-                if table[label].dtype.kind != "S"
+                if table[label].dtype.kind != "S" and table[label].ndim == 1
             }
 
     def read_text(self, name: str, label: str) -> list[str]:
-        """Return a column of text."""
+        """Return a column of text; KeyError if there is none."""
+        fields = self._starts[name][0].body.fields or {}
+        if label not in fields or fields[label][0].kind != "S":
+            raise KeyError(label)
         return [value.decode("latin-1").strip() for value in self._gather(name)[label].tolist()]
 
     def _gather(self, name: str) -> NDArray[np.void]:
         layout, starts = self._starts[name]
-        rows = self._bytes[(starts + 3)[:, None] + np.arange(layout.body.itemsize)]
-        return np.ascontiguousarray(rows).view(layout.body)[:, 0]
+        bodies = np.lib.stride_tricks.sliding_window_view(self._bytes, layout.body.itemsize)
+        return np.ascontiguousarray(bodies[starts + 3]).view(layout.body)[:, 0]

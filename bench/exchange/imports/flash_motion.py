@@ -27,7 +27,7 @@ from bench.exchange.imports.contents import (
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.imports.flash_rows import find_undulation, read_parameters, take_records
 
-_FAMILIES = {3: "XKF", 2: "NKF", 1: "EKF"}
+_FAMILIES: Mapping[float, str] = {3: "XKF", 2: "NKF", 1: "EKF"}
 """AHRS_EKF_TYPE -> how the names of its records begin."""
 _GATES = {
     "gnss_velocity": ("VEL", "SV", ("IVN", "IVE", "IVD"), 5.0),
@@ -78,7 +78,7 @@ def read_estimate(log: DataFlash, core: int | None) -> OwnEstimate:
     if "LPOS" in log and "ATT" in log:
         return _read_px4(log)
     parameters = read_parameters(log)
-    flown = _FAMILIES.get(int(parameters.get("AHRS_EKF_TYPE", 0)), "")
+    flown = _FAMILIES.get(parameters.get("AHRS_EKF_TYPE", 0), "")
     family = next((one for one in (flown, *_FAMILIES.values()) if one and f"{one}1" in log), None)
     if family is None:
         raise ConfigError("no estimate of the autopilot: no records XKF1, NKF1, EKF1 or LPOS")
@@ -112,6 +112,8 @@ class _Lanes:
         if core is None and record in log and "PI" in log.read(record):
             self.t, data = take_records(log, record)
             self.flown = data["PI"]
+            if not np.isfinite(self.flown).all():
+                raise ConfigError(f"{record}.PI is not the number of a core")
             self.cores = [int(one) for one in np.unique(self.flown)]
             self.events = [
                 (float(self.t[k + 1]),) * 2 + ("lane", f"core {self.flown[k + 1]:g} after {self.flown[k]:g}")

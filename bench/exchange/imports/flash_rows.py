@@ -18,7 +18,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.errors import ConfigError
-from bench.exchange.imports.contents import Contents, Vector, day_of_gps, day_of_unix
+from bench.exchange.imports.contents import Contents, Vector, day_of_gps, day_of_unix, split_instance
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.signals.air import (
@@ -61,12 +61,14 @@ def open_log(path: Path) -> DataFlash:
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a sensor; ``topic`` is a record, or ``record:instance``."""
+    if kind not in _RECORDS:
+        raise ConfigError(f"{path.name}: no {kind} is read from a DataFlash log")
     log = open_log(path)
-    wanted = (topic,) if topic else _RECORDS.get(kind, ())
+    wanted = (topic,) if topic else _RECORDS[kind]
     found = next((name for name in wanted if name.partition(":")[0] in log), None)
     if found is None:
         there = ", ".join(log.names)[:300]
-        raise ConfigError(f"{path.name}: no records {' or '.join(wanted) or kind}; it has {there}")
+        raise ConfigError(f"{path.name}: no records {' or '.join(wanted)}; it has {there}")
     try:
         t, data = take_records(log, found)
         if len(t) > MOST_ROWS:
@@ -92,15 +94,17 @@ def take_records(log: DataFlash, name: str) -> tuple[FloatArray, dict[str, Float
     ConfigError
         If there are no such rows.
     """
-    record, _, instance = name.partition(":")
+    record, instance = split_instance(name)
+    if record not in log:
+        raise ConfigError(f"{log.shown}: no records {record}")
     data = log.read(record)
     t = _read_times(log, record, data)
     field = next((one for one in _INSTANCES if one in data), None)
     if field is not None:
         of = data[field]
-        rows = of == (float(instance) if instance.isdigit() else of.min())
+        rows = of == (of.min() if instance is None else instance)
         t, data = t[rows], {label: column[rows] for label, column in data.items()}
-    if not len(t) or (instance and field is None):
+    if not len(t) or (instance is not None and field is None):
         raise ConfigError(f"{log.shown}: no records {name}")
     return t, data
 

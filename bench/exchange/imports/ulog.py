@@ -19,7 +19,7 @@ from pyulog import ULog
 from bench.arrays import BoolArray, FloatArray
 from bench.errors import ConfigError
 from bench.exchange.imports import describe_damage, ulog_motion
-from bench.exchange.imports.contents import Contents, OwnMotion, Vector, day_of_unix
+from bench.exchange.imports.contents import Contents, OwnMotion, Vector, day_of_unix, split_instance
 from bench.exchange.imports.ulog_motion import Data, stack, times
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.files import check_file
@@ -66,9 +66,10 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     if kind not in _TOPICS:
         raise ConfigError(f"{path.name}: no {kind} is read from a ULog")
     log = open_log(path, topic)
-    name, _, instance = (topic or "").partition(":")
+    name, number = split_instance(topic or "")
+    instance = number or 0
     wanted = (name,) if topic else _TOPICS[kind]
-    found = {one: data for one in wanted if (data := ulog_motion.find(log, one, int(instance or 0)))}
+    found = {one: data for one in wanted if (data := ulog_motion.find(log, one, instance))}
     if not found:
         there = ", ".join(sorted(log.message_formats))[:300]
         raise ConfigError(f"{path.name}: no rows of {' or '.join(wanted)}; it defines {there or 'none'}")
@@ -80,10 +81,10 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     try:
         t = times(data)
         if kind == "imu":
-            values = _read_imu(log, name, int(instance or 0), data)
+            values = _read_imu(log, name, instance, data)
             _check_cover(path, name, t, data)
         elif kind == "gnss":
-            t, values = _read_gnss(log, t, data, int(instance or 0), notes)
+            t, values = _read_gnss(log, t, data, instance, notes)
         else:
             values = _READERS[kind](data)
     except KeyError as error:
@@ -143,8 +144,14 @@ def find_undulation(log: ULog) -> float:
 
 
 def _find_place(log: ULog, stem: str) -> Vector | None:
-    x, y, z = (log.initial_parameters.get(f"{stem}{axis}") for axis in "XYZ")
-    return None if x is None or y is None or z is None else (float(x), float(y), float(z))
+    x, y, z = (_read_parameter(log, f"{stem}{axis}") for axis in "XYZ")
+    return None if x is None or y is None or z is None else (x, y, z)
+
+
+def _read_parameter(log: ULog, name: str) -> float | None:
+    """Return a parameter at the start; None if the log has none, or no number."""
+    value = log.initial_parameters.get(name)  # bytes if the log says that it is no number
+    return float(value) if isinstance(value, int | float) and np.isfinite(value) else None
 
 
 def _choose(kind: str, found: dict[str, Data]) -> str:
@@ -152,7 +159,7 @@ def _choose(kind: str, found: dict[str, Data]) -> str:
 
     def rank(name: str) -> tuple[bool, int, int]:
         data = found[name]
-        covers = kind != "imu" or _measure_cover(times(data), data) >= _LEAST_COVERED
+        covers = kind != "imu" or measure_cover(times(data), data) >= _LEAST_COVERED
         return covers, len(data["timestamp"]), -_TOPICS[kind].index(name)
 
     best = max(found, key=rank)
@@ -166,11 +173,11 @@ def _read_duration(data: Data, name: str) -> FloatArray:
     return np.asarray(found if np.median(found) < 1.0 else 1e-6 * found)
 
 
-def _measure_cover(t: FloatArray, data: Data) -> float:
+def measure_cover(t: FloatArray, data: Data) -> float:
     """Return the part of the time between two rows that the rows measured themselves, by the median."""
-    if len(t) < 2 or not np.ptp(t) > 0.0:
+    step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    if not step > 0.0:  # rows of the same instant: reading them says more
         return 1.0
-    step = float(np.median(np.diff(t)))
     name = next((one for one in ("delta_angle_dt", "gyro_integral_dt") if one in data), None)
     if name is None:
         return 1.0 if step * _LEAST_RATE <= 1.0 else 0.0
@@ -178,7 +185,7 @@ def _measure_cover(t: FloatArray, data: Data) -> float:
 
 
 def _check_cover(path: Path, name: str, t: FloatArray, data: Data) -> None:
-    covered = _measure_cover(t, data)
+    covered = measure_cover(t, data)
     if covered < _LEAST_COVERED:
         rate = (len(t) - 1) / float(np.ptp(t))
         raise ConfigError(
@@ -253,9 +260,10 @@ def _read_gnss(
     arrival = 1e-6 * np.asarray(data["timestamp"], float)
     values["arrival"] = arrival
     own = f"SENS_GPS{instance}_DELAY"
-    if own in log.initial_parameters or "EKF2_GPS_DELAY" not in log.initial_parameters:
+    late = _read_parameter(log, "EKF2_GPS_DELAY")
+    if own in log.initial_parameters or late is None:
         return t, values
-    delay = 1e-3 * float(log.initial_parameters["EKF2_GPS_DELAY"])
+    delay = 1e-3 * late
     notes.append(f"a fix is {delay:.3g} s old when it is logged, by EKF2_GPS_DELAY")
     return arrival - delay, values
 
