@@ -146,8 +146,8 @@ class DataFlash:
 
     def read_text(self, name: str, label: str) -> list[str]:
         """Return a column of text; KeyError if there is none."""
-        fields = self._starts[name][0].body.fields or {}
-        if label not in fields or fields[label][0].kind != "S":
+        body = self._starts[name][0].body
+        if label not in (body.names or ()) or body[label].kind != "S":
             raise KeyError(label)
         return [value.decode("latin-1").strip() for value in self._gather(name)[label].tolist()]
 
