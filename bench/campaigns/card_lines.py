@@ -150,7 +150,7 @@ def _compare_errors(
         names = _find_names(own, start, end)
         values = _pool_names(own, names)
         ratio = compare_rms(values, _pool_names(other, names)) if other else None
-        held, word = _hold(values, bound[0].get(topic))
+        held, word = compare_bound(values, bound[0].get(topic))
         parts = [] if ratio is None else [f"{_format(ratio)} times that of {label}"]
         parts += [] if held is None else [f"{_format(held)} times the bound"]
         if not parts:
@@ -170,14 +170,18 @@ def _compare_errors(
     return lines
 
 
-def _hold(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
-    """Return the error over the bound, pooled over the draws, and `IMPOSSIBLE` if it is below for certain."""
+def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
+    """Return the error over the bound, pooled over the draws, and `IMPOSSIBLE` if it is below for certain.
+
+    The bound is of all draws: of a filter that has lost some, perhaps the worst, nothing is certain.
+    """
     squares = np.square([value for value in values if value is not None])
     if not bound or len(squares) < _LEAST or not squares.all():
         return None, ""
     pooled = ensemble.pool_rmse(squares)
     most = ensemble.pool_rmse(squares, 1.0 - _UNLIKELY).high
-    word = IMPOSSIBLE if most < bound and pooled.value < _BELOW * bound else ""
+    whole = len(squares) == len(values)
+    word = IMPOSSIBLE if whole and most < bound and pooled.value < _BELOW * bound else ""
     return Estimate(pooled.value / bound, pooled.low / bound, pooled.high / bound), word
 
 

@@ -52,17 +52,17 @@ def estimate_per_run(happened: BoolArray) -> Estimate:
 
 
 def count_detected(watched: Watched, within: float) -> tuple[int, int]:
-    """Return how many times the error went beyond the limit, and how often an alert told in time.
+    """Return in how many runs the error went beyond the limit, and in how many an alert told it each time.
 
-    In time is within so many seconds of the first instant beyond it; an alert before that counts as long as
-    it lasts until then.
+    The errors of a run come of the same cause, so a run counts once. In time is within so many seconds of the
+    first instant beyond the limit; an alert before that counts as long as it lasts until then.
     """
     late = round(within / watched.interval)
     beyond, alert = ~(watched.error <= watched.limit), watched.alert
     begun = beyond & ~np.column_stack([np.zeros(len(beyond), np.bool_), beyond[:, :-1]])
-    rows = np.argwhere(begun)
-    told = sum(bool(alert[run, k : k + late + 1].any()) for run, k in rows.tolist())
-    return len(rows), told
+    untold = {run for run, k in np.argwhere(begun).tolist() if not alert[run, k : k + late + 1].any()}
+    with_error = int(beyond.any(axis=1).sum())
+    return with_error, with_error - len(untold)
 
 
 def count_windows(watched: Watched, window: float) -> tuple[BoolArray, BoolArray] | None:

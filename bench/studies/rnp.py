@@ -323,7 +323,7 @@ def _list_continuity(planes: list[Watched], options: Options) -> Iterator[dict[s
 
 
 def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[str, Any]]:
-    """Yield the rate of flights that mislead hazardously, and how many errors beyond the limit are told."""
+    """Yield the rate of flights that mislead hazardously, and how many tell their errors beyond the limit."""
     for plane, watched in zip(PLANES, planes, strict=True):
         hours = hours_flown(watched.error.shape, _INTERVAL)
         judged = judge_rate(int(watched.hazardous.any(axis=1).sum()), hours, OUTSIDE_PER_HOUR)
@@ -332,7 +332,9 @@ def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[st
         beyond, told = count_detected(watched, options.time_to_alert_s)
         if beyond:
             word = decide(told, beyond, _TOLD)
-            title = f"errors beyond the limit told in {options.time_to_alert_s:g} s, {plane}"
+            title = (
+                f"flights whose errors beyond the limit are told in {options.time_to_alert_s:g} s, {plane}"
+            )
             yield _row(title, Judged(estimate_rate(told, beyond, 0.9), word), "1", f">= {_TOLD:g}")
 
 

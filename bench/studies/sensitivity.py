@@ -8,6 +8,7 @@ are not told apart by them, draws are added up to --most-draws.
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from bench.studies.study import (
     StudyTable,
     Words,
     Work,
+    count_looks,
     format_estimate,
     make_table,
 )
@@ -42,7 +44,7 @@ _SHOWN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "h
 
 
 _TOLD = ("pos_rmse_h_m", "heading_rmse_deg")
-_ERROR = 0.025  # probability of a wrong word about two values: they are looked at twice
+_ERROR = 0.05  # probability of a wrong word about the best and the worst value, over all looks
 _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of the value of its own, unless others are given."""
 
@@ -87,6 +89,7 @@ class Swept:
 def run(options: Options, work: Work) -> Findings:
     """Return the errors of each filter over the values."""
     values = find_values(options)
+    looks = count_looks(options.draws, options.most_draws)
     rows: list[Mapping[str, Any]] = []
     draws, first = options.draws, 0
     while True:
@@ -98,7 +101,11 @@ def run(options: Options, work: Work) -> Findings:
             )
             for label in dict.fromkeys(row["estimator"] for row in rows)
         }
-        pairs = {(label, name): compare_ends(one, name) for label, one in swept.items() for name in _TOLD}
+        pairs = {
+            (label, name): compare_ends(one, name, _ERROR / looks)
+            for label, one in swept.items()
+            for name in _TOLD
+        }
         if draws >= options.most_draws or not any(pair and pair.deciding for pair in pairs.values()):
             break
         first, draws = draws, min(2 * draws, options.most_draws)
@@ -130,8 +137,11 @@ def _fly(
     return rows
 
 
-def compare_ends(swept: Sequence[Swept], name: str) -> Pair | None:
-    """Compare the best and the worst value by a metric on the draws that both have; None without a pair."""
+def compare_ends(swept: Sequence[Swept], name: str, error: float) -> Pair | None:
+    """Compare the best and the worst value by a metric on the draws that both have; None without a pair.
+
+    They are chosen of all pairs by these draws, so each pair has its part of the ``error`` (Bonferroni).
+    """
     known = [(found.value, k) for k, one in enumerate(swept) if (found := one.pool(name)) is not None]
     if len(known) < 2:
         return None
@@ -144,7 +154,7 @@ def compare_ends(swept: Sequence[Swept], name: str) -> Pair | None:
         (str(best.value), str(worst.value)),
         np.array([first[run] for run in both]),
         np.array([second[run] for run in both]),
-        _ERROR,
+        error / math.comb(len(known), 2),
     )
 
 

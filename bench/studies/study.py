@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -71,6 +72,12 @@ Settings = Annotated[tuple[str, ...], BeforeValidator(_take_settings)]
 
 Seed = Annotated[int, Field(ge=0)]
 """An option that holds a seed."""
+
+
+def count_looks(draws: int, most: int) -> int:
+    """Return how often draws are looked at that are doubled up to so many."""
+    return 1 + max(0, math.ceil(math.log2(max(1.0, most / draws))))
+
 
 LISTS = {"overrides": "--set"}
 """Options of studies that are repeated on the command line, once for each value -> their flag."""

@@ -126,7 +126,7 @@ def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
     flown : sequence of Flown
         On one flight by one filter; draw k of all has the same noise.
     error : float
-        Probability of a wrong word, of each pair.
+        Probability of a wrong word about a class: that its best is better than what is cheaper.
     """
     steps: list[Step] = []
     best: Flown | None = None
@@ -136,9 +136,10 @@ def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
             continue
         met = [one for one in usable if one.verdict == MET]  # a unit that meets is asked for, if there is one
         top = min(met or usable, key=_measure)
-        pairs = [_compare(one, top, error) for one in usable if one is not top]
+        share = error / len(usable)  # the best of several is held against another (Bonferroni)
+        pairs = [_compare(one, top, share) for one in usable if one is not top]
         beside = tuple(pair for pair in pairs if pair.word != "worse")
-        gain = None if best is None else _compare(top, best, error)
+        gain = None if best is None else _compare(top, best, share)
         steps.append(Step(grade, top, beside, gain))
         best = min((one for one in (best, *usable) if one is not None), key=_measure)
     return Ranking(tuple(steps), {one.unit: one for one in flown})

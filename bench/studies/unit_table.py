@@ -24,7 +24,16 @@ from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.required_metrics import is_metric, judge_runs, list_requirements, take_value
 from bench.studies.catalog_units import Unit, find_units
 from bench.studies.drawn_errors import Flight
-from bench.studies.study import Count, Findings, FlightOptions, Positive, Words, Work, write_settings
+from bench.studies.study import (
+    Count,
+    Findings,
+    FlightOptions,
+    Positive,
+    Words,
+    Work,
+    count_looks,
+    write_settings,
+)
 from bench.studies.unit_answer import Answer, draw_units, fill_tables, tell_answer
 from bench.studies.unit_limits import Limit, find_limit
 from bench.studies.unit_ranking import Flown, Ranking, rank_units
@@ -92,7 +101,7 @@ def find_law(name: str) -> float:
 def _answer(options: Options, units: Mapping[str, Unit], profile: str, work: Work) -> Iterator[Answer]:
     """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
     cases = [Case(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
-    looks = 1 + max(0, math.ceil(math.log2(max(1.0, options.most_draws / options.draws))))
+    looks = count_looks(options.draws, options.most_draws)
     flights = _Flights(options, units, profile, work)
     flights.fly(cases, options.draws)
     draws = options.draws

@@ -398,6 +398,14 @@ def test_who_knows_the_truth_is_below_the_bound_and_an_honest_filter_is_not(made
     assert find(honest, "plain", "heading").over_bound is not None
 
 
+def test_who_loses_the_worst_draws_is_not_said_to_have_the_future():
+    """Of errors as large as the bound the smallest 28 of 40 are below it; a whole set that small is not."""
+    errors = np.sort(np.sqrt(np.random.default_rng(1).chisquare(4.0, 40) / 4.0)).tolist()
+    assert card_lines.compare_bound([*errors[:28], *[None] * 12], 1.0)[1] == ""
+    assert card_lines.compare_bound(errors[:28], 1.0)[1] == "impossible"
+    assert card_lines.compare_bound(errors, 1.0)[1] == ""
+
+
 def test_what_a_filter_remembers_of_other_runs_tells_it_no_future(made, monkeypatch):
     """Each run of the proof has a process of its own, and draws that no other run has seen."""
     monkeypatch.chdir(made)

@@ -120,8 +120,20 @@ def test_an_error_is_told_in_time_or_not():
     error = [[1, 20, 20, 20, 1, 20, 20, 20]]
     alarm = [[0, 0, 1, 1, 0, 0, 0, 0]]
     watched = watch(error, np.full((1, 8), 5.0), alarm)
-    assert count_detected(watched, 1.0) == (2, 1)
-    assert count_detected(watched, 0.0) == (2, 0)
+    assert count_detected(watched, 1.0) == (1, 0)  # the second time nothing tells
+    first = watch(np.array(error)[:, :5], np.full((1, 5), 5.0), np.array(alarm)[:, :5])
+    assert count_detected(first, 1.0) == (1, 1)
+    assert count_detected(first, 0.0) == (1, 0)
+
+
+def test_the_errors_of_a_run_are_one_trial():
+    """A hundred errors in each of two flights show no rate of one in a thousand."""
+    error = np.tile([1.0, 20.0], (3, 100))
+    error[2] = 1.0
+    watched = watch(error, np.full(error.shape, 5.0), np.tile([False, True], (3, 100)))
+    assert count_detected(watched, 0.0) == (2, 2)
+    watched.alarm[1, 7] = False
+    assert count_detected(watched, 0.0) == (2, 1)
 
 
 def test_continuity_counts_windows_that_may_be_begun():

@@ -164,7 +164,7 @@ def test_one_flight_that_misleads_hazardously_misses_integrity(monkeypatch):
     found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, error=lambda k: 60.0 if k == 7 else 2.0)
     assert words(found)["hazardously misleading, per hour, vertical"] == "missed"
     assert words(found)["hazardously misleading, per hour, horizontal"] == "undecided"
-    assert words(found)["errors beyond the limit told in 10 s, vertical"] == "missed"
+    assert words(found)["flights whose errors beyond the limit are told in 10 s, vertical"] == "missed"
     assert any("Vertical" in one and "hazardously in 1" in one for one in found.verdicts)
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy import stats
 
 import bench
 from bench.errors import ConfigError
 from bench.places import PACKAGE
-from bench.studies.sensitivity import Options, find_values
-from bench.studies.study import read_options
+from bench.studies.sensitivity import Options, Swept, compare_ends, find_values
+from bench.studies.study import count_looks, read_options
+
+METRIC = "pos_rmse_h_m"
 
 
 def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_path):
@@ -36,3 +40,21 @@ def test_the_values_are_around_the_own_one_unless_given():
     assert values("sensors.imu", values="stim300,vn-100") == ["stim300", "vn-100"]
     with pytest.raises(ConfigError, match="no number of its own in s-turns; give --values"):
         values("aircraft")
+
+
+def test_the_best_of_many_values_is_no_better_for_being_chosen():
+    """Ten values that are alike: the best and the worst of them are told apart as rarely as is said."""
+    rng, wrong, flights = np.random.default_rng(1), 0, 400
+    for errors in np.sqrt(rng.chisquare(4.0, (flights, 10, 12))):
+        swept = [
+            Swept(value, tuple({"run": k, "converged": True, METRIC: one} for k, one in enumerate(row)))
+            for value, row in enumerate(errors)
+        ]
+        pair = compare_ends(swept, METRIC, 0.05)
+        assert pair is not None
+        wrong += pair.word == "better"
+    assert wrong <= stats.binom.ppf(0.999, flights, 0.05)
+
+
+def test_draws_that_are_doubled_are_looked_at_each_time():
+    assert [count_looks(*asked) for asked in ((12, 24), (6, 24), (2, 100), (24, 6))] == [2, 3, 7, 1]
