@@ -120,8 +120,8 @@ if TYPE_CHECKING:
     from bench.store import load as load, to_arrow as to_arrow, to_pandas as to_pandas
     from bench.store.filter_state import resume_filter as resume_filter, save_filter as save_filter
     from bench.studies.conducting import study as study
-    from bench.studies.study import StudyResult as StudyResult
-    from bench.studies.study_folder import load_study as load_study
+    from bench.findings import StudyResult as StudyResult
+    from bench.store.study_folder import load_study as load_study
 
 _PUBLIC = {
     "campaign": "bench.campaigns.running",
@@ -143,7 +143,7 @@ _PUBLIC = {
     "load": "bench.store",
     "load_campaign": "bench.campaigns.stored",
     "load_profile": "bench.config",
-    "load_study": "bench.studies.study_folder",
+    "load_study": "bench.store.study_folder",
     "make_card": "bench.campaigns.card",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
@@ -188,7 +188,7 @@ _PUBLIC = {
     "RunResult": "bench.run_result",
     "Sensed": "bench.data",
     "SensorData": "bench.data",
-    "StudyResult": "bench.studies.study",
+    "StudyResult": "bench.findings",
     "Trajectory": "bench.data",
     "Tuning": "bench.campaigns.tuning",
 }

@@ -34,7 +34,7 @@ from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.loading import load_estimators
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.units import SAME_INSTANT
@@ -115,9 +115,7 @@ def read_log(
     if spec.imu.format in AUTOPILOTS:  # it turned the axes to those of the vehicle, which may fly sideways
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.reported:  # every fix is as good as it says, unless the log asks for something else
-        weighing = {
-            label for label, choice in choices.items() if estimator.takes_option(choice.use, REPORTED)
-        }
+        weighing = {label for label, choice in choices.items() if built_in.takes_option(choice.use, REPORTED)}
         for label in weighing:
             choice = choices[label]
             options = {REPORTED: "reported", **choice.options}

@@ -6,11 +6,11 @@ from collections.abc import Callable, Mapping
 from typing import NoReturn
 
 MODULES: Mapping[str, str] = {
-    "bench.door": "bench.api",
-    "bench.legs": "bench.flight.legs",
-    "bench.unit_names": "bench.units",
+    "bench.door": "is now bench.api",
+    "bench.legs": "is now bench.flight.legs",
+    "bench.unit_names": "is now bench.units",
 }
-"""Module that is gone -> the module that replaced it."""
+"""Module that is gone -> what became of it."""
 
 NAMES: Mapping[str, str] = {
     "bench.config.ConfigError": "bench.ConfigError",
@@ -35,7 +35,7 @@ class MovedModules:
     def find_spec(name: str, path: object = None, target: object = None) -> None:
         """Raise ModuleNotFoundError for a module that has been replaced."""
         if name in MODULES:
-            raise ModuleNotFoundError(f"{name} is now {MODULES[name]}", name=name)
+            raise ModuleNotFoundError(f"{name} {MODULES[name]}", name=name)
 
 
 def moved_from(module: str) -> Callable[[str], NoReturn]:

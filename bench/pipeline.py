@@ -17,7 +17,7 @@ from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.exchange.loading import load_estimators
 from bench.instruments import INSTRUMENTS
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 
@@ -220,7 +220,7 @@ def run(
         if verdicts[label]["verdict"] not in BROKEN:
             continue
         found = dict[str, Any]()
-        if choice.use not in estimator.BUILT_IN:
+        if choice.use not in built_in.BUILT_IN:
             antenna_b, begin = sensed.data.antenna_b, profile.evaluation.begin
             found = find_mistakes(truth, solutions[label], antenna_b, begin)
         if not found and _is_searched(choice, causes):
@@ -281,7 +281,7 @@ def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
     """Tell whether a filter runs again to find out why its claim is broken; one from a file cannot."""
     if choice.use.startswith("file:"):
         return False
-    return choice.use in estimator.BUILT_IN if causes is None else causes
+    return choice.use in built_in.BUILT_IN if causes is None else causes
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:

@@ -17,12 +17,10 @@ from bench.errors import ConfigError
 from bench.fields import declared, figure, triad_figure
 from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
+from bench.orbit_sets import GlonassSets, KeplerSets
 from bench.spawned import machine_memory
 from bench.units import SAME_INSTANT
 from bench.wording import quantity
-
-if TYPE_CHECKING:
-    from bench.signals.orbits import GlonassSets, KeplerSets
 
 GAUSS_MARKOV_PEAK = 0.617
 """Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""

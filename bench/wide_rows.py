@@ -46,7 +46,7 @@ def _instructions(write: Callable[..., Any]) -> Callable[..., None]:
     return cast(Callable[..., None], intrinsic(write))
 
 
-class _Rows:
+class _RowArguments:
     """The arguments of a function as the instructions see them: arrays by number."""
 
     def __init__(self, context: Any, builder: Any, types_: Sequence[Any], values: Sequence[Any]) -> None:
@@ -114,7 +114,7 @@ def row_sums(pattern: Sequence[Sequence[int]], upper_rows: int) -> Callable[...,
         _: Any, start: Any, factors: Any, upper: Any, lower: Any, target: Any, first: Any, last: Any
     ) -> Any:
         def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-            rows = _Rows(context, builder, signature.args, given)
+            rows = _RowArguments(context, builder, signature.args, given)
             with rows.columns(given[5], given[6]) as (column, _):
                 source = {
                     k: rows.load(2, _INDEX(k), column)
@@ -140,7 +140,7 @@ def add_row(_, target, i, factor, source, k, first, last):  # type: ignore[no-un
     """``target[i] += factor source[k]``."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        rows = _Rows(context, builder, signature.args, given)
+        rows = _RowArguments(context, builder, signature.args, given)
         factor = rows.repeat(given[2])
         with rows.columns(given[5], given[6]) as (column, _):
             total = rows.load(0, given[1], column)
@@ -155,7 +155,7 @@ def set_row(_, target, i, factor, source, k, first, last):  # type: ignore[no-un
     """``target[i] = factor source[k]``."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        rows = _Rows(context, builder, signature.args, given)
+        rows = _RowArguments(context, builder, signature.args, given)
         factor = rows.repeat(given[2])
         with rows.columns(given[5], given[6]) as (column, _):
             rows.store(builder.fmul(factor, rows.load(3, given[4], column)), 0, given[1], column)
@@ -169,7 +169,7 @@ def scale_row(_, target, i, factor, scale, source, k, first, last):  # type: ign
     """``target[i] = factor scale source[k]``, by elements; ``scale`` (n,) is a row of its own."""
 
     def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        rows = _Rows(context, builder, signature.args, given)
+        rows = _RowArguments(context, builder, signature.args, given)
         factor = rows.repeat(given[2])
         with rows.columns(given[6], given[7]) as (column, _):
             scaled = builder.fmul(factor, rows.load(3, _INDEX(0), column))

@@ -24,7 +24,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.config import list_profiles, load_profile
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.specs import EstimatorChoice
 
 EVERY_ESTIMATOR = "all-sensors"

@@ -30,7 +30,7 @@ from bench.campaigns.pools import SerialExecutor
 from bench.report import campaign_page, card_page, page, study_page
 from bench.report.paper import _list_drawings
 from bench.store.folders import MARK
-from bench.studies.study_folder import save_study
+from bench.store.study_folder import save_study
 from tests.faults import PROFILE, make_card
 
 Made = tuple[list[Path], Callable[[Path], object], Callable[[np.random.Generator, Path, bytes], bytes]]

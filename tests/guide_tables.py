@@ -32,7 +32,8 @@ from bench.exchange.exports import FORMATS
 from bench.fields import figures_of, triad_figures_of
 from bench.instruments import INSTRUMENTS
 from bench.navigation import options
-from bench.navigation.estimator import BUILT_IN, RECORDS, load
+from bench.navigation.built_in import BUILT_IN, load
+from bench.navigation.estimator import RECORDS
 from bench.specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import from_si
 from bench.wording import as_toml, read_words

@@ -7,7 +7,7 @@ from dataclasses import replace
 from bench import pipeline
 from bench.config import load_profile
 from bench.flight.legs.level import Straight
-from bench.navigation import estimator
+from bench.navigation import built_in
 
 
 def main() -> None:
@@ -15,7 +15,7 @@ def main() -> None:
     profile = load_profile("all-sensors")
     profile = replace(profile, flight=replace(profile.flight, legs=(Straight(10.0),), duration=None))
     sensed = pipeline.sense(profile, pipeline.fly(profile, cache=False))
-    estimator.load("loose-15", {}).run(sensed.data, sensed.initial)
+    built_in.load("loose-15", {}).run(sensed.data, sensed.initial)
 
 
 if __name__ == "__main__":

@@ -171,11 +171,11 @@ def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
     code = """
 from bench import sensors
 from bench.navigation.error_state_filter import measurement_rows
-from bench.navigation import estimator
+from bench.navigation import built_in
 from bench.navigation.error_state_filter import ranging
 from tests.weaving import units, weaving
 sensed = sensors.sense(weaving(5.0, rate=100.0), units(), 1, 0)
-estimator.load("loose-22", {}).run(sensed.data, sensed.initial)
+built_in.load("loose-22", {}).run(sensed.data, sensed.initial)
 made = [bool(k.dispatcher.signatures) for k in
         (measurement_rows._baro_kernel, measurement_rows._magnetic_kernel, ranging.satellites_kernel)]
 assert made == [True, False, False], made

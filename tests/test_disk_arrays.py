@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from bench import disk_arrays, sensors
 from bench.evaluation import metrics
-from bench.navigation import estimator
+from bench.navigation import built_in
 from bench.specs import EvaluationWindow
 from tests.weaving import units, weaving
 
@@ -76,7 +76,7 @@ def test_a_longer_flight_takes_hardly_more_memory(monkeypatch):
         if minutes > 6:
             tracemalloc.start()
         sensed = sensors.sense(truth, spec, 1, 0)
-        solution = estimator.load("loose-15", {}).run(sensed.data, sensed.initial)
+        solution = built_in.load("loose-15", {}).run(sensed.data, sensed.initial)
         metrics.judge(truth, solution, evaluation=EvaluationWindow(60.0), outages=(), assumed=spec.assumed)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

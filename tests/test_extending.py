@@ -59,7 +59,7 @@ TAB = Toy(
     new={
         "bench/plots/tabs/laser_heights.py": """
 from bench.plots.content import Content, Tab
-from bench.plots.series import FIX, Plot, draw_line
+from bench.findings.series import FIX, Plot, draw_line
 
 
 def _plots(content: Content):
@@ -287,7 +287,8 @@ LASER = AidingSensor(
 STUDY = Toy(
     new={
         "bench/studies/coin.py": """
-from bench.studies.study import Count, Findings, StudyOptions, StudyTable, Work
+from bench.findings import Findings, StudyTable
+from bench.studies.study import Count, StudyOptions, StudyWorkers
 
 
 class Options(StudyOptions):
@@ -295,7 +296,7 @@ class Options(StudyOptions):
     \"\"\"how often\"\"\"
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     table = StudyTable("coin", "Heads", {"toss": list(range(options.tosses))})
     return Findings(("It is a coin.",), (table,), ())
 """
@@ -303,8 +304,8 @@ def run(options: Options, work: Work) -> Findings:
     inserted={
         "bench/studies/__init__.py": [
             (
-                '    "requirements": Entry(\n',
-                '    "coin": Entry("bench.studies.coin", "Is it a coin?"),\n',
+                '    "requirements": StudyEntry(\n',
+                '    "coin": StudyEntry("bench.studies.coin", "Is it a coin?"),\n',
             )
         ]
     },

@@ -20,6 +20,7 @@ from tests.conftest import SLOWEST
 
 PACKAGE = Path(bench.__file__).parent
 MOST_LINES = 450
+MOST_FLOORS = 14
 
 LONG_FILES = {
     "specs.py": "all that a profile asks for, in SI",
@@ -36,14 +37,21 @@ def modules() -> dict[str, Path]:
 
 
 def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
-    """Yield the modules of bench that the statements of a file name, those in functions included.
+    """Yield the modules of bench that a file imports or names, in functions and for types only included.
 
     ``from bench.earth import RATE`` names ``bench.earth``, ``from bench import earth`` as well; the packages
-    above a module, which Python imports first, are not counted.
+    above a module, which Python imports first, are not counted. So does the text "bench.earth" or
+    "bench.earth:Earth", which may be imported later; f"bench.sensors.{kind}" and f"{__name__}.{kind}" name
+    every module of that package.
     """
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield from {node.value.partition(":")[0]} & known.keys()
+        elif isinstance(node, ast.JoinedStr):
+            folder = read_start(node, name)
+            yield from (one for one in known if folder in known and one.rpartition(".")[0] == folder)
+        elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
         elif isinstance(node, ast.ImportFrom):
             above = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
@@ -52,6 +60,18 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
                 target = f"{base}.{alias.name}"
                 if target in known or base in known:
                     yield target if target in known else base
+
+
+def read_start(text: ast.JoinedStr, name: str) -> str:
+    """Return what stands before the last full stop at the start of an f-string of the module ``name``."""
+    start = ""
+    for part in text.values:
+        if isinstance(part, ast.Constant):
+            return (start + part.value).rpartition(".")[0]
+        if ast.unparse(part.value) != "__name__":
+            break
+        start += name
+    return ""
 
 
 def circle(graph: dict[str, set[str]]) -> list[str] | None:
@@ -85,6 +105,81 @@ def test_a_module_name_is_used_once():
         names.setdefault(name.rpartition(".")[2], []).append(name)
     twice = {short: full for short, full in names.items() if len(full) > 1 and short != "__main__"}
     assert twice == {}, "rename one of them"
+
+
+def test_a_class_name_is_used_once():
+    """A leading underscore does not make another name; every study has its ``Options``, by the contract."""
+    names: dict[str, list[str]] = {}
+    for name, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                names.setdefault(node.name.lstrip("_"), []).append(name)
+    twice = {cls: homes for cls, homes in names.items() if len(homes) > 1}
+    by_contract = [one for one in twice.pop("Options") if not one.startswith("bench.studies.")]
+    assert by_contract == ["bench.navigation.options"]
+    assert twice == {}, "rename one of them"
+
+
+def read_floors() -> dict[str, list[str]]:
+    """Return the floors of each package that has some, from the highest: "studies | report", say."""
+    project = tomllib.loads((PACKAGE.parent / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = project["tool"]["importlinter"]["contracts"]
+    return {one["containers"][0]: one["layers"] for one in contracts if one["type"] == "layers"}
+
+
+def list_arrows_up(package: str, floors: list[str], graph: dict[str, set[str]]) -> list[str]:
+    """Return the imports inside a package that do not go down; those joined by ":" may know each other."""
+    floor = {room: k for k, names in enumerate(floors) for room in re.split(r" [|:] ", names)}
+    below = package.count(".") + 1
+    wrong = []
+    for name, targets in graph.items():
+        for target in sorted(targets):
+            if not (name.startswith(f"{package}.") and target.startswith(f"{package}.")):
+                continue
+            one, other = (each.split(".")[below] for each in (name, target))
+            level = floor[one] == floor[other] and ":" in floors[floor[one]]
+            if one != other and not level and floor[one] >= floor[other]:
+                wrong.append(f"{name} -> {target}")
+    return wrong
+
+
+def test_no_import_goes_up_and_there_are_few_floors():
+    """import-linter sees neither texts nor, here, imports for types."""
+    known = modules()
+    del known["bench"]
+    graph = {name: set(imported(name, path, known)) for name, path in known.items()}
+    for package, floors in read_floors().items():
+        assert list_arrows_up(package, floors, graph) == []
+        assert len(floors) <= MOST_FLOORS
+
+
+def test_an_import_that_goes_up_is_found():
+    floors = ["top", "left | right", "one : two"]
+    down = {"bench.top.a": {"bench.left", "bench.two"}, "bench.one": {"bench.two"}, "bench.two": set()}
+    assert list_arrows_up("bench", floors, down) == []
+    for name, target in [("one", "left"), ("left", "right"), ("two", "top.a")]:
+        arrow = {f"bench.{name}": {f"bench.{target}"}}
+        assert list_arrows_up("bench", floors, arrow) == [f"bench.{name} -> bench.{target}"]
+
+
+def test_imports_by_text_and_for_types_are_seen(tmp_path):
+    known = dict.fromkeys(["bench.earth", "bench.sensors", "bench.sensors.baro", "bench.sensors.gnss"])
+    for source, found in {
+        "row = ('a title', 'bench.earth:RATE')": {"bench.earth"},
+        "import_module('bench.earth')": {"bench.earth"},
+        "import_module(f'bench.sensors.{kind}')": {"bench.sensors.baro", "bench.sensors.gnss"},
+        "import_module(f'{__name__}.{kind}')": {"bench.sensors.baro", "bench.sensors.gnss"},
+        "if TYPE_CHECKING:\n    from bench.sensors.gnss import Fixes": {"bench.sensors.gnss"},
+        "'see bench.earth'; f'bench.{group}'": set(),
+    }.items():
+        (tmp_path / "__init__.py").write_text(source)
+        assert set(imported("bench.sensors", tmp_path / "__init__.py", known)) == found, source
+
+
+def test_readme_shows_the_floors_as_they_are():
+    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    shown = re.search(r"```text\n(__main__ [^`]*)```", text)[1]
+    assert [" ".join(one.split()) for one in shown.split(">")] == read_floors()["bench"]
 
 
 def test_imports_are_not_circular():

@@ -19,7 +19,7 @@ FILTER = """
 import pathlib
 pathlib.Path({mark!r}).write_text("imported")
 import bench
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 
 
 class Held:

@@ -7,11 +7,12 @@ import pytest
 from bench.moved import MODULES, NAMES
 
 
-@pytest.mark.parametrize(("old", "new"), MODULES.items())
-def test_a_module_that_is_gone_names_the_one_that_replaced_it(old, new):
-    with pytest.raises(ModuleNotFoundError, match=f"^{old} is now {new}$"):
+@pytest.mark.parametrize(("old", "words"), MODULES.items())
+def test_a_module_that_is_gone_names_the_one_that_replaced_it(old, words):
+    with pytest.raises(ModuleNotFoundError, match=f"^{old} {words}$"):
         import_module(old)
-    import_module(new)
+    assert words.startswith("is now ")
+    import_module(words.removeprefix("is now "))
 
 
 @pytest.mark.parametrize(("old", "new"), NAMES.items())

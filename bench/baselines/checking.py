@@ -18,7 +18,7 @@ from bench.baselines.baseline_file import (
     write_baseline,
 )
 from bench.baselines.experiments import Draw, Experiment, lose_draw, make_baseline, open_experiment
-from bench.baselines.verdict_rows import CONVERGED, LOOKS, Candidate, Verdict, compare, decide
+from bench.baselines.verdict_rows import CONVERGED, LOOKS, UncorrectedVerdict, Verdict, compare, decide
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
@@ -207,7 +207,7 @@ def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: 
         cause = reason or "say here why"
         rows = [one for one in compare(old, new, name, numbered=True) if one.side or not one.certain]
         rows.sort(key=lambda one: -abs(one.row.change or 0.0))
-        moved: dict[str, list[Candidate]] = {label: [] for label in new.estimators}
+        moved: dict[str, list[UncorrectedVerdict]] = {label: [] for label in new.estimators}
         for one in rows:
             moved.setdefault(one.row.estimator, []).append(one)
         lines = [
@@ -219,7 +219,7 @@ def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: 
     durable.write(path, text + "".join(f"{line}\n" for line in lines))
 
 
-def _describe_rows(candidates: Sequence[Candidate], tolerance: float, most: int = 3) -> str:
+def _describe_rows(candidates: Sequence[UncorrectedVerdict], tolerance: float, most: int = 3) -> str:
     """Return the numbers that moved beyond the tolerance, the largest changes first."""
     if not candidates:
         return "recorded again, no number moved"
@@ -297,7 +297,7 @@ def check(
             chosen.profile, requested, estimators, allow_code, guard, progress, given, cpu=has_cpu(chosen)
         )
     looks = sorted({runs or LOOKS[0], *LOOKS})
-    found: dict[str, list[Candidate]] = {}
+    found: dict[str, list[UncorrectedVerdict]] = {}
     words: dict[tuple[str, str, str], Verdict] = {}
     unsure = set(baselines)
     with open_pool(jobs) as pool:

@@ -19,7 +19,7 @@ from bench.baselines.experiments import (
     is_watched,
     join_draws,
 )
-from bench.baselines.verdict_rows import ERROR, SAME, Candidate, Verdict, Word, compare, decide
+from bench.baselines.verdict_rows import ERROR, SAME, UncorrectedVerdict, Verdict, Word, compare, decide
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation.metrics import find_metric
@@ -217,7 +217,7 @@ def _compare_sides(first: Side, other: Side) -> Compared:
             f"{other.name}: has no profile in common with {first.name}: {', '.join(other.draws)} "
             f"and {', '.join(first.draws)}"
         )
-    candidates: list[Candidate] = []
+    candidates: list[UncorrectedVerdict] = []
     differences: list[str] = []
     shown: dict[tuple[str, str], str] = {}  # profile and estimator of a row -> as a sentence names them
     for one, two in pairs:
@@ -288,7 +288,7 @@ def _select(side: Baseline, keys: Sequence[str]) -> Baseline:
     return side.model_copy(update={"sensors": tuple(keys), "estimators": estimators})
 
 
-def _compare_single(old: Baseline, new: Baseline, name: str) -> Iterator[Candidate]:
+def _compare_single(old: Baseline, new: Baseline, name: str) -> Iterator[UncorrectedVerdict]:
     """Yield both values of each metric of single runs: the same, or undecided."""
     for label, before in old.estimators.items():
         after = new.estimators[label]
@@ -302,7 +302,7 @@ def _compare_single(old: Baseline, new: Baseline, name: str) -> Iterator[Candida
             unit = known.unit if known else "1"
             paired = old.truth == new.truth and old.sensors == new.sensors
             row = Verdict(name, label, metric, unit, word, a, b, None, None, None, False, 1, paired, ONE_DRAW)
-            yield Candidate(row, certain=True)
+            yield UncorrectedVerdict(row, certain=True)
 
 
 def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> str:

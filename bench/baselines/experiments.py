@@ -104,10 +104,10 @@ def open_experiment(
                 f"{source}: a log is run once, which does not measure CPU time; leave --cpu out"
             )
         return Recording(source, requested, allow_code, guard, overrides)
-    return Flight(source, requested, allow_code, guard, overrides, cpu=cpu)
+    return FlightDraws(source, requested, allow_code, guard, overrides, cpu=cpu)
 
 
-class Flight:
+class FlightDraws:
     """The noise draws of a simulated profile, on one truth."""
 
     draws = None

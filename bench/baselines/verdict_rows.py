@@ -89,7 +89,7 @@ def _format_percent(part: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Candidate:
+class UncorrectedVerdict:
     """A verdict before the error is shared among all rows of the check."""
 
     row: Verdict
@@ -99,7 +99,7 @@ class Candidate:
     certain: bool = False  # the word needs no statistics
 
 
-def decide(candidates: Sequence[Candidate], error: float = ERROR / len(LOOKS)) -> list[Verdict]:
+def decide(candidates: Sequence[UncorrectedVerdict], error: float = ERROR / len(LOOKS)) -> list[Verdict]:
     """Return the verdicts of a whole check at one look, with a probability of any false one of ``error``.
 
     A metric is worse (or better) if its change is beyond the tolerance and its Holm-corrected interval
@@ -123,7 +123,7 @@ def decide(candidates: Sequence[Candidate], error: float = ERROR / len(LOOKS)) -
 
 def compare(
     baseline: Baseline, measured: Baseline, name: str, *, numbered: bool = False, changed: bool = False
-) -> list[Candidate]:
+) -> list[UncorrectedVerdict]:
     """Compare the first draws of a baseline with those measured, metric by metric.
 
     Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
@@ -149,7 +149,7 @@ def compare(
         new = measured.estimators.get(label)
         if new is None:
             row = _make_row(name, label, CONVERGED, match, len(which), "the profile has no such estimator")
-            rows.append(Candidate(replace(row, word="worse"), certain=True))
+            rows.append(UncorrectedVerdict(replace(row, word="worse"), certain=True))
             continue
         rows.append(_compare_convergence(name, label, old, new, which, match))
         for metric in old.metrics:
@@ -170,7 +170,7 @@ def _make_row(name: str, label: str, metric: str, match: str, draws: int, note: 
 
 def _compare_convergence(
     name: str, label: str, old: EstimatorValues, new: EstimatorValues, which: np.ndarray, match: str
-) -> Candidate:
+) -> UncorrectedVerdict:
     """Compare how many runs converged; on identical draws a new divergence is worse without statistics."""
     before, after = np.array(old.converged)[which], np.array(new.converged)[which]
     candidate = _compare_events(name, label, CONVERGED, before, after, which, match)
@@ -187,7 +187,7 @@ def _compare_events(
     after: BoolArray,
     which: np.ndarray,
     match: str,
-) -> Candidate:
+) -> UncorrectedVerdict:
     """Compare how often something good happens."""
     notes = []
     paired = match != UNPAIRED
@@ -198,11 +198,11 @@ def _compare_events(
     row = _make_row(name, label, metric, match, len(before), ", ".join(notes))
     row = replace(row, old=float(before.mean()), new=float(after.mean()))
     if np.array_equal(before, after):
-        return Candidate(row, certain=True)
+        return UncorrectedVerdict(row, certain=True)
     difference = float(before.mean() - after.mean())
     p_value = regression.compare_counts(before, after, paired=paired)
     row = replace(row, change=difference)
-    return Candidate(row, int(np.sign(difference)), p_value)
+    return UncorrectedVerdict(row, int(np.sign(difference)), p_value)
 
 
 def _list_draws(draws: np.ndarray) -> str:
@@ -218,7 +218,7 @@ def _compare_metric(
     which: np.ndarray,
     match: str,
     tolerance: float,
-) -> Candidate | None:
+) -> UncorrectedVerdict | None:
     """Compare one metric over the draws that converged and have it before and after; None if none had it."""
     before, after = _get_values(old, metric, which), _get_values(new, metric, which)
     if _is_event(metric):
@@ -239,7 +239,9 @@ def _compare_metric(
         row = _make_row(
             name, label, metric, match, len(which), f"no value in draw {_list_draws(which[lost])}"
         )
-        return Candidate(replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True)
+        return UncorrectedVerdict(
+            replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True
+        )
     paired = match != UNPAIRED
     if paired:
         has_old = has_new = has_old & has_new
@@ -249,7 +251,7 @@ def _compare_metric(
     row = _make_row(name, label, metric, match, len(after))
     row = replace(row, old=_pool(metric, before), new=_pool(metric, after))
     if paired and _is_same(metric, before, after, min(old.epochs, new.epochs)):
-        return Candidate(row, certain=True)
+        return UncorrectedVerdict(row, certain=True)
     if metric == CPU:
         tolerance = max(tolerance, CPU_TOLERANCE)
     return _measure_change(row, before, after, new.expected.get(metric), tolerance)
@@ -293,7 +295,7 @@ def _is_same(metric: str, before: FloatArray, after: FloatArray, epochs: int) ->
 
 def _measure_change(
     row: Verdict, before: FloatArray, after: FloatArray, expected: float | None, tolerance: float
-) -> Candidate:
+) -> UncorrectedVerdict:
     """Choose the scale on which a metric is compared, and measure its change there."""
     known = find_metric(row.metric)
     fraction = _find_fraction(row.metric)
@@ -323,4 +325,4 @@ def _measure_change(
     size = change.estimate
     row = replace(row, change=math.expm1(min(size, 700.0)) if relative else size, relative=relative)
     side = int(np.sign(size)) if abs(size) > limit else 0
-    return Candidate(row, side, change.p_value, change)
+    return UncorrectedVerdict(row, side, change.p_value, change)

@@ -35,7 +35,7 @@ _CONFIDENCE = 0.95
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundFactor:
     """Where a mean cost is least."""
 
     x: FloatArray  # (n,) logarithms of the factors
@@ -74,7 +74,7 @@ class _Tried:
         return np.array(min(self.rows, key=lambda key: self.mean(np.array(key))))
 
 
-def search_factors(costs: Costs, n: int, most: int) -> Found:
+def search_factors(costs: Costs, n: int, most: int) -> FoundFactor:
     """Return where the mean of the costs is least, and the intervals of each logarithm.
 
     Parameters
@@ -95,12 +95,12 @@ def search_factors(costs: Costs, n: int, most: int) -> Found:
             x = _descend(tried, x, _END)
     except _SpentError:
         open_ends = np.full(n, np.nan)
-        return Found(tried.best(), open_ends, open_ends, converged=False, starts=len(ends), agreed=0)
+        return FoundFactor(tried.best(), open_ends, open_ends, converged=False, starts=len(ends), agreed=0)
     x, hessian = _step_to_valley(tried, x)
     edge = _student(len(tried.draws(x)))
     agreed = sum(abs(_t_value(tried.draws(end) - tried.draws(x))) <= edge for end in ends)
     low, high = _find_ends(tried, x, hessian, edge)
-    return Found(x, low, high, converged=True, starts=len(ends), agreed=int(agreed))
+    return FoundFactor(x, low, high, converged=True, starts=len(ends), agreed=int(agreed))
 
 
 def _descend(tried: _Tried, start: FloatArray, last: float) -> FloatArray:

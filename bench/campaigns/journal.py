@@ -46,11 +46,11 @@ def _sound_metrics(metrics: dict[str, Any]) -> dict[str, Any]:
     return metrics
 
 
-class _Row(BaseModel):
+class _JournalRow(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class _Estimated(_Row):
+class _Estimated(_JournalRow):
     """What an estimator achieved in a run (`worker.measure`)."""
 
     metrics: Annotated[dict[str, float | int | bool | str | list[Any] | dict[str, Any] | None],
@@ -61,12 +61,12 @@ class _Estimated(_Row):
     instants: Annotated[str, AfterValidator(_whole_instants)]
 
 
-class _Lost(_Row):
+class _LostRow(_JournalRow):
     key: str
     error: str
 
 
-class _Finished(_Row):
+class _Finished(_JournalRow):
     key: str
     step: Annotated[float, Field(gt=0, le=_MOST)]
     cpu_s: dict[str, float]
@@ -157,7 +157,7 @@ def _parse(line: bytes) -> dict[str, Any] | None:
         return None
     try:
         row = json.loads(text)
-        (_Lost if "error" in row else _Finished).model_validate(row)
+        (_LostRow if "error" in row else _Finished).model_validate(row)
     except (ValueError, TypeError, RecursionError):
         return None
     return dict(row)

@@ -26,24 +26,24 @@ _Number = Annotated[float, BeforeValidator(lambda value: np.nan if value is None
 """A number; null is what JSON has for one that is not finite."""
 
 
-class _Stored(BaseModel):
+class _StoredPart(BaseModel):
     model_config = ConfigDict(strict=True)
 
 
-class _Estimate(_Stored):
+class _StoredEstimate(_StoredPart):
     value: _Number
     low: _Number
     high: _Number
 
 
-class _MeanNis(_Stored):
+class _StoredMeanNis(_StoredPart):
     mean: _Number
     low: _Number
     high: _Number
     updates: NonNegativeInt
 
 
-class _Consistency(_Stored):
+class _StoredConsistency(_StoredPart):
     states: NonNegativeInt
     runs: NonNegativeInt
     mean: _Number
@@ -55,52 +55,52 @@ class _Consistency(_Stored):
     instants: list[int]
     anees: list[_Number]
     band: list[_Number]
-    nis: dict[str, _MeanNis]
+    nis: dict[str, _StoredMeanNis]
     reasons: list[str]
 
 
-class _Outcome(_Stored):
+class _StoredOutcome(_StoredPart):
     condition: str
     label: str
     runs: NonNegativeInt
-    converged: _Estimate
-    errors: dict[str, _Estimate]
-    consistency: _Consistency | None
+    converged: _StoredEstimate
+    errors: dict[str, _StoredEstimate]
+    consistency: _StoredConsistency | None
 
 
-class _Comparison(_Stored):
+class _StoredComparison(_StoredPart):
     first: str
     second: str
     unit: str
-    difference: _Estimate
+    difference: _StoredEstimate
     runs: NonNegativeInt
 
 
-class _Outage(_Stored):
+class _Outage(_StoredPart):
     start_s: float
     duration_s: float
 
 
-class _Flown(_Stored):
+class _StoredFlown(_StoredPart):
     evaluation: dict[str, _Number]
     gnss_outage: list[_Outage] = []
 
 
-class _Condition(_Stored):
+class _StoredCondition(_StoredPart):
     profile: str
     values: dict[str, Any]
-    as_flown: _Flown
+    as_flown: _StoredFlown
 
 
-class _Summary(_Stored):
+class _StoredSummary(_StoredPart):
     """What `campaign.json` holds, as far as it is read."""
 
     planned: NonNegativeInt
     finished: NonNegativeInt
     failed: dict[str, str]
-    outcomes: list[_Outcome]
-    comparisons: list[_Comparison]
-    conditions: list[_Condition]
+    outcomes: list[_StoredOutcome]
+    comparisons: list[_StoredComparison]
+    conditions: list[_StoredCondition]
     estimator_cpu_s: dict[str, list[_Number]]
     timing: dict[str, _Number]
     versions: dict[str, str]
@@ -123,7 +123,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
     """
     folder = Path(folder)
     with store.open_summary(folder, store.CAMPAIGN_RESULT, "campaign") as summary:
-        found = _Summary.model_validate(summary)
+        found = _StoredSummary.model_validate(summary)
         with store.report_damage(folder):
             runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
         _check_columns(folder / RUNS, runs, _RUN)
@@ -166,11 +166,11 @@ def _check_columns(path: Path, table: Any, wanted: Mapping[str, str]) -> None:
                 raise ConfigError(f"{path}: damaged: column {name!r} must hold finite numbers")
 
 
-def _make_estimate(row: _Estimate) -> Estimate:
+def _make_estimate(row: _StoredEstimate) -> Estimate:
     return Estimate(row.value, row.low, row.high)
 
 
-def _make_outcome(row: _Outcome) -> Outcome:
+def _make_outcome(row: _StoredOutcome) -> Outcome:
     found = None
     if row.consistency is not None:
         values = dict(row.consistency)

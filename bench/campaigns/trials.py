@@ -39,7 +39,7 @@ _LOST = 1e6  # cost of a draw without finite errors or claims
 
 
 @dataclass(frozen=True)
-class Judged:
+class HeldOutScore:
     """How a filter does on data that were not used for tuning, with 95 % intervals."""
 
     rmse_h_m: Estimate
@@ -57,7 +57,7 @@ class Trial(Protocol):
     def score(self, figures: Figures, goal: Goal) -> FloatArray:
         """Return the cost of each draw (D,) with these figures, on the data for tuning; finite."""
 
-    def judge(self, figures: Figures) -> Judged:
+    def judge(self, figures: Figures) -> HeldOutScore:
         """Return how it does with them on the other data."""
 
 
@@ -109,7 +109,7 @@ class ProfileTrial:
         rows = self._compute(measure_costs, figures, range(self._runs))
         return np.array([_limit_cost(row[goal]) for row in rows])
 
-    def judge(self, figures: Figures) -> Judged:
+    def judge(self, figures: Figures) -> HeldOutScore:
         """Return how it does with them in the other draws."""
         others = self._compute(measure, figures, range(self._runs, 2 * self._runs))
         rows = [row["estimators"][self.label] for row in others]
@@ -161,7 +161,7 @@ class LogTrial:
         sums, _ = np.histogram(t[inside], edges, weights=values[inside])
         return np.array([_limit_cost(value * _STRETCHES / max(inside.sum(), 1)) for value in sums])
 
-    def judge(self, figures: Figures) -> Judged:
+    def judge(self, figures: Figures) -> HeldOutScore:
         """Return how it does with them in the second half."""
         result = self._navigate(figures)
         t = result.errors[self.label].t
@@ -229,10 +229,10 @@ def _stretch_values(
 
 def _judge(
     mean_squares: FloatArray, nees: FloatArray, repetition: Sequence[Mapping[str, FloatArray]]
-) -> Judged:
+) -> HeldOutScore:
     """Return pooled values with intervals; the mean NEES is positive, so its interval is that of a root."""
     if len(nees) < _LEAST:
         raise ConfigError("too few draws converged to judge the tuned filter")
     root = ensemble.pool_rmse(nees)
     ratio = Estimate(root.value**2, root.low**2, root.high**2)
-    return Judged(ensemble.pool_rmse(mean_squares), ratio, ensemble.measure_repetition(repetition))
+    return HeldOutScore(ensemble.pool_rmse(mean_squares), ratio, ensemble.measure_repetition(repetition))

@@ -13,9 +13,9 @@ import numpy as np
 
 from bench import durable
 from bench.arrays import FloatArray
-from bench.campaigns.factor_search import REACH, Found, search_factors
+from bench.campaigns.factor_search import REACH, FoundFactor, search_factors
 from bench.campaigns.pools import ProcessPool, count_processors
-from bench.campaigns.trials import Goal, Judged, LogTrial, ProfileTrial, Trial
+from bench.campaigns.trials import Goal, HeldOutScore, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
@@ -46,8 +46,8 @@ class Tuning:
     converged: bool
     starts: int  # of the search
     agreed: int  # starts that came to the same cost
-    before: Judged
-    after: Judged
+    before: HeldOutScore
+    after: HeldOutScore
     evaluations: int
     datasheets: Mapping[str, str]  # kind of sensor -> text of the tuned datasheet
 
@@ -187,7 +187,7 @@ def tune(
     )
 
 
-def _name_ends(found: Found, k: int) -> tuple[float | None, float | None]:
+def _name_ends(found: FoundFactor, k: int) -> tuple[float | None, float | None]:
     """Return the interval of a factor; None where there is no end."""
     low, high = (float(np.exp(ends[k])) if np.isfinite(ends[k]) else None for ends in (found.low, found.high))
     return low, high

@@ -18,8 +18,8 @@ import numpy as np
 from bench.causes.candidates import SKY_ERRORS, WANDER, Candidate
 from bench.evaluation.block_nees import BlockNees, find_broken_block
 from bench.evaluation.error_series import TITLES
-from bench.navigation import estimator
-from bench.navigation.forward_filters import FORWARD
+from bench.navigation import built_in, estimator
+from bench.navigation.options import FORWARD
 from bench.specs import AssumedSpecs, EstimatorChoice, SensorsSpec
 from bench.wording import format_number
 
@@ -38,7 +38,7 @@ Measure = Callable[[SensorsSpec], Mapping[str, BlockNees]]
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class SearchStep:
     """Candidates that were named together, and what the broken block is with and without them."""
 
     named: tuple[Candidate, ...]
@@ -51,7 +51,7 @@ class Step:
 class Causes:
     """What a search has found."""
 
-    steps: tuple[Step, ...]
+    steps: tuple[SearchStep, ...]
     left: str | None  # block whose claim is still broken without all that is named
     before: BlockNees  # of the block whose claim is broken in the run
     block: str
@@ -102,7 +102,7 @@ def find_causes(
     if first is None:
         return None
     trials, rest, removed = _Trials(spec, measure, {frozenset(): own}), list(candidates), list[Candidate]()
-    steps, block = list[Step](), first
+    steps, block = list[SearchStep](), first
     left: str | None = first
     for _ in range(_ROUNDS):
         named = _name(trials, rest, removed, block)
@@ -112,7 +112,7 @@ def find_causes(
         removed += named
         rest = [one for one in rest if one not in named]
         now = trials.run(removed)
-        steps.append(Step(tuple(named), block, before, now[block]))
+        steps.append(SearchStep(tuple(named), block, before, now[block]))
         left = find_broken_block(now)
         if left is None:
             break
@@ -195,9 +195,9 @@ def advise(choice: EstimatorChoice, specs: AssumedSpecs, named: Collection[Candi
         names = _join(errors)
         for name in FORWARD if sky else [name for name in FORWARD if name != "tight"]:
             options = {
-                key: value for key, value in choice.options.items() if estimator.takes_option(name, key)
+                key: value for key, value in choice.options.items() if built_in.takes_option(name, key)
             }
-            missing = estimator.list_unmodelled(estimator.load(name, options), name, specs) or []
+            missing = estimator.list_unmodelled(built_in.load(name, options), name, specs) or []
             lasting = WANDER in missing and name != "tight"
             if not any(one in missing or (one in SKY_ERRORS and lasting) for one in errors):
                 told.append(f"{name} has states for {'it' if len(errors) == 1 else 'all of them'}.")

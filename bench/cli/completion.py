@@ -19,7 +19,7 @@ def _list_profiles() -> Iterable[str]:
 
 def _list_estimators() -> Iterable[str]:
     from bench.installed import find_installed
-    from bench.navigation.estimator import BUILT_IN
+    from bench.navigation.built_in import BUILT_IN
 
     return [*BUILT_IN, *find_installed("estimators", BUILT_IN)]
 

@@ -36,7 +36,7 @@ class _Studies(click.Group):
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command:
         """Return the command of a study; an unknown name ends with those that are known."""
-        from bench.studies.study import find_study
+        from bench.studies.conducting import find_study
 
         entry, module = find_study(name)
         return _make_command(name, entry.question, module)
@@ -68,7 +68,7 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
 
     def run(as_json: bool, **given: Any) -> int:
         from bench.store import to_json
-        from bench.studies.study_folder import describe_study
+        from bench.store.study_folder import describe_study
         from bench.workbench.study_verb import run_study
 
         chosen = {key: value for key, value in given.items() if value not in (None, {})}

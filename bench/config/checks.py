@@ -12,7 +12,7 @@ from bench.config.profile_tables import ExperimentTable, RequirementTable
 from bench.evaluation.required_metrics import is_metric
 from bench.installed import find_installed
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.specs import AUTOPILOT, EstimatorChoice
 from bench.wording import quantity, suggest

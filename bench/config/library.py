@@ -43,7 +43,7 @@ class _Position(Table):
         return cls(forward_m=0.0, right_m=0.0, down_m=0.0)
 
 
-class _Trim(Table):
+class _TrimPoint(Table):
     """Altitude and airspeed of a steady level flight."""
 
     alt_m: Altitude
@@ -64,7 +64,7 @@ class AircraftTable(Table):
     assumed: Annotated[tuple[str, ...], ROWS] = ()
     """Tables that no source states."""
     limits: make_table_type(AircraftSpec)  # type: ignore[valid-type]
-    trim: Annotated[tuple[_Trim, ...], ROWS] = ()
+    trim: Annotated[tuple[_TrimPoint, ...], ROWS] = ()
     imu: _Position = Field(default_factory=_Position.at_cg)
     antenna: _Position
     static_port: _Position = Field(default_factory=_Position.at_cg)

@@ -15,7 +15,7 @@ from bench.flight import legs
 from bench.flight.legs.keys import keys_of
 from bench.installed import find_folders, find_installed, list_problems
 from bench.instruments import INSTRUMENTS
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import GnssSpec, TriadSpec
 from bench.units import split_unit

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, collect_errors
 from bench.errors import ConfigError
+from bench.orbit_sets import GlonassSets, KeplerSets
 from bench.specs import SkySpec
 from bench.units import STANDARD_GRAVITY
-
-if TYPE_CHECKING:
-    from bench.signals.orbits import GlonassSets, KeplerSets
 
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)

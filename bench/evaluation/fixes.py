@@ -17,7 +17,7 @@ from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
 from bench.evaluation.coverage import carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.failures import describe_failure
-from bench.evaluation.metrics import METRICS, Carried, judge_epochs
+from bench.evaluation.metrics import METRICS, CarriedSolution, judge_epochs
 from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT
 
@@ -147,7 +147,9 @@ def judge(
         if silent[rows].any():
             moved = carry_on(solution, silent)
             unexcused = (silent & ~find_excused(solution, data))[rows]
-            carried = Carried(antenna_errors(moved, fixes, data), select_epochs(moved, rows), unexcused)
+            carried = CarriedSolution(
+                antenna_errors(moved, fixes, data), select_epochs(moved, rows), unexcused
+            )
         if len(judged):
             values = judge_epochs(
                 judged,

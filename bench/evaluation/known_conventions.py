@@ -36,7 +36,7 @@ class Answers:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class TrueMotion:
     """The truth at the instants that answers are of."""
 
     inside: BoolArray  # (M,) instants that the truth covers; the others have no row below
@@ -57,7 +57,7 @@ class Motion:
         return rotation.rotate(rotation.conjugate(self.q_nb), self.turn_n)
 
 
-def move(truth: Trajectory, answers: Answers) -> Motion:
+def move(truth: Trajectory, answers: Answers) -> TrueMotion:
     """Return the truth at the instants that answers are of."""
     t = answers.t - answers.late
     inside = (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
@@ -67,10 +67,10 @@ def move(truth: Trajectory, answers: Answers) -> Motion:
     )
     turned = rotation.to_rotvec(rotation.multiply(q_after, rotation.conjugate(q_before)))
     span = 2.0 * _STEP
-    return Motion(inside, lla, vel_n, q_nb, (after_n - before_n) / span, turned / span)
+    return TrueMotion(inside, lla, vel_n, q_nb, (after_n - before_n) / span, turned / span)
 
 
-def compare(answers: Answers, motion: Motion) -> FloatArray:
+def compare(answers: Answers, motion: TrueMotion) -> FloatArray:
     """Return the errors (K, 9) of position [m], velocity [m/s] and attitude [rad], n."""
     rows = motion.inside
     with np.errstate(all="ignore"):
@@ -79,8 +79,8 @@ def compare(answers: Answers, motion: Motion) -> FloatArray:
         return np.hstack([pos_n, answers.vel_n[rows] - motion.vel_n, rotation.to_rotvec(turned)])
 
 
-Undo = Callable[[Answers, Motion, FloatArray], Answers]
-Derivative = Callable[[Motion], FloatArray]
+Undo = Callable[[Answers, TrueMotion, FloatArray], Answers]
+Derivative = Callable[[TrueMotion], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +135,11 @@ def _in_rows(rows: slice, columns: FloatArray) -> FloatArray:
     return whole
 
 
-def _undo_time(answers: Answers, _: Motion, c: FloatArray) -> Answers:
+def _undo_time(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, late=answers.late + float(c[0]))
 
 
-def _by_time(motion: Motion) -> FloatArray:
+def _by_time(motion: TrueMotion) -> FloatArray:
     return -np.hstack([motion.vel_n, motion.accel_n, motion.turn_n])[:, :, None]
 
 
@@ -147,7 +147,7 @@ def _tell_time(c: FloatArray) -> str:
     return f"answers that are {abs(c[0]):.3f} s too {'late' if c[0] > 0 else 'early'}"
 
 
-def _undo_arm(answers: Answers, motion: Motion, c: FloatArray) -> Answers:
+def _undo_arm(answers: Answers, motion: TrueMotion, c: FloatArray) -> Answers:
     lla, vel_n = answers.lla.copy(), answers.vel_n.copy()
     rows = motion.inside
     lla[rows] = earth.displace(lla[rows], -rotation.rotate(motion.q_nb, c))
@@ -155,7 +155,7 @@ def _undo_arm(answers: Answers, motion: Motion, c: FloatArray) -> Answers:
     return replace(answers, lla=lla, vel_n=vel_n)
 
 
-def _by_arm(motion: Motion) -> FloatArray:
+def _by_arm(motion: TrueMotion) -> FloatArray:
     C_nb = motion.body_to_level
     whole = _in_rows(POS, C_nb)
     whole[:, VEL] = C_nb @ rotation.skew(motion.turn_b)
@@ -168,11 +168,11 @@ def _tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
     return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"
 
 
-def _undo_height(answers: Answers, _: Motion, c: FloatArray) -> Answers:
+def _undo_height(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, lla=answers.lla + np.array([0.0, 0.0, 1.0]) * c[0])
 
 
-def _by_height(motion: Motion) -> FloatArray:
+def _by_height(motion: TrueMotion) -> FloatArray:
     return _in_rows(POS, np.tile(np.array([[0.0], [0.0], [1.0]]), (len(motion.lla), 1, 1)))
 
 
@@ -180,11 +180,11 @@ def _tell_height(c: FloatArray) -> str:
     return f"heights over the geoid or another datum, {abs(c[0]):.1f} m too {'low' if c[0] > 0 else 'high'}"
 
 
-def _undo_offset(answers: Answers, _: Motion, c: FloatArray) -> Answers:
+def _undo_offset(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, lla=earth.displace(answers.lla, np.array([-c[0], -c[1], 0.0])))
 
 
-def _by_offset(motion: Motion) -> FloatArray:
+def _by_offset(motion: TrueMotion) -> FloatArray:
     return _in_rows(POS, np.tile(np.eye(3)[:, :2], (len(motion.lla), 1, 1)))
 
 
@@ -192,11 +192,11 @@ def _tell_offset(c: FloatArray) -> str:
     return f"an offset of {c[0]:.2f} m north, {c[1]:.2f} m east"
 
 
-def _undo_turn_b(answers: Answers, _: Motion, c: FloatArray) -> Answers:
+def _undo_turn_b(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, q_nb=rotation.multiply(answers.q_nb, rotation.from_rotvec(-c)))
 
 
-def _undo_turn_n(answers: Answers, _: Motion, c: FloatArray) -> Answers:
+def _undo_turn_n(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, q_nb=rotation.multiply(rotation.from_rotvec(-c), answers.q_nb))
 
 
@@ -208,11 +208,11 @@ def _tell_turn(axes: str, c: FloatArray) -> str:
 # --- without ----------------------------------------------------------------------------------------------
 
 
-def _exchange(name: str, block: str, change: Callable[[FloatArray, Motion], FloatArray]) -> Convention:
+def _exchange(name: str, block: str, change: Callable[[FloatArray, TrueMotion], FloatArray]) -> Convention:
     """Return a convention that changes the values of one block by a function of these and the motion."""
     column = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}[block]
 
-    def undo(answers: Answers, motion: Motion, _: FloatArray) -> Answers:
+    def undo(answers: Answers, motion: TrueMotion, _: FloatArray) -> Answers:
         values = getattr(answers, column).copy()
         with np.errstate(all="ignore"):
             values[motion.inside] = change(values[motion.inside], motion)
@@ -255,17 +255,17 @@ def _list_exchanged() -> Iterator[Convention]:
     yield _exchange("quaternions with their scalar last", "phi", lambda q, _: rotation.from_scalar_last(q))
 
 
-def _scale(factors: FloatArray, values: FloatArray, _: Motion) -> FloatArray:
+def _scale(factors: FloatArray, values: FloatArray, _: TrueMotion) -> FloatArray:
     return values * factors
 
 
-def _undo_axes(conjugate: bool, level: bool, body: bool, q: FloatArray, _: Motion) -> FloatArray:
+def _undo_axes(conjugate: bool, level: bool, body: bool, q: FloatArray, _: TrueMotion) -> FloatArray:
     q = rotation.conjugate(q) if conjugate else q
     q = rotation.multiply(_Q_NED_ENU, q) if level else q
     return rotation.multiply(q, _Q_FRD_FLU) if body else q
 
 
-def _undo_euler(factor: float, q: FloatArray, motion: Motion) -> FloatArray:
+def _undo_euler(factor: float, q: FloatArray, motion: TrueMotion) -> FloatArray:
     """Return the attitude of angles that have been multiplied by a factor, which may have wrapped them.
 
     The small rotation from the true angles, multiplied, to the answer is ``E(wrong) factor d``; d are the
@@ -312,7 +312,7 @@ def _claim(
 ) -> Convention:
     """Return a convention that changes the standard deviations (M, 9); correlations stay."""
 
-    def undo(answers: Answers, _: Motion, __: FloatArray) -> Answers:
+    def undo(answers: Answers, _: TrueMotion, __: FloatArray) -> Answers:
         with np.errstate(all="ignore"):
             sd = np.sqrt(np.einsum("kii->ki", answers.cov))
             ratio = change(sd) / sd

@@ -325,7 +325,7 @@ def judge(
     carried = None
     if silent.any():
         moved = carry_on(solution, silent)
-        carried = Carried(error_series(truth, moved), moved, silent & ~find_excused(solution, data))
+        carried = CarriedSolution(error_series(truth, moved), moved, silent & ~find_excused(solution, data))
     return errors, judge_epochs(
         judged,
         covered,
@@ -341,7 +341,7 @@ def judge(
     )
 
 
-class Carried(NamedTuple):
+class CarriedSolution(NamedTuple):
     """A solution with its silences carried on, and its errors."""
 
     errors: ErrorSeries
@@ -361,7 +361,7 @@ def judge_epochs(
     drawn: SensorTruth | None = None,
     factored: bool = False,
     metrics: Sequence[Metric] = METRICS,
-    carried: Carried | None = None,
+    carried: CarriedSolution | None = None,
     coverage: Coverage | None = None,
 ) -> dict[str, Any]:
     """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.

@@ -27,7 +27,7 @@ _MOST_DRAWS = 100_000  # that are thought of
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class PairedRatio:
     """The first of two over the second, by their root mean squares over the draws they share."""
 
     first: str
@@ -50,7 +50,7 @@ class Pair:
 
 def compare_draws_of(
     names: tuple[str, str], first: FloatArray, second: FloatArray, error: float = 1.0 - CONFIDENCE
-) -> Pair:
+) -> PairedRatio:
     """Compare two by their errors on the same draws.
 
     Parameters
@@ -69,7 +69,7 @@ def compare_draws_of(
         within `SAME` of it.
     """
     if np.array_equal(first, second):
-        return Pair(*names, Estimate(1.0, 1.0, 1.0), "same", len(first), None)
+        return PairedRatio(*names, Estimate(1.0, 1.0, 1.0), "same", len(first), None)
     by_draw = np.log(np.abs(first) / np.abs(second))
     change = estimate_change(
         np.square(second), np.square(first), half_log_of_mean, paired=True, by_draw=by_draw
@@ -92,4 +92,4 @@ def compare_draws_of(
         clear = max(abs(change.estimate), edge - abs(change.estimate))
         needed = len(first) * ((high - change.estimate) / clear) ** 2
         deciding = math.ceil(needed) + 1 if needed < _MOST_DRAWS else None
-    return Pair(*names, ratio, word, len(first), deciding)
+    return PairedRatio(*names, ratio, word, len(first), deciding)

@@ -80,7 +80,7 @@ def count_windows(watched: Watched, window: float) -> tuple[BoolArray, BoolArray
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class JudgedFigure:
     """A figure held against what is required: bounds of 95 % to each side, by flights as trials."""
 
     found: Estimate
@@ -88,7 +88,7 @@ class Judged:
     more_h: float | None = None  # flight hours that would decide if they go on alike; None: decided, or never
 
 
-def judge_rate(events: int, hours: float, most: float) -> Judged:
+def judge_rate(events: int, hours: float, most: float) -> JudgedFigure:
     """Judge a rate per hour by independent events in so many flight hours (Poisson).
 
     It is met where the upper bound is at most ``most``, missed where the lower one is above. Undecided it
@@ -103,31 +103,31 @@ def judge_rate(events: int, hours: float, most: float) -> Judged:
     low = float(gammaincinv(float(events), 1.0 - _SURE)) / hours if events else 0.0
     found = Estimate(events / hours, low, high)
     if high <= most:
-        return Judged(found, MET)
+        return JudgedFigure(found, MET)
     if low > most:
-        return Judged(found, MISSED)
-    return Judged(found, UNDECIDED, bound_per_hour(events, most) - hours)
+        return JudgedFigure(found, MISSED)
+    return JudgedFigure(found, UNDECIDED, bound_per_hour(events, most) - hours)
 
 
-def judge_share(inside: BoolArray, least: float, hours: float) -> Judged:
+def judge_share(inside: BoolArray, least: float, hours: float) -> JudgedFigure:
     """Judge the share of the time that something holds (R, M), each of R flights a trial.
 
     If it holds always, as many flights as ``ln 0.05 / ln least`` show it: one that is bad might be as rare.
     """
     found = estimate_fraction(inside, 2.0 * _SURE - 1.0)
     if found.low >= least:
-        return Judged(found, MET)
+        return JudgedFigure(found, MET)
     if found.high < least:
-        return Judged(found, MISSED)
+        return JudgedFigure(found, MISSED)
     flights = len(inside)
     if found.value in (0.0, 1.0):
         needed = math.log(1.0 - _SURE) / math.log(least)
     elif found.value == least:
-        return Judged(found, UNDECIDED)
+        return JudgedFigure(found, UNDECIDED)
     else:
         end = found.low if found.value > least else found.high
         needed = flights * ((end - found.value) / (least - found.value)) ** 2
-    return Judged(found, UNDECIDED, max(needed - flights, 1.0) * hours / flights)
+    return JudgedFigure(found, UNDECIDED, max(needed - flights, 1.0) * hours / flights)
 
 
 def bound_per_hour(events: int, hours: float) -> float:

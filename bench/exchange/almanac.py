@@ -9,7 +9,8 @@ import numpy as np
 
 from bench.errors import ConfigError
 from bench.exchange.rinex.lines import Lines, open_lines
-from bench.signals.orbits import KEPLER, WEEK, KeplerSets
+from bench.orbit_sets import KEPLER, KeplerSets
+from bench.signals.orbits import WEEK
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]
 _ENTRIES = {

@@ -16,8 +16,8 @@ from bench.arrays import BoolArray, FloatArray
 from bench.config.log import SourceSpec
 from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.errors import ConfigError, EstimatorError
-from bench.exchange.imports import explain_missing
 from bench.exchange.imports.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
+from bench.exchange.imports.unreadable import explain_missing
 from bench.exchange.solutions import ForeignSolution, resample
 from bench.specs import AUTOPILOT
 

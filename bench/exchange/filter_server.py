@@ -33,7 +33,7 @@ from bench import disk_arrays
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.exchange.record_messages import RecordMessage, read_message
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
 from bench.places import PACKAGE
 
@@ -138,7 +138,7 @@ class _Served:
     def renew(self) -> estimator.Estimator:
         """Return an instance that has run on nothing."""
         if self.used:
-            self.one = estimator.load(self.use, self.options)
+            self.one = built_in.load(self.use, self.options)
         self.used = True
         return self.one
 
@@ -178,7 +178,7 @@ class _FilterServer:
         self._go_home()
         given = pickle.loads(options.tobytes())
         try:
-            one = estimator.load(use, given)
+            one = built_in.load(use, given)
         except (EstimatorError, EstimatorFailedError):
             raise
         except Exception as error:

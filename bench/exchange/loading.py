@@ -6,8 +6,9 @@ import sys
 from collections.abc import Iterable
 from typing import Protocol, Self, runtime_checkable
 
-from bench.navigation import estimator
-from bench.navigation.estimator import BUILT_IN, Estimator
+from bench.navigation import built_in
+from bench.navigation.built_in import BUILT_IN
+from bench.navigation.estimator import Estimator
 from bench.specs import EstimatorChoice
 
 
@@ -40,8 +41,8 @@ def _begin(choice: EstimatorChoice) -> Estimator:
 
         return outside.load(choice)
     here = choice.guard.in_process or sys.platform == "win32"  # which lacks what holds a process
-    if choice.use in BUILT_IN or here or not estimator.is_class(choice.use):
-        return estimator.load(choice.use, choice.options)  # what is no name at all is told there
+    if choice.use in BUILT_IN or here or not built_in.is_class(choice.use):
+        return built_in.load(choice.use, choice.options)  # what is no name at all is told there
     from bench.exchange.own_process import OwnProcessEstimator
 
     return OwnProcessEstimator(choice)

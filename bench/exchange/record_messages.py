@@ -51,7 +51,7 @@ _REPEATED = 1 << 12  # a smaller text or body may come again [byte]
 _pack_float, _pack_int = struct.Struct("<d").pack, struct.Struct("<q").pack
 
 
-class _Plan:
+class _RecordLayout:
     """How the records of a class are taken apart: columns, those of truth values last; then the rest."""
 
     def __init__(self, kind: type) -> None:
@@ -129,7 +129,7 @@ def _make_getter(names: list[str]) -> Any:
 _LEFT_OUT = "specs"  # of a record of sensors: it changes less often than the record, and is given apart
 
 _PLANS = {
-    kind.__name__: _Plan(kind)
+    kind.__name__: _RecordLayout(kind)
     for kind in (
         Events,
         GnssFixes,

@@ -62,7 +62,7 @@ def _guess_angle(angle: FloatArray) -> str:
     return "deg" if float(np.nanmax(np.abs(angle), initial=0.0)) > np.pi else "rad"
 
 
-class _Quantity(NamedTuple):
+class _SensorQuantity(NamedTuple):
     """Columns that belong together: names of the bench, patterns of others, and their unit by the values."""
 
     stems: tuple[str, ...]
@@ -71,12 +71,12 @@ class _Quantity(NamedTuple):
     needed: bool = True
 
 
-def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Quantity:
+def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _SensorQuantity:
     patterns = tuple(rf"(.*{words})(_?{axis}|\.{k})" for k, axis in enumerate("xyz", 1))  # .1: of a matrix
-    return _Quantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
+    return _SensorQuantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
 
 
-_TIME = _Quantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), _guess_time)
+_TIME = _SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), _guess_time)
 _INCREMENTS = (
     _TIME,
     _name_axes("dtheta", "d(elta_?)?theta", _guess_turn),
@@ -85,9 +85,9 @@ _INCREMENTS = (
 _VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
 
 
-def _name_velocity(third: str, word: str) -> _Quantity:
+def _name_velocity(third: str, word: str) -> _SensorQuantity:
     patterns = tuple(_VELOCITY.format(words) for words in ("n|north", "e|east", f"{third}|{word}"))
-    return _Quantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
+    return _SensorQuantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
 
 
 _ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
@@ -98,13 +98,13 @@ _RATES = (
 )
 _FIX = (
     _TIME,
-    _Quantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
-    _Quantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
+    _SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
+    _SensorQuantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
     _name_velocity("d", "down"),
     _name_velocity("u", "up"),
 )
-_HEIGHT = (_TIME, _Quantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
-_KINDS: Mapping[str, tuple[tuple[_Quantity, ...], ...]] = {
+_HEIGHT = (_TIME, _SensorQuantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
+_KINDS: Mapping[str, tuple[tuple[_SensorQuantity, ...], ...]] = {
     "imu": (_RATES, _INCREMENTS),
     "gnss": (_FIX,),
     "baro": (_HEIGHT,),
@@ -112,7 +112,7 @@ _KINDS: Mapping[str, tuple[tuple[_Quantity, ...], ...]] = {
 """The sets of columns of each sensor, one of which a table has."""
 
 
-class Found(NamedTuple):
+class FoundSensor(NamedTuple):
     """A file, or a structure in it, with what a sensor measured."""
 
     path: Path
@@ -124,7 +124,7 @@ class Found(NamedTuple):
     turns: bool = False  # it has an attitude too, as no receiver measures it
 
 
-def find_tables(path: Path) -> dict[str, Found]:
+def find_tables(path: Path) -> dict[str, FoundSensor]:
     """Return the table of each sensor: the file itself if it has the columns, else one beside it.
 
     Raises
@@ -133,10 +133,10 @@ def find_tables(path: Path) -> dict[str, Found]:
         If there is no IMU in the file, no receiver in any, or a unit cannot be told.
     """
     beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in _TABLES and p != path)
-    found: dict[str, Found] = {}
+    found: dict[str, FoundSensor] = {}
     wrong: list[ConfigError] = []
     for kind in _KINDS:
-        matches: list[Found] = []
+        matches: list[FoundSensor] = []
         for place in (path, *beside) if kind != "imu" else (path,):
             try:
                 match = _find_sensor(place, kind, _IMU_STEP if place == path else _OTHER_STEP)
@@ -165,7 +165,7 @@ def find_tables(path: Path) -> dict[str, Found]:
     return found
 
 
-def find_texts(path: Path) -> dict[str, Found]:
+def find_texts(path: Path) -> dict[str, FoundSensor]:
     """Return the files of increments and fixes of KF-GINS; numbers without names are told by their values.
 
     Raises
@@ -191,7 +191,7 @@ def find_texts(path: Path) -> dict[str, Found]:
     for place in sorted(one for one in path.parent.iterdir() if one.suffix.lower() == TEXT and one != path):
         if not (fault := _find_fault(place, imu.t)):
             files = {"imu": path, "gnss": place}
-            return {kind: Found(file, {}, (), form="kf-gins") for kind, file in files.items()}
+            return {kind: FoundSensor(file, {}, (), form="kf-gins") for kind, file in files.items()}
         faults.append(fault)
     raise ConfigError(
         f"{path.name}: no fixes beside it, as KF-GINS has them: a {TEXT} with second of week, latitude, "
@@ -217,7 +217,7 @@ def _find_fault(path: Path, imu_t: FloatArray) -> str:
     return ""
 
 
-def _find_sensor(path: Path, kind: str, longest: float) -> Found | None:
+def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
     """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none.
 
     ``longest``: step of the times of the table [s].
@@ -225,11 +225,11 @@ def _find_sensor(path: Path, kind: str, longest: float) -> Found | None:
     names, structures = list_columns(path), [""]
     if path.suffix.lower() == ".mat":
         if whole := list_sensors(path, kind):
-            return Found(path, {}, (), whole[0], tuple(whole[1:]))
+            return FoundSensor(path, {}, (), whole[0], tuple(whole[1:]))
         dots = {name[: dot.start() + 1] for name in names for dot in re.finditer(r"\.", name)}
         longest = _IMU_STEP if kind == "imu" else _OTHER_STEP  # a structure has times of its own
         structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
-    found: list[Found] = []
+    found: list[FoundSensor] = []
     for prefix in structures:
         ways = (_match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
         found += [way for way in ways if way is not None][:1]
@@ -240,8 +240,8 @@ def _find_sensor(path: Path, kind: str, longest: float) -> Found | None:
 
 
 def _match_columns(
-    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_Quantity, ...], longest: float
-) -> Found | None:
+    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_SensorQuantity, ...], longest: float
+) -> FoundSensor | None:
     """Return the columns of a sensor among the names with a prefix; None if one that it needs is missing."""
     inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
     plain = {name: _split_name(name) for name in inside}
@@ -275,7 +275,7 @@ def _match_columns(
             f"{stem}{ending}": name for stem, ending, name in zip(quantity.stems, endings, known, strict=True)
         }
     turns = any(re.fullmatch(r"(.*_)?(pitch|q(_nb|_eb)?_?w)", stem) for stem, _ in plain.values())
-    return Found(path, columns, tuple(guessed), prefix.removesuffix("."), turns=turns)
+    return FoundSensor(path, columns, tuple(guessed), prefix.removesuffix("."), turns=turns)
 
 
 def _split_name(name: str) -> tuple[str, str]:

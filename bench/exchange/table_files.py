@@ -213,13 +213,13 @@ def _open_table(path: Path, most_rows: int = 1) -> tuple[list[str], Batches]:
 Batches = Callable[[Sequence[str]], Iterator[Mapping[str, FloatArray]]]
 
 
-class _Header(NamedTuple):
+class _TableHeader(NamedTuple):
     names: list[str]
     lines: int  # of the file to its end
     separator: str
 
 
-def _read_header(path: Path) -> _Header:
+def _read_header(path: Path) -> _TableHeader:
     """Return the header of a CSV file, whose columns a comma, a semicolon or a tab separates.
 
     Empty lines and comments (#, %) above it do not count; the last comment is the header if numbers follow.
@@ -236,8 +236,8 @@ def _read_header(path: Path) -> _Header:
     above, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
     cells, named = _split(line, separator), _split(above, _find_separator(above))
     if comment and len(cells) == len(named) and all(map(_is_number, cells)):
-        return _Header(named, lines, separator)
-    return _Header(cells, lines + 1, separator)
+        return _TableHeader(named, lines, separator)
+    return _TableHeader(cells, lines + 1, separator)
 
 
 def _find_separator(line: str) -> str:

@@ -21,7 +21,7 @@ _DEG = np.pi / 180
 
 
 @dataclass(frozen=True, slots=True)
-class STurns:
+class SwingingFlight:
     """A flight without aerodynamics: what an IMU goes through."""
 
     lat: float = 50.0 * _DEG  # [rad]

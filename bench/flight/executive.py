@@ -159,7 +159,7 @@ def silent_log() -> Any:
     """Return a logger that keeps what JSBSim says and prints nothing."""
     import jsbsim
 
-    class Log(jsbsim.DefaultLogger):
+    class FlightLog(jsbsim.DefaultLogger):
         def __init__(self) -> None:
             super().__init__()
             self.lines: list[str] = []
@@ -177,7 +177,7 @@ def silent_log() -> Any:
         def flush(self) -> None:
             pass
 
-    return Log()
+    return FlightLog()
 
 
 def say_in_one_line(text: str) -> str:

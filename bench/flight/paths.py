@@ -67,7 +67,7 @@ class Segment:
         return angle * radius, off, self.course + side * angle
 
 
-class Path:
+class SegmentPath:
     """Segments from end to end, built one after the other."""
 
     def __init__(self, start: Point, course: float) -> None:
@@ -126,7 +126,7 @@ def run_in(cockpit: Cockpit, bank: float) -> float:
 class Follower:
     """Keeps the aircraft on a path; one call of :meth:`steer` per instant."""
 
-    def __init__(self, cockpit: Cockpit, plane: Plane, path: Path, bank: float) -> None:
+    def __init__(self, cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float) -> None:
         self._cockpit, self._plane, self._segments = cockpit, plane, path.segments
         self._bank = bank
         self._window = roll_time(bank)
@@ -180,7 +180,9 @@ class Follower:
         return total
 
 
-def follow(cockpit: Cockpit, plane: Plane, path: Path, bank: float, alt: Heights | None = None) -> Steps:
+def follow(
+    cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float, alt: Heights | None = None
+) -> Steps:
     """Fly a path to its end, at heights along it if there are any; ends in heading mode."""
     follower = Follower(cockpit, plane, path, bank)
     strayed = max(_STRAYED, turn_radius(cockpit, bank))

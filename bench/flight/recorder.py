@@ -20,7 +20,7 @@ from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.standing import stand
 from bench.flight.state_log import NEIGHBOURS, StateLog
-from bench.flight.trimming import Condition, Say, keep_quiet, settle, trim_aircraft
+from bench.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
 from bench.flight.wind import Weather, start_turbulence
 from bench.specs import FlightSpec, ScriptSpec
@@ -187,7 +187,9 @@ def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Co
     if spec.runway is not None:
         fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
-    condition = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down))
+    condition = TrimCondition(
+        spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down)
+    )
     if spec.on_ground:  # trimmed for the climb to come
         trimmed = trim_aircraft(fdm, replace(condition, alt=spec.alt + _CLEAR), guided=guided, say=say)
         stand(fdm, condition, guided=guided, say=say)

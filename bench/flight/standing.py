@@ -12,8 +12,8 @@ from bench.flight.jsbsim_units import FT
 from bench.flight.trimming import (
     INTEGRATORS,
     ON_WHEELS,
-    Condition,
     Say,
+    TrimCondition,
     keep_quiet,
     place,
     run_engines,
@@ -26,7 +26,7 @@ _SETTLE = 30.0  # until gear and friction are at rest [s]
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
 
 
-def stand(fdm: Any, condition: Condition, *, guided: bool = True, say: Say = keep_quiet) -> None:
+def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say = keep_quiet) -> None:
     """Put the aircraft on the ground of a condition's place, heading and wind, at rest, its engines idling.
 
     Engines of a model that was not made for the bench have a state and are set running.

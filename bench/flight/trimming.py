@@ -47,7 +47,7 @@ def keep_quiet(doing: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Condition:
+class TrimCondition:
     """A steady flight: where, and how it moves through the air."""
 
     lat: float  # [rad]
@@ -73,7 +73,7 @@ class Trim:
     residual: float  # largest acceleration left [m/s^2, rad/s^2]
 
 
-def trim_aircraft(fdm: Any, condition: Condition, *, guided: bool = True, say: Say = keep_quiet) -> Trim:
+def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say = keep_quiet) -> Trim:
     """Solve for the steady flight of a condition, and leave the model there.
 
     Six accelerations are brought to zero by angle of attack, sideslip, roll, aileron, elevator and throttle;
@@ -170,7 +170,7 @@ def run_engines(fdm: Any) -> None:
 
 def place(
     fdm: Any,
-    condition: Condition,
+    condition: TrimCondition,
     alpha: float,
     beta: float,
     roll: float,
@@ -245,6 +245,6 @@ def _pitch(alpha: float, beta: float, roll: float, climb_angle: float) -> float:
     return float(np.arctan((a * b + s * np.sqrt(a**2 - s**2 + b**2)) / (a**2 - s**2)))
 
 
-def _ground_velocity_b(condition: Condition, alpha: float, beta: float, q_nb: FloatArray) -> FloatArray:
+def _ground_velocity_b(condition: TrimCondition, alpha: float, beta: float, q_nb: FloatArray) -> FloatArray:
     through_air = np.array([np.cos(alpha) * np.cos(beta), np.sin(beta), np.sin(alpha) * np.cos(beta)])
     return condition.speed * through_air + rotate(conjugate(q_nb), np.asarray(condition.wind_n))

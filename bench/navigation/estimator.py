@@ -1,25 +1,22 @@
-"""The Estimator protocol, the built-in estimators by name, and the contract users can run on their own."""
+"""The Estimator protocol, what bench asks of any estimator, and the contract users can run on their own."""
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import pickle
 import traceback
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
-from bench.installed import find_class
 from bench.instruments import INSTRUMENTS
-from bench.navigation.forward_filters import FORWARD
 from bench.specs import AssumedSpecs
-from bench.wording import as_toml, one_line, suggest
+from bench.wording import one_line, suggest
 
 
 class Estimator(Protocol):
@@ -56,184 +53,12 @@ class Identified(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class BuiltIn:
-    """A built-in estimator."""
-
-    title: str
-    place: str  # "module:Class"
-    form: str  # class of its options in `bench.navigation.options`, which is imported when one is looked up
-    fixed: Mapping[str, Any]  # options that make it what it is
-    package: str | None = None  # that has to be installed beside bench
-
-    @property
-    def options(self) -> type[Any]:
-        """The class of its options, an `Options`."""
-        found: type[Any] = getattr(importlib.import_module("bench.navigation.options"), self.form)
-        return found
-
-    def wrong(self, given: Mapping[str, Any]) -> list[str]:
-        """Return a line for each option of a profile that is wrong."""
-        clash = sorted(set(self.fixed) & set(given))
-        return [
-            *(f"option {name!r} is fixed to {as_toml(self.fixed[name])}; leave it out" for name in clash),
-            *self.options.list_wrong({k: v for k, v in given.items() if k not in clash}, self.fixed),
-        ]
-
-
-_LOOSE = "bench.navigation.models.loose_tight:Loose"
-_GIVEN_GAINS = "bench.navigation.register.given_gains"
-_NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
-
-BUILT_IN: Mapping[str, BuiltIn] = {
-    "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", FORWARD["loose-15"]
-    ),
-    "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", FORWARD["loose-22"]
-    ),
-    "loose-mems": BuiltIn(
-        "loose-22 with scale factors and g-sensitivity, 37 states",
-        _LOOSE,
-        "FusionOptions",
-        FORWARD["loose-mems"],
-    ),
-    "loose-full": BuiltIn(
-        "loose-22 with a state or noise for every error of the IMU that its datasheet names",
-        _LOOSE,
-        "FusionOptions",
-        FORWARD["loose-full"],
-    ),
-    "tight": BuiltIn(
-        "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
-        "bench.navigation.models.loose_tight:Tight",
-        "TightOptions",
-        FORWARD["tight"],
-    ),
-    "smoother": BuiltIn(
-        "loose-full and a pass back over its record",
-        "bench.navigation.models.smoother:Smoother",
-        "SmootherOptions",
-        {"gnss": True},
-    ),
-    "baro-inertial": BuiltIn(
-        "IMU and barometer", _LOOSE, "FusionOptions", {"gnss": False, "gnss_markov": False}
-    ),
-    "free-inertial": BuiltIn(
-        "IMU alone, with its open-loop covariance",
-        _LOOSE,
-        "FusionOptions",
-        {"gnss": False, "baro": False, "gnss_markov": False},
-    ),
-    "gnss-only": BuiltIn(
-        "position and velocity from the fixes, without IMU",
-        "bench.navigation.models.gnss_only:GnssOnly",
-        "GnssOnlyOptions",
-        {},
-    ),
-    "ukf": BuiltIn(
-        "the states of loose-15 by sigma points, slow",
-        "bench.navigation.models.ukf:Unscented",
-        "UnscentedOptions",
-        {},
-    ),
-    "classic-22": BuiltIn(
-        "the source's 22 states step by step, slow: the oracle of loose-22",
-        "bench.navigation.models.classic:Classic22",
-        "ClassicOptions",
-        {},
-    ),
-    "error-ekf": BuiltIn(
-        "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
-        "bench.navigation.register.error_ekf:ErrorEkfEstimator",
-        "ClassicOptions",
-        {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
-    ),
-    "fixed-gain": BuiltIn(
-        "classic-22 with the gain of a settled filter throughout, slow",
-        f"{_GIVEN_GAINS}:FixedGain",
-        "ClassicOptions",
-        _NO_FORM,
-    ),
-    "complementary": BuiltIn(
-        "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
-        f"{_GIVEN_GAINS}:Complementary",
-        "ComplementaryOptions",
-        _NO_FORM,
-    ),
-    "least-squares": BuiltIn(
-        "least squares over the past, old measurements with less weight, slow",
-        f"{_GIVEN_GAINS}:LeastSquares",
-        "LeastSquaresOptions",
-        _NO_FORM,
-    ),
-    "invariant-ekf": BuiltIn(
-        "invariant EKF of gtsam on SE2(3), nine states; IMU biases act as noise; slow (extra 'graph')",
-        "bench.navigation.models.graph.invariant_ekf:InvariantEkf",
-        "InvariantOptions",
-        {},
-        package="gtsam",
-    ),
-    "graph-smoother": BuiltIn(
-        "factor graph of gtsam with the states of loose-15 over the whole record, slow (extra 'graph')",
-        "bench.navigation.models.graph.factor_graph:GraphSmoother",
-        "GraphOptions",
-        {},
-        package="gtsam",
-    ),
-}
-
-
 RECORDS: Mapping[str, str] = {
     "fixes": "a gnss",
     "observations": "a gnss at measurement level, one with [sky] such as 'sky-l1'",
     **{name: row.with_article for name, row in INSTRUMENTS.items()},
 }
 """Record of `SensorData` that an estimator may need -> the sensor that gives it."""
-
-
-def load(use: str, options: Mapping[str, Any]) -> Estimator:
-    """Build an estimator from a built-in name or ``module:Class`` and the keywords of its constructor.
-
-    Raises
-    ------
-    EstimatorError
-        If there is no such estimator or an option is wrong, one message each. An error inside a user's
-        module on import keeps its traceback.
-    """
-    if use in BUILT_IN:
-        place, fixed = BUILT_IN[use].place, BUILT_IN[use].fixed
-        if wrong := BUILT_IN[use].wrong(options):
-            raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
-    elif is_class(use):
-        place, fixed = find_class(use, BUILT_IN), {}
-    else:
-        raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
-    module_name, _, class_name = place.partition(":")
-    try:
-        with catch_exit(use, "its module"):
-            module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise
-        raise EstimatorError(f"estimator {use!r}: no module {error.name!r} on the Python path") from None
-    factory = getattr(module, class_name, None)
-    if factory is None or not callable(getattr(factory, "run", None)):
-        raise EstimatorError(
-            f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
-        )
-    return construct(use, factory, {**fixed, **options})
-
-
-def is_class(use: str) -> bool:
-    """Return whether an estimator is a class that is not built in: ``module:Class`` or an installed one."""
-    use = find_class(use, BUILT_IN)
-    return ":" in use and all(part.isidentifier() for part in use.replace(":", ".", 1).split("."))
-
-
-def takes_option(use: str, name: str) -> bool:
-    """Return whether a built-in estimator has an option that a profile may set."""
-    return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
 
 
 @contextmanager

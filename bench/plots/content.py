@@ -23,7 +23,7 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
-from bench.plots.series import Colour, Rows, estimator_colours, shorten
+from bench.findings.series import Colour, Rows, estimator_colours, shorten
 from bench.run_result import RunResult
 
 

@@ -17,7 +17,7 @@ import rerun as rr
 from bench import disk_arrays, durable, store
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, NothingToShowError
-from bench.plots import series
+from bench.findings import series
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.recording import drawing, layout, sky_view, space, words

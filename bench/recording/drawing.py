@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from bench.arrays import FloatArray
-from bench.plots.series import Plot, Shade, select_rows
+from bench.findings.series import Plot, Shade, select_rows
 
 TIMELINE = "flight_time"
 

@@ -9,8 +9,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from bench.findings.series import Plot, Rows
 from bench.plots.content import Tab
-from bench.plots.series import Plot, Rows
 from bench.plots.tabs import TABS
 from bench.plots.tabs.comparison import COMPARISON
 from bench.plots.tabs.flight_data import FLIGHT

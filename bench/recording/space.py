@@ -12,8 +12,7 @@ import rerun as rr
 from bench import disk_arrays, earth, rotation
 from bench.arrays import FloatArray
 from bench.data import NavSolution, Trajectory
-from bench.plots.content import Content
-from bench.plots.series import (
+from bench.findings.series import (
     AXIS_COLOURS,
     BAND,
     FIX,
@@ -25,6 +24,7 @@ from bench.plots.series import (
     round_number,
     thin,
 )
+from bench.plots.content import Content
 from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
 

@@ -11,9 +11,9 @@ import rerun as rr
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.evaluation.verdict import list_sentences
+from bench.findings.series import ESTIMATOR_NAMES, OUTAGE
 from bench.plots.content import Content
 from bench.plots.facts import list_facts, list_units
-from bench.plots.series import ESTIMATOR_NAMES, OUTAGE
 from bench.recording.drawing import TIMELINE
 from bench.run_result import RunResult
 from bench.wording import format_number, replace_control

@@ -15,10 +15,10 @@ from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metrics import find_metric
-from bench.plots import series
-from bench.plots.series import Colour, Plot, Series
+from bench.findings import series
+from bench.findings.series import Colour, Plot, Series
 from bench.report import page, svg
-from bench.report.page import Figure
+from bench.report.page import CaptionedPlot
 from bench.specs import EvaluationWindow
 from bench.units import unit_of
 from bench.wording import format_number
@@ -46,7 +46,7 @@ _COURSES = (
 """Columns of the table of epochs -> title."""
 
 
-class Row(NamedTuple):
+class CampaignRow(NamedTuple):
     """A row of the table of figures: one condition and one estimator."""
 
     condition: str
@@ -62,8 +62,8 @@ class Section(NamedTuple):
 
     name: str
     values: str  # what is varied
-    courses: list[Figure]
-    distributions: list[Figure]
+    courses: list[CaptionedPlot]
+    distributions: list[CaptionedPlot]
 
 
 def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, Any]] = ()) -> str:
@@ -136,11 +136,11 @@ def _make_card(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _make_row(outcome: Outcome, errors: Sequence[str]) -> Row:
+def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:
     found = outcome.consistency
     ratio = Estimate(found.ratio, found.low, found.high) if found else None
     estimates = (*(outcome.errors.get(name) for name in errors), ratio)
-    return Row(
+    return CampaignRow(
         outcome.condition,
         outcome.label,
         f"{outcome.converged_runs} of {outcome.runs}",
@@ -292,7 +292,7 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
             )
 
 
-def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[Figure]:
+def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[CaptionedPlot]:
     """Yield a plot; the axis of a distribution leaves out estimators that err far more."""
     ends = np.array([line.t[-1] for line in plot.series])
     if plot.across == "s":

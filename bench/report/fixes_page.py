@@ -9,8 +9,8 @@ import numpy as np
 from bench import earth
 from bench.arrays import FloatArray
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.plots import series
-from bench.plots.series import AXIS_COLOURS, FIX, Plot, Series
+from bench.findings import series
+from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
 from bench.report import page, svg
 from bench.wording import format_number
 

@@ -14,7 +14,7 @@ from bench.wording import format_number
 INDEX = "index.html"
 
 
-class _Row(NamedTuple):
+class _IndexRow(NamedTuple):
     """One estimator of one results folder."""
 
     folder: str
@@ -48,7 +48,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
     OSError
         If the file cannot be written; an existing file is left unchanged.
     """
-    rows: list[_Row] = []
+    rows: list[_IndexRow] = []
     problems: list[str] = []
     for folder in folders:
         try:
@@ -59,11 +59,11 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
     return problems
 
 
-def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_Row]:
+def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_IndexRow]:
     name = folder.relative_to(root).as_posix()
     title = str(summary["profile"].get("title", ""))
     return [
-        _Row(
+        _IndexRow(
             name,
             f"{name}/{store.REPORT}" if (folder / store.REPORT).is_file() else "",
             title,

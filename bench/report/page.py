@@ -19,8 +19,8 @@ from bench.evaluation import verdict
 from bench.evaluation.key_figures import MEANING, OUTAGES, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.findings import series
 from bench.places import PACKAGE
-from bench.plots import series
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
@@ -54,7 +54,7 @@ _TRUTH = "truth"
 _COLUMNS = 3  # of plots on a wide page
 
 
-class Cell(NamedTuple):
+class TableCell(NamedTuple):
     """A figure in a table."""
 
     text: str
@@ -62,7 +62,7 @@ class Cell(NamedTuple):
     outside: bool
 
 
-class Figure(NamedTuple):
+class CaptionedPlot(NamedTuple):
     """A plot with its caption."""
 
     title: str
@@ -158,7 +158,7 @@ def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def _fill_table(
     measured: Mapping[str, Mapping[str, Any]], names: Iterable[str]
-) -> list[tuple[str, str, list[Cell]]]:
+) -> list[tuple[str, str, list[TableCell]]]:
     """Return name, meaning and a cell for each estimator of the metrics."""
     return [(name, _explain(name), [_make_cell(name, one) for one in measured.values()]) for name in names]
 
@@ -168,8 +168,8 @@ def _explain(name: str) -> str:
     return metric.words if metric else ""
 
 
-def _make_cell(name: str, values: Mapping[str, Any]) -> Cell:
-    return Cell(
+def _make_cell(name: str, values: Mapping[str, Any]) -> TableCell:
+    return TableCell(
         format_number(values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
     )
 
@@ -244,7 +244,9 @@ def _make_group(
     }
 
 
-def make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]) -> Figure:
+def make_figure(
+    plot: series.Plot, window: tuple[float, float], shades: tuple[series.Shade, ...]
+) -> CaptionedPlot:
     """Draw a plot with its legend."""
     legend: dict[str, tuple[str, str, str]] = {}
     for one in plot.series:
@@ -254,7 +256,7 @@ def make_figure(plot: series.Plot, window: tuple[float, float], shades: tuple[se
             shown = one.colours[0] if in_band else colour
             legend.setdefault(name, (name, svg.css_colour(shown), kind))
     title = plot.title.partition(": ")[2] or plot.title
-    return Figure(title, tuple(legend.values()), svg.draw(plot, window, shades))
+    return CaptionedPlot(title, tuple(legend.values()), svg.draw(plot, window, shades))
 
 
 def _draw_track(content: Content) -> str:

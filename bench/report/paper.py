@@ -10,9 +10,9 @@ import numpy as np
 
 from bench import durable
 from bench.errors import ConfigError
-from bench.plots import series
+from bench.findings import series
+from bench.findings.series import Colour, Plot, Shade
 from bench.plots.content import gather_content
-from bench.plots.series import Colour, Plot, Shade
 from bench.plots.tabs import TABS
 from bench.run_result import RunResult
 from bench.wording import suggest
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bench.campaigns.running import Campaign
-    from bench.studies.study import StudyResult
+    from bench.findings import StudyResult
 
 _T = TypeVar("_T")
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.plots.series import Plot
+from bench.findings import StudyResult, StudyTable
+from bench.findings.series import Plot
 from bench.report import page
-from bench.report.page import Figure
-from bench.studies.study import StudyResult, StudyTable
+from bench.report.page import CaptionedPlot
 from bench.wording import format_number
 
 _LONG = 40  # text in a cell that is broken into lines
@@ -44,7 +44,7 @@ def _say(value: object) -> str:
     return ", ".join(map(_say, value)) if isinstance(value, list | tuple) else f"{value}".removesuffix(".0")
 
 
-def _draw(plot: Plot) -> Figure:
+def _draw(plot: Plot) -> CaptionedPlot:
     axis = f"{plot.over} [{plot.across}]" if plot.across else plot.over
     return page.make_figure(plot, _find_window(plot), ())._replace(title=f"{plot.title} over {axis}")
 

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.plots.series import Colour, Plot, Series, Shade, round_number
+from bench.findings.series import Colour, Plot, Series, Shade, round_number
 from bench.wording import replace_control
 
 WIDTH, HEIGHT = 420, 170

@@ -9,7 +9,7 @@ from bench import durable, store
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.report import campaign_page, index, page, paper, study_page
-from bench.studies.study_folder import load_study
+from bench.store.study_folder import load_study
 
 
 def write_report(

@@ -31,7 +31,7 @@ _MULTIPATH_DECAY = float(np.deg2rad(10.0))  # [rad], RTCA DO-229D, appendix J
 _LEAST = (0.01, 1e-4)  # smallest assumed sd of range and range rate [m, m/s]
 
 
-class Sky(NamedTuple):
+class ReceiverOutput(NamedTuple):
     """Output of the receiver."""
 
     observations: GnssObservations
@@ -114,7 +114,7 @@ def measure(
     seed: int,
     run: int,
     scripted: Sequence[Fault] = (),
-) -> Sky:
+) -> ReceiverOutput:
     """Simulate the observations and fixes of a receiver, without epochs inside an outage.
 
     The parameters are those of `bench.sensors.gnss.measure`. The axis of the antenna points up, along -z of
@@ -172,7 +172,7 @@ def measure(
     used[_select_rows(start, content)[now & solution.used]] = True
     reported = np.zeros(len(t), bool)
     reported[tag] = True
-    return Sky(observations, fixes, solution, _make_sky_view(t, everything, reported, used))
+    return ReceiverOutput(observations, fixes, solution, _make_sky_view(t, everything, reported, used))
 
 
 def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray) -> SkyView:

@@ -11,6 +11,7 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GPS, Trajectory
+from bench.orbit_sets import GlonassSets
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
@@ -201,7 +202,7 @@ def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray
     first, last = t[0] + sky.gps_t0 - 1.0, t[-1] + sky.gps_t0
     gps_sat, gps_track = orbits.fit_track(gps, first, last)
     glonass_sat, glonass_track = orbits.fit_track(glonass, first, last)
-    if isinstance(glonass, orbits.GlonassSets):
+    if isinstance(glonass, GlonassSets):
         channel = np.array([glonass.channel[np.argmax(glonass.sat == s)] for s in glonass_sat], np.int64)
     else:  # antipodal satellites share a channel; four pairs to a plane of eight
         channel = (glonass_sat - 1) % 4 + 4 * ((glonass_sat - 1) // 8) - 7

@@ -15,6 +15,7 @@ from bench import earth
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
+from bench.orbit_sets import KEPLER, GlonassSets, KeplerSets
 from bench.signals import dilution, least_squares, orbits
 from bench.signals.delays import (
     Troposphere,
@@ -262,8 +263,8 @@ def make_observations(
     pseudorange: FloatArray,
     doppler: FloatArray,
     cn0: FloatArray,
-    kepler: orbits.KeplerSets,
-    glonass: orbits.GlonassSets,
+    kepler: KeplerSets,
+    glonass: GlonassSets,
     klobuchar: FloatArray | None,
     processing: Processing,
     budget: ErrorBudget = GROUND,
@@ -311,10 +312,10 @@ def make_observations(
         relativity = 0.0 if "relativity" in processing.without else found.relativity
         clock[rows] = C * (found.clock + relativity)
         clock_rate[rows] = C * found.clock_rate
-        if isinstance(sets, orbits.GlonassSets):
+        if isinstance(sets, GlonassSets):
             channel[rows] = sets.channel[serving]
         elif "group-delay" not in processing.without:
-            group_delay[rows] = C * sets.elements[serving, orbits.KEPLER.index("group_delay")]
+            group_delay[rows] = C * sets.elements[serving, KEPLER.index("group_delay")]
     frequency = orbits.carrier_frequencies(system, channel)
     model = np.zeros(8) if klobuchar is None else klobuchar
     raw = GnssObservations(

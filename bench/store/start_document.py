@@ -128,14 +128,10 @@ def _convert(kind: Any, value: Any) -> Any:
     if isinstance(kind, UnionType):
         kind = get_args(kind)[0]  # "or None"
     if dataclasses.is_dataclass(kind):
-        hints = get_type_hints(kind, localns=_NOT_STORED)
+        hints = get_type_hints(kind)
         missing = {f.name: None for f in dataclasses.fields(kind) if f.name not in value}
         present = {name: _convert(hints[name], inner) for name, inner in value.items()}
         return kind(**missing, **present)  # type: ignore[operator]
     if get_origin(kind) is tuple:
         return tuple(_convert(get_args(kind)[0], inner) for inner in value)
     return date.fromisoformat(value) if kind is date else value
-
-
-_NOT_STORED = {"KeplerSets": object, "GlonassSets": object}
-"""Types of the orbits of a sky, which are not stored."""

@@ -236,14 +236,14 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     with make_scratch(entry.parent) as scratch:
         new = scratch / "new"
         new.mkdir()
-        columns: dict[str, _Column] = {}
+        columns: dict[str, _GrowingColumn] = {}
         texts: dict[str, list[str]] = {name: [] for name in _EVENT_TEXTS}
         with contextlib.ExitStack() as files:
             for number, piece in enumerate(fly()):
                 for name, array in _get_columns(piece).items():
                     if not number:
                         file = files.enter_context(durable.open_binary(new / f"{name}.npy"))
-                        columns[name] = _Column(file, array)
+                        columns[name] = _GrowingColumn(file, array)
                     columns[name].append(array[number > 0 and name in SHARED :])
                 for name in _EVENT_TEXTS:
                     texts[name] += getattr(piece.events, name)
@@ -258,7 +258,7 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
             durable.rename(new, entry)
 
 
-class _Column:
+class _GrowingColumn:
     """A .npy file to which rows are appended."""
 
     def __init__(self, file: IO[bytes], like: _Array) -> None:

@@ -10,51 +10,51 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 
-class Entry(NamedTuple):
+class StudyEntry(NamedTuple):
     """Where a study is, and what it asks."""
 
     module: str
     question: str
 
 
-STUDIES: Mapping[str, Entry] = {
-    "requirements": Entry(
+STUDIES: Mapping[str, StudyEntry] = {
+    "requirements": StudyEntry(
         "bench.studies.requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",
     ),
-    "outages": Entry(
+    "outages": StudyEntry(
         "bench.studies.outage_drift",
         "How far does the position drift without GNSS, by unit and by phase of flight?",
     ),
-    "sensitivity": Entry("bench.studies.sensitivity", "How much does one value of a profile matter?"),
-    "sensors": Entry(
+    "sensitivity": StudyEntry("bench.studies.sensitivity", "How much does one value of a profile matter?"),
+    "sensors": StudyEntry(
         "bench.studies.unit_table", "Which IMU of the catalog is good enough, and of which class?"
     ),
-    "budget": Entry(
+    "budget": StudyEntry(
         "bench.studies.budget",
         "Which error of the sensors contributes what to the errors of a filter, at every instant?",
     ),
-    "bound": Entry(
+    "bound": StudyEntry(
         "bench.studies.bound",
         "How far is each estimator from the best linear one, on a flight?",
     ),
-    "observability": Entry(
+    "observability": StudyEntry(
         "bench.studies.observability",
         "What do turns tell of heading and biases, and what stays unknown?",
     ),
-    "alignment": Entry(
+    "alignment": StudyEntry(
         "bench.studies.alignment_errors",
         "What do errors of an alignment cost on a route, how do they travel, and what tells them?",
     ),
-    "mechanizations": Entry(
+    "mechanizations": StudyEntry(
         "bench.studies.mechanization_costs",
         "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
     ),
-    "register": Entry(
+    "register": StudyEntry(
         "bench.studies.register_study",
         "Which rows of the sources' register hold here, and by what number?",
     ),
-    "rnp": Entry(
+    "rnp": StudyEntry(
         "bench.studies.rnp",
         "Are accuracy, integrity, continuity and availability those that a procedure requires?",
     ),

@@ -23,6 +23,8 @@ from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
 from bench.errors import ConfigError
 from bench.evaluation.route_errors import RADIUS, allowed_heading_error, cross_track_error
+from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings.series import Plot
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav
@@ -37,19 +39,7 @@ from bench.navigation.register.attitude_errors import (
 )
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.vector_matching import match_vectors, misalignment
-from bench.plots import series
-from bench.plots.series import Plot
-from bench.studies.study import (
-    Count,
-    Findings,
-    Numbers,
-    Positive,
-    Seed,
-    StudyOptions,
-    StudyTable,
-    Work,
-    make_table,
-)
+from bench.studies.study import Count, Numbers, Positive, Seed, StudyOptions, StudyWorkers
 from bench.units import DEG, HOUR
 from bench.wording import format_number
 
@@ -92,7 +82,7 @@ class Options(StudyOptions):
     """seed of the draws"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return errors across track, attitude errors along a course, of a quaternion, and by two vectors."""
     if min(options.lengths_km) <= 0.0:
         raise ConfigError("study alignment: lengths_km must be above 0")

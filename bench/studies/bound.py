@@ -26,17 +26,17 @@ from bench.evaluation.linear.held import (
     variance_of,
 )
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, compare_draws
-from bench.plots import series
-from bench.plots.series import Plot
+from bench.findings import Findings, StudyTable, series
+from bench.findings.series import Plot
 from bench.studies.drawn_errors import (
     Draws,
-    Flight,
+    UnitFlight,
     draw_errors,
     key_instants,
     output_times,
     split_draws,
 )
-from bench.studies.study import Count, Findings, FlightOptions, StudyTable, Words, Work
+from bench.studies.study import Count, FlightOptions, StudyWorkers, Words
 
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 
@@ -54,9 +54,9 @@ class Options(FlightOptions):
     """noise draws of each estimator"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the bound and the ratio of each estimator to it."""
-    flight = Flight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
+    flight = UnitFlight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
     profile, truth = flight.load()
     built = pipeline.build_estimators(profile)
     check_flight(profile.sensors, built)

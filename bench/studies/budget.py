@@ -23,13 +23,13 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import check_aiding
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
+from bench.findings import Findings, StudyTable, series
+from bench.findings.series import Plot, Series
 from bench.navigation.models.loose_tight import Loose
-from bench.plots import series
-from bench.plots.series import Plot, Series
 from bench.specs import Profile
 from bench.studies.drawn_errors import (
     Draws,
-    Flight,
+    UnitFlight,
     draw_errors,
     find_choice,
     join_words,
@@ -37,7 +37,7 @@ from bench.studies.drawn_errors import (
     output_times,
     split_draws,
 )
-from bench.studies.study import Count, Findings, FlightOptions, StudyTable, Work
+from bench.studies.study import Count, FlightOptions, StudyWorkers
 
 _PARTS = 8  # of the draws of a source, so that all workers have something to do
 _WIDE = 1.5  # an interval of a variance whose upper end is so many times its lower end squared tells nothing
@@ -60,10 +60,10 @@ class Options(FlightOptions):
     """noise draws of each source that matters"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the contributions by covariance and by Monte Carlo."""
     asked = None if options.estimator is None else (options.estimator,)
-    flight = Flight(options.profile, options.imu, asked, options.overrides, options.seed)
+    flight = UnitFlight(options.profile, options.imu, asked, options.overrides, options.seed)
     profile, truth = flight.load()
     label = _choose(profile)
     t = output_times(truth, profile)

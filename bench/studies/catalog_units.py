@@ -33,14 +33,14 @@ _LIMITS = ("range", "bandwidth", "quantization")
 class Typical(NamedTuple):
     """A figure that a datasheet leaves out, as it is usual in its class."""
 
-    gap: str  # in words, as in ``Unit.absent``
+    gap: str  # in words, as in ``CatalogImu.absent``
     key: str  # ``gyro.bias_instability_deg_h``
     value: float  # in the unit of the key
     units: tuple[str, ...]  # of the catalog that have it
     assumed: bool  # no source states it for any of them
 
 
-class Unit(NamedTuple):
+class CatalogImu(NamedTuple):
     """An IMU of the catalog, or of a file."""
 
     name: str  # in the catalog, or the path of its file
@@ -59,15 +59,15 @@ class Unit(NamedTuple):
         return Path(self.name).stem
 
 
-def list_units() -> Mapping[str, Unit]:
+def list_units() -> Mapping[str, CatalogImu]:
     """Return every complete IMU of the catalog by name."""
     names = sorted(path.stem for path in (CATALOG / "imu").glob("*.toml"))
     return {name: _find_unit(name) for name in names if name not in _INCOMPLETE}
 
 
-def find_units(study: str, names: Sequence[str]) -> Mapping[str, Unit]:
+def find_units(study: str, names: Sequence[str]) -> Mapping[str, CatalogImu]:
     """Return the IMUs of these names, or of these files; ConfigError with a line for each that is wrong."""
-    found, wrong = dict[str, Unit](), list[str]()
+    found, wrong = dict[str, CatalogImu](), list[str]()
     for name in names:
         try:
             found[name] = _find_unit(name)
@@ -80,13 +80,13 @@ def find_units(study: str, names: Sequence[str]) -> Mapping[str, Unit]:
     return found
 
 
-def _find_unit(name: str) -> Unit:
+def _find_unit(name: str) -> CatalogImu:
     path, shown = find_datasheet("imu", name, Path())
     read_imu(path, shown)
     document = read_toml(path, shown)
     grade = str(document.get("class", ""))
     absent = tuple(list_missing_figures("imu", document))
-    return Unit(name, grade, absent, tuple(_fill_gaps(grade, absent)))
+    return CatalogImu(name, grade, absent, tuple(_fill_gaps(grade, absent)))
 
 
 def _fill_gaps(grade: str, absent: Sequence[str]) -> Iterator[Typical]:

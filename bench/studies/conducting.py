@@ -4,13 +4,31 @@ from __future__ import annotations
 
 import shlex
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from bench import store
 from bench.campaigns.pools import count_processors
-from bench.studies.study import Findings, Progress, StudyResult, Work, find_study, make_command, read_options
-from bench.studies.study_folder import save_study
+from bench.errors import ConfigError
+from bench.findings import Findings, StudyResult
+from bench.store.study_folder import save_study
+from bench.studies import STUDIES, StudyEntry
+from bench.studies.study import Progress, StudyWorkers, make_command, read_options
+from bench.wording import suggest
+
+
+def find_study(name: str) -> tuple[StudyEntry, Any]:
+    """Return the entry and the module of a study.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of this name.
+    """
+    if name not in STUDIES:
+        raise ConfigError(f"study {name!r} is unknown{suggest(name, STUDIES, 'studies')}")
+    return STUDIES[name], import_module(STUDIES[name].module)
 
 
 def study(
@@ -49,7 +67,7 @@ def study(
     if out is not None:
         store.check_folder(Path(out), force=force, kind=store.STUDY)
     begun = time.perf_counter()
-    with Work(jobs or count_processors(), progress) as work:
+    with StudyWorkers(jobs or count_processors(), progress) as work:
         findings: Findings = module.run(chosen, work)
     result = StudyResult(
         name,

@@ -24,7 +24,7 @@ INTERVAL = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Flight:
+class UnitFlight:
     """A profile with one IMU, by names, and what is replaced in it: what a worker makes the rest from."""
 
     profile: str
@@ -39,7 +39,7 @@ class Flight:
 
 
 @lru_cache(maxsize=2)
-def _load(flight: Flight) -> tuple[Profile, Trajectory]:
+def _load(flight: UnitFlight) -> tuple[Profile, Trajectory]:
     overrides = read_settings(flight.overrides)
     if flight.imu is not None:
         overrides["sensors.imu"] = flight.imu
@@ -61,7 +61,7 @@ def output_times(truth: Trajectory, profile: Profile) -> FloatArray:
 class Draws:
     """Runs of one estimator, with all errors or with one source of them."""
 
-    flight: Flight
+    flight: UnitFlight
     label: str  # of the estimator
     first: int  # number of the first draw
     count: int

@@ -17,15 +17,15 @@ from pydantic import Field
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.flight.closed_form import STurns
+from bench.findings import Findings, StudyTable, series
+from bench.findings.series import Colour, Plot, Series
+from bench.flight.closed_form import SwingingFlight
 from bench.navigation import mechanization
 from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
 from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
 from bench.navigation.register.mechanizations.earth_series import EarthModel
-from bench.navigation.register.mechanizations.solving import FRAMES, Motion, Rates, navigate
-from bench.plots import series
-from bench.plots.series import Colour, Plot, Series
-from bench.studies.study import Findings, Numbers, Positive, StudyOptions, StudyTable, Work
+from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
+from bench.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 _ARCSEC = DEG / 3600
@@ -54,10 +54,10 @@ class Options(StudyOptions):
     """bias of one of them [ug]"""
 
 
-class Flown(NamedTuple):
+class AlgorithmCosts(NamedTuple):
     """How an algorithm did."""
 
-    motion: Motion
+    motion: IntervalMotion
     position_m: float
     velocity_mps: float
     attitude_arcsec: float
@@ -65,19 +65,19 @@ class Flown(NamedTuple):
     """Processor time of a sample."""
 
 
-class _Flight(NamedTuple):
+class _TrueFlight(NamedTuple):
     nav: FloatArray
     dtheta: FloatArray
     dvel: FloatArray
     interval: float
 
-    def fly(self, name: str, **options: Any) -> Flown:
+    def fly(self, name: str, **options: Any) -> AlgorithmCosts:
         begun = time.process_time()
         motion = navigate(name, self.nav[0], self.interval, self.dtheta, self.dvel, **options)
         spent = time.process_time() - begun
         end, true = motion.nav[-1], self.nav[-1]
         turn = rotation.to_rotvec(rotation.multiply(end[6:], rotation.conjugate(true[6:])))
-        return Flown(
+        return AlgorithmCosts(
             motion,
             float(np.linalg.norm(earth.difference_n(end[:3], true[:3]))),
             float(np.linalg.norm(end[3:6] - true[3:6])),
@@ -85,22 +85,22 @@ class _Flight(NamedTuple):
             spent / len(self.dtheta) * 1e6,
         )
 
-    def growth(self, motion: Motion) -> FloatArray:
+    def growth(self, motion: IntervalMotion) -> FloatArray:
         """Return the position error (M,) at the instants of a motion [m]."""
         step = round((len(self.nav) - 1) / (len(motion.t) - 1))
         return np.asarray(np.linalg.norm(earth.difference_n(motion.nav[:, :3], self.nav[::step, :3]), axis=1))
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Fly every algorithm and return the tables and figures."""
-    parts: Sequence[Callable[[Options, _Flight], tuple[list[str], StudyTable, list[Plot]]]] = (
+    parts: Sequence[Callable[[Options, _TrueFlight], tuple[list[str], StudyTable, list[Plot]]]] = (
         _compare_attitudes,
         _compare_frames,
         _compare_series,
         _compare_accelerometers,
     )
     interval = 1.0 / options.rate_hz
-    flight = _Flight(*STurns().fly(options.duration_s, options.rate_hz), interval)
+    flight = _TrueFlight(*SwingingFlight().fly(options.duration_s, options.rate_hz), interval)
     navigate("ned", flight.nav[0], interval, flight.dtheta[:100], flight.dvel[:100])  # compiles it
     told, tables, figures = [], [], []
     for k, part in enumerate(parts):
@@ -118,9 +118,10 @@ def _list_attitudes() -> list[tuple[str, str, int]]:
     return sums + [(f"{_VECTOR}, {m}", _VECTOR, m) for m in range(1, coning.MOST_SAMPLES + 1)]
 
 
-def _compare_attitudes(options: Options, flight: _Flight) -> tuple[list[str], StudyTable, list[Plot]]:
-    flat = _Flight(
-        *STurns(bank=0.0, climb=0.0, nod=0.0).fly(options.duration_s, options.rate_hz), flight.interval
+def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
+    flat = _TrueFlight(
+        *SwingingFlight(bank=0.0, climb=0.0, nod=0.0).fly(options.duration_s, options.rate_hz),
+        flight.interval,
     )
     columns: dict[str, list[Any]] = {}
     lines, cones, ends, drifts = [], [], {}, {}
@@ -195,7 +196,7 @@ def coning_drift(
     return float(np.linalg.norm(turn)) / float(t[-1]) / (DEG / HOUR)
 
 
-def _compare_frames(options: Options, flight: _Flight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
     columns: dict[str, list[Any]] = {}
     slow = (100.0, 10.0, 1.0)
     medium = {100.0: 100.0, 10.0: 50.0, 1.0: 10.0}  # rates of the table of A-2.2.6
@@ -241,7 +242,7 @@ def _compare_frames(options: Options, flight: _Flight) -> tuple[list[str], Study
     return told, table, [plot]
 
 
-def _compare_series(options: Options, flight: _Flight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_series(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
     columns: dict[str, list[Any]] = {"figure": [], "formula": [], "largest_error": [], "position_m": []}
     rates = Rates(100.0, 50.0, 10.0)
     for kind, names, measure in (
@@ -285,7 +286,9 @@ def gravity_error(name: str, height: float = 12_000.0) -> float:
     return worst / STANDARD_GRAVITY * 1e6
 
 
-def _compare_accelerometers(options: Options, flight: _Flight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_accelerometers(
+    options: Options, flight: _TrueFlight
+) -> tuple[list[str], StudyTable, list[Plot]]:
     del flight
     t = np.unique(np.rint(np.geomspace(30.0, 3600.0, 25)))
     measured = simulate_accelerometers(t) / _TINY

@@ -22,11 +22,11 @@ from bench.evaluation.linear.directions import (
     observe,
 )
 from bench.evaluation.linear.held import bound_flight
-from bench.plots import series
-from bench.plots.series import Plot
-from bench.studies.drawn_errors import Flight, output_times
+from bench.findings import Findings, StudyTable, series
+from bench.findings.series import Plot
+from bench.studies.drawn_errors import UnitFlight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
-from bench.studies.study import Findings, FlightOptions, StudyTable, Work
+from bench.studies.study import FlightOptions, StudyWorkers
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
@@ -50,9 +50,9 @@ class Options(FlightOptions):
     """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return what is known before, in and after turns."""
-    profile, truth = Flight(options.profile, options.imu, None, options.overrides, options.seed).load()
+    profile, truth = UnitFlight(options.profile, options.imu, None, options.overrides, options.seed).load()
     work.progress("the best linear estimator", 0, 2)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)

@@ -22,12 +22,13 @@ from bench.campaigns.worker import fly, get_truth
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import split_drift
+from bench.findings import Findings
 from bench.specs import Profile
 from bench.studies.catalog_units import find_units
 from bench.studies.outage_grades import fill_grades, plot_grades, predict_grades, tell_grades
 from bench.studies.outage_growth import Drift, pair_units
 from bench.studies.outage_tables import fill_drifts, plot_drifts, tell_drifts
-from bench.studies.study import Count, Durations, Findings, FlightOptions, Positive, Words, Work
+from bench.studies.study import Count, Durations, FlightOptions, Positive, StudyWorkers, Words
 from bench.units import SAME_INSTANT
 
 _PRELUDE_S = 131.0  # of the legs before [s]
@@ -77,7 +78,7 @@ class _Task:
     grid: tuple[float, ...]  # since the loss [s]
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the drift by unit and phase, and the covariances by grade."""
     elapsed = tuple(sorted(set(options.outages_s)))
     units = find_units("outages", options.units)

@@ -14,10 +14,10 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
-from bench.plots import series
-from bench.plots.series import Plot
+from bench.findings import StudyTable, make_table, series
+from bench.findings.series import Plot
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
-from bench.studies.study import StudyTable, Work, make_table
+from bench.studies.study import StudyWorkers
 
 _LEAST_S = 600  # that are carried, however short the times asked for [s]
 
@@ -41,7 +41,7 @@ class Grown:
         return east, accel, gyro
 
 
-def predict_grades(longest: float, work: Work) -> list[Grown]:
+def predict_grades(longest: float, work: StudyWorkers) -> list[Grown]:
     """Return the growth of each grade in each phase, for so long [s] and ten minutes at least."""
     seconds = np.arange(max(_LEAST_S, int(np.ceil(longest))) + 1.0)
     found = work.map("covariances by grade", _grow, [(name, len(seconds) - 1) for name in GRADES])

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.evaluation.ensemble import estimate_quantile, pool_rmse
-from bench.evaluation.paired_draws import Pair, compare_draws_of
+from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
 from bench.studies.outage_grades import find_time
 
 
@@ -77,7 +77,7 @@ class Drift:
 
 def pair_units(
     drifts: Mapping[tuple[str, str], Drift], units: Sequence[str], phase: str, near: float = 60.0
-) -> Iterator[Pair]:
+) -> Iterator[PairedRatio]:
     """Yield each unit over the next better one, by their drift on the same draws near a time [s]."""
     kept = [name for name in units if not drifts[name, phase].lost]
     k = {name: int(np.argmin(np.abs(drifts[name, phase].grid - near))) for name in kept}

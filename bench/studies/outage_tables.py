@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from bench.evaluation.ensemble import Estimate
-from bench.evaluation.paired_draws import Pair
-from bench.plots import series
-from bench.plots.series import Plot, Series
-from bench.studies.catalog_units import Unit
+from bench.evaluation.paired_draws import PairedRatio
+from bench.findings import StudyTable, make_table, series
+from bench.findings.series import Plot, Series
+from bench.studies.catalog_units import CatalogImu
 from bench.studies.outage_grades import find_time
 from bench.studies.outage_growth import Drift
-from bench.studies.study import StudyTable, format_estimate, make_table
+from bench.studies.study import format_estimate
 from bench.wording import format_number
 
 Drifts = Mapping[tuple[str, str], Drift]
@@ -31,7 +31,7 @@ def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]
 
 
 def fill_drifts(
-    drifts: Drifts, units: Mapping[str, Unit], elapsed: Sequence[float], limit: float
+    drifts: Drifts, units: Mapping[str, CatalogImu], elapsed: Sequence[float], limit: float
 ) -> tuple[StudyTable, ...]:
     """Return the horizontal drift, its sources, the time to a limit [m], error and claim, drift by axis."""
     rows, claims, by_axis, sources, times = [], [], [], [], []
@@ -94,7 +94,7 @@ def tell_drifts(
     units: Sequence[str],
     label: str,
     drifts: Drifts,
-    pairs: Mapping[str, Sequence[Pair]],
+    pairs: Mapping[str, Sequence[PairedRatio]],
     elapsed: Sequence[float],
     limit: float,
 ) -> Iterator[str]:

@@ -13,11 +13,11 @@ from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.evaluation.route_errors import cross_track_error
-from bench.flight.closed_form import STurns
+from bench.flight.closed_form import SwingingFlight
 from bench.navigation.engine import integrity
 from bench.navigation.register.mechanizations import attitude
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
-from bench.navigation.register.mechanizations.solving import Motion, Rates, navigate
+from bench.navigation.register.mechanizations.solving import IntervalMotion, Rates, navigate
 from bench.signals import delays
 from bench.studies.mechanization_costs import (
     coning_drift,
@@ -30,7 +30,7 @@ from bench.units import DEG, HOUR, STANDARD_GRAVITY
 _ARCSEC = DEG / 3600
 
 
-class Found(NamedTuple):
+class RowFinding(NamedTuple):
     """What the bench finds for a row."""
 
     ours: str
@@ -39,11 +39,11 @@ class Found(NamedTuple):
 
 @cache
 def _fly(duration: float, rate: float, banked: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-    turns = STurns() if banked else STurns(bank=0.0, climb=0.0, nod=0.0)
+    turns = SwingingFlight() if banked else SwingingFlight(bank=0.0, climb=0.0, nod=0.0)
     return turns.fly(duration, rate)
 
 
-def _apart(motion: Motion, true: FloatArray) -> tuple[float, float, float]:
+def _apart(motion: IntervalMotion, true: FloatArray) -> tuple[float, float, float]:
     """Return errors at the end: position [m], velocity [m/s], attitude [arcsec]."""
     end = motion.nav[-1]
     turn = rotation.to_rotvec(rotation.multiply(end[6:], rotation.conjugate(true[6:])))
@@ -54,7 +54,7 @@ def _apart(motion: Motion, true: FloatArray) -> tuple[float, float, float]:
     )
 
 
-def rest_for_an_hour() -> Found:
+def rest_for_an_hour() -> RowFinding:
     """#1: error-free sensors at rest, and NHE against ENU in flight."""
     q_nb = rotation.from_euler(0.02, -0.03, 2.0)
     start = np.array([0.9, 0.3, 200.0, 0.0, 0.0, 0.0, *q_nb])
@@ -65,94 +65,94 @@ def rest_for_an_hour() -> Found:
     nav, dtheta, dvel = _fly(60.0, 25.0, banked=True)
     nhe, enu = (navigate(name, nav[0], 0.04, dtheta, dvel).nav for name in ("nhe", "enu"))
     off = float(np.abs(nhe[:, 3:6] - enu[:, 3:6]).max())
-    return Found(f"{rest:.2g} m; {off:.1g} m/s", rest < 0.01 and off < 1e-6)
+    return RowFinding(f"{rest:.2g} m; {off:.1g} m/s", rest < 0.01 and off < 1e-6)
 
 
-def fly_inertial() -> Found:
+def fly_inertial() -> RowFinding:
     """#3: the inertial frame against ENU."""
     nav, dtheta, dvel = _fly(600.0, 25.0, banked=True)
     ends = [navigate(name, nav[0], 0.04, dtheta, dvel) for name in ("inertial", "enu")]
     off = _apart(ends[0], ends[1].nav[-1])[0]
-    return Found(f"{off:.1g} m", off < 0.01)
+    return RowFinding(f"{off:.1g} m", off < 0.01)
 
 
-def fly_three_rates() -> Found:
+def fly_three_rates() -> RowFinding:
     """#4: 100/50/10 Hz, with the slow figures half an interval ahead and as in the source."""
     nav, dtheta, dvel = _fly(300.0, 100.0, banked=False)
     ahead, lagging = (
         _apart(navigate("nhe", nav[0], 0.01, dtheta, dvel, rates=Rates(100, 50, 10, lead)), nav[-1])[0]
         for lead in (True, False)
     )
-    return Found(f"{ahead:.1g} m; lagging {lagging:.2f} m", ahead <= 0.4)
+    return RowFinding(f"{ahead:.1g} m; lagging {lagging:.2f} m", ahead <= 0.4)
 
 
-def fly_attitude(name: str, most: float) -> Found:
+def fly_attitude(name: str, most: float) -> RowFinding:
     """#5 to #8: attitude after 300 s of level turns."""
     nav, dtheta, dvel = _fly(300.0, 100.0, banked=False)
     off = _apart(navigate("nhe", nav[0], 0.01, dtheta, dvel, attitude=name), nav[-1])[2]
-    return Found(f'{off:.2g}"', off <= most)
+    return RowFinding(f'{off:.2g}"', off <= most)
 
 
-def take_picard_step() -> Found:
+def take_picard_step() -> RowFinding:
     """#8: error of a step of 1 deg over its cube by 24."""
     q = attitude.picard_turn((DEG, 0.0, 0.0))
     ratio = (DEG - 2.0 * math.atan2(q[1], q[0])) / (DEG**3 / 24.0)
     total = 60_000 * (24.7 * DEG / 100.0) ** 3 / 24.0 * abs(ratio)
-    return Found(f"cube / 24 times {abs(ratio):.4f}; {total:.2e} rad", abs(abs(ratio) - 1.0) < 0.02)
+    return RowFinding(f"cube / 24 times {abs(ratio):.4f}; {total:.2e} rad", abs(abs(ratio) - 1.0) < 0.02)
 
 
-def cone() -> Found:
+def cone() -> RowFinding:
     """#9: one increment against two samples."""
     found = [(coning_drift(rate, 1, "two-quaternions"), coning_drift(rate, 2)) for rate in (100, 200, 400)]
     wanted = ((9.60, 2.72), (2.55, 0.196), (0.65, 0.013))
     off = np.abs(np.array(found) / wanted - 1.0)
     text = "; ".join(f"{a:.3g}, {b:.2g}" for a, b in found)
-    return Found(f"{text} deg/h", bool((off < 0.04).all()))
+    return RowFinding(f"{text} deg/h", bool((off < 0.04).all()))
 
 
-def expand_series() -> Found:
+def expand_series() -> RowFinding:
     """#10: errors of the series."""
     long, short = radii_error("long"), radii_error("short", 0.0)
     fine, simple = gravity_error("fine"), gravity_error("simple")
     holds = long <= 0.31 and short <= 45.5 and fine <= 0.33 and 15.0 < simple < 21.0
-    return Found(f"{long:.2g} ppm, {short:.0f} ppm; {fine:.2g} ug, {simple:.0f} ug", holds)
+    return RowFinding(f"{long:.2g} ppm, {short:.0f} ppm; {fine:.2g} ug, {simple:.0f} ug", holds)
 
 
-def measure_ellipsoids() -> Found:
+def measure_ellipsoids() -> RowFinding:
     """#11: radii at the equator and the pole of every ellipsoid: a(1 - e^2), a; both a^2/b."""
     worst = 0.0
     for e in (earth.WGS84, earth.PZ90_11, earth.KRASOVSKY_1940, earth.INTERNATIONAL_1924):
         for lat, wanted in ((0.0, (e.b**2 / e.a, e.a)), (0.5 * math.pi, (e.a**2 / e.b, e.a**2 / e.b))):
             worst = max(worst, float(np.abs(np.array(earth.radii(lat, e)) / wanted - 1.0).max()))
-    return Found(f"within {worst:.1g}", worst < 1e-14)
+    return RowFinding(f"within {worst:.1g}", worst < 1e-14)
 
 
-def drift_without_gyros() -> Found:
+def drift_without_gyros() -> RowFinding:
     """#12: exponents of the growth, at first and with the level's square in the end."""
     early, late = simulate_accelerometers(np.array([30.0, 60.0, 1800.0, 3600.0])).reshape(2, 2)
     first, last = (math.log2(pair[1] / pair[0]) for pair in (early, late))
-    return Found(f"t^{first:.2f} to 60 s, t^{last:.2f} to 1 h", abs(first - 4.0) < 0.05 and last < 3.5)
+    return RowFinding(f"t^{first:.2f} to 60 s, t^{last:.2f} to 1 h", abs(first - 4.0) < 0.05 and last < 3.5)
 
 
-def require() -> Found:
+def require() -> RowFinding:
     """#16: accelerometer and gyro for 5 m after 300 s."""
     accel = 5.0 / accel_bias_drift(300.0) / (1e-6 * STANDARD_GRAVITY)
     gyro = 5.0 / gyro_bias_drift(300.0) / (DEG / HOUR)
-    return Found(
+    return RowFinding(
         f"{accel:.4g} ug, {gyro:.4g} deg/h", abs(accel - 11.46) < 5e-3 and abs(gyro - 0.02353) < 5e-6
     )
 
 
-def shift_datum() -> Found:
+def shift_datum() -> RowFinding:
     """#29: SK-42 at 50 N 30 E against WGS 84, and back."""
     lla = np.array([50.0 * DEG, 30.0 * DEG, 0.0])
     moved = earth.to_datum(lla, "SK-42")
     back = float(np.linalg.norm(earth.to_ecef(earth.from_datum(moved, "SK-42")) - earth.to_ecef(lla)))
     shift = float(np.linalg.norm(earth.to_ecef(moved, earth.KRASOVSKY_1940) - earth.to_ecef(lla)))
-    return Found(f"{shift:.1f} m; back {back:.1g} m", abs(shift - 156.3) < 0.1 and back < 1e-3)
+    return RowFinding(f"{shift:.1f} m; back {back:.1g} m", abs(shift - 156.3) < 0.1 and back < 1e-3)
 
 
-def detect() -> Found:
+def detect() -> RowFinding:
     """#41: detection of 8 sigma on the accurate axis, S = diag(100, 1, 1): trace ratio and NIS."""
     limit = integrity.nis_limit(3, 1e-4)
     by_nis = float(stats.ncx2.sf(limit, 3, 64.0))
@@ -160,16 +160,16 @@ def detect() -> Found:
     y = rng.standard_normal((200_000, 3)) * [10.0, 1.0, 1.0] + [0.0, 0.0, 8.0]
     by_trace = float(np.mean(np.sum(y**2, axis=1) / 102.0 > 10.0))
     text = f"{100 * by_trace:.1f} % against {100 * by_nis:.2f} %"
-    return Found(text, abs(by_nis - 0.9998) < 1e-4 and abs(by_trace - 0.002) < 7e-4)
+    return RowFinding(text, abs(by_nis - 0.9998) < 1e-4 and abs(by_trace - 0.002) < 7e-4)
 
 
-def correct() -> Found:
+def correct() -> RowFinding:
     """#43: the period of A-5.4.10 with its start."""
     T = integrity.correction_period(DEG, 0.5 * DEG, 10.0 * DEG / HOUR, 5e-3 * STANDARD_GRAVITY)
-    return Found(f"{T:.1f} s", abs(T - 172.2) < 0.1)
+    return RowFinding(f"{T:.1f} s", abs(T - 172.2) < 0.1)
 
 
-def normalize() -> Found:
+def normalize() -> RowFinding:
     """#52: the squared norm under the threshold, growing and shrinking."""
     worst = 0.0
     for factor in (1.0 + 1e-11, 1.0 - 1e-11):
@@ -178,10 +178,10 @@ def normalize() -> Found:
             w, x, y, z = (factor * part for part in q)
             q = attitude.normalize((w, x, y, z), 1e-9)
             worst = max(worst, abs(sum(part * part for part in q) - 1.0))
-    return Found(f"within {worst:.2g} of 1 at 1e-9", worst < 1e-9)
+    return RowFinding(f"within {worst:.2g} of 1 at 1e-9", worst < 1e-9)
 
 
-def integrate_quaternion_error() -> Found:
+def integrate_quaternion_error() -> RowFinding:
     """#53: B-7 against two integrations, constant rates, exact to the second order."""
     t = np.linspace(0.0, 4.0, 401)
     w, dw = np.array([0.3, -0.2, 0.1]), 1e-6 * np.array([1.0, -2.0, 0.5])
@@ -192,18 +192,18 @@ def integrate_quaternion_error() -> Found:
     )
     error = quaternion_error(t, q, np.tile(dw, (len(t), 1)))
     off = float(np.abs(error - 0.5 * (more - less)).max())
-    return Found(f"{off:.1g}", off < 1.2e-11)
+    return RowFinding(f"{off:.1g}", off < 1.2e-11)
 
 
-def cross_track() -> Found:
+def cross_track() -> RowFinding:
     """#54: 1000 km with 0.1 deg."""
     found = cross_track_error(1e6, 0.1 * DEG)
-    return Found(f"{found:.1f} m", abs(found - 1738.2) < 0.05)
+    return RowFinding(f"{found:.1f} m", abs(found - 1738.2) < 0.05)
 
 
-def ionosphere() -> Found:
+def ionosphere() -> RowFinding:
     """#55: Klobuchar's delay of the register's example."""
     lat, lon, el, az = (v * DEG for v in (40.0, -100.0, 20.0, 210.0))
     model = np.array([3.82e-8, 1.49e-8, -1.79e-7, 0.0, 1.43e5, 0.0, -3.28e5, 1.13e5])
     found = float(delays.klobuchar_kernel(lat, lon, el, math.sin(az), math.cos(az), 20.75 * 3600, model))
-    return Found(f"{found:.3f} m", abs(found - 23.784) < 5e-4)
+    return RowFinding(f"{found:.3f} m", abs(found - 23.784) < 5e-4)

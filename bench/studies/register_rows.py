@@ -10,7 +10,7 @@ from functools import partial
 from typing import NamedTuple
 
 from bench.studies import register_measures as measure
-from bench.studies.register_measures import Found
+from bench.studies.register_measures import RowFinding
 
 
 class Row(NamedTuple):
@@ -25,7 +25,7 @@ class Row(NamedTuple):
     """What must be found."""
     test: str = ""
     """``path::name`` of the test that proves it; "": open."""
-    measure: Callable[[], Found] | None = None
+    measure: Callable[[], RowFinding] | None = None
     open_because: str = ""
     """Why nothing proves it; for a row without a test."""
 

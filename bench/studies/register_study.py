@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
+from bench.findings import Findings, StudyTable
 from bench.studies.register_proofs import find_root, group_tests, run_tests
 from bench.studies.register_rows import ROWS
-from bench.studies.study import Findings, StudyOptions, StudyTable, Work
+from bench.studies.study import StudyOptions, StudyWorkers
 
 _PARTS = (  # last row, name, title: tables that a terminal shows whole
     (12, "mechanizations", "Mechanizations, #1 to #12"),
@@ -28,7 +29,7 @@ class Options(StudyOptions):
     """run the tests of the rows that are not computed, too; in the repository"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Compute the rows that take seconds, and name the tests of the others or run them."""
     rows = [row for row in ROWS if options.row in (0, row.number)]
     tests = [row.test for row in rows if row.measure is None and row.test] if options.prove else []

@@ -25,21 +25,12 @@ from bench.config.library import find_datasheet
 from bench.errors import ConfigError
 from bench.evaluation import drift_laws
 from bench.evaluation.drift_laws import SCHULER
+from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings.series import Plot
 from bench.navigation import mechanization
-from bench.plots import series
-from bench.plots.series import Plot
 from bench.specs import ImuSpec
 from bench.studies.catalog_units import find_units
-from bench.studies.study import (
-    Durations,
-    Findings,
-    Positive,
-    StudyOptions,
-    StudyTable,
-    Words,
-    Work,
-    make_table,
-)
+from bench.studies.study import Durations, Positive, StudyOptions, StudyWorkers, Words
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.wording import format_number, suggest
 
@@ -91,7 +82,7 @@ class Options(StudyOptions):
     """IMUs of the catalog, or .toml files of your own: how long each stays within the error"""
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors that are allowed, by closed form and by simulation."""
     if wrong := [
         f"study requirements: split: {name!r} is unknown{suggest(name, ERRORS, 'errors')}"

@@ -41,7 +41,7 @@ from bench.evaluation.required_metrics import MET, MISSED, UNDECIDED, decide
 from bench.evaluation.required_performance import (
     OUTSIDE_PER_HOUR,
     WITHIN,
-    Judged,
+    JudgedFigure,
     Watched,
     count_detected,
     count_windows,
@@ -49,12 +49,13 @@ from bench.evaluation.required_performance import (
     judge_rate,
     judge_share,
 )
+from bench.findings import Findings, StudyTable
 from bench.flight.off_track import measure_off_track
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
 from bench.specs import FlightSpec, Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
-from bench.studies.study import Count, Findings, FlightOptions, Positive, StudyTable, Words, Work
+from bench.studies.study import Count, FlightOptions, Positive, StudyWorkers, Words
 from bench.units import HOUR
 from bench.wording import format_number, suggest
 
@@ -111,7 +112,7 @@ class _Run:
 
 
 @dataclass(frozen=True, slots=True)
-class _Watch:
+class _DrawWatch:
     """What one draw of M instants gives."""
 
     t: FloatArray  # (M,) [s]
@@ -122,7 +123,7 @@ class _Watch:
     off: FloatArray  # (M,) of the flight [m]; NaN without a track
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return accuracy, integrity, continuity and availability."""
     if wrong := [
         f"study rnp: lines: {name!r} is unknown{suggest(name, LINES, 'lines')}"
@@ -155,7 +156,7 @@ def run(options: Options, work: Work) -> Findings:
     )
 
 
-def _gather(watches: Sequence[_Watch], options: Options) -> list[Watched]:
+def _gather(watches: Sequence[_DrawWatch], options: Options) -> list[Watched]:
     """Return what is watched in the plane and in height; a flight that is shorter ends in no instant."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
     alarm = np.array([one.alarm for one in _trim(watches)])
@@ -171,17 +172,17 @@ def _gather(watches: Sequence[_Watch], options: Options) -> list[Watched]:
     ]
 
 
-def _trim(watches: Sequence[_Watch]) -> list[_Watch]:
+def _trim(watches: Sequence[_DrawWatch]) -> list[_DrawWatch]:
     """Return flights of equal length: turbulence lets each end a little earlier or later."""
     shortest = min(len(one.t) for one in watches)
-    return [_Watch(*(getattr(one, part.name)[:shortest] for part in fields(one))) for one in watches]
+    return [_DrawWatch(*(getattr(one, part.name)[:shortest] for part in fields(one))) for one in watches]
 
 
-def _stack(watches: Sequence[_Watch], name: str) -> FloatArray:
+def _stack(watches: Sequence[_DrawWatch], name: str) -> FloatArray:
     return np.array([getattr(one, name) for one in _trim(watches)])
 
 
-def watch_run(run: _Run) -> _Watch:
+def watch_run(run: _Run) -> _DrawWatch:
     """Return the errors and the protection levels of one draw."""
     options = run.options
     profile, truth = _load(options, run.number)
@@ -197,7 +198,7 @@ def watch_run(run: _Run) -> _Watch:
     off = course = np.full(len(rows), np.nan)
     if isinstance(profile.flight, FlightSpec):
         off, course = measure_off_track(profile.flight, truth, rows)
-    return _Watch(
+    return _DrawWatch(
         truth.t[rows],
         np.column_stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])]),
         protection.level,
@@ -319,7 +320,7 @@ def _list_continuity(planes: list[Watched], options: Options) -> Iterator[dict[s
             spread = estimate_fraction(lost).high * lost.size / operations
             found = Estimate(float(lost.sum()) / operations, found.low, max(found.high, min(spread, 1.0)))
         word = judged.word if judged.word != MET or found.high <= _RISK else UNDECIDED
-        yield _row(title, Judged(found, word, more), "1", f"<= {_RISK:g}")
+        yield _row(title, JudgedFigure(found, word, more), "1", f"<= {_RISK:g}")
 
 
 def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[str, Any]]:
@@ -335,13 +336,13 @@ def _list_integrity(planes: list[Watched], options: Options) -> Iterator[dict[st
             title = (
                 f"flights whose errors beyond the limit are told in {options.time_to_alert_s:g} s, {plane}"
             )
-            yield _row(title, Judged(estimate_rate(told, beyond, 0.9), word), "1", f">= {_TOLD:g}")
+            yield _row(title, JudgedFigure(estimate_rate(told, beyond, 0.9), word), "1", f">= {_TOLD:g}")
 
 
 def _row(
-    figure: str, found: Judged | Estimate | None, unit: str, required: str | None = None
+    figure: str, found: JudgedFigure | Estimate | None, unit: str, required: str | None = None
 ) -> dict[str, Any]:
-    judged = found if isinstance(found, Judged) else None
+    judged = found if isinstance(found, JudgedFigure) else None
     estimate = judged.found if judged is not None else found if isinstance(found, Estimate) else None
     return {
         "figure": figure,

@@ -23,20 +23,17 @@ from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate, pool_rmse
 from bench.evaluation.metrics import find_metric
-from bench.evaluation.paired_draws import Pair, compare_draws_of
+from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
+from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings.series import Plot, Series
 from bench.places import PACKAGE
-from bench.plots import series
-from bench.plots.series import Plot, Series
 from bench.studies.study import (
     Count,
-    Findings,
     FlightOptions,
-    StudyTable,
+    StudyWorkers,
     Words,
-    Work,
     count_looks,
     format_estimate,
-    make_table,
 )
 from bench.units import unit_of
 
@@ -86,7 +83,7 @@ class Swept:
         return pool_rmse(np.square(known)) if len(known) > 1 else None
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors of each filter over the values."""
     values = find_values(options)
     looks = count_looks(options.draws, options.most_draws)
@@ -119,7 +116,7 @@ def run(options: Options, work: Work) -> Findings:
 
 
 def _fly(
-    options: Options, values: Sequence[Any], first: int, draws: int, work: Work
+    options: Options, values: Sequence[Any], first: int, draws: int, work: StudyWorkers
 ) -> list[Mapping[str, Any]]:
     """Return a row for each filter, value and draw from ``first`` on."""
     spec = CampaignSpec(
@@ -137,7 +134,7 @@ def _fly(
     return rows
 
 
-def compare_ends(swept: Sequence[Swept], name: str, error: float) -> Pair | None:
+def compare_ends(swept: Sequence[Swept], name: str, error: float) -> PairedRatio | None:
     """Compare the best and the worst value by a metric on the draws that both have; None without a pair.
 
     They are chosen of all pairs by these draws, so each pair has its part of the ``error`` (Bonferroni).
@@ -200,7 +197,9 @@ def _fill(options: Options, swept: Mapping[str, Sequence[Swept]]) -> StudyTable:
 
 
 def _tell(
-    options: Options, swept: Mapping[str, Sequence[Swept]], pairs: Mapping[tuple[str, str], Pair | None]
+    options: Options,
+    swept: Mapping[str, Sequence[Swept]],
+    pairs: Mapping[tuple[str, str], PairedRatio | None],
 ) -> Iterator[str]:
     unit = unit_of(options.key)
     for label, every in swept.items():

@@ -10,9 +10,8 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.evaluation.ensemble import CONFIDENCE
 from bench.evaluation.required_performance import Watched, estimate_per_run
-from bench.plots import series
-from bench.plots.series import Plot
-from bench.studies.study import StudyTable
+from bench.findings import StudyTable, series
+from bench.findings.series import Plot
 
 PLANES = ("horizontal", "vertical")
 """What is watched, in order."""

@@ -7,14 +7,11 @@ import dataclasses
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-import bench
 from bench.campaigns.batches import Lost, compute
 from bench.campaigns.campaign_file import CampaignSpec, format_value
 from bench.campaigns.plan import plan_campaign
@@ -23,10 +20,6 @@ from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.evaluation.ensemble import Estimate
-from bench.notebook import make_frame, write_sentences, write_table
-from bench.plots.series import Plot
-from bench.studies import STUDIES, Entry
-from bench.units import unit_of
 from bench.wording import as_toml, describe_error, format_number, suggest
 
 _Item = TypeVar("_Item")
@@ -115,101 +108,19 @@ def read_settings(overrides: Sequence[str]) -> dict[str, Any]:
     return {key: tomllib.loads(f"value = {value}")["value"] for key, _, value in pairs}
 
 
-@dataclass(frozen=True)
-class StudyTable:
-    """A table of a study."""
-
-    name: str  # of its file
-    title: str
-    columns: Mapping[str, Sequence[Any]]  # name, which ends in its unit -> values (N,); None: no value
-    units: Mapping[str, str] = field(default_factory=dict)  # of the columns that have one
-
-
-def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> StudyTable:
-    """Return a table of rows; a column gets the unit in which its name ends."""
-    values = {
-        key: [one if one is None or isinstance(one, str | int) else float(one) for one in column]
-        for key, column in zip(columns, zip(*rows, strict=True), strict=True)
-    }
-    return StudyTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
-
-
 def format_estimate(found: Estimate) -> str:
     """Return a value with its interval, as a sentence has it."""
     return f"{format_number(found.value, 3)} ({found.interval})"
 
 
-@dataclass(frozen=True)
-class Findings:
-    """What a study found."""
-
-    verdicts: tuple[str, ...]  # sentences
-    tables: tuple[StudyTable, ...]
-    figures: tuple[Plot, ...]  # the last part of each path names its file
-    draws: int = 0  # noise draws behind each figure with an interval; 0: nothing is drawn
-    good: bool = True  # no verdict is negative
-    undecided: bool = False  # what was asked cannot be told from so few draws
-
-
-@dataclass(frozen=True)
-class StudyResult:
-    """A finished study."""
-
-    name: str
-    question: str
-    command: str  # that makes it again
-    options: Mapping[str, Any]
-    findings: Findings
-    provenance: Mapping[str, object]
-    wall_s: float
-
-    @property
-    def verdicts(self) -> tuple[str, ...]:
-        """What was found, in sentences."""
-        return self.findings.verdicts
-
-    @property
-    def tables(self) -> Mapping[str, StudyTable]:
-        """The tables by name."""
-        return {table.name: table for table in self.findings.tables}
-
-    @property
-    def figures(self) -> Mapping[str, Plot]:
-        """The figures by name."""
-        return {plot.path[-1]: plot for plot in self.findings.figures}
-
-    def plot(self, figure: str | None = None, **look: Any) -> Any:
-        """Draw a figure, the first if none is named: see `bench.plot_result`."""
-        return bench.plot_result(self, figure, **look)
-
-    def frame(self, table: str | None = None) -> Any:
-        """Return a table, the first if none is named, as a pandas.DataFrame."""
-        name = table or next(iter(self.tables), "")
-        if name not in self.tables:
-            raise ConfigError(f"table = {name!r} is not in this study{suggest(name, self.tables, 'tables')}")
-        return make_frame(self.tables[name].columns)
-
-    def __repr__(self) -> str:
-        """Return the question and what was found."""
-        return "\n".join([f"<StudyResult {self.name}: {self.question}>", *self.verdicts])
-
-    def _repr_html_(self) -> str:
-        """Return what was found, and the tables."""
-        tables = (
-            write_table(table.title, list(table.columns), list(zip(*table.columns.values(), strict=True)))
-            for table in self.tables.values()
-        )
-        return write_sentences(self.verdicts) + "".join(tables)
-
-
-class Work:
+class StudyWorkers:
     """The workers of a study."""
 
     def __init__(self, jobs: int, progress: Progress = lambda what, done, of: None) -> None:
         self.jobs, self.progress = jobs, progress
         self._open = contextlib.ExitStack()
 
-    def __enter__(self) -> Work:
+    def __enter__(self) -> StudyWorkers:
         return self
 
     def __exit__(self, *error: Any) -> None:
@@ -259,19 +170,6 @@ class Work:
         if found.interrupted:
             raise KeyboardInterrupt
         return found
-
-
-def find_study(name: str) -> tuple[Entry, Any]:
-    """Return the entry and the module of a study.
-
-    Raises
-    ------
-    ConfigError
-        If there is none of this name.
-    """
-    if name not in STUDIES:
-        raise ConfigError(f"study {name!r} is unknown{suggest(name, STUDIES, 'studies')}")
-    return STUDIES[name], import_module(STUDIES[name].module)
 
 
 def read_options(name: str, model: type[StudyOptions], given: Mapping[str, Any]) -> StudyOptions:

@@ -11,12 +11,12 @@ import numpy as np
 from bench.evaluation.ensemble import estimate_quantile
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED
-from bench.plots import series
-from bench.plots.series import Plot, Series
-from bench.studies.catalog_units import CLASSES, Unit
-from bench.studies.study import StudyTable, format_estimate, make_table
-from bench.studies.unit_limits import Limit
-from bench.studies.unit_ranking import Flown, Ranking, Step
+from bench.findings import StudyTable, make_table, series
+from bench.findings.series import Plot, Series
+from bench.studies.catalog_units import CLASSES, CatalogImu
+from bench.studies.study import format_estimate
+from bench.studies.unit_limits import VarianceShares
+from bench.studies.unit_ranking import ClassStep, Ranking, UnitFlown
 from bench.wording import format_number
 
 
@@ -30,7 +30,7 @@ class Answer:
     required: Sequence[Mapping[str, Any]]
     ranking: Ranking  # with gaps as typical of the class
     bare: Ranking  # with gaps as zero
-    limits: Sequence[tuple[str, Limit]]  # by unit
+    limits: Sequence[tuple[str, VarianceShares]]  # by unit
 
     @property
     def missed(self) -> bool:
@@ -62,7 +62,7 @@ class Answer:
 # --- words ------------------------------------------------------------------------------------------------
 
 
-def tell_answer(answer: Answer, units: Mapping[str, Unit]) -> Iterator[str]:
+def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
     """Yield the answer in sentences: what to buy, what it rests on, what limits, what is not usable."""
     ranking = answer.ranking
     yield from _tell_required(answer) if answer.required else ()
@@ -113,7 +113,7 @@ def _tell_steps(ranking: Ranking) -> Iterator[str]:
         yield "no class has a usable unit"
 
 
-def _tell_pair(step: Step) -> str:
+def _tell_pair(step: ClassStep) -> str:
     gain = step.gain
     assert gain is not None
     text = f"{gain.ratio.value:.3g} times, {gain.ratio.interval}"
@@ -146,7 +146,7 @@ def _tell_required(answer: Answer) -> Iterator[str]:
         )
 
 
-def find_margin(one: Flown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
+def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
     """Return the limit over the quantile of the draws that has to keep it; None if that is no limit."""
     for row in required:
         if row["metric"] == metric and "most" in row and not one.lost:
@@ -154,7 +154,7 @@ def find_margin(one: Flown, required: Sequence[Mapping[str, Any]], metric: str) 
     return None
 
 
-def _tell_gaps(answer: Answer, units: Mapping[str, Unit]) -> Iterator[str]:
+def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
     """Yield whether what no source states decides the answer."""
     first, second = (_name_choice(one) for one in (answer.ranking, answer.bare))
     filled = [name for name in answer.ranking.flown if units[name].typical]
@@ -184,7 +184,7 @@ def _name_choice(ranking: Ranking) -> str:
 
 
 def fill_tables(
-    answers: Sequence[Answer], units: Mapping[str, Unit], laws: Mapping[str, float], law_s: float
+    answers: Sequence[Answer], units: Mapping[str, CatalogImu], laws: Mapping[str, float], law_s: float
 ) -> tuple[StudyTable, ...]:
     """Return the errors of all units, and the figures that no source states of each."""
     rows = []
@@ -210,7 +210,7 @@ def fill_tables(
     return (make_table("units", title, names, rows), _fill_gaps(units))
 
 
-def _fill_gaps(units: Mapping[str, Unit]) -> StudyTable:
+def _fill_gaps(units: Mapping[str, CatalogImu]) -> StudyTable:
     rows: list[tuple[Any, ...]] = []
     for name, unit in units.items():
         for gap in unit.absent:
@@ -227,7 +227,7 @@ def _fill_gaps(units: Mapping[str, Unit]) -> StudyTable:
 # --- pictures ---------------------------------------------------------------------------------------------
 
 
-def draw_units(answer: Answer, units: Mapping[str, Unit]) -> Iterator[Plot]:
+def draw_units(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[Plot]:
     """Yield the errors over the class, a named dot each with its interval, and the front."""
     ranking = answer.ranking
     shown = [one for one in ranking.flown.values() if one.rms and one.grade in CLASSES]

@@ -19,7 +19,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import bound_flight, check_aiding, variance_of
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
-from bench.studies.drawn_errors import Flight, find_choice, key_instants, output_times
+from bench.studies.drawn_errors import UnitFlight, find_choice, key_instants, output_times
 from bench.wording import format_number
 
 _PARTS: Mapping[str, str] = {
@@ -34,7 +34,7 @@ _COSTLY = 1.5  # times the best linear error from which on the filter is what li
 
 
 @dataclass(frozen=True)
-class Limit:
+class VarianceShares:
     """Shares of a horizontal variance, and how far the filter is from the best linear one."""
 
     flight: str  # profile
@@ -59,7 +59,7 @@ class Limit:
         )
 
 
-def find_limit(flight: Flight, label: str) -> Limit | None:
+def find_limit(flight: UnitFlight, label: str) -> VarianceShares | None:
     """Return what limits a filter on a flight at the end of its longest outage, or of the flight.
 
     None if flight or filter have no linear model: other aiding, faults, a start that is not given.
@@ -90,7 +90,7 @@ def find_limit(flight: Flight, label: str) -> Limit | None:
         part = _PARTS[source.part]
         shares[part] = shares.get(part, 0.0) + float(variance / by_source.sum())
     best = float(variance_of(bound, smooth=False)[k, :2].sum())
-    return Limit(
+    return VarianceShares(
         profile.name,
         label,
         when,

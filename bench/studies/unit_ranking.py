@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.evaluation.ensemble import Estimate, estimate_rate, pool_rmse
-from bench.evaluation.paired_draws import SAME, Pair, compare_draws_of
+from bench.evaluation.paired_draws import SAME, PairedRatio, compare_draws_of
 from bench.evaluation.required_metrics import MET, UNDECIDED, Finding
 from bench.studies.catalog_units import CLASSES
 from bench.wording import format_number
@@ -23,7 +23,7 @@ _LEAST = 2  # draws that have an interval
 
 
 @dataclass(frozen=True)
-class Flown:
+class UnitFlown:
     """One unit on one flight by one filter."""
 
     unit: str
@@ -59,13 +59,13 @@ class Flown:
 
 
 @dataclass(frozen=True)
-class Step:
+class ClassStep:
     """A class of units: the best in it, and what it buys over the classes below."""
 
     grade: str
-    best: Flown
-    beside: tuple[Pair, ...]  # units of the class over the best that are the same or undecided
-    gain: Pair | None  # the best over that of the classes below; None: there is none below
+    best: UnitFlown
+    beside: tuple[PairedRatio, ...]  # units of the class over the best that are the same or undecided
+    gain: PairedRatio | None  # the best over that of the classes below; None: there is none below
 
     @property
     def pays(self) -> bool:
@@ -77,16 +77,16 @@ class Step:
 class Ranking:
     """The classes from cheap to dear, on one flight by one filter."""
 
-    steps: tuple[Step, ...]
-    flown: Mapping[str, Flown] = field(default_factory=dict)  # by unit
+    steps: tuple[ClassStep, ...]
+    flown: Mapping[str, UnitFlown] = field(default_factory=dict)  # by unit
 
     @property
-    def front(self) -> tuple[Step, ...]:
+    def front(self) -> tuple[ClassStep, ...]:
         """The classes that are shown to be better than those below."""
         return tuple(step for step in self.steps if step.pays)
 
     @property
-    def recommended(self) -> Step | None:
+    def recommended(self) -> ClassStep | None:
         """The cheapest class with a unit that is shown to meet what is required; None: none does."""
         return next((step for step in self.steps if step.best.verdict == MET), None)
 
@@ -101,13 +101,13 @@ class Ranking:
         """Whether the unit does not matter: the errors of all usable units are the same."""
         return self.spread is not None and self.spread <= 1.0 + SAME
 
-    def list_open(self) -> list[Pair]:
+    def list_open(self) -> list[PairedRatio]:
         """Return the pairs that more draws would tell, of classes that pay or may."""
         gains = [step.gain for step in self.steps if step.gain is not None]
         pairs = [*gains, *(pair for step in self.front for pair in step.beside)]
         return [pair for pair in pairs if pair.word == "undecided" and pair.deciding is not None]
 
-    def list_undecided(self) -> list[Flown]:
+    def list_undecided(self) -> list[UnitFlown]:
         """Return the units that may meet what is required, of classes up to the cheapest that does."""
         found = self.recommended
         top = len(CLASSES) if found is None else CLASSES.index(found.grade)
@@ -118,7 +118,7 @@ class Ranking:
         ]
 
 
-def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
+def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
     """Return the best of each class, and which classes pay.
 
     Parameters
@@ -128,8 +128,8 @@ def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
     error : float
         Probability of a wrong word about a class: that its best is better than what is cheaper.
     """
-    steps: list[Step] = []
-    best: Flown | None = None
+    steps: list[ClassStep] = []
+    best: UnitFlown | None = None
     for grade in CLASSES:
         usable = [one for one in flown if one.grade == grade and not one.lost and len(one.values) >= _LEAST]
         if not usable:
@@ -140,15 +140,15 @@ def rank_units(flown: Sequence[Flown], error: float) -> Ranking:
         pairs = [_compare(one, top, share) for one in usable if one is not top]
         beside = tuple(pair for pair in pairs if pair.word != "worse")
         gain = None if best is None else _compare(top, best, share)
-        steps.append(Step(grade, top, beside, gain))
+        steps.append(ClassStep(grade, top, beside, gain))
         best = min((one for one in (best, *usable) if one is not None), key=_measure)
     return Ranking(tuple(steps), {one.unit: one for one in flown})
 
 
-def _measure(one: Flown) -> float:
+def _measure(one: UnitFlown) -> float:
     return float(np.mean(np.square(one.values)))
 
 
-def _compare(one: Flown, other: Flown, error: float) -> Pair:
+def _compare(one: UnitFlown, other: UnitFlown, error: float) -> PairedRatio:
     n = min(len(one.values), len(other.values))
     return compare_draws_of((one.unit, other.unit), one.values[:n], other.values[:n], error)

@@ -22,21 +22,21 @@ from bench.config.library import find_datasheet
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.required_metrics import is_metric, judge_runs, list_requirements, take_value
-from bench.studies.catalog_units import Unit, find_units
-from bench.studies.drawn_errors import Flight
+from bench.findings import Findings
+from bench.studies.catalog_units import CatalogImu, find_units
+from bench.studies.drawn_errors import UnitFlight
 from bench.studies.study import (
     Count,
-    Findings,
     FlightOptions,
     Positive,
+    StudyWorkers,
     Words,
-    Work,
     count_looks,
     write_settings,
 )
 from bench.studies.unit_answer import Answer, draw_units, fill_tables, tell_answer
-from bench.studies.unit_limits import Limit, find_limit
-from bench.studies.unit_ranking import Flown, Ranking, rank_units
+from bench.studies.unit_limits import VarianceShares, find_limit
+from bench.studies.unit_ranking import Ranking, UnitFlown, rank_units
 
 LAW_S = 60.0
 """Time of the drift that the datasheet alone expects [s]."""
@@ -69,14 +69,14 @@ class Options(FlightOptions):
     """and at most, where something is undecided"""
 
 
-class Case(NamedTuple):
+class UnitCase(NamedTuple):
     """A unit with its gaps as typical of its class, or as zero."""
 
     unit: str
     filled: bool
 
 
-def run(options: Options, work: Work) -> Findings:
+def run(options: Options, work: StudyWorkers) -> Findings:
     """Return which class is enough on each flight for each filter, and what limits there."""
     if options.metric is not None and not is_metric(options.metric):
         raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
@@ -98,9 +98,11 @@ def find_law(name: str) -> float:
     return float(np.sqrt(2.0) * drift_sd(LAW_S, read_imu(*find_datasheet("imu", name, Path()))))
 
 
-def _answer(options: Options, units: Mapping[str, Unit], profile: str, work: Work) -> Iterator[Answer]:
+def _answer(
+    options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
+) -> Iterator[Answer]:
     """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
-    cases = [Case(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
+    cases = [UnitCase(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
     looks = count_looks(options.draws, options.most_draws)
     flights = _Flights(options, units, profile, work)
     flights.fly(cases, options.draws)
@@ -126,8 +128,13 @@ def _list_open(ranking: Ranking, most: int) -> Iterator[str]:
 
 
 def _find_limits(
-    options: Options, units: Mapping[str, Unit], profile: str, label: str, ranking: Ranking, work: Work
-) -> Iterator[tuple[str, Limit]]:
+    options: Options,
+    units: Mapping[str, CatalogImu],
+    profile: str,
+    label: str,
+    ranking: Ranking,
+    work: StudyWorkers,
+) -> Iterator[tuple[str, VarianceShares]]:
     """Yield what limits with the cheapest unit that is good enough, and with the best."""
     front = ranking.front
     if not front:
@@ -136,7 +143,7 @@ def _find_limits(
     for name in dict.fromkeys(chosen):
         work.progress(f"what limits {name}", 0, 1)
         overrides = (*options.overrides, *write_settings(units[name].filled))
-        flight = Flight(profile, name, (label,), overrides, options.seed)
+        flight = UnitFlight(profile, name, (label,), overrides, options.seed)
         found = find_limit(flight, label)
         if found is not None:
             yield name, found
@@ -145,9 +152,11 @@ def _find_limits(
 class _Flights:
     """The draws of one profile that are flown, by filter and unit."""
 
-    def __init__(self, options: Options, units: Mapping[str, Unit], profile: str, work: Work) -> None:
+    def __init__(
+        self, options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
+    ) -> None:
         self._options, self._units, self._profile, self._work = options, units, profile, work
-        self._rows: dict[tuple[str, Case], list[Mapping[str, Any]]] = {}
+        self._rows: dict[tuple[str, UnitCase], list[Mapping[str, Any]]] = {}
         self._document: Mapping[str, Any] = {}
 
     @property
@@ -155,9 +164,9 @@ class _Flights:
         """The filters."""
         return list(dict.fromkeys(label for label, _ in self._rows))
 
-    def fly(self, cases: Sequence[Case], draws: int) -> None:
+    def fly(self, cases: Sequence[UnitCase], draws: int) -> None:
         """Fly these units up to so many draws; those that are there are not flown again."""
-        begun: dict[int, list[Case]] = {}
+        begun: dict[int, list[UnitCase]] = {}
         for case in cases:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
             begun.setdefault(known, []).append(case)
@@ -201,9 +210,9 @@ class _Flights:
     def _rank(self, label: str, error: float, *, filled: bool) -> Ranking:
         flown = []
         for name, unit in self._units.items():
-            rows = self._rows[label, Case(name, filled or not unit.typical)]
+            rows = self._rows[label, UnitCase(name, filled or not unit.typical)]
             asked = {"metric": self.metric(label), "most": math.inf}
             values = [take_value(asked, row) if row["converged"] else None for row in rows]
             findings = judge_runs(label, rows, self.required(label))
-            flown.append(Flown(name, unit.grade, np.array(values, float), tuple(findings)))
+            flown.append(UnitFlown(name, unit.grade, np.array(values, float), tuple(findings)))
         return rank_units(flown, error)

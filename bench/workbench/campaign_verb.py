@@ -25,7 +25,7 @@ from bench.report.writing import write_report
 from bench.specs import Guard
 from bench.wording import format_number
 from bench.workbench.console import PlainConsole
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import find_own_estimators
 
 CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
@@ -145,10 +145,10 @@ def _compare_estimators(console: Console, result: Campaign) -> None:
     """Print a table with a column for each estimator."""
     names = list(dict.fromkeys(name for one in result.outcomes for name in one.errors))
     nees = [_NEES] if any(one.consistency for one in result.outcomes) else []
-    columns = {"": Column(names + nees, words=True)}
+    columns = {"": TableColumn(names + nees, words=True)}
     for one in result.outcomes:
         cells = [_format_estimate(one.errors.get(name)) for name in names]
-        columns[one.label] = Column(cells + [_format_estimate(_find_ratio(one)) for _ in nees])
+        columns[one.label] = TableColumn(cells + [_format_estimate(_find_ratio(one)) for _ in nees])
     print_table(console, columns, [""])
 
 
@@ -156,11 +156,11 @@ def _compare_conditions(console: Console, result: Campaign) -> None:
     """Print a table with a row for each condition and estimator."""
     ran = result.outcomes
     columns = {
-        "condition": Column([one.condition for one in ran], words=True),
-        "estimator": Column([one.label for one in ran], words=True),
-        "converged": Column([f"{one.converged_runs} of {one.runs}" for one in ran]),
-        **{name: Column([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
-        _NEES: Column([_format_estimate(_find_ratio(one)) for one in ran]),
+        "condition": TableColumn([one.condition for one in ran], words=True),
+        "estimator": TableColumn([one.label for one in ran], words=True),
+        "converged": TableColumn([f"{one.converged_runs} of {one.runs}" for one in ran]),
+        **{name: TableColumn([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
+        _NEES: TableColumn([_format_estimate(_find_ratio(one)) for one in ran]),
     }
     print_table(console, columns, ["condition", "estimator"])
 

@@ -14,7 +14,7 @@ _WIDEST_TEXT = 24  # a column of text in a table too wide for the console
 _GAP = 2  # between columns
 
 
-class Column(NamedTuple):
+class TableColumn(NamedTuple):
     """A column of texts, of one line or several."""
 
     cells: Sequence[str]
@@ -31,7 +31,7 @@ class _Shown(NamedTuple):
 
 
 def print_table(
-    console: Console, columns: Mapping[str, Column], keys: Sequence[str], title: str = ""
+    console: Console, columns: Mapping[str, TableColumn], keys: Sequence[str], title: str = ""
 ) -> None:
     """Print a table; if it is too wide, in parts with as many columns as there is room for beside the keys.
 

@@ -22,7 +22,7 @@ from bench.exchange.exports.column_files import START
 from bench.exchange.imports.contents import Contents
 from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
-from bench.exchange.sensor_search import TEXT, Found, find_tables, find_texts
+from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts
 from bench.files import check_file, read_json
 from bench.navigation.start.course import LEAST_SPEED
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
@@ -80,7 +80,7 @@ def new_log(name: str, *, console: Console) -> None:
         _write_flight(path, form, log, console)
         return
     if path.is_dir() or path.suffix.lower() in _BAGS:
-        found = {kind: Found(path, {}, ()) for kind in ("imu", "gnss")}
+        found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
     elif path.suffix.lower() == TEXT:
         found = find_texts(path)
     else:
@@ -216,7 +216,10 @@ def _tell_flight(
 
 
 def _try_log(
-    log: Path, found: Mapping[str, Found], antenna: tuple[list[float], str] | None, clocks: dict[str, str]
+    log: Path,
+    found: Mapping[str, FoundSensor],
+    antenna: tuple[list[float], str] | None,
+    clocks: dict[str, str],
 ) -> LogRecords:
     """Write the log and read what it names.
 
@@ -247,7 +250,7 @@ def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
     return spec, read_records(spec)
 
 
-def _read_antenna(fixes: Found) -> tuple[list[float], str] | None:
+def _read_antenna(fixes: FoundSensor) -> tuple[list[float], str] | None:
     """Return where the antenna is [m], b, and what says so: an export of the bench, or a file of NaveGo."""
     path, says = fixes.path, START
     try:
@@ -277,7 +280,7 @@ def _list_levers(folder: Path) -> Iterator[tuple[str, list[str]]]:
 
 def _write_log(
     title: str,
-    found: Mapping[str, Found],
+    found: Mapping[str, FoundSensor],
     antenna: tuple[list[float], str] | None,
     clocks: Mapping[str, str],
     rest: float | None = None,

@@ -20,7 +20,7 @@ from bench.saving import save
 from bench.specs import TriadSpec
 from bench.wording import one_line
 from bench.workbench import result_table
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
 from bench.workbench.new_log import new_log
 
@@ -89,7 +89,7 @@ def _print_drifts(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the drift in each outage, intervals below their values."""
     texts, keys = zip(*map(format_drift_row, rows), strict=True), DRIFT_COLUMNS[:2]
     columns = {
-        head: Column([text.replace(" (", "\n(") for text in cells], words=head in keys)
+        head: TableColumn([text.replace(" (", "\n(") for text in cells], words=head in keys)
         for head, cells in zip(DRIFT_COLUMNS, texts, strict=True)
     }
     print_table(console, columns, keys, "Horizontal drift without GNSS [m]")
@@ -262,18 +262,18 @@ def _print_allan_table(curve: AllanCurve, console: Console) -> None:
     """Print a curve; ``!`` marks a ratio outside its band."""
     unit, factor = SHOWN_UNITS[curve.triad]
     columns = {
-        "tau [s]": Column([f"{tau:g}" for tau in curve.tau]),
-        "measured": Column([f"{factor * value:.4g}" for value in curve.measured]),
+        "tau [s]": TableColumn([f"{tau:g}" for tau in curve.tau]),
+        "measured": TableColumn([f"{factor * value:.4g}" for value in curve.measured]),
     }
     if curve.terms:
         low, ratio, high = (x / curve.expected for x in (curve.low, curve.measured, curve.high))
         marks = np.where((low <= ratio) & (ratio <= high), "  ", " !")
         columns |= {
-            "datasheet": Column([f"{factor * value:.4g}" for value in curve.expected]),
-            "ratio": Column([f"{value:.3f}{mark}" for value, mark in zip(ratio, marks, strict=True)]),
-            "99.9 % band": Column([f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)]),
+            "datasheet": TableColumn([f"{factor * value:.4g}" for value in curve.expected]),
+            "ratio": TableColumn([f"{value:.3f}{mark}" for value, mark in zip(ratio, marks, strict=True)]),
+            "99.9 % band": TableColumn([f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)]),
         }
-    columns["degrees of freedom"] = Column([f"{value:.0f}" for value in curve.edf])
+    columns["degrees of freedom"] = TableColumn([f"{value:.0f}" for value in curve.edf])
     print_table(console, columns, ["tau [s]"], f"{curve.triad}, Allan deviation in {unit}")
 
 

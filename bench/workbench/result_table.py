@@ -23,7 +23,7 @@ from bench.evaluation.key_figures import (
 from bench.run_result import RunResult
 from bench.specs import Profile
 from bench.wording import format_number, one_line
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 
 _STYLES = {
     verdict.OVERCONFIDENT: "bold red",
@@ -76,8 +76,8 @@ def print_bound(console: Console, measured: Measured) -> None:
             text = f"{format_number(row['ratio'])}\n{low}-{high}"
             cells.setdefault(f"{row['quantity']} {row['phase']}", {})[label] = text
     head = "rms over that of the best linear estimator"
-    columns = {label: Column([texts.get(label, "") for texts in cells.values()]) for label in held}
-    print_table(console, {head: Column(list(cells), words=True), **columns}, [head])
+    columns = {label: TableColumn([texts.get(label, "") for texts in cells.values()]) for label in held}
+    print_table(console, {head: TableColumn(list(cells), words=True), **columns}, [head])
     meaning = "Below each ratio its 99.9 % interval, by the correlation in time of this one run."
     console.print(meaning, style="dim")
 

@@ -12,11 +12,11 @@ from rich.table import Table
 from bench import config
 from bench.config.figure_table import ASSUMED, tabulate_figures
 from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 
 _DEG = 180 / math.pi
 
@@ -133,7 +133,7 @@ def print_sensors(console: Console) -> None:
     """Print the figures of all sensors of the catalog, a table for each kind."""
     for kind in KINDS:
         figures = tabulate_figures(kind)
-        columns = {name: Column(cells, words=name in (kind, "class")) for name, cells in figures.items()}
+        columns = {name: TableColumn(cells, words=name in (kind, "class")) for name, cells in figures.items()}
         print_table(console, columns, [kind], kind)
     text = f"{ASSUMED} assumed, no source states it; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)

@@ -12,12 +12,13 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from bench import store
+from bench.findings import StudyResult, StudyTable
 from bench.report.study_page import format_cell
 from bench.report.writing import write_report
 from bench.studies.conducting import study
-from bench.studies.study import Progress, StudyResult, StudyTable
+from bench.studies.study import Progress
 from bench.workbench.console import PlainConsole
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 
 _MOST_ROWS = 40  # of a table that are printed
 
@@ -41,7 +42,7 @@ def run_study(name: str, *, console: Console, out: Path | None, report: bool, **
 def _print_table(console: Console, table: StudyTable) -> None:
     """Print the first rows of a table; if it has to be divided, each part has the columns that name a row."""
     columns = {
-        name: Column(
+        name: TableColumn(
             [format_cell(value) for value in values[:_MOST_ROWS]],
             words=any(isinstance(value, str) for value in values),
         )

@@ -12,7 +12,7 @@ from bench import config, pipeline
 from bench.compiled import choose_cache
 from bench.errors import ConfigError
 from bench.flight.legs.level import Straight
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.specs import EstimatorChoice, EvaluationWindow, FlightSpec, Profile
 
 _EVERY_SENSOR = "all-sensors"

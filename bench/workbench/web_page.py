@@ -30,7 +30,7 @@ def serve(recording: Path, port: int, viewer_port: int) -> Iterator[str]:
         If the port is in use.
     """
 
-    class Handler(_Handler):
+    class Handler(_FileHandler):
         file, inner = recording, viewer_port
 
     with ThreadingHTTPServer((LOCAL, port), Handler) as server:
@@ -42,7 +42,7 @@ def serve(recording: Path, port: int, viewer_port: int) -> Iterator[str]:
             server.shutdown()
 
 
-class _Handler(BaseHTTPRequestHandler):
+class _FileHandler(BaseHTTPRequestHandler):
     """Answer GET of the recording and of the files of the page."""
 
     file: Path

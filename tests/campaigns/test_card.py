@@ -25,7 +25,7 @@ from bench.config import load_profile
 from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import ConfigError
 from bench.exchange.solution_folder import name_draw
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.report.card_page import write_card
 from tests.campaigns import card_power
 from tests.campaigns.test_campaign import PROFILE

@@ -15,7 +15,7 @@ import bench
 from bench import pipeline
 from bench.campaigns import tuning
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import Judged, measure_costs
+from bench.campaigns.trials import HeldOutScore, measure_costs
 from bench.campaigns.worker import RunTask
 from bench.cli import main
 from bench.config import load_profile
@@ -127,7 +127,7 @@ def test_a_state_that_is_missing_is_told_by_innovations_that_repeat(here):
 )
 def test_what_is_known_of_a_factor_is_told(factor, ends, told):
     one = Estimate(1.0, 0.9, 1.1)
-    judged, name = Judged(one, one, {}), "imu.gyro.noise"
+    judged, name = HeldOutScore(one, one, {}), "imu.gyro.noise"
     found = tuning.Tuning("x", "consistency", {name: factor}, {name: ends}, True, 3, 3, judged, judged, 9, {})
     assert told in found.sentences[1]
 

@@ -23,7 +23,7 @@ from bench.causes.search import Causes, find_causes
 from bench.data import Trajectory
 from bench.evaluation.block_nees import BlockNees, find_broken_block, judge_blocks
 from bench.evaluation.error_series import error_series
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.specs import AssumedSpecs, Fault, Profile, SensorsSpec
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
@@ -119,7 +119,7 @@ def plant(spec: SensorsSpec, large: Collection[str]) -> SensorsSpec:
 def ask(large: Collection[str], run: int) -> Answer:
     """Return what a run names in which some sources are large."""
     profile, truth = fly()
-    one = estimator.load(USE, OPTIONS)
+    one = built_in.load(USE, OPTIONS)
 
     def measure(spec: SensorsSpec) -> dict[str, BlockNees]:
         sensed = sensors.sense(truth, spec, profile.seed, run)

@@ -85,7 +85,7 @@ class Own:
     """Somebody's filter, which does not say what it leaves out."""
 
     def run(self, data, initial):
-        return bench.navigation.estimator.load("loose-15", {}).run(data, initial)
+        return bench.navigation.built_in.load("loose-15", {}).run(data, initial)
 
 
 def test_the_runs_count_as_cpu_of_the_causes():

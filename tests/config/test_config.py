@@ -26,7 +26,7 @@ from bench.fields import triad_figures_of
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
-from bench.navigation.estimator import BUILT_IN
+from bench.navigation.built_in import BUILT_IN
 from bench.places import PACKAGE
 from bench.specs import TriadSpec
 

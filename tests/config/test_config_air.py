@@ -13,7 +13,7 @@ from bench.cli import main
 from bench.config.datasheets import SENSORS
 from bench.errors import ConfigError
 from bench.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 
 PROFILE = """
 aircraft = "aerosonde"

@@ -20,7 +20,7 @@ from bench import config, pipeline
 from bench.data import NavSolution, Sensed, Trajectory
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.verdict import BROKEN, add_verdict
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.specs import Profile
 
 USE = "loose-15"
@@ -125,7 +125,7 @@ def give(mistake: str, run: int, name: str = "s-turns") -> tuple[NavSolution, Se
     data = sensed.data
     if mistake == "0.1 s late":  # what the filter answers for t - 0.1 s is said to be of t
         data = replace(data, output_t=data.output_t[5:] - LATE)
-    solution = estimator.answer(estimator.load(USE, {}), USE, data, sensed.initial)
+    solution = estimator.answer(built_in.load(USE, {}), USE, data, sensed.initial)
     if mistake == "0.1 s late":
         solution = replace(solution, t=solution.t + LATE)
     return MISTAKES[mistake][0](solution, data) if mistake else solution, sensed

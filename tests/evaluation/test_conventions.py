@@ -164,7 +164,7 @@ class Late:
         late = np.maximum(data.output_t - mistaken.LATE, data.output_t[0])
         late[1:] = np.maximum(late[1:], data.output_t[0] + 1e-3 * np.arange(1, len(late)))
         asked = replace(data, output_t=late)
-        solution = bench.navigation.estimator.load("loose-15", {}).run(asked, initial)
+        solution = bench.navigation.built_in.load("loose-15", {}).run(asked, initial)
         return replace(solution, t=data.output_t)
 
 

@@ -14,7 +14,7 @@ from bench.data import InitialState, NavSolution, SensorData
 from bench.evaluation.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_answered_epochs, find_covered_epochs
 from bench.evaluation.verdict import add_verdict
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from tests.builders import take
 from tests.campaigns.test_campaign import PROFILE
 from tests.evaluation.solutions import weaving_truth, wrong_solution

@@ -12,7 +12,7 @@ import bench
 from bench import sensors
 from bench.evaluation.error_series import error_series
 from bench.evaluation.motion_noise import BANDS, LEAST, assume_motion_noise, measure_motion_noise
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from tests.builders import take
 from tests.exchange import drives
 from tests.weaving import IMU, units, weaving

@@ -12,7 +12,7 @@ from bench.campaigns.groups import Group
 from bench.campaigns.plan import Condition, plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.config.listing import list_profiles
-from bench.navigation import estimator
+from bench.navigation import built_in
 from bench.specs import EvaluationWindow
 from tests import nees_table
 
@@ -71,7 +71,7 @@ def test_the_campaign_files_hold_every_estimator_on_every_profile():
             flown += [(profile, one.label) for one in cell.profile.estimators]
     assert len(flown) == len(set(flown))
     names, equal = {entry.name for entry in list_profiles()}, {"classic-22", "error-ekf"}
-    used = set(estimator.BUILT_IN) - equal
+    used = set(built_in.BUILT_IN) - equal
     assert used == {name for labels in nees_table.TABLES for name in labels}
     receivers = {name: bench.load_profile(name).sensors.gnss for name in names}
     sky = {name for name, receiver in receivers.items() if receiver is not None and receiver.sky is not None}

@@ -20,7 +20,7 @@ from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines, observations
-from bench.signals.orbits import KEPLER
+from bench.orbit_sets import KEPLER
 from tests.data import gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.flight.trimming import Condition, Trim, place, present_accelerations, trim_aircraft
+from bench.flight.trimming import Trim, TrimCondition, place, present_accelerations, trim_aircraft
 
 G = 9.80665  # standard gravity [m/s^2]
 LONGITUDINAL, LATERAL = [0, 2, 4, 7], [1, 3, 5, 6]  # u, w, q, pitch; v, p, r, roll of ``linearize``
@@ -120,7 +120,7 @@ def of_table(at: Flight, longitudinal: LongitudinalTable, lateral: LateralTable)
     return named(longitudinal_matrix(at, longitudinal), lateral_matrix(at, lateral))
 
 
-def of_model(fdm: Any, condition: Condition) -> Modes:
+def of_model(fdm: Any, condition: TrimCondition) -> Modes:
     """The modes the model has about its trimmed flight in a condition."""
     A = linearize(fdm, condition, trim_aircraft(fdm, condition))
     return named(A[np.ix_(LONGITUDINAL, LONGITUDINAL)], A[np.ix_(LATERAL, LATERAL)])
@@ -137,7 +137,7 @@ def beyond(found: Modes, reference: Modes, bounds: Mapping[str, float] = BOUNDS)
     return {mode: apart[mode] for mode in bounds if not apart[mode] <= bounds[mode]}
 
 
-def linearize(fdm: Any, condition: Condition, trimmed: Trim, step: float = 1e-4) -> FloatArray:
+def linearize(fdm: Any, condition: TrimCondition, trimmed: Trim, step: float = 1e-4) -> FloatArray:
     """Return the state matrix about a trimmed flight by central differences, (8, 8).
 
     States: u, v, w [m/s], p, q, r [rad/s], roll, pitch [rad], body axes, no wind.
@@ -154,7 +154,7 @@ def linearize(fdm: Any, condition: Condition, trimmed: Trim, step: float = 1e-4)
     def derivative(x: FloatArray) -> FloatArray:
         u, v, w, p, q, r, roll, pitch = (float(value) for value in x)
         speed = float(np.linalg.norm(x[:3]))
-        moved = Condition(condition.lat, condition.lon, condition.alt, condition.heading, speed)
+        moved = TrimCondition(condition.lat, condition.lon, condition.alt, condition.heading, speed)
         place(
             fdm,
             moved,

@@ -17,14 +17,14 @@ from numpy.testing import assert_allclose
 from bench.errors import FlightError
 from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT
-from bench.flight.trimming import Condition, place, trim_aircraft
+from bench.flight.trimming import TrimCondition, place, trim_aircraft
 from bench.flight.wind import air_velocity, set_wind
 from tests.flight import modes
 from tests.flight.plans import AEROSONDE
 
 DT = 1 / 400
 DENSITY = 1.2682  # [kg/m^3]
-LEVEL = Condition(lat=radians(45.0), lon=0.0, alt=100.0, heading=radians(30.0), speed=25.0)
+LEVEL = TrimCondition(lat=radians(45.0), lon=0.0, alt=100.0, heading=radians(30.0), speed=25.0)
 NEWTON_PER_LBF = 4.4482216152605
 SLUG_FT3 = NEWTON_PER_LBF / FT**4  # [kg/m^3]
 J = np.array([[0.8244, 0.0, -0.1204], [0.0, 1.135, 0.0], [-0.1204, 0.0, 1.759]])  # published [kg m^2]

@@ -10,7 +10,7 @@ import pytest
 from bench.config.library import read_aircraft, read_jsbsim_aircraft
 from bench.config.listing import list_aircraft
 from bench.flight.executive import load_aircraft
-from bench.flight.trimming import Condition, trim_aircraft
+from bench.flight.trimming import TrimCondition, trim_aircraft
 from bench.specs import AircraftSpec
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
@@ -20,9 +20,9 @@ FOREIGN = {
 }
 
 
-def flights(spec: AircraftSpec) -> list[Condition]:
+def flights(spec: AircraftSpec) -> list[TrimCondition]:
     """The trimmed flights of a file, in the middle latitudes."""
-    return [Condition(radians(47.0), radians(11.0), alt, 1.0, speed) for alt, speed in spec.trims]
+    return [TrimCondition(radians(47.0), radians(11.0), alt, 1.0, speed) for alt, speed in spec.trims]
 
 
 @pytest.mark.parametrize("name", OWN)

@@ -22,7 +22,7 @@ from bench.flight.jsbsim_units import FT
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.trimming import Condition, place, trim_aircraft
+from bench.flight.trimming import TrimCondition, place, trim_aircraft
 from tests.flight import modes747 as etkin
 from tests.flight.modes import linearize
 from tests.flight.plans import plan, truth_of
@@ -35,7 +35,7 @@ NEWTON_PER_LBF = 4.4482216152605
 SLUG_FT3 = NEWTON_PER_LBF / FT**4  # [kg/m^3]
 ALPHA = radians(4.6)  # of the stability axes of Etkin's condition
 FT_40K = 40_000 * FT
-AT_ETKIN = Condition(lat=radians(45.0), lon=0.0, alt=FT_40K, heading=radians(30.0), speed=etkin.U)
+AT_ETKIN = TrimCondition(lat=radians(45.0), lon=0.0, alt=FT_40K, heading=radians(30.0), speed=etkin.U)
 CRUISE = replace(AT_ETKIN, alt=10_668.0, speed=240.0)
 APPROACH = replace(AT_ETKIN, alt=400.0, speed=78.0)
 LONGITUDINAL, LATERAL = [0, 2, 4, 7], [1, 3, 5, 6]
@@ -161,7 +161,7 @@ class Tunnel:
     def at(self, mach: float, alt: float, alpha: float) -> dict[str, float]:
         fdm = self.fdm
         # JSBSim's altitude above sea level differs from the ellipsoidal one by millimetres
-        air = Condition(radians(45.0), 0.0, max(alt, 30.0), 0.0, 100.0)
+        air = TrimCondition(radians(45.0), 0.0, max(alt, 30.0), 0.0, 100.0)
         place(fdm, air, alpha, 0.0, 0.0, 0.0, 0.0, 0.0)
         speed = mach * fdm["atmosphere/a-fps"] * FT
         place(fdm, replace(air, speed=speed), alpha, 0.0, 0.0, 0.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ from bench.flight.jsbsim_units import FT
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.trimming import Condition, place, trim_aircraft
+from bench.flight.trimming import TrimCondition, place, trim_aircraft
 from tests.flight import modes
 from tests.flight.plans import plan
 
@@ -35,7 +35,7 @@ SLUG = LBF / FT  # [kg]
 SLUG_FT2, SLUG_FT3 = SLUG * FT**2, SLUG / FT**3  # [kg m^2], [kg/m^3]
 DENSITY = 0.0023769  # at sea level [slug/ft^3]
 SPEED = 176 * FT  # [m/s]
-LEVEL = Condition(lat=radians(45.0), lon=0.0, alt=100.0, heading=radians(30.0), speed=SPEED)
+LEVEL = TrimCondition(lat=radians(45.0), lon=0.0, alt=100.0, heading=radians(30.0), speed=SPEED)
 
 FLIGHT = modes.Flight(
     mass=2750 * LB,

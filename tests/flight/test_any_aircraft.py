@@ -27,7 +27,7 @@ from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.model_files import copy_aircraft
-from bench.flight.trimming import Condition, trim_aircraft
+from bench.flight.trimming import TrimCondition, trim_aircraft
 from bench.rotation import rotate, to_euler
 from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.store.truth_cache import truth_key
@@ -176,7 +176,7 @@ def test_the_trim_leaves_nothing_and_comes_back_to_the_same_whatever_was_before(
     monkeypatch.chdir(tmp_path)
     spec = plan(tmp_path)
     fdm = load_aircraft(spec.aircraft, 1 / 400)
-    here = Condition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed)
+    here = TrimCondition(spec.lat, spec.lon, spec.alt, spec.heading, spec.speed)
     first = trim_aircraft(fdm, here, guided=False)
     assert first.residual < 1e-6
     trim_aircraft(fdm, replace(here, speed=48.0), guided=False)

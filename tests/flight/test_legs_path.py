@@ -13,7 +13,7 @@ from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.legs.level import Straight
 from bench.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints
-from bench.flight.paths import Path, Segment
+from bench.flight.paths import Segment, SegmentPath
 from tests.flight.plans import CALM, plan
 
 BANK = radians(30.0)
@@ -53,7 +53,7 @@ def test_a_point_beside_a_segment_is_found_where_it_was_put(segment):
 
 def test_a_path_towards_a_point_leads_to_it():
     for target in ((3000.0, 400.0), (-2000.0, -900.0), (-500.0, 1000.0)):
-        path = Path((100.0, 50.0), radians(85.0))
+        path = SegmentPath((100.0, 50.0), radians(85.0))
         path.towards(target, 200.0, "it")
         path.straight(hypot(target[0] - path.point[0], target[1] - path.point[1]))
         assert_allclose(path.point, target, atol=1e-6)

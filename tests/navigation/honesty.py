@@ -29,7 +29,7 @@ from bench.data import Trajectory
 from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import error_series
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 FOLDER = Path(bench.__file__).parent
@@ -187,7 +187,7 @@ def judge_draws(
 ) -> list[Judged]:
     """Return the NEES and NIS of estimators over draws; all get the same sensors."""
     found = [Judged(profile.name, unit, use) for use, _ in uses]
-    built = [estimator.load(use, options) for use, options in uses]
+    built = [built_in.load(use, options) for use, options in uses]
     for run in runs:
         sensed = pipeline.sense(profile, truth, run)
         for one, judged in zip(built, found, strict=True):
@@ -231,7 +231,7 @@ def measure(
             profile = replace(bench.load_profile(name, {**overrides, "evaluation.output_hz": 1.0}), seed=seed)
             label = profile.sensors.imu.name if unit == "own" else unit
             pairs = [
-                (use, {"covariance_hz": hz} if hz and estimator.takes_option(use, "covariance_hz") else {})
+                (use, {"covariance_hz": hz} if hz and built_in.takes_option(use, "covariance_hz") else {})
                 for use in uses
             ]
             found = judge_draws(profile, truth, label, pairs, range(runs))

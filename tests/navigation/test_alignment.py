@@ -19,8 +19,8 @@ from bench.data import Trajectory, no_air, no_controls, no_events
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
+from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
-from bench.navigation.estimator import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
 from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
@@ -506,7 +506,7 @@ def test_estimators_align_say_so_and_are_silent_before(name, kind):
     spec = level(FINE) if kind == "level" else course(FINE)
     truth = standing(16.0) if kind == "level" else straight(15.0)
     sensed = sensors.sense(truth, replace(spec, align_for=10.0), 1, 0)
-    slow = BUILT_IN[name].place.startswith("bench.navigation.models.classic")
+    slow = BUILT_IN[name].import_class().__module__.startswith("bench.navigation.models.classic")
     estimator = load(name, {"covariance_hz": 2.0} if slow else {})
     bench.check_estimator(estimator, sensed.data, sensed.initial)
     solution = estimator.run(sensed.data, sensed.initial)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from bench import sensors
+from bench.navigation.built_in import load
 from bench.navigation.causality import LookAhead, change_later, measure_look_ahead
-from bench.navigation.estimator import load
 from bench.specs import Fault
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import GNSS, units, weaving

@@ -17,9 +17,9 @@ from scipy.linalg import expm
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.errors import EstimatorError
+from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
 from bench.navigation.error_state_filter import antenna_rows, error_state
-from bench.navigation.estimator import load
 from bench.navigation.models.classic import (
     Classic22,
     error_dynamics,

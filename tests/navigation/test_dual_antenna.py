@@ -13,7 +13,7 @@ from bench import rotation, sensors
 from bench.config.fault_tables import read_faults
 from bench.evaluation.error_series import error_series
 from bench.instruments import HeadingSpec
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.sensors import dual_antenna
 from tests.builders import ensemble, put
 from tests.synthetic import still, turning

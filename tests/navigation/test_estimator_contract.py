@@ -21,7 +21,8 @@ from bench import sensors
 from bench.data import NavSolution
 from bench.errors import EstimatorError
 from bench.evaluation import metrics
-from bench.navigation.estimator import BUILT_IN, check_needs, load
+from bench.navigation.built_in import BUILT_IN, load
+from bench.navigation.estimator import check_needs
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import EvaluationWindow
 from tests.builders import assert_same_solution
@@ -66,8 +67,10 @@ def test_they_keep_it_without_aiding(sensed, name):
 
 def shorten(data, name):
     """The first five seconds of a record for the filters in plain Python; all of it for the others."""
-    if not BUILT_IN[name].place.startswith(
-        ("bench.navigation.models.classic", "bench.navigation.models.graph")
+    if (
+        not BUILT_IN[name]
+        .import_class()
+        .__module__.startswith(("bench.navigation.models.classic", "bench.navigation.models.graph"))
     ):
         return data
     cut = {
@@ -341,7 +344,7 @@ def test_a_block_that_is_not_estimated_is_nan_throughout_and_no_breach(sensed):
 
 ALONE = """
 import pickle, sys
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 with open(sys.argv[1], "rb") as file:
     data, initial = pickle.load(file)
 solutions = {name: load(name, {}).run(one, initial) for name, one in data.items()}

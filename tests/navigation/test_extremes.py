@@ -12,7 +12,7 @@ import pytest
 
 from bench import sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import BUILT_IN, load
+from bench.navigation.built_in import BUILT_IN, load
 from tests.builders import at_rest, band, steered
 from tests.navigation.test_alignment import FINE
 from tests.navigation.test_tight import MATCHED

@@ -18,10 +18,10 @@ from bench.config import load_profile
 from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
+from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
-from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.signals.magnetic import field_n
 from tests.builders import first_rows, take

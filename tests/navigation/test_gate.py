@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.errors import EstimatorError
+from bench.navigation.built_in import load
 from bench.navigation.engine.gate import (
     LOST,
     REFUSED,
@@ -16,7 +17,6 @@ from bench.navigation.engine.gate import (
     moves_kernel,
     new_trust,
 )
-from bench.navigation.estimator import load
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro", "radar")
 RADAR = 3

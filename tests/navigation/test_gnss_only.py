@@ -21,7 +21,7 @@ from bench.data import Trajectory, no_air, no_controls, no_events
 from bench.errors import EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.models.gnss_only import GnssOnly
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.singer import singer

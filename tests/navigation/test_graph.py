@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.models.graph.flat_frame import FlatFrame
 from tests.builders import band, ensemble
 from tests.weaving import DEG, IMU, units, weaving
@@ -133,7 +133,7 @@ def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
 def test_gtsam_is_imported_by_a_run_alone():
     """One door: neither the list of estimators nor their construction pays for the import."""
     code = (
-        "import sys\nfrom bench.navigation.estimator import BUILT_IN, load\n"
+        "import sys\nfrom bench.navigation.built_in import BUILT_IN, load\n"
         "[load(name, {}) for name in BUILT_IN]\nsys.exit('gtsam' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 import bench
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from tests.builders import Z
 from tests.navigation import honesty
 

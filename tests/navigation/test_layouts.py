@@ -13,9 +13,10 @@ from bench import earth, pipeline
 from bench.config import load_profile
 from bench.evaluation.error_series import error_series
 from bench.fields import triad_figures_of
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
-from bench.navigation.estimator import find_same, load
+from bench.navigation.estimator import find_same
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student

@@ -24,8 +24,8 @@ from bench.instruments import (
     OdometerSpec,
     RadarSpec,
 )
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
-from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Passage
 from bench.navigation.start.steady_course import Gyros
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec

@@ -7,7 +7,7 @@ from rich.console import Console
 
 from bench.config import load_profile
 from bench.errors import ConfigError
-from bench.navigation.estimator import BUILT_IN, load
+from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.options import described
 from bench.workbench import show
 

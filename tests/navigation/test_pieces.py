@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import bench
 from bench import config, disk_arrays, sensors
 from bench.errors import EstimatorError
-from bench.navigation import estimator
+from bench.navigation import built_in
 from tests.builders import assert_same_solution, at_rest, put, take
 from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving
 
@@ -120,7 +120,7 @@ def whole(use):
 
 
 def loaded(use):
-    return estimator.load(use.split()[0], (USES | SEVERAL | OTHERS)[use])
+    return built_in.load(use.split()[0], (USES | SEVERAL | OTHERS)[use])
 
 
 def record(use):
@@ -268,7 +268,7 @@ def test_an_answer_is_that_of_a_record_that_ends_there():
         filter_.feed(bench.take_piece(data, begin, end))
         answer = filter_.answer()
         ended = replace(bench.take_piece(data, -1.0, end), output_t=answer.t)
-        expected = estimator.load("loose-22", USES["loose-22"]).run(ended, initial)
+        expected = built_in.load("loose-22", USES["loose-22"]).run(ended, initial)
         for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
             assert_array_equal(getattr(answer, name), getattr(expected, name), err_msg=name)
         assert end - 0.02 < answer.t[0] <= end
@@ -280,7 +280,7 @@ def test_asking_changes_no_bit_of_a_whole_record():
     rare = replace(data, output_t=data.output_t[-1:])
     often = replace(data, output_t=np.arange(0.0, data.imu.t[-1], 0.013))
     often = replace(often, output_t=np.append(often.output_t, data.output_t[-1]))
-    a, b = (estimator.load("loose-15", {"covariance_hz": 7.0}).run(one, initial) for one in (rare, often))
+    a, b = (built_in.load("loose-15", {"covariance_hz": 7.0}).run(one, initial) for one in (rare, often))
     for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
         assert_array_equal(getattr(a, name)[-1], getattr(b, name)[-1], err_msg=name)
 
@@ -288,7 +288,7 @@ def test_asking_changes_no_bit_of_a_whole_record():
 def test_an_answer_between_samples_lies_on_the_way_between_them():
     initial, data = drawn()
     times = np.array([6.99, 6.9931, 7.0])
-    solution = estimator.load("loose-15", {}).run(replace(data, output_t=times), initial)
+    solution = built_in.load("loose-15", {}).run(replace(data, output_t=times), initial)
     share = (times[1] - times[0]) / (times[2] - times[0])
     for name, slack in (("lla", 1e-11), ("vel_n", 2e-2)):
         one = getattr(solution, name)
@@ -364,7 +364,7 @@ def test_a_measurement_later_than_the_filter_looks_back_is_refused():
         filter_.feed(bench.take_piece(data, 2.6, 3.0))
     patient = bench.open_filter("loose-15", initial, look_back=2.0)
     found = [patient.feed(piece) for piece in pieces(data, [2.6, 3.0, 7.7])]
-    expected = estimator.load("loose-15", {}).run(data, initial)
+    expected = built_in.load("loose-15", {}).run(data, initial)
     assert_same_solution(joined([*found, patient.finish()]), expected)
 
 
@@ -388,7 +388,7 @@ def test_a_filter_that_has_to_align_itself_waits_for_its_start(alignment, tmp_pa
         found.append(filter_.feed(piece))
         filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
     assert len(found[3]) == 0
-    assert_same_solution(joined([*found, filter_.finish()]), estimator.load("loose-15", {}).run(data, start))
+    assert_same_solution(joined([*found, filter_.finish()]), built_in.load("loose-15", {}).run(data, start))
 
 
 def test_a_start_that_cannot_be_found_is_said():

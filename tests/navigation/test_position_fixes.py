@@ -19,7 +19,7 @@ from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.error_series import error_series
 from bench.exchange.log_records import read_records
 from bench.exchange.log_start import find_start
-from bench.navigation.estimator import BUILT_IN, load
+from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
 from bench.specs import ImuSpec, TriadSpec

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from bench import sensors
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from tests.builders import steered, take
 from tests.weaving import DEG, GNSS, units
 

@@ -16,9 +16,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.evaluation.error_series import error_series
+from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run
-from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.learnt_biases import LearntBiases
 from bench.navigation.start.whole_records import run_between_gaps

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 from bench import disk_arrays, pipeline, rotation
 from bench.config import load_profile
 from bench.data import GnssFixes
+from bench.navigation.built_in import load
 from bench.navigation.engine.kept_rows import take_observations
 from bench.navigation.error_state_filter.error_state import StateLayout, less_errors, state_errors
 from bench.navigation.error_state_filter.filter_run import Nodes
-from bench.navigation.estimator import load
 from bench.navigation.models.smoother import smooth
 from tests.builders import assert_same_solution, take
 from tests.navigation.test_layouts import RUNS, claims

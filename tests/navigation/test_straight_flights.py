@@ -16,7 +16,7 @@ from scipy.stats import chi2
 import bench
 from bench import pipeline
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.specs import Fault
 from tests.navigation import honesty
 

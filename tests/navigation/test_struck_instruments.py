@@ -18,8 +18,8 @@ from bench import sensors
 from bench.data import AirData
 from bench.evaluation.error_series import error_series
 from bench.instruments import INSTRUMENTS, AirspeedSpec, HeadingSpec, MagSpec, OdometerSpec, RadarSpec
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
-from bench.navigation.estimator import load
 from bench.specs import Fault
 from tests.weaving import BARO, units, weaving
 

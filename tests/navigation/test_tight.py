@@ -16,12 +16,12 @@ from bench import config, earth, rotation, sensors
 from bench.data import GLONASS, GPS, GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import error_state, measurement_rows, ranging
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, index_of
-from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.specs import EvaluationWindow, Fault
 from tests.builders import ensemble

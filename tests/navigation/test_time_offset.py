@@ -18,8 +18,8 @@ from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, find_start
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
-from bench.navigation.estimator import load
 from tests.builders import put
 from tests.weaving import units, weaving
 

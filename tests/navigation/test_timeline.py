@@ -14,8 +14,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation
+from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
-from bench.navigation.estimator import load
 from bench.navigation.models.loose_tight import Loose
 from tests.builders import assert_same_solution, put, take
 from tests.weaving import units

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import bench
 from bench import pipeline
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.start import steady_course, turn_on
 from tests.builders import Z, at_rest, band, first_rows
 from tests.navigation import honesty

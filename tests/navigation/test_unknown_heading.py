@@ -12,7 +12,7 @@ from bench import pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.data import InitialState
 from bench.evaluation.error_series import error_series
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
 from bench.navigation.start import headings
 from tests.builders import band, first_rows, steered, student

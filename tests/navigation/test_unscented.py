@@ -12,8 +12,8 @@ import bench
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
+from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import BARO_BIAS, state_model
-from bench.navigation.estimator import load
 from bench.navigation.models import ukf
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.models.ukf import Unscented

@@ -12,7 +12,7 @@ from bench import earth, pipeline
 from bench.data import GnssFixes
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.specs import GnssSpec
@@ -102,8 +102,8 @@ def test_gnss_faults_are_detected_the_filter_recovers_and_is_honest_outside():
     """During faults detection and error are judged, after the last one recovery, before the first NEES."""
     profile = bench.load_profile("gnss-faults")
     truth = bench.fly(profile)
-    one = estimator.load("loose-full", {"integrity": ["nis", "velocity"]})
-    plain = estimator.load("loose-full", {})
+    one = built_in.load("loose-full", {"integrity": ["nis", "velocity"]})
+    plain = built_in.load("loose-full", {})
     outside, led = [], []
     for run in range(6):
         sensed = bench.sense(profile, truth, run=run)
@@ -128,4 +128,4 @@ def test_gnss_faults_are_detected_the_filter_recovers_and_is_honest_outside():
 )
 def test_a_filter_without_fixes_refuses_the_test(use, options):
     with pytest.raises((EstimatorError, ValueError), match="integrity = 'velocity'"):
-        estimator.load(use, {"integrity": ["nis", "velocity"], **options})
+        built_in.load(use, {"integrity": ["nis", "velocity"], **options})

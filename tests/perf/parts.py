@@ -14,7 +14,7 @@ from dataclasses import replace
 from bench import config, pipeline
 from bench.compiled import kernel
 from bench.data import Sensed
-from bench.navigation import estimator
+from bench.navigation import built_in
 from bench.navigation.error_state_filter import filter_run
 from bench.navigation.error_state_filter.error_state import (
     covariance_kernel,
@@ -58,7 +58,7 @@ def _covariance_kernel(count, P, G, decay, noise, fading, drives, factor, memory
 
 def step_parts(sensed: Sensed) -> dict[str, tuple[Callable[[], object], int]]:
     """Return the parts of a step of the covariance of ``loose-22``, each done `STEPS` times."""
-    run = Passage(estimator.load("loose-22", {}), sensed.data, sensed.initial, []).run
+    run = Passage(built_in.load("loose-22", {}), sensed.data, sensed.initial, []).run
     process, work, T = run.model.process, run.work, 0.05
     step, lost = work.step, work.carried.lost
     nav, C, dv = run.now.state[:10].copy(), work.carried.C_mean, work.measure.vectors[5]
@@ -89,7 +89,7 @@ def main() -> None:
     last = replace(data, output_t=data.output_t[-1:])
 
     def run(record, **options):
-        filter_ = estimator.load("loose-22", {"covariance_hz": 20.0, **options})
+        filter_ = built_in.load("loose-22", {"covariance_hz": 20.0, **options})
         return lambda: filter_.run(record, start), len(imu.t)
 
     def strapdown():

@@ -33,7 +33,7 @@ from bench.campaigns.heap import keep_freed_memory
 from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.navigation import estimator
+from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.report import page
@@ -193,7 +193,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
     epochs = len(sensed.data.imu.t)
 
     def run(use: str, sky: bool = False, **options: object) -> tuple[Callable[[], object], int]:
-        filter_, record = estimator.load(use, options), satellites if sky else sensed
+        filter_, record = built_in.load(use, options), satellites if sky else sensed
         return lambda: filter_.run(record.data, record.initial), epochs
 
     def strapdown() -> None:
@@ -203,7 +203,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
     def monte_carlo() -> None:
         keep_freed_memory()  # as a worker of a campaign does
         drawn = pipeline.sense(matched, truth, 1)
-        pipeline.judge(matched, truth, estimator.load("loose-22", slow).run(drawn.data, drawn.initial))
+        pipeline.judge(matched, truth, built_in.load("loose-22", slow).run(drawn.data, drawn.initial))
 
     every, slow = {"covariance_hz": None}, {"covariance_hz": 20.0}
     cost = epoch_costs(
@@ -398,7 +398,7 @@ def compiling() -> list[Figure]:
 
 FIRST_ANSWER = """
 import pickle, sys
-from bench.navigation.estimator import BUILT_IN, load
+from bench.navigation.built_in import BUILT_IN, load
 with open(sys.argv[1], "rb") as file:
     data, initial = pickle.load(file)
 for name in sys.argv[2:] or [use for use, row in BUILT_IN.items() if row.package is None]:

@@ -31,8 +31,8 @@ from bench.data import (
 )
 from bench.evaluation.error_series import error_series
 from bench.evaluation.verdict import add_verdict
+from bench.findings import series
 from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
-from bench.plots import series
 from bench.plots.tabs import comparison
 from bench.recording import drawing, layout, words
 from bench.run_result import RunResult
@@ -746,7 +746,7 @@ def test_events_are_told_in_order_of_time(run, flight):
     ("low", "high"), [(-8.0, 8.3), (-0.3, 24.0), (1200.0, 1310.0), (5.0, 5.0), (0.0, 0.0), (-3e-7, 1e-7)]
 )
 def test_limits_hold_all_values_and_waste_little(low, high):
-    from bench.plots.series import Plot, Series
+    from bench.findings.series import Plot, Series
 
     values = np.array([[99.0 * high + 7.0], [low], [high]])  # the first row lies in the alignment window
     series = Series("value", np.array([0.0, 1.0, 2.0]), values, ("v",), ((0, 0, 0),), (1.0,))

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 from bench import earth, rotation
 from bench.evaluation.route_errors import allowed_heading_error, cross_track_error
-from bench.flight.closed_form import STurns
+from bench.flight.closed_form import SwingingFlight
 from bench.navigation.register.mechanizations import accelerometers, attitude, coning, earth_series
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
@@ -26,12 +26,12 @@ LEVEL = {"bank": 0.0, "climb": 0.0, "nod": 0.0}  # the profile of section 3: not
 
 @pytest.fixture(scope="module")
 def flat():
-    return STurns(**LEVEL).fly(300.0, 100.0)
+    return SwingingFlight(**LEVEL).fly(300.0, 100.0)
 
 
 @pytest.fixture(scope="module")
 def banked():
-    return STurns().fly(60.0, 100.0)
+    return SwingingFlight().fly(60.0, 100.0)
 
 
 def errors(motion, nav):
@@ -98,7 +98,7 @@ def test_2_coriolis_and_transport_are_those_of_the_earth_fixed_frame():
 
 def test_3_the_inertial_frame_is_enu_over_600_s():
     """Within 0.01 m, with all tasks at 12.5 Hz."""
-    nav, dtheta, dvel = STurns().fly(600.0, 12.5)
+    nav, dtheta, dvel = SwingingFlight().fly(600.0, 12.5)
     ends = [navigate(name, nav[0], 0.08, dtheta, dvel).nav[-1] for name in ("inertial", "enu")]
     assert np.abs(earth.difference_n(ends[0][:3], ends[1][:3])).max() < 0.01
     assert np.abs(ends[0][3:6] - ends[1][3:6]).max() < 1e-3
@@ -396,7 +396,7 @@ def test_11_every_ellipsoid_is_flown(banked, ellipsoid):
 
 def test_12_accelerometers_alone_find_the_motion():
     """A cube of 0.5 m in turns: rate and force as they are, from readings that depend on the rate."""
-    flight, cube = STurns(), accelerometers.make_cube(0.5)
+    flight, cube = SwingingFlight(), accelerometers.make_cube(0.5)
     t = np.arange(2001) * 0.01
     lat = np.full_like(t, 0.9)
     (w, f), (late, _), (early, _) = (flight.sense(t + d, lat) for d in (0.0, 1e-3, -1e-3))

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 from bench import rotation, sensors
 from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import error_series
+from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
-from bench.navigation.estimator import load
 from bench.navigation.models.classic import (
     Classic22,
     error_dynamics,

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench import rotation, sensors
 from bench.earth import difference_n
 from bench.errors import EstimatorError
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.models.classic import Classic22, filter_loop, process_model
 from bench.navigation.models.classic.extrapolation import extrapolate
 from bench.navigation.register import vector_matching

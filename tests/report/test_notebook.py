@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from bench.errors import ConfigError
+from bench.findings import Findings, StudyResult, make_table
+from bench.findings.series import Plot, draw_line
 from bench.notebook import MOST_ROWS, Red, write_sentences, write_table
-from bench.plots.series import Plot, draw_line
-from bench.studies.study import Findings, StudyResult, make_table
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ import bench
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import list_key_figures
-from bench.plots.series import Plot, Series, draw_three_sigma
+from bench.findings.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
 from bench.wording import format_number
 from tests.test_api import SHORT

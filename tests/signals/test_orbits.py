@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from bench import earth
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines
+from bench.orbit_sets import KEPLER, GlonassSets, KeplerSets
 from bench.signals import dilution, orbits
-from bench.signals.orbits import KEPLER, C
+from bench.signals.orbits import C
 from tests.data import gnss_file
 from tests.signals.test_least_squares import view
 
@@ -46,7 +47,7 @@ def eccentric(**elements):
         }
         | elements
     )
-    return orbits.KeplerSets(np.array([5]), np.array([True]), np.array([[values[n] for n in KEPLER]]))
+    return KeplerSets(np.array([5]), np.array([True]), np.array([[values[n] for n in KEPLER]]))
 
 
 def at(sets, t, row=0):
@@ -162,7 +163,7 @@ def test_the_runge_kutta_step_is_small_enough():
 def test_glonass_motion_keeps_its_energy_in_the_rotating_frame():
     """v^2/2 - U(J2) - (w x r)^2/2 is constant without sun and moon: Jacobi's integral."""
     state = np.array([[0.0, -23809.8e3, -8908.9e3, 2209.4e3, 228.9, 253.6, 3556.0, 0, 0, 0, 0, 0]])
-    sets = orbits.GlonassSets(np.array([3]), np.array([True]), np.array([5]), state)
+    sets = GlonassSets(np.array([3]), np.array([True]), np.array([5]), state)
     found = at(sets, np.linspace(-1800.0, 1800.0, 61))
     r = np.linalg.norm(found.pos_e, axis=1)
     sin2 = (found.pos_e[:, 2] / r) ** 2
@@ -213,9 +214,7 @@ def test_a_track_follows_its_ephemerides():
 
 
 def test_the_nearest_healthy_set_serves():
-    sets = orbits.KeplerSets(
-        np.array([3, 3, 3, 7]), np.array([True, True, False, True]), np.zeros((4, len(KEPLER)))
-    )
+    sets = KeplerSets(np.array([3, 3, 3, 7]), np.array([True, True, False, True]), np.zeros((4, len(KEPLER))))
     sets.elements[:, 0] = [7200.0, 0.0, 14400.0, 0.0]
     sat, t = np.array([3, 3, 3, 7, 9]), np.array([3000.0, 4000.0, 14400.0, 8000.0, 0.0])
     assert orbits.find_nearest(sets, sat, t, 7200.0).tolist() == [1, 0, 0, -1, -1]

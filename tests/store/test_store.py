@@ -649,7 +649,7 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
     with pytest.raises(RuntimeError):
         store.cached_truth(spec, crash_later)
     assert list(cache.iterdir()) == []
-    monkeypatch.setattr(truth_cache._Column, "append", full)
+    monkeypatch.setattr(truth_cache._GrowingColumn, "append", full)
     equal(store.cached_truth(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text

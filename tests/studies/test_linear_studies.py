@@ -16,7 +16,7 @@ from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import describe_direction, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
-from bench.plots import series
+from bench.findings import series
 from bench.studies import budget as budget_study
 from bench.studies.budget import _give_colours
 from bench.workbench.result_table import print_bound

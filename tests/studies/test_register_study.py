@@ -9,7 +9,7 @@ import pytest
 import bench
 from bench.errors import ConfigError
 from bench.studies import register_proofs, register_rows
-from bench.studies.register_measures import Found
+from bench.studies.register_measures import RowFinding
 from bench.studies.register_rows import ROWS
 
 ROOT = Path(__file__).parents[2]
@@ -35,7 +35,7 @@ def test_what_takes_seconds_is_computed_and_holds(row):
 
 def test_a_row_that_does_not_hold_is_said(monkeypatch):
     rows = (
-        ROWS[53]._replace(measure=lambda: Found("1745.3 m", holds=False)),
+        ROWS[53]._replace(measure=lambda: RowFinding("1745.3 m", holds=False)),
         ROWS[41],
         ROWS[16]._replace(test="", open_because="nobody"),
     )

@@ -107,7 +107,7 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, **more):
     def fly(number):
         t = truth.t
         one = error(number) if callable(error) else error
-        return rnp._Watch(
+        return rnp._DrawWatch(
             t, np.full((100, 2), one), np.full((100, 2), level), np.zeros(100, bool),
             np.full(100, across(number)), np.full(100, off(number)),
         )  # fmt: skip

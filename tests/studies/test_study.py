@@ -19,12 +19,14 @@ from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.plots.series import Plot, draw_dots, draw_line
+from bench.findings import StudyTable
+from bench.findings.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
+from bench.store.study_folder import save_study
 from bench.studies import STUDIES
-from bench.studies.study import StudyTable, find_study, format_estimate, make_command, read_options
-from bench.studies.study_folder import save_study
+from bench.studies.conducting import find_study
+from bench.studies.study import format_estimate, make_command, read_options
 from bench.workbench import study_verb
 
 SHORT = {"outages_s": (60, 300)}

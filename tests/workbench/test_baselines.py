@@ -28,7 +28,7 @@ from bench.campaigns.batches import Lost
 from bench.data import ImuData
 from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import DEFAULT_GUARD, EvaluationWindow, Guard, stream
 from bench.workbench.check_verb import print_verdicts
@@ -225,7 +225,7 @@ def test_an_offset_in_time_that_is_gone_is_better_and_a_new_one_worse(measure, t
 def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path, monkeypatch):
     (tmp_path / "short.toml").write_text(test_cli.PROFILE)
     here = Guard(in_process=True)
-    flight = experiments.Flight(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False, here)
+    flight = experiments.FlightDraws(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False, here)
     flight.prepare()
     rows = [flight.measure(k).estimators["FailsAtTimes"] for k in range(6)]
     failed = [not row.converged for row in rows]
@@ -372,7 +372,7 @@ def test_the_cpu_time_of_a_filter_is_in_units_of_the_strapdown(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     here = Guard(in_process=True)
     uses = [f"{__name__}:{name}" for name in ("WorksOnce", "WorksTwice")]
-    flight = experiments.Flight("short.toml", uses, True, here, cpu=True)
+    flight = experiments.FlightDraws("short.toml", uses, True, here, cpu=True)
     flight.prepare()
     draws = [flight.measure(k) for k in range(6)]
     values = [[draw.estimators[label].metrics[CPU] for draw in draws] for label in flight.labels]

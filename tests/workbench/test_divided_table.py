@@ -18,7 +18,7 @@ from bench.evaluation.ensemble import Estimate
 from bench.evaluation.noise_curves import AllanCurve
 from bench.workbench import compare_verb, record_verbs
 from bench.workbench.campaign_verb import print_campaign
-from bench.workbench.divided_table import Column, print_table
+from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.result_table import print_bound
 
 METRICS = ("pos_rmse_h_m", "heading_rmse_deg", "cep95_m")
@@ -86,8 +86,8 @@ def test_an_allan_table_is_not_cut_and_marks_what_is_outside(width):
 
 def test_a_head_is_broken_after_spaces_and_underscores():
     columns = {
-        "unit": Column(["long " * 9] * 2, words=True),
-        "ANEES / n of_it_m": Column(["1.00 (0.9 to 1)"] * 2),
+        "unit": TableColumn(["long " * 9] * 2, words=True),
+        "ANEES / n of_it_m": TableColumn(["1.00 (0.9 to 1)"] * 2),
     }
     lines = print_at(40, lambda console: print_table(console, columns, ["unit"])).splitlines()
     assert [line.split("  ")[-1].strip() for line in lines[1:3]] == ["ANEES / n of_", "it_m"]
@@ -95,7 +95,7 @@ def test_a_head_is_broken_after_spaces_and_underscores():
 
 def test_a_title_may_be_wider_than_its_table():
     title = "Words above a table of one narrow column"
-    said = print_at(60, lambda console: print_table(console, {"unit": Column(["m"])}, ["unit"], title))
+    said = print_at(60, lambda console: print_table(console, {"unit": TableColumn(["m"])}, ["unit"], title))
     assert said.splitlines()[0].rstrip() == title
 
 

@@ -27,7 +27,8 @@ from bench.config import load_profile
 from bench.errors import EstimatorError
 from bench.evaluation.metrics import METRICS
 from bench.exchange.exports import FORMATS
-from bench.navigation.estimator import BUILT_IN, RECORDS, load
+from bench.navigation.built_in import BUILT_IN, load
+from bench.navigation.estimator import RECORDS
 from bench.workbench import guide
 
 ROOT = Path(__file__).parents[2]

@@ -31,7 +31,7 @@ from bench.evaluation.fixes import judge
 from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session, read_log
-from bench.navigation import estimator
+from bench.navigation import built_in, estimator
 from bench.navigation.models.loose_tight import Loose
 from bench.recording import column
 from tests.exchange import drives
@@ -333,7 +333,7 @@ def test_the_withheld_fixes_never_reach_the_filter(folder):
         recorded, fixes=replace(recorded.fixes, lla=np.where(hidden[:, None], 0.5, recorded.fixes.lla))
     )
     other = Session(spec, spoiled, session.initial).make_data(keep, session.make_output_times())
-    one = estimator.load("loose-15", {})
+    one = built_in.load("loose-15", {})
     assert_array_equal(
         estimator.answer(one, "x", data, session.initial).lla,
         estimator.answer(one, "x", other, session.initial).lla,
@@ -345,7 +345,7 @@ def test_the_drift_over_an_outage_is_that_of_the_known_truth(folder):
     spec = load_log(str(folder / "drive.toml"))
     recorded = read_records(spec)
     session = Session(spec, recorded, find_start(recorded, spec))
-    one = estimator.load("loose-15", {})
+    one = built_in.load("loose-15", {})
     flown = drives.truth()
     t = session.fixes.t
     for cut in session.run_outages(one, "x", 20.0, 3):
@@ -398,7 +398,7 @@ def outcome(path):
     session = Session(spec, recorded, find_start(recorded, spec))
     keep, withheld = session.split_fixes()
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
-    one = estimator.load(spec.estimators[0].use, spec.estimators[0].options)
+    one = built_in.load(spec.estimators[0].use, spec.estimators[0].options)
     solution = estimator.answer(one, "x", data, session.initial)
     _, metrics = judge(solution, withheld, data, spec.evaluation)
     return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
@@ -446,7 +446,7 @@ def test_the_start_is_where_the_car_is(folder, tmp_path, kind):
     session = Session(spec, recorded, initial)
     keep, _ = session.split_fixes()
     solution = estimator.answer(
-        estimator.load("loose-15", {}), "x", session.make_data(keep, session.make_output_times()), initial
+        built_in.load("loose-15", {}), "x", session.make_data(keep, session.make_output_times()), initial
     )
     ((_, end, _),) = solution.events.select("alignment")
     k = int(np.searchsorted(solution.t, end))
@@ -766,6 +766,6 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         session = Session(spec, recorded, find_start(recorded, spec))
         keep, withheld = session.split_fixes()
         data = session.make_data(keep, withheld.t)
-        solution = estimator.answer(estimator.load("loose-15", {}), "x", data, session.initial)
+        solution = estimator.answer(built_in.load("loose-15", {}), "x", data, session.initial)
         found.append(judge(solution, withheld, data, spec.evaluation)[1]["pos_rmse_h_m"])
     assert found[0] < 0.5 * found[1]

@@ -16,7 +16,7 @@ import bench
 from bench import durable
 from bench.cli import main
 from bench.evaluation import metrics
-from bench.navigation.estimator import load
+from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import EvaluationWindow
 from bench.workbench.new import new_check

@@ -19,7 +19,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import SensorData
 from bench.evaluation.linear.error_budget import ProcessSteps, signals
 from bench.evaluation.linear.gains import measurement_rows
-from bench.evaluation.linear.path import Path
+from bench.evaluation.linear.path import LinearPath
 from bench.evaluation.linear.terms import IMU, TruthModel
 from bench.navigation.error_state_filter.error_state import CORE, StateLayout
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
@@ -37,7 +37,7 @@ class Epochs:
     code: IntArray  # (E,) sensor of `bench.navigation.error_state_filter.measurement_rows`
 
 
-def find_epochs(path: Path, data: SensorData) -> Epochs:
+def find_epochs(path: LinearPath, data: SensorData) -> Epochs:
     """Return the measurements of a record: fixes with velocity, barometric heights."""
     steps, codes = [], []
     for record, kinds in ((data.fixes, (POSITION, VELOCITY)), (data.baro, (BARO,))):
@@ -67,7 +67,7 @@ class Bound:
 class _System:
     """The linear system of the truth model: states, steps, rows."""
 
-    def __init__(self, path: Path, truth_model: TruthModel, antenna_b: FloatArray) -> None:
+    def __init__(self, path: LinearPath, truth_model: TruthModel, antenna_b: FloatArray) -> None:
         self.path, self.antenna_b = path, antenna_b
         every = truth_model.constants
         self.constants = tuple(one for one in every if one.factors)
@@ -143,7 +143,7 @@ class _System:
 
 
 def bound_errors(
-    path: Path,
+    path: LinearPath,
     truth_model: TruthModel,
     epochs: Epochs,
     output: IntArray,

@@ -16,8 +16,8 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.evaluation.linear.gains import Gains
-from bench.evaluation.linear.path import FACTORS, Path
-from bench.evaluation.linear.terms import IMU, Constant, Process, TruthModel
+from bench.evaluation.linear.path import FACTORS, LinearPath
+from bench.evaluation.linear.terms import IMU, Constant, ErrorProcess, TruthModel
 from bench.navigation.error_state_filter.measurement_rows import BARO
 from bench.navigation.error_state_filter.propagation import warmth_kernel
 from bench.navigation.error_state_filter.state_blocks import StateModel
@@ -62,7 +62,7 @@ def split_errors(gains: Gains, truth_model: TruthModel) -> Budget:
     return Budget(path.t[gains.output], tuple(names), out, np.einsum("mii->mi", gains.P))
 
 
-def motion_factors(path: Path, model: StateModel) -> FloatArray:
+def motion_factors(path: LinearPath, model: StateModel) -> FloatArray:
     """Return the factors (K, `FACTORS`) that a filter works with, its temperature by its own model."""
     if not (model.process.drives[:, 2] == WARMTH).any():
         return path.factors
@@ -75,7 +75,7 @@ def motion_factors(path: Path, model: StateModel) -> FloatArray:
     return factors
 
 
-def signals(path: Path, constants: tuple[Constant, ...]) -> FloatArray:
+def signals(path: LinearPath, constants: tuple[Constant, ...]) -> FloatArray:
     """Return the errors (K, 6, C) of gyros [rad/s] and accelerometers [m/s^2] by constants, step means."""
     shape = np.zeros((FACTORS, 6, len(constants)))
     sampled = []
@@ -105,7 +105,7 @@ class _Walk:
     act on the IMU first.
     """
 
-    def __init__(self, path: Path, truth_model: TruthModel, model: StateModel) -> None:
+    def __init__(self, path: LinearPath, truth_model: TruthModel, model: StateModel) -> None:
         constants = truth_model.constants
         processes = sorted(truth_model.processes, key=lambda one: one.acts != IMU)
         self.path, self.processes = path, processes
@@ -189,7 +189,7 @@ class _Walk:
 class ProcessSteps:
     """How R processes move over a step, and how they enter a measurement."""
 
-    def __init__(self, processes: Sequence[Process]) -> None:
+    def __init__(self, processes: Sequence[ErrorProcess]) -> None:
         def stack(name: str) -> FloatArray:
             return np.array([getattr(one, name) for one in processes], float)
 
@@ -200,7 +200,7 @@ class ProcessSteps:
         self._cache: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = {}
         self._at = [(r, one.at) for r, one in enumerate(processes) if one.at is not None]
 
-    def steps(self, path: Path) -> tuple[FloatArray, FloatArray]:
+    def steps(self, path: LinearPath) -> tuple[FloatArray, FloatArray]:
         """Return the decay (K, R) of the states over each step and the variance (K, R, 3) that it adds."""
         T = path.span
         decay = np.exp(-(self._time + np.outer(path.speed, self._distance)) * T[:, None])

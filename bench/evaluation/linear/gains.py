@@ -9,7 +9,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import Innovations, Sensed, SensorData, Trajectory
 from bench.errors import ConfigError
-from bench.evaluation.linear.path import Path, make_path
+from bench.evaluation.linear.path import LinearPath, make_path
 from bench.navigation.engine.kalman import update_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_kernel
 from bench.navigation.error_state_filter.error_state import GYRO
@@ -47,7 +47,7 @@ class Updates:
 class Gains:
     """One run of a filter of n states along a true motion."""
 
-    path: Path
+    path: LinearPath
     model: StateModel
     updates: Updates
     output: IntArray  # (M,) instants of the path where it answered
@@ -94,7 +94,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
 
 
 def measurement_rows(
-    path: Path, at: int, code: int, antenna_b: FloatArray, index: Index, n: int
+    path: LinearPath, at: int, code: int, antenna_b: FloatArray, index: Index, n: int
 ) -> FloatArray:
     """Return H (m, n) of a sensor at an instant of the truth, but for states that add to the gyro biases."""
     if code == BARO:
@@ -118,7 +118,7 @@ def measurement_rows(
 
 
 def _replay(
-    table: Innovations, nodes: Nodes, step: IntArray, path: Path, model: StateModel, data: SensorData
+    table: Innovations, nodes: Nodes, step: IntArray, path: LinearPath, model: StateModel, data: SensorData
 ) -> Updates:
     """Return the updates of the accepted measurements, with the gains that P before them gives.
 

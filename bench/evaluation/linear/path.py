@@ -20,7 +20,7 @@ FACTORS = CUBE + 6
 
 
 @dataclass(frozen=True, slots=True)
-class Path:
+class LinearPath:
     """K steps along a true motion; n is north, east, down."""
 
     t: FloatArray  # (K + 1,) [s]
@@ -39,7 +39,7 @@ class Path:
         return np.diff(self.t)
 
 
-def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = STEP) -> Path:
+def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = STEP) -> LinearPath:
     """Return the steps of a truth: none is longer than ``step`` [s], and one ends at each of ``stops`` [s].
 
     Instants are those of the truth nearest to these. ``imu`` gives ranges and temperature.
@@ -71,7 +71,7 @@ def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = 
     for k in range(len(T)):
         dynamics_kernel(nav[k], C_mean[k], f_n[k], F)
         transition_kernel(F, T[k], G[k])
-    return Path(
+    return LinearPath(
         t[rows], rows, truth.lla[rows], C[rows], C_mean, rates[np.maximum(rows - 1, 0), :3],
         np.hypot(nav[:, 3], nav[:, 4]), factors, G,
     )  # fmt: skip

@@ -57,7 +57,7 @@ class Constant:
 
 
 @dataclass(frozen=True, slots=True)
-class Process:
+class ErrorProcess:
     """Three states that act on a sensor, their driving noise, and white noise; each (3,) by axis."""
 
     source: str
@@ -89,7 +89,7 @@ class TruthModel:
 
     sources: tuple[Source, ...]
     constants: tuple[Constant, ...]
-    processes: tuple[Process, ...]
+    processes: tuple[ErrorProcess, ...]
 
 
 _TRIAD = {  # source -> figures it needs
@@ -155,7 +155,7 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
     """
     check_sensors(spec)
     constants = list(_initial_errors(spec))
-    processes: list[Process] = []
+    processes: list[ErrorProcess] = []
     for part, first in (("gyro", 0), ("accel", 3)):
         triad = getattr(spec.imu, part)
         constants += _triad_constants(_WORDS[part], triad, first)
@@ -168,9 +168,9 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
         baro, one = spec.baro, np.array([1.0, 0.0, 0.0])
         white = baro.white_sd**2 + baro.quantization**2 / 12.0
         processes += [
-            Process("barometer bias", BARO, variance=baro.bias_sd**2 * one),
-            Process("barometer walk", BARO, density=baro.bias_walk**2 * one),
-            Process("barometer noise", BARO, white=white * one),
+            ErrorProcess("barometer bias", BARO, variance=baro.bias_sd**2 * one),
+            ErrorProcess("barometer walk", BARO, density=baro.bias_walk**2 * one),
+            ErrorProcess("barometer noise", BARO, white=white * one),
         ]
     processes = [one for one in processes if one.states or one.white.any()]
     present = {one.source for one in constants} | {one.source for one in processes}
@@ -250,18 +250,20 @@ def _triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[Const
             yield Constant(f"{words} alignment", factors=both)
 
 
-def _triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[Process]:
-    yield Process(f"{words} white noise", IMU, first, white=triad.by_axis("random_walk") ** 2)
+def _triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[ErrorProcess]:
+    yield ErrorProcess(f"{words} white noise", IMU, first, white=triad.by_axis("random_walk") ** 2)
     if triad.bias_instability > 0:
         share = triad.by_axis("bias_instability") / triad.bias_instability
         for time, sd in zip(*choose_bias_stages(triad), strict=True):
-            yield Process(
+            yield ErrorProcess(
                 f"{words} bias instability", IMU, first, variance=(sd * share) ** 2, decay_time=1.0 / time
             )
-    yield Process(f"{words} rate random walk", IMU, first, density=triad.by_axis("rate_random_walk") ** 2)
+    yield ErrorProcess(
+        f"{words} rate random walk", IMU, first, density=triad.by_axis("rate_random_walk") ** 2
+    )
 
 
-def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> Iterator[Process]:
+def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> Iterator[ErrorProcess]:
     gnss = spec.gnss
     if gnss is None:
         return
@@ -276,8 +278,8 @@ def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> 
         white = np.square(gnss.pos_white_sd_n if acts == POSITION else gnss.vel_white_sd_n)
         by_time = gnss.pos_decay_time if acts == POSITION else gnss.vel_decay_time
         by_distance = gnss.pos_decay_distance if acts == POSITION else 0.0
-        decaying = partial(Process, acts=acts, decay_time=by_time, decay_distance=by_distance)
-        yield Process(f"GNSS {name} noise", acts, white=white)
+        decaying = partial(ErrorProcess, acts=acts, decay_time=by_time, decay_distance=by_distance)
+        yield ErrorProcess(f"GNSS {name} noise", acts, white=white)
         yield decaying(f"GNSS {name} wander", variance=markov)
         if not (passing.any() or lasting.any()):
             continue

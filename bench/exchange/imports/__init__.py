@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
-from bench.errors import ConfigError
+from bench.exchange.imports.unreadable import explain_missing
 from bench.exchange.rows import LogRows
 
 _ADAPTERS = {
@@ -19,7 +17,6 @@ _ADAPTERS = {
     "kf-gins": "bench.exchange.imports.text",
     "rtklib": "bench.exchange.imports.text",
 }
-_PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
@@ -45,22 +42,3 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         rows = import_module(_ADAPTERS[form]).read(form, path, kind, topic)
     assert isinstance(rows, LogRows)
     return rows
-
-
-@contextmanager
-def explain_missing(form: str, path: Path) -> Iterator[None]:
-    """Raise ConfigError inside if the package of a format is not installed."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith(_PACKAGES.get(form, "-")):
-            raise
-        raise ConfigError(
-            f"{path.name}: needs the package {_PACKAGES[form]}: pip install 'ins-gnss-bench[logs]'"
-        ) from None
-
-
-def describe_damage(path: Path, error: BaseException) -> ConfigError:
-    """Return the error for a file that the library of its format cannot read."""
-    reason = " ".join(str(error).split())[:200]
-    return ConfigError(f"{path.name}: cannot be read: {reason or type(error).__name__}")

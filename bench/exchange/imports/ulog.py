@@ -18,9 +18,10 @@ from pyulog import ULog
 
 from bench.arrays import BoolArray, FloatArray
 from bench.errors import ConfigError
-from bench.exchange.imports import describe_damage, ulog_motion
+from bench.exchange.imports import ulog_motion
 from bench.exchange.imports.contents import Contents, OwnMotion, Vector, day_of_unix, split_instance
 from bench.exchange.imports.ulog_motion import Data, stack, times
+from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.files import check_file
 from bench.signals.air import pressure_altitude

@@ -15,8 +15,9 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange.rinex.lines import Lines, check_version, leap_seconds, open_lines, read_calendar, to_date
-from bench.signals.orbits import GLONASS as STATE
-from bench.signals.orbits import KEPLER, WEEK, GlonassSets, KeplerSets
+from bench.orbit_sets import GLONASS as STATE
+from bench.orbit_sets import KEPLER, GlonassSets, KeplerSets
+from bench.signals.orbits import WEEK
 
 _HEADS = {2: re.compile(r" ?\d"), 3: re.compile(r"[A-Z][ \d]\d")}
 """Version -> how the first line of a record begins."""
@@ -105,7 +106,7 @@ def _read_header(lines: Lines) -> tuple[list[float] | None, list[float] | None, 
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
+class _EphemerisRecord:
     """The values of an ephemeris, line by line; blank fields are NaN."""
 
     first: int  # number of its first line
@@ -114,7 +115,7 @@ class _Record:
     values: list[list[float]]
 
 
-def _read_record(lines: Lines, first: str, version: int, system: str) -> _Record | None:
+def _read_record(lines: Lines, first: str, version: int, system: str) -> _EphemerisRecord | None:
     """Read the lines of one ephemeris; None if its system is skipped."""
     begun, indent = lines.number, 4 if version == 3 else 3
     whole = {"G": (8,), "R": (4, 5) if version == 3 else (4,)}.get(system)
@@ -137,7 +138,7 @@ def _read_record(lines: Lines, first: str, version: int, system: str) -> _Record
         raise lines.error(
             f"the record of {system}{sat} from line {begun} ends after {len(rows)} of {whole[0]} lines"
         )
-    return _Record(begun, sat, t, rows)
+    return _EphemerisRecord(begun, sat, t, rows)
 
 
 def _read_values(lines: Lines, line: str, start: int, count: int) -> list[float]:
@@ -158,7 +159,9 @@ def _read_clock_time(lines: Lines, line: str, version: int) -> tuple[int, float]
     return sat, sum(read_calendar(lines, line, columns, version == 2))
 
 
-def _name_values(lines: Lines, record: _Record, placed: Mapping[str, tuple[int, float]]) -> dict[str, float]:
+def _name_values(
+    lines: Lines, record: _EphemerisRecord, placed: Mapping[str, tuple[int, float]]
+) -> dict[str, float]:
     """Return the values by name, from the index of the line and the value; refuse a missing one."""
     for name, (offset, value) in placed.items():
         if np.isnan(value):
@@ -166,7 +169,7 @@ def _name_values(lines: Lines, record: _Record, placed: Mapping[str, tuple[int, 
     return {name: value for name, (_, value) in placed.items()}
 
 
-def _convert_kepler(lines: Lines, record: _Record) -> list[float]:
+def _convert_kepler(lines: Lines, record: _EphemerisRecord) -> list[float]:
     """Return sat, health and the columns of ``KEPLER`` of one GPS record (RINEX 3.05, table A6)."""
     v, t_oc = record.values, record.t
     group_delay = 0.0 if np.isnan(v[6][2]) else v[6][2]
@@ -191,7 +194,7 @@ def _convert_kepler(lines: Lines, record: _Record) -> list[float]:
     return [record.sat, values["health"], *(values[name] for name in KEPLER)]
 
 
-def _convert_glonass(lines: Lines, record: _Record, leap: int | None) -> list[float]:
+def _convert_glonass(lines: Lines, record: _EphemerisRecord, leap: int | None) -> list[float]:
     """Return slot, health, channel and the columns of ``GLONASS`` of one record (RINEX 3.05, table A10)."""
     v = record.values
     placed = {

@@ -10,7 +10,7 @@ from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp, level_off
 from bench.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of
-from bench.flight.paths import Path
+from bench.flight.paths import SegmentPath
 from bench.flight.shaping import Steps, clip, smooth, ticks, wait
 from bench.specs import AircraftSpec, Leg, LegStart, Runway, RunwaySpec
 
@@ -149,9 +149,9 @@ def find_runway(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
     return cockpit.runway, cockpit.aircraft.runway
 
 
-def centreline(runway: Runway) -> Path:
+def centreline(runway: Runway) -> SegmentPath:
     """Return the centreline, from the threshold on; along it is negative before the threshold."""
-    path = Path((0.0, 0.0), runway.heading)
+    path = SegmentPath((0.0, 0.0), runway.heading)
     path.straight(1e6)
     return path
 

@@ -12,7 +12,7 @@ from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_count, format_deg
-from bench.flight.paths import Heights, Path, follow, run_in, turn_radius
+from bench.flight.paths import Heights, SegmentPath, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
 from bench.specs import ALTITUDES, SECONDS, LegStart
 
@@ -123,12 +123,12 @@ class Survey(AtSpeed):
         yield from follow(cockpit, plane, path, self.bank)
 
 
-def _begin_path(plane: Plane, course: float | None = None) -> Path:
+def _begin_path(plane: Plane, course: float | None = None) -> SegmentPath:
     """Return a path from the present position, on a course [rad] or else the present one."""
-    return Path(plane.position(), plane.track()[0] if course is None else course)
+    return SegmentPath(plane.position(), plane.track()[0] if course is None else course)
 
 
-def _turn_around(path: Path, side: int, across: float, radius: float) -> None:
+def _turn_around(path: SegmentPath, side: int, across: float, radius: float) -> None:
     """Turn by 180 deg to a track that is a distance across to one side."""
     if across >= 2 * radius:
         path.arc(side * 0.5 * math.pi, radius)

@@ -60,7 +60,7 @@ def new_trust(channels: int, start: float) -> Trust:
     return Trust(np.zeros(channels, np.int64), first, first.copy(), np.zeros((3, 3)), np.full(2, start))
 
 
-class Log(NamedTuple):
+class InnovationLog(NamedTuple):
     """Rows of the innovation table."""
 
     numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
@@ -68,9 +68,9 @@ class Log(NamedTuple):
     filled: IntArray  # (1,) number of rows written
 
 
-def new_log(size: int) -> Log:
+def new_log(size: int) -> InnovationLog:
     """Return a log for so many rows."""
-    return Log(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+    return InnovationLog(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
 
 
 def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) -> Innovations:
@@ -235,7 +235,15 @@ def tells_of_drift(y: ArrayLike, S: ArrayLike, r: ArrayLike, limit: float) -> bo
 
 @inner
 def note_kernel(
-    t: float, code: int, channel: int, component: int, z: float, S: float, value: float, used: bool, log: Log
+    t: float,
+    code: int,
+    channel: int,
+    component: int,
+    z: float,
+    S: float,
+    value: float,
+    used: bool,
+    log: InnovationLog,
 ) -> None:
     """Write a row of the log: an innovation z of variance S, and whether it was used."""
     row = log.filled[0]

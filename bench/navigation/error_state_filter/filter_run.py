@@ -12,7 +12,7 @@ from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
-from bench.navigation.engine.gate import Log, innovations, new_log
+from bench.navigation.engine.gate import InnovationLog, innovations, new_log
 from bench.navigation.engine.rejection_events import Refused, refusals
 from bench.navigation.engine.session import Kept, Scratch, SessionState, require, require_range
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -32,7 +32,7 @@ from bench.navigation.error_state_filter.propagation import (
     pending_for,
     work_for,
 )
-from bench.navigation.error_state_filter.ranging import Sky, place_fillers, renew_kernel
+from bench.navigation.error_state_filter.ranging import SkyRows, place_fillers, renew_kernel
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel
@@ -88,10 +88,10 @@ def _fusion_kernel(
     index: Index,
     steps: ImuSteps,
     data: Measurements,
-    sky: Sky,
+    sky: SkyRows,
     pending: Pending,
     gate: Gate,
-    log: Log,
+    log: InnovationLog,
     stores: Stores,
     work: Work,
 ) -> None:

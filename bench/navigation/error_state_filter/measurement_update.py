@@ -13,7 +13,7 @@ from bench.navigation.engine.gate import (
     LOST,
     REFUSED,
     SOUND,
-    Log,
+    InnovationLog,
     Trust,
     decide_kernel,
     fix_kernel,
@@ -126,7 +126,7 @@ def use_kernel(
     before: FloatArray,
     pending: Pending,
     gate: Gate,
-    log: Log,
+    log: InnovationLog,
     work: UpdateWork,
 ) -> None:
     """Test each sub-vector of a measurement, update with those that pass, log all of them, feed back.

@@ -55,7 +55,7 @@ _NONE, _TAKEN = -1, -2
 _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
-class Sky(NamedTuple):
+class SkyRows(NamedTuple):
     """Corrected observations, one row per satellite and epoch."""
 
     epoch_start: Growing[IntArray]  # (M + 1,)
@@ -71,14 +71,14 @@ class Sky(NamedTuple):
     sizes: FloatArray  # (4,) sd of what wanders [m]: ionosphere, GPS and GLONASS satellites, troposphere
 
 
-def empty_sky() -> Sky:
+def empty_sky() -> SkyRows:
     """Return a sky without satellites."""
     none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 5), np.int64)
     first = np.zeros(1, np.int64)
-    return Sky(first, pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0, np.zeros(4))
+    return SkyRows(first, pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0, np.zeros(4))
 
 
-def check_sky(sky: Sky) -> None:
+def check_sky(sky: SkyRows) -> None:
     """Check the shapes of a sky that comes from a file, and its epochs.
 
     Raises
@@ -119,7 +119,7 @@ def make_sky(
     count: int,
     lat: float,
     channels: Channels,
-) -> Sky:
+) -> SkyRows:
     """Return the rows of a record that are used, as the kernel takes them.
 
     Parameters
@@ -139,7 +139,7 @@ def make_sky(
     own, fresh = channels.give_states(o, rows)
     values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
-    return Sky(
+    return SkyRows(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
         values=values[rows],
         variance=variance[rows],
@@ -159,7 +159,7 @@ def _list_sizes(sky: SkySpec) -> FloatArray:
     return np.array([above, sky.gps_space_sd, sky.glonass_space_sd, sky.troposphere_sd])
 
 
-def join_skies(first: Sky, second: Sky) -> Sky:
+def join_skies(first: SkyRows, second: SkyRows) -> SkyRows:
     """Return the epochs of two skies of one receiver, in order."""
     end = first.epoch_start[-1]
     start = np.concatenate([first.epoch_start, end + second.epoch_start[1:]])
@@ -167,7 +167,7 @@ def join_skies(first: Sky, second: Sky) -> Sky:
     return _with_rows(second, start, *both)
 
 
-def take_epochs(sky: Sky, epochs: IntArray) -> Sky:
+def take_epochs(sky: SkyRows, epochs: IntArray) -> SkyRows:
     """Return some epochs of a sky, in order."""
     count = np.diff(sky.epoch_start)
     chosen = np.zeros(len(count), np.bool_)
@@ -177,12 +177,12 @@ def take_epochs(sky: Sky, epochs: IntArray) -> Sky:
     return _with_rows(sky, start, *(column[rows] for column in _by_row(sky)))
 
 
-def _by_row(sky: Sky) -> tuple[Any, ...]:
+def _by_row(sky: SkyRows) -> tuple[Any, ...]:
     return sky.values, sky.variance, sky.sat, sky.t, sky.ionosphere, sky.which
 
 
-def _with_rows(sky: Sky, *columns: Any) -> Sky:
-    return Sky(*columns, *sky[len(columns) :])
+def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
+    return SkyRows(*columns, *sky[len(columns) :])
 
 
 def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
@@ -242,7 +242,7 @@ class Channels(SessionState):
         return own, fresh
 
 
-def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntArray:
+def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: SkyRows) -> IntArray:
     """Return by kind of record the address of what fills its rows, 0 for a kind that is not among ``kinds``.
 
     ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
@@ -257,7 +257,7 @@ def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: Sky) -> IntA
 
 
 @inner
-def range_state_kernel(k: int, sky: Sky, index: Index) -> int:
+def range_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
     """Return the state of the range error of row k; `_NONE`: no range has one, `_TAKEN`: all are taken."""
     first, own = index.gps_range_1, sky.which[k, 3]
     if sky.which[k, 0] == GLONASS:
@@ -269,7 +269,7 @@ def range_state_kernel(k: int, sky: Sky, index: Index) -> int:
 
 @inner
 def renew_kernel(
-    epoch: int, now: FilterState, Phi: FloatArray, index: Index, pending: Pending, sky: Sky
+    epoch: int, now: FilterState, Phi: FloatArray, index: Index, pending: Pending, sky: SkyRows
 ) -> None:
     """Begin states anew that go to other satellites at an epoch; ``Phi`` (n, n) leads there for a smoother.
 
@@ -297,7 +297,7 @@ def satellites_kernel(
     index: Index,
     pending: Pending,
     work: MeasureWork,
-    sky: Sky,
+    sky: SkyRows,
 ) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
     state, H, z = now.state, pending.H, pending.z

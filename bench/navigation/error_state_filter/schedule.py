@@ -32,7 +32,7 @@ AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
 _BEFORE = -2  # step of what was measured in an earlier piece
 
 
-class Plan(NamedTuple):
+class StepPlan(NamedTuple):
     """What a filter does next."""
 
     steps: Steps
@@ -76,7 +76,7 @@ class Schedule(SessionState):
     output_t: Kept[FloatArray]  # (M,) answers wanted [s]
     events: Kept[list[EventRow]]
     waiting: Kept[dict[int, Rows]]  # measurements, by their kind
-    sky: Kept[ranging.Sky]
+    sky: Kept[ranging.SkyRows]
     _intake: Kept[ImuIntake]
     _again: Kept[ImuData | None]  # samples to give again with the next piece
     _earlier: Kept[IntArray]  # of the samples, those before that a bridge over a gap needs
@@ -304,7 +304,7 @@ class Schedule(SessionState):
         before = self.waiting.get(kind)
         self.waiting[kind] = rows if before is None else before.joined(rows)
 
-    def plan(self, look_back: float = 0.0) -> Plan:
+    def plan(self, look_back: float = 0.0) -> StepPlan:
         """Return what a filter does up to where nothing can come any more that is valid before.
 
         After the last piece that is all there is; else ``look_back`` [s] before the last sample.
@@ -369,7 +369,7 @@ class Schedule(SessionState):
         schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
         wide, variance = (np.concatenate(one) for one in zip(*tables, strict=True))
         entries, values = np.ascontiguousarray(schedule), wide[:, :6]
-        return Plan(steps, entries, ahead, most, wide, values, variance, outputs, left, go_to)
+        return StepPlan(steps, entries, ahead, most, wide, values, variance, outputs, left, go_to)
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""
@@ -403,7 +403,7 @@ class Schedule(SessionState):
         at = step[due]
         return due, at, ahead
 
-    def advance(self, plan: Plan) -> FloatArray:
+    def advance(self, plan: StepPlan) -> FloatArray:
         """Forget what a filter has done by a plan; return the instants (M,) of the answers that are final."""
         final = self.last | (self.output_t < self.start - TIME_TOLERANCE)
         final[plan.outputs] = True

@@ -25,7 +25,7 @@ from bench.navigation.error_state_filter.schedule import GO_ON, OUTPUT, Schedule
 _STRIDE = 0.1  # so far a filter goes at once: planning costs as much as taking some samples [s]
 
 
-class Measured(NamedTuple):
+class Measurement(NamedTuple):
     """One measurement."""
 
     kind: int  # as `measurement_rows` numbers them
@@ -33,7 +33,7 @@ class Measured(NamedTuple):
     variance: FloatArray  # (6,)
 
 
-class Flight(SessionState, ABC):
+class SteppedFilter(SessionState, ABC):
     """What a filter knows, and how it goes on."""
 
     shapes: tuple[tuple[int, ...], ...]  # of what it answers
@@ -56,7 +56,7 @@ class Flight(SessionState, ABC):
         """
 
     @abstractmethod
-    def measure(self, now: float, arrived: list[Measured]) -> None:
+    def measure(self, now: float, arrived: list[Measurement]) -> None:
         """Use what has arrived."""
 
     @abstractmethod
@@ -87,14 +87,14 @@ class SteppedPassage(SessionState):
         Of the filter, as the sensors are read for it.
     """
 
-    flight: Kept[Flight]
+    flight: Kept[SteppedFilter]
     schedule: Kept[Schedule]
     antenna_b: Kept[FloatArray]
     begun: Kept[bool]  # it has seen the rate of the first step
 
     def __init__(
         self,
-        flight: Flight,
+        flight: SteppedFilter,
         schedule: Schedule,
         aiding: Sequence[AidingSensor],
         first: SensorData,
@@ -137,13 +137,13 @@ class SteppedPassage(SessionState):
         schedule, flight = self.schedule, self.flight
         last, plan = schedule.last, schedule.plan()
         steps, count = plan.steps, plan.go_to + 1
-        arrived: dict[int, list[Measured]] = {}
+        arrived: dict[int, list[Measurement]] = {}
         asked: dict[int, int] = {}
         for k, action, kind, row, _ in plan.entries.tolist():
             if action == OUTPUT:
                 asked[k] = asked.get(k, 0) + 1
             elif action != GO_ON:
-                arrived.setdefault(k, []).append(Measured(kind, plan.measured[row], plan.variance[row]))
+                arrived.setdefault(k, []).append(Measurement(kind, plan.measured[row], plan.variance[row]))
         answers = list[tuple[FloatArray, ...]]()
 
         def serve(k: int, now: float) -> None:

@@ -70,7 +70,7 @@ from bench.navigation.error_state_filter.state_blocks import (
 )
 from bench.navigation.error_state_filter.state_processes import Block
 from bench.navigation.mechanization import body_step_kernel, step_kernel
-from bench.navigation.models.stepped_filters import Flight, Measured, SteppedPassage
+from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
 from bench.navigation.options import AidingOptions, FusionOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
@@ -196,8 +196,8 @@ class _Points:
     cov: FloatArray  # (S,)
 
 
-class SigmaPointFlight(Flight):
-    """The estimate and its covariance over one record (`stepped_filters.Flight`)."""
+class SigmaPointFlight(SteppedFilter):
+    """The estimate and its covariance over one record (`stepped_filters.SteppedFilter`)."""
 
     estimate: Kept[FloatArray]  # (n + 1,) as `propagation.FilterState.state`
     P: Kept[FloatArray]  # (n, n)
@@ -250,7 +250,7 @@ class SigmaPointFlight(Flight):
             self.predict(spans, turns, gains, lost.sum(axis=0))
             self.covered, self.since, self.w_ib_b = now, [], dtheta / dt
 
-    def measure(self, now: float, arrived: list[Measured]) -> None:
+    def measure(self, now: float, arrived: list[Measurement]) -> None:
         """Use what has arrived."""
         for one in arrived:
             self.use(now, one)
@@ -315,7 +315,7 @@ class SigmaPointFlight(Flight):
         self.estimate[10:] *= decay[9:]
         self._feed_back(mean)
 
-    def use(self, t: float, one: Measured) -> None:
+    def use(self, t: float, one: Measurement) -> None:
         """Use a measurement, each of its sub-vectors gated by itself."""
         self.data.values[0], self.data.variance[0] = one.values, one.variance
         at = 0

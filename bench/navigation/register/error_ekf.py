@@ -79,7 +79,7 @@ _M2[1:, 16:] = np.eye(6)
 _STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)
 
 
-class _Errors(Form):
+class _ErrorEkfState(Form):
     """x and P of an :class:`ErrorEkf` on what a loop was given."""
 
     _P: Kept[FloatArray]
@@ -117,7 +117,7 @@ class _Loop(FilterLoop):
 
     def update(self, now: float, fix: Fix | None, alt_baro: float | None) -> None:
         """Use what has arrived."""
-        assert isinstance(self.form, _Errors)
+        assert isinstance(self.form, _ErrorEkfState)
         self.given, self.form.loop = (fix, alt_baro), self
         super().update(now, fix, alt_baro)
 
@@ -152,5 +152,5 @@ class ErrorEkfEstimator(Classic22):
     def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
         """Return the loop with the generic filter."""
         loop = _Loop(self.options, sensors, initial)
-        loop.form = _Errors(loop.form.covariance)
+        loop.form = _ErrorEkfState(loop.form.covariance)
         return loop

@@ -16,7 +16,7 @@ from bench.navigation.engine.session import Kept, Scratch, SessionState
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.options import GnssOnlyOptions
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
-from bench.navigation.start.singer import Fixes, Manoeuvres, Track, TrackWork, track_kernel, track_work
+from bench.navigation.start.singer import Fixes, Manoeuvres, SingerTrack, TrackWork, track_kernel, track_work
 
 SWING = 0.1  # turn rate that moves the antenna about the IMU unseen, 1 sigma [rad/s]
 
@@ -42,7 +42,7 @@ class FixTrack(SessionState):
         Their covariance [m, m/s], n.
     """
 
-    _now: Kept[Track]
+    _now: Kept[SingerTrack]
     _model: Kept[Manoeuvres]
     _rows: Kept[list[tuple[FloatArray, IntArray]]]  # of the log, since it was taken
     _work: Scratch[TrackWork]
@@ -52,7 +52,9 @@ class FixTrack(SessionState):
     ) -> None:
         P = np.diag(np.repeat([0.0, 0.0, options.acceleration**2], 3))
         P[:6, :6] = cov
-        self._now = Track(np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, new_trust(2, t))
+        self._now = SingerTrack(
+            np.array([t], float), np.concatenate([lla, vel_n, np.zeros(3)]), P, new_trust(2, t)
+        )
         self._model = Manoeuvres(
             float(options.acceleration),
             float(options.correlation_s),

@@ -24,7 +24,7 @@ from bench.navigation.engine.gate import (
     LOST,
     REFUSED,
     SOUND,
-    Log,
+    InnovationLog,
     Trust,
     decide_kernel,
     fix_kernel,
@@ -48,7 +48,7 @@ class Manoeuvres(NamedTuple):
     readmit_after_s: float  # time of nothing but refusals after which fixes are believed again [s]
 
 
-class Track(NamedTuple):
+class SingerTrack(NamedTuple):
     """The filter at the instant of its last fix."""
 
     t: FloatArray  # (1,) [s]
@@ -204,7 +204,7 @@ def singer(T: ArrayLike, sd: float, tau: float) -> tuple[FloatArray, FloatArray]
 
 @inner
 def _carry_kernel(
-    T: float, now: Track, model: Manoeuvres, x: FloatArray, P: FloatArray, work: TrackWork
+    T: float, now: SingerTrack, model: Manoeuvres, x: FloatArray, P: FloatArray, work: TrackWork
 ) -> None:
     """Fill x (9,) and P (9, 9) with a track carried on for T seconds; they may be its own."""
     Phi, Q, block = work.Phi, work.Q, work.block
@@ -229,7 +229,9 @@ def _carry_kernel(
 
 
 @inner
-def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: Log, work: TrackWork) -> None:
+def _use_kernel(
+    k: int, now: SingerTrack, fixes: Fixes, model: Manoeuvres, log: InnovationLog, work: TrackWork
+) -> None:
     """Use a fix that is valid now, position and velocity (if it has one) each tested by itself."""
     x, P, z, e, dx, r = now.x, now.P, work.z, work.e, work.dx, fixes.r[k]
     t, trust, vel_n, drifted, moves = now.t[0], now.trust, fixes.vel_n[k], False, True
@@ -270,11 +272,11 @@ def _use_kernel(k: int, now: Track, fixes: Fixes, model: Manoeuvres, log: Log, w
 
 @kernel
 def track_kernel(
-    now: Track,
+    now: SingerTrack,
     fixes: Fixes,
     output_t: FloatArray,
     model: Manoeuvres,
-    log: Log,
+    log: InnovationLog,
     x: FloatArray,
     P: FloatArray,
     work: TrackWork,

@@ -8,9 +8,9 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import NavSolution
+from bench.findings.series import AXES_B, DRIFTING, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
 from bench.instruments import INSTRUMENTS
 from bench.plots.content import Content, Tab
-from bench.plots.series import AXES_B, DRIFTING, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
 from bench.units import STANDARD_GRAVITY
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h

@@ -9,8 +9,8 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries
+from bench.findings.series import Plot, Rows, draw_line
 from bench.plots.content import Content, Tab
-from bench.plots.series import Plot, Rows, draw_line
 
 LEAST = 1e-3
 """Smaller errors are drawn as this on a logarithmic scale."""

@@ -9,9 +9,7 @@ import numpy as np
 
 from bench import disk_arrays, rotation
 from bench.data import Trajectory
-from bench.instruments import INSTRUMENTS, Instrument
-from bench.plots.content import Content, Tab
-from bench.plots.series import (
+from bench.findings.series import (
     AXES_N,
     AXIS_COLOURS,
     BAND,
@@ -25,6 +23,8 @@ from bench.plots.series import (
     draw_line,
     thin,
 )
+from bench.instruments import INSTRUMENTS, Instrument
+from bench.plots.content import Content, Tab
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:

@@ -9,9 +9,7 @@ import numpy as np
 from bench.arrays import BoolArray
 from bench.data import Innovations
 from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
-from bench.instruments import INSTRUMENTS
-from bench.plots.content import Content, Tab
-from bench.plots.series import (
+from bench.findings.series import (
     AXES_N,
     BAND,
     MOST_ROWS,
@@ -25,6 +23,8 @@ from bench.plots.series import (
     draw_line,
     shorten,
 )
+from bench.instruments import INSTRUMENTS
+from bench.plots.content import Content, Tab
 
 _MEASURED = {
     "gnss_position": ("GNSS position", "m"),

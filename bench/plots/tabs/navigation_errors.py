@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from bench.evaluation.error_series import BLOCKS, variances
+from bench.findings.series import AXES_N, Plot, Rows, draw_three_sigma
 from bench.plots.content import Content, Tab
-from bench.plots.series import AXES_N, Plot, Rows, draw_three_sigma
 
 
 def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> Mapping[str, Rows]:

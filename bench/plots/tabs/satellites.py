@@ -9,8 +9,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.data import GPS, SkyView
-from bench.plots.content import Content, Tab
-from bench.plots.series import (
+from bench.findings.series import (
     AXIS_COLOURS,
     SLOW,
     Colour,
@@ -19,6 +18,7 @@ from bench.plots.series import (
     Series,
     draw_line,
 )
+from bench.plots.content import Content, Tab
 from bench.signals import dilution
 
 USED: Colour = (80, 190, 90)

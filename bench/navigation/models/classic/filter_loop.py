@@ -46,7 +46,7 @@ from bench.navigation.models.classic.observation_model import (
     ned_matrix,
     pair_measurements,
 )
-from bench.navigation.models.stepped_filters import Flight, Measured
+from bench.navigation.models.stepped_filters import Measurement, SteppedFilter
 from bench.navigation.options import ClassicOptions
 
 _CURVE = 8  # estimates that a curve needs
@@ -55,8 +55,8 @@ _LAYOUT = StateLayout(("baro_bias", "m", 1), ("gnss_pos", "m", 3), ("gnss_vel", 
 _STATES = {"baro": [15], "gnss_position": [0, 1, 2], "gnss_velocity": [3, 4, 5]}
 
 
-class FilterLoop(Flight):
-    """The navigator, its filter and their book-keeping (`stepped_filters.Flight`)."""
+class FilterLoop(SteppedFilter):
+    """The navigator, its filter and their book-keeping (`stepped_filters.SteppedFilter`)."""
 
     form: Kept[Form]
     gate: Kept[InnovationGate]
@@ -130,7 +130,7 @@ class FilterLoop(Flight):
         if due or self.elapsed >= self.interval:
             self.predict()
 
-    def measure(self, now: float, arrived: list[Measured]) -> None:
+    def measure(self, now: float, arrived: list[Measurement]) -> None:
         """Use what has arrived, a fix with a reading of the barometer."""
         for fix, alt_baro in pair_measurements(arrived):
             self.update(now, fix, alt_baro)

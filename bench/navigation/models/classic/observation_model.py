@@ -14,7 +14,7 @@ from bench.earth import EARTH_RATE
 from bench.navigation.error_state_filter.measurement_rows import BARO_ROWS, FIX_ROWS
 from bench.navigation.models.classic.navigator import NED_OF_ENU, Earth, Nav, reduced
 from bench.navigation.models.classic.process_model import SIZE, Sigmas, per_axis
-from bench.navigation.models.stepped_filters import Measured
+from bench.navigation.models.stepped_filters import Measurement
 
 
 class Fix(NamedTuple):
@@ -27,7 +27,7 @@ class Fix(NamedTuple):
     satellites: int
 
 
-def pair_measurements(arrived: Sequence[Measured]) -> list[tuple[Fix | None, float | None]]:
+def pair_measurements(arrived: Sequence[Measurement]) -> list[tuple[Fix | None, float | None]]:
     """Return fixes, the last with the first height by the barometer that has come with them, then the rest.
 
     The values of a fix are latitude, longitude, height, velocity (n) and the number of satellites.

@@ -20,7 +20,7 @@ from bench.earth import EARTH_RATE
 from bench.errors import EstimatorError
 from bench.navigation.error_state_filter.aiding_sensors import FIXES
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.schedule import Plan, Schedule
+from bench.navigation.error_state_filter.schedule import Schedule, StepPlan
 from bench.navigation.start import alignment
 
 
@@ -109,17 +109,17 @@ def schedule_fixes(first: SensorData, initial: InitialState, events: list[EventR
     return schedule
 
 
-class Work(NamedTuple):
+class GraphTasks(NamedTuple):
     """What there is to do in a record."""
 
     initial: InitialState  # complete
-    plan: Plan  # steps, fixes and answers in order
+    plan: StepPlan  # steps, fixes and answers in order
     dtheta: FloatArray  # (K, 3) rotation over each step [rad], b
     dvel: FloatArray  # (K, 3) integral of the specific force over each step [m/s], b
     events: list[EventRow]
 
 
-def plan_fixes(sensors: SensorData, initial: InitialState) -> Work:
+def plan_fixes(sensors: SensorData, initial: InitialState) -> GraphTasks:
     """Return steps, fixes and answers of a record in order; the barometer is not used.
 
     Raises
@@ -136,6 +136,6 @@ def plan_fixes(sensors: SensorData, initial: InitialState) -> Work:
         schedule.add(FIXES, sensors, initial, StateLayout())
     plan = schedule.plan()
     row, share = plan.steps.row, plan.steps.share[:, None]
-    return Work(
+    return GraphTasks(
         initial, plan, plan.steps.dtheta_b[row] * share, plan.steps.dvel_b[row] * share, schedule.events
     )

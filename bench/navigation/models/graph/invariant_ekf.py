@@ -25,7 +25,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.models.classic.process_model import bias_and_walk
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, schedule_fixes
-from bench.navigation.models.stepped_filters import Flight, Measured, SteppedPassage
+from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
@@ -77,8 +77,8 @@ class _Navigated(NamedTuple):
     P: FloatArray  # (9, 9) attitude, position, velocity
 
 
-class InvariantFlight(Flight):
-    """The filter over one record (`stepped_filters.Flight`)."""
+class InvariantFlight(SteppedFilter):
+    """The filter over one record (`stepped_filters.SteppedFilter`)."""
 
     gravity: Kept[FloatArray]  # (3,) at the last fix [m/s^2]
     gate: Kept[InnovationGate]
@@ -125,7 +125,7 @@ class InvariantFlight(Flight):
         if due:
             self.w_ib_b = dtheta / dt
 
-    def measure(self, now: float, arrived: list[Measured]) -> None:
+    def measure(self, now: float, arrived: list[Measurement]) -> None:
         """Use what has arrived."""
         for _, values, variance in arrived:
             self.use_fix(now, values[:6], variance, values[6:], self.w_ib_b)

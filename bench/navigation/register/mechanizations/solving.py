@@ -39,7 +39,7 @@ class Rates(NamedTuple):
     """Take the slow figures at the middle of their interval, by the interval before; False: at its start."""
 
 
-class Motion(NamedTuple):
+class IntervalMotion(NamedTuple):
     """Motion at the end of each slow interval, the start first."""
 
     t: FloatArray
@@ -58,7 +58,7 @@ def navigate(
     rates: Rates = Rates(),  # noqa: B008 - immutable
     attitude: str = "rotation-vector",
     earth: EarthModel = EarthModel(),  # noqa: B008
-) -> Motion:
+) -> IntervalMotion:
     """Return the motion of a free inertial navigator.
 
     Parameters
@@ -66,7 +66,7 @@ def navigate(
     name : str
         A key of :data:`FRAMES`; "ned" is the compiled mechanization of the estimators, at every sample.
     start : (10,) array
-        A row of :attr:`Motion.nav`.
+        A row of :attr:`IntervalMotion.nav`.
     interval : float
         Between samples [s].
     dtheta_b, dvel_b : (N, 3) arrays
@@ -122,7 +122,7 @@ def navigate(
                 C_nb.append(to_n @ body.C)
     q_nb = rotation.from_matrix(np.reshape(C_nb, (-1, 3, 3)) @ FRD_OF_FUR.T)
     out = np.vstack([nav, np.hstack([np.reshape(places, (-1, 6)), q_nb])])
-    return Motion(T_slow * np.arange(len(out), dtype=float), out)
+    return IntervalMotion(T_slow * np.arange(len(out), dtype=float), out)
 
 
 def _divide(interval: float, rates: Rates) -> tuple[int, int, int]:
@@ -146,7 +146,7 @@ def _navigate_ned(
     rates: Rates,
     attitude: str,
     earth: EarthModel,
-) -> Motion:
+) -> IntervalMotion:
     if rates != Rates() or attitude != "rotation-vector" or earth != EarthModel():
         raise ValueError(
             "ned has one rate, the rotation vector, and exact radii and gravity of WGS 84; choose nhe or enu "
@@ -154,4 +154,4 @@ def _navigate_ned(
         )
     n = len(dtheta)
     out = mechanization.propagate(nav[:3], nav[3:6], nav[6:10], np.full(n, interval), dtheta, dvel)
-    return Motion(interval * np.arange(n + 1, dtype=float), out)
+    return IntervalMotion(interval * np.arange(n + 1, dtype=float), out)

@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bench import store
 from bench.config.tables import ROWS
 from bench.files import read_json
-from bench.plots.series import Plot, Series
-from bench.studies.study import Findings, StudyResult, StudyTable
+from bench.findings import Findings, StudyResult, StudyTable
+from bench.findings.series import Plot, Series
 
 _Numbers = list[float | None]
 _Line = Annotated[int, Field(ge=0)]

@@ -1,0 +1,270 @@
+"""The built-in estimators by name, and how an estimator is built from a name and its options.
+
+A row imports its filter when it is asked for one: who only lists them does not load numba.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from bench.errors import EstimatorError
+from bench.installed import find_class
+from bench.navigation.estimator import Estimator, catch_exit, construct
+from bench.navigation.options import (
+    FORWARD,
+    ClassicOptions,
+    ComplementaryOptions,
+    FusionOptions,
+    GnssOnlyOptions,
+    GraphOptions,
+    InvariantOptions,
+    LeastSquaresOptions,
+    Options,
+    SmootherOptions,
+    TightOptions,
+    UnscentedOptions,
+)
+from bench.wording import as_toml
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltIn:
+    """A built-in estimator."""
+
+    title: str
+    import_class: Callable[[], type[Estimator]]  # imports it
+    options: type[Options]
+    fixed: Mapping[str, Any]  # options that make it what it is
+    package: str | None = None  # that has to be installed beside bench
+
+    def wrong(self, given: Mapping[str, Any]) -> list[str]:
+        """Return a line for each option of a profile that is wrong."""
+        clash = sorted(set(self.fixed) & set(given))
+        return [
+            *(f"option {name!r} is fixed to {as_toml(self.fixed[name])}; leave it out" for name in clash),
+            *self.options.list_wrong({k: v for k, v in given.items() if k not in clash}, self.fixed),
+        ]
+
+
+def _import_loose() -> type[Estimator]:
+    from bench.navigation.models.loose_tight import Loose
+
+    return Loose
+
+
+def _import_tight() -> type[Estimator]:
+    from bench.navigation.models.loose_tight import Tight
+
+    return Tight
+
+
+def _import_smoother() -> type[Estimator]:
+    from bench.navigation.models.smoother import Smoother
+
+    return Smoother
+
+
+def _import_gnss_only() -> type[Estimator]:
+    from bench.navigation.models.gnss_only import GnssOnly
+
+    return GnssOnly
+
+
+def _import_ukf() -> type[Estimator]:
+    from bench.navigation.models.ukf import Unscented
+
+    return Unscented
+
+
+def _import_classic_22() -> type[Estimator]:
+    from bench.navigation.models.classic import Classic22
+
+    return Classic22
+
+
+def _import_error_ekf() -> type[Estimator]:
+    from bench.navigation.register.error_ekf import ErrorEkfEstimator
+
+    return ErrorEkfEstimator
+
+
+def _import_fixed_gain() -> type[Estimator]:
+    from bench.navigation.register.given_gains import FixedGain
+
+    return FixedGain
+
+
+def _import_complementary() -> type[Estimator]:
+    from bench.navigation.register.given_gains import Complementary
+
+    return Complementary
+
+
+def _import_least_squares() -> type[Estimator]:
+    from bench.navigation.register.given_gains import LeastSquares
+
+    return LeastSquares
+
+
+def _import_invariant_ekf() -> type[Estimator]:
+    from bench.navigation.models.graph.invariant_ekf import InvariantEkf
+
+    return InvariantEkf
+
+
+def _import_graph_smoother() -> type[Estimator]:
+    from bench.navigation.models.graph.factor_graph import GraphSmoother
+
+    return GraphSmoother
+
+
+_NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
+
+BUILT_IN: Mapping[str, BuiltIn] = {
+    "loose-15": BuiltIn(
+        "INS/GNSS/baro, 15 states and a baro bias", _import_loose, FusionOptions, FORWARD["loose-15"]
+    ),
+    "loose-22": BuiltIn(
+        "the same with GNSS Markov errors, 22 states", _import_loose, FusionOptions, FORWARD["loose-22"]
+    ),
+    "loose-mems": BuiltIn(
+        "loose-22 with scale factors and g-sensitivity, 37 states",
+        _import_loose,
+        FusionOptions,
+        FORWARD["loose-mems"],
+    ),
+    "loose-full": BuiltIn(
+        "loose-22 with a state or noise for every error of the IMU that its datasheet names",
+        _import_loose,
+        FusionOptions,
+        FORWARD["loose-full"],
+    ),
+    "tight": BuiltIn(
+        "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
+        _import_tight,
+        TightOptions,
+        FORWARD["tight"],
+    ),
+    "smoother": BuiltIn(
+        "loose-full and a pass back over its record",
+        _import_smoother,
+        SmootherOptions,
+        {"gnss": True},
+    ),
+    "baro-inertial": BuiltIn(
+        "IMU and barometer", _import_loose, FusionOptions, {"gnss": False, "gnss_markov": False}
+    ),
+    "free-inertial": BuiltIn(
+        "IMU alone, with its open-loop covariance",
+        _import_loose,
+        FusionOptions,
+        {"gnss": False, "baro": False, "gnss_markov": False},
+    ),
+    "gnss-only": BuiltIn(
+        "position and velocity from the fixes, without IMU",
+        _import_gnss_only,
+        GnssOnlyOptions,
+        {},
+    ),
+    "ukf": BuiltIn(
+        "the states of loose-15 by sigma points, slow",
+        _import_ukf,
+        UnscentedOptions,
+        {},
+    ),
+    "classic-22": BuiltIn(
+        "the source's 22 states step by step, slow: the oracle of loose-22",
+        _import_classic_22,
+        ClassicOptions,
+        {},
+    ),
+    "error-ekf": BuiltIn(
+        "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
+        _import_error_ekf,
+        ClassicOptions,
+        {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
+    ),
+    "fixed-gain": BuiltIn(
+        "classic-22 with the gain of a settled filter throughout, slow",
+        _import_fixed_gain,
+        ClassicOptions,
+        _NO_FORM,
+    ),
+    "complementary": BuiltIn(
+        "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
+        _import_complementary,
+        ComplementaryOptions,
+        _NO_FORM,
+    ),
+    "least-squares": BuiltIn(
+        "least squares over the past, old measurements with less weight, slow",
+        _import_least_squares,
+        LeastSquaresOptions,
+        _NO_FORM,
+    ),
+    "invariant-ekf": BuiltIn(
+        "invariant EKF of gtsam on SE2(3), nine states; IMU biases act as noise; slow (extra 'graph')",
+        _import_invariant_ekf,
+        InvariantOptions,
+        {},
+        package="gtsam",
+    ),
+    "graph-smoother": BuiltIn(
+        "factor graph of gtsam with the states of loose-15 over the whole record, slow (extra 'graph')",
+        _import_graph_smoother,
+        GraphOptions,
+        {},
+        package="gtsam",
+    ),
+}
+
+
+def load(use: str, options: Mapping[str, Any]) -> Estimator:
+    """Build an estimator from a built-in name or ``module:Class`` and the keywords of its constructor.
+
+    Raises
+    ------
+    EstimatorError
+        If there is no such estimator or an option is wrong, one message each. An error inside a user's
+        module on import keeps its traceback.
+    """
+    if use in BUILT_IN:
+        row = BUILT_IN[use]
+        if wrong := row.wrong(options):
+            raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
+        return construct(use, row.import_class(), {**row.fixed, **options})
+    if not is_class(use):
+        raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
+    return construct(use, _import_class(use, find_class(use, BUILT_IN)), options)
+
+
+def _import_class(use: str, place: str) -> type[Estimator]:
+    """Return the class "module:Class" of another package."""
+    module_name, _, class_name = place.partition(":")
+    try:
+        with catch_exit(use, "its module"):
+            module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise
+        raise EstimatorError(f"estimator {use!r}: no module {error.name!r} on the Python path") from None
+    found: type[Estimator] | None = getattr(module, class_name, None)
+    if found is None or not callable(getattr(found, "run", None)):
+        raise EstimatorError(
+            f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
+        )
+    return found
+
+
+def is_class(use: str) -> bool:
+    """Return whether an estimator is a class that is not built in: ``module:Class`` or an installed one."""
+    use = find_class(use, BUILT_IN)
+    return ":" in use and all(part.isidentifier() for part in use.replace(":", ".", 1).split("."))
+
+
+def takes_option(use: str, name: str) -> bool:
+    """Return whether a built-in estimator has an option that a profile may set."""
+    return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed
