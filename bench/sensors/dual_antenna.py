@@ -16,25 +16,31 @@ from bench.specs import SensorsSpec, stream
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[HeadingData, FloatArray]:
-    """Simulate the antennas on board; return their record and its slowly varying error."""
+    """Simulate the antennas on board; return their record and the offset of their line (M,) [rad].
+
+    The multipath is no part of it: a filter has a state of its own for that.
+    """
     assert on_board.heading is not None  # otherwise `sense` does not call this
-    return measure(truth, on_board.heading, seed, run)
+    record, parts = measure(truth, on_board.heading, seed, run)
+    return record, parts[:, 0]
 
 
 def measure(truth: Trajectory, spec: HeadingSpec, seed: int, run: int) -> tuple[HeadingData, FloatArray]:
-    """Simulate a heading from -180 to 180 deg; return its record, and offset and multipath (M,) [rad].
+    """Simulate a heading from -180 to 180 deg; return its record, and offset and multipath (M, 2) [rad].
 
     A sample with the forward axis steeper than ``max_slope`` is not valid. The parameters are those of
     `Sampler`.
     """
     samples = Sampler("heading", truth, spec, seed, run)
     ahead_n = rotation.rotate(truth.q_nb[samples.rows], np.array([1.0, 0.0, 0.0]))
-    error = samples.draw("bias", spec.bias_sd) + np.zeros(len(samples.t))
+    parts = np.zeros((len(samples.t), 2))
+    parts[:, 0] = samples.draw("bias", spec.bias_sd)
     if spec.wander_sd > 0:
         correlation, sd = np.array([spec.wander_time]), np.array([spec.wander_sd])
         generator = stream(seed, run, "heading.wander")
-        error += simulate_gauss_markov(np.diff(samples.t), correlation, sd, generator)[:, 0]
+        parts[:, 1] = simulate_gauss_markov(np.diff(samples.t), correlation, sd, generator)[:, 0]
     level = np.abs(ahead_n[:, 2]) <= np.sin(spec.max_slope)
-    record: HeadingData = samples.report(np.arctan2(ahead_n[:, 1], ahead_n[:, 0]) + error, level)
+    heading = np.arctan2(ahead_n[:, 1], ahead_n[:, 0]) + parts.sum(axis=1)
+    record: HeadingData = samples.report(heading, level)
     wrapped = record.heading - 2.0 * np.pi * np.rint(record.heading / (2.0 * np.pi))
-    return replace(record, heading=wrapped), error
+    return replace(record, heading=wrapped), parts
