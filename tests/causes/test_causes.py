@@ -15,7 +15,7 @@ from bench.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_c
 from bench.causes.search import advise, describe_causes, find_causes
 from bench.evaluation.block_nees import BlockNees
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, imu_errors
-from bench.specs import AssumedSpecs, EstimatorChoice, Profile, SensorsSpec, TriadSpec
+from bench.specs import AssumedSpecs, AxisFigures, EstimatorChoice, Profile, SensorsSpec, TriadSpec
 from tests.causes import planted
 
 LOOSE = EstimatorChoice("loose-15", "loose-15")
@@ -160,6 +160,38 @@ def test_a_figure_that_is_assumed_otherwise_is_a_candidate():
     assert list_candidates(flight("figure-eight").sensors, ()) == []
 
 
+def test_a_fault_is_taken_away_alone():
+    spec = flight("gnss-faults").sensors
+    faults = [one for one in list_candidates(spec, ()) if one.group == "faults"]
+    assert len(faults) == len(spec.faults) > 2
+    for k, one in enumerate(faults):
+        assert one.words.startswith(f"fault {k + 1} (")
+        assert one.remove(spec).faults == spec.faults[:k] + spec.faults[k + 1 :]
+
+
+def test_a_figure_by_axis_becomes_that_which_is_assumed():
+    spec = flight("figure-eight").sensors
+    own = AxisFigures("scale_factor_sd", 1e-3, 2e-3, 3e-3)
+    kept = AxisFigures("misalignment_sd", 1e-4, 2e-4, 3e-4)
+    other = AxisFigures("scale_factor_sd", 4e-3, 5e-3, 6e-3)
+    whole = replace(spec.imu.gyro, scale_factor_sd=3e-3, misalignment_sd=3e-4, axes=(own, kept))
+    imu = replace(spec.imu, gyro=whole)
+    axes = replace(whole, scale_factor_sd=6e-3, axes=(other, kept))
+    told = replace(spec.assumed, imu=replace(spec.imu, gyro=axes))
+    (one,) = list_candidates(replace(spec, imu=imu, assumed=told), ())
+    assert one.words == "gyro scale factor other than assumed"
+    assert set(one.remove(replace(spec, imu=imu)).imu.gyro.axes) == {kept, other}
+    (left,) = [c for c in list_candidates(replace(spec, imu=imu), ["gyro scale factor"]) if c.error]
+    assert left.remove(replace(spec, imu=imu)).imu.gyro.axes == (kept,)
+
+
+def test_a_receiver_that_claims_too_much_is_a_candidate():
+    spec = flight("figure-eight").sensors
+    (one,) = list_candidates(replace(spec, gnss=replace(spec.gnss, optimism=2.0)), ())
+    assert one.words == "standard deviations of the receiver that are wrong"
+    assert one.remove(replace(spec, gnss=replace(spec.gnss, optimism=2.0))) == spec
+
+
 # --- the search -------------------------------------------------------------------------------------------
 
 
@@ -189,6 +221,10 @@ def steps(causes) -> list[list[str]]:
 def test_a_cause_takes_a_third_of_the_excess_and_the_rest_is_searched_again():
     assert steps(search({"a": 100.0, "b": 40.0, "c": 1.0})) == [["a"], ["b"]]
     assert steps(search({"a": 100.0, "b": 85.0, "c": 60.0})) == [["a", "b"], ["c"]]
+    assert steps(search({"a": 100.0, "b": 70.0})) == [["a"], ["b"]]  # alike is within a fifth of the best
+    assert steps(search({"a": 4.0, "b": 4.0, "c": 4.0})) == [
+        ["a", "b", "c"]
+    ]  # of the excess, not of the mean
     assert steps(search({"a": 100.0, "b": 1.0})) == [["a"]]  # what is left is honest
     assert search({"a": 1.0, "b": 0.5}) is None
 
