@@ -75,6 +75,8 @@ def read_records(spec: LogSpec) -> LogRecords:
         )
     if np.isfinite(spec.until):
         imu, fixes = _cut(imu, spec.until), _cut(fixes, spec.until)
+    if not imu.valid.any():
+        raise ConfigError(f"{spec.imu.path.name}: no row of the IMU is whole: no filter can run on it")
     instruments = {
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }

@@ -77,16 +77,20 @@ def _find_covered(records: LogRecords) -> tuple[float, float]:
 
 
 def find_impact(records: LogRecords) -> float | None:
-    """Return a second before the IMU tumbles and lies still for good [s]; None if that does not happen."""
+    """Return a second before the IMU tumbles and lies still for good [s]; None if that does not happen.
+
+    That it lies still say fixes with velocities, or the record ends there.
+    """
     imu, fixes = records.imu, records.fixes
     rate = np.linalg.norm(imu.dtheta_b, axis=1) / imu.dt
-    wild = np.flatnonzero(imu.valid & (rate > _TUMBLES))
+    speed: FloatArray = np.hypot(fixes.vel_n[:, 0], fixes.vel_n[:, 1])
+    moved = float(fixes.t[fixes.valid & (speed > _LIES)].max(initial=-np.inf))
+    wild = np.flatnonzero(imu.valid & (rate > _TUMBLES) & (imu.t >= moved - _WRECKED))
     if not len(wild):
         return None
     at = float(imu.t[wild[0]])
-    later = fixes.valid & (fixes.t > at + _WRECKED)
-    speed: FloatArray = np.hypot(fixes.vel_n[later, 0], fixes.vel_n[later, 1])
-    return at - 1.0 if not (speed > _LIES).any() else None
+    lies = fixes.valid & (fixes.t > at + _WRECKED) & (speed <= _LIES)
+    return at - 1.0 if lies.any() or imu.t.max() <= at + _WRECKED else None
 
 
 def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: float, heading: str) -> bool:

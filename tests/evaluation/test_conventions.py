@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench import pipeline
+from bench import earth, pipeline
 from bench.evaluation.convention_search import find_mistakes
+from bench.evaluation.error_series import interpolate_truth
 from bench.evaluation.known_conventions import Answers, compare, list_conventions, move
 from bench.evaluation.verdict import BROKEN, add_verdict
 from tests.evaluation import mistaken
@@ -38,6 +39,8 @@ def test_the_constants_are_those_that_were_put_there():
     assert constants("lever arm of 1 m") == pytest.approx(mistaken.ARM, abs=0.1)
     assert constants("heights over the geoid") == pytest.approx([mistaken.GEOID], abs=1.0)
     assert constants("turned by 2 deg") == pytest.approx(mistaken.TURN, abs=np.deg2rad(0.1))
+    assert "s too late" in mistaken.ask("0.1 s late", 0)["why_text"]
+    assert "m too low" in mistaken.ask("heights over the geoid", 0)["why_text"]
 
 
 @pytest.mark.slow
@@ -102,6 +105,20 @@ def test_two_mistakes_are_named_one_after_the_other():
         "velocities east, north, up",
     ]
     assert {row["step"] for row in found["looks_like"]} == {1, 2}
+
+
+@pytest.mark.parametrize(("sigmas", "named"), [(4.5, []), (7.0, ["height"])])
+def test_what_a_constant_error_may_be_by_chance_is_no_convention(sigmas, named):
+    """An error that lasts the whole run is one value: of 4.5 sigma it is rare, and no proof of a geoid."""
+    given, sensed = mistaken.give("", 0)
+    profile, truth = mistaken.fly()
+    sd = np.array([1.0, 1.0, 6.0 / sigmas, 0.1, 0.1, 0.1, 0.01, 0.01, 0.01])
+    lla, vel_n, q_nb = interpolate_truth(truth, given.t)
+    lla = earth.displace(lla, np.array([0.0, 0.0, 6.0]))
+    cov = np.tile(np.diag(np.square(sd)), (len(given.t), 1, 1))
+    solution = replace(given, lla=lla, vel_n=vel_n, q_nb=q_nb, cov=cov)
+    found = find_mistakes(truth, solution, sensed.data.antenna_b, profile.evaluation.begin)
+    assert conventions(found) == named
 
 
 def test_the_place_of_the_antenna_is_recognized():

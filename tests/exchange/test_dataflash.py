@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.cli import main
 from bench.config.log import SourceSpec
-from bench.errors import ConfigError
+from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, imports
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.imports.flash_rows import look
@@ -225,6 +226,26 @@ def test_a_log_that_lies_about_its_layout_gets_a_line(tmp_path, lie):
 def test_a_week_that_is_no_number_is_no_day(tmp_path, week):
     name, rows = ("QBBffBcLLefff", GPS[1]), [("GPS", (1, 0, 3, week, week, 9, 1.5, 1, 1, 1, 1, 1, 1))] * 3
     assert look(write_flash(tmp_path / "x.bin", {"GPS": name}, rows)).date is None
+
+
+def test_an_antenna_at_no_number_is_not_known(tmp_path):
+    rows = [
+        ("PARM", (1, f"GPS_POS1_{axis}", value)) for axis, value in zip("XYZ", (1, np.nan, 2), strict=True)
+    ]
+    path = write_flash(tmp_path / "x.bin", {"PARM": PARM}, rows)
+    assert look(path).antenna is None
+    rows[1] = ("PARM", (1, "GPS_POS1_Y", 0.5))
+    assert look(write_flash(tmp_path / "y.bin", {"PARM": PARM}, rows)).antenna == (1.0, 0.5, 2.0)
+
+
+def test_an_imu_without_a_whole_row_is_refused_in_a_line(tmp_path, capsys):
+    rows = [("IMU", (1_000_000 + 10_000 * k, 0, np.nan, 0, 0, 0, 0, -9.8)) for k in range(500)]
+    rows += [fix(1_000_000 + 200_000 * k) for k in range(20)]
+    rows += [("IMU", (6_000_000, 0, 0, 0, 0, 0, np.nan, -9.8))]
+    path = write_flash(tmp_path / "x.bin", {"IMU": IMU, "GPS": GPS}, rows)
+    assert main(["new", "log", str(path)]) == WRONG
+    assert capsys.readouterr().err.count("no row of the IMU is whole") == 1
+    assert not path.with_suffix(".toml").exists()
 
 
 def test_the_second_layout_of_a_record_is_not_used(tmp_path):

@@ -166,8 +166,8 @@ def _has_rows(path: Path, kind: str) -> bool:
 
 
 def _find_place(parameters: Mapping[str, float], stem: str) -> Vector | None:
-    x, y, z = (parameters.get(f"{stem}{axis}") for axis in "XYZ")
-    return None if x is None or y is None or z is None else (x, y, z)
+    x, y, z = (parameters.get(f"{stem}{axis}", np.nan) for axis in "XYZ")
+    return (x, y, z) if np.isfinite([x, y, z]).all() else None
 
 
 def _find_day(log: DataFlash) -> datetime.date | None:
