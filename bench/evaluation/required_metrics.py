@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.evaluation.ensemble import estimate_rate
+from bench.evaluation.ensemble import Estimate, estimate_rate
 from bench.evaluation.metrics import find_metric
 from bench.wording import format_number
 
@@ -22,7 +22,7 @@ MET, MISSED, UNDECIDED = "met", "missed", "undecided"
 EVERY = "*"
 """In the name of a metric: every outage or fault, the worst of them."""
 
-_TWO_SIDED = 0.90  # each end of this interval is a bound of 95 %
+_ERROR = 0.05  # of the bound at each end
 _MOST_RUNS = 100_000  # that are thought of
 
 Values = Mapping[str, Any]
@@ -78,37 +78,48 @@ def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> 
     return [one for label, values, rows in every for one in judge_run(label, values, rows)]
 
 
-def judge_runs(label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]]) -> list[Finding]:
-    """Return whether a share of some runs keeps each requirement; parameters as for :func:`judge_run`."""
+def judge_runs(
+    label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], looks: int = 1
+) -> list[Finding]:
+    """Return whether a share of some runs keeps each requirement; parameters as for :func:`judge_run`.
+
+    Runs that are looked at several times, while more are added until it is decided, give each of the
+    ``looks`` its part of the error of the bounds.
+    """
     found = []
     for row in rows if runs else ():
         count, n, share = sum(_keeps(row, values) for values in runs), len(runs), float(row["share"])
-        held = estimate_rate(count, n, _TWO_SIDED)
-        word = decide(count, n, share)
+        held = _bound(count, n, looks)
+        word = decide(count, n, share, looks)
         text = (
             f"{label}: {row['metric']} is {_describe(row)} in {count} of {n} runs, "
             f"{100 * held.low:.3g} to {100 * held.high:.3g} % of all, {100 * share:g} % are required: {word}"
         )
         if word == UNDECIDED:
-            needed = count_deciding_runs(count, n, share)
+            needed = count_deciding_runs(count, n, share, looks)
             text += "; no number of runs decides it" if needed is None else f"; {needed} runs would decide it"
         found.append(Finding(label, row["metric"], word, f"{text}."))
     return found
 
 
-def decide(count: int, n: int, share: float) -> str:
-    """Return whether a share is met by ``count`` of n runs.
+def _bound(count: int, n: int, looks: int) -> Estimate:
+    """Return a share with its bounds."""
+    return estimate_rate(count, n, 1.0 - 2.0 * _ERROR / looks)
+
+
+def decide(count: int, n: int, share: float, looks: int = 1) -> str:
+    """Return whether a share is met by ``count`` of n runs, at one of so many looks at them.
 
     Examples
     --------
     >>> decide(58, 58, 0.95), decide(59, 59, 0.95), decide(50, 59, 0.95)
     ('undecided', 'met', 'missed')
     """
-    held = estimate_rate(count, n, _TWO_SIDED)
+    held = _bound(count, n, looks)
     return MET if held.low >= share else MISSED if held.high < share else UNDECIDED
 
 
-def count_deciding_runs(count: int, n: int, share: float) -> int | None:
+def count_deciding_runs(count: int, n: int, share: float, looks: int = 1) -> int | None:
     """Return how many runs decide a share if as many of them keep it as of the n; None for more than 100,000.
 
     Examples
@@ -118,7 +129,7 @@ def count_deciding_runs(count: int, n: int, share: float) -> int | None:
     """
     more = n + 1
     while more <= _MOST_RUNS:
-        if decide(round(count / n * more), more, share) != UNDECIDED:
+        if decide(round(count / n * more), more, share, looks) != UNDECIDED:
             return more
         more += max(1, more // 200)
     return None

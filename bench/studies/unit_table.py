@@ -108,7 +108,7 @@ def _answer(
     flights.fly(cases, options.draws)
     draws = options.draws
     while True:
-        ranked = {label: flights.rank(label, _ERROR / looks) for label in flights.labels}
+        ranked = {label: flights.rank(label, looks) for label in flights.labels}
         again = {name for one in ranked.values() for name in _list_open(one[0], options.most_draws)}
         if not again or draws >= options.most_draws:
             break
@@ -203,16 +203,16 @@ class _Flights:
         usual = _DRIFT if self._document.get("gnss_outage") else _RMSE
         return self._options.metric or (required[0]["metric"] if required else usual)
 
-    def rank(self, label: str, error: float) -> tuple[Ranking, Ranking]:
-        """Return the ranking with gaps as typical of the class, and with gaps as zero."""
-        return self._rank(label, error, filled=True), self._rank(label, error, filled=False)
+    def rank(self, label: str, looks: int) -> tuple[Ranking, Ranking]:
+        """Return the ranking with gaps as typical of the class, and with gaps as zero, at one of looks."""
+        return self._rank(label, looks, filled=True), self._rank(label, looks, filled=False)
 
-    def _rank(self, label: str, error: float, *, filled: bool) -> Ranking:
+    def _rank(self, label: str, looks: int, *, filled: bool) -> Ranking:
         flown = []
         for name, unit in self._units.items():
             rows = self._rows[label, UnitCase(name, filled or not unit.typical)]
             asked = {"metric": self.metric(label), "most": math.inf}
             values = [take_value(asked, row) if row["converged"] else None for row in rows]
-            findings = judge_runs(label, rows, self.required(label))
+            findings = judge_runs(label, rows, self.required(label), looks)
             flown.append(UnitFlown(name, unit.grade, np.array(values, float), tuple(findings)))
-        return rank_units(flown, error)
+        return rank_units(flown, _ERROR / looks)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from scipy import stats
 
@@ -150,3 +152,15 @@ def test_a_wrong_requirement_is_named(tmp_path):
         "short.toml: [[requirement]] 2: give most or least, one of them",
         "short.toml: [[requirement]] 3: no estimator 'other'; there are loose-15, loose-full",
     )
+
+
+def test_runs_that_are_added_until_it_is_decided_show_no_more_than_they_say():
+    """Just 95 % keep it: looked at four times, either word falls in 5 % of the campaigns at most."""
+    looks, words = (60, 120, 240, 480), Counter[str]()
+    decided = {(n, k): decide(k, n, 0.95, len(looks)) for n in looks for k in range(n + 1)}
+    kept = np.random.default_rng(2).random((4000, looks[-1])) < 0.95
+    for counts in np.cumsum(kept, axis=1):
+        found = [decided[n, int(counts[n - 1])] for n in looks]
+        words[next((word for word in found if word != UNDECIDED), UNDECIDED)] += 1
+    assert words[MET] < stats.binom.ppf(0.999, 4000, 0.05)
+    assert words[MISSED] < stats.binom.ppf(0.999, 4000, 0.05)

@@ -108,6 +108,14 @@ def test_a_fix_in_si(tmp_path):
     assert look(path).sensors == ("gnss",)
 
 
+@pytest.mark.parametrize(("known", "height"), [((-48.5, np.nan, -48.5), 648.5), ((np.nan,), 600.0)])
+def test_an_undulation_that_is_no_number_does_not_count(tmp_path, known, height):
+    rows = [fix(1_000_000 + k) for k in range(3)]
+    rows += [("GPA", (1_000_100 + k, 0, 1.2, 0.9, 1.4, 0.3, 1, 1, 1, und)) for k, und in enumerate(known)]
+    path = write_flash(tmp_path / "x.bin", {"GPS": GPS, "GPA": GPA}, rows)
+    assert_allclose(read(path, "gnss").values["lla"][:, 2], height)
+
+
 def test_a_receiver_without_vertical_velocity_has_none(tmp_path):
     rows = [fix(1_000_000), ("GPA", (1_000_100, 0, 1.2, 0.9, 1.4, 0.3, 0, 1000, 200, 0.0))]
     path = write_flash(tmp_path / "x.bin", {"GPS": GPS, "GPA": GPA}, rows)

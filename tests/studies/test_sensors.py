@@ -14,7 +14,7 @@ from bench.errors import ConfigError
 from bench.evaluation.required_metrics import MET
 from bench.studies import unit_table
 from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
-from bench.studies.unit_ranking import Flown, rank_units
+from bench.studies.unit_ranking import UnitFlown, rank_units
 from bench.studies.unit_table import Options, find_law
 from tests.studies.made_units import write_unit
 
@@ -128,7 +128,7 @@ def test_a_requirement_that_is_just_met_or_just_missed(tmp_path, size):
 
 
 def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(tmp_path):
-    """6 draws cannot show 95 %, 24 neither: undecided, and it says how many runs would decide."""
+    """6 draws cannot show 95 %, 24 neither: undecided in three looks, and how many runs would decide."""
     names = write(tmp_path, cheap="consumer", dear="tactical")
     document = {"requirement": [{"metric": METRIC, "most": 10.0, "share": 0.95}]}
     flights = Flights(lambda unit, run, filled: 5.0 if unit == "dear" else 50.0, document)
@@ -137,7 +137,7 @@ def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(
     assert (found.good, found.undecided) == (True, True)
     assert max(run for unit, run, _ in flights.flown if unit == "dear") == 23
     assert max(run for unit, run, _ in flights.flown if unit == "cheap") == 5, "it is missed for certain"
-    assert any("59 runs would decide it" in one for one in found.verdicts)
+    assert any("80 runs would decide it" in one for one in found.verdicts)
     assert "no unit is shown to meet it" in found.verdicts[0]
 
 
@@ -294,6 +294,6 @@ def test_the_best_of_many_units_is_no_better_for_being_chosen():
     """Sixteen dear units beside a cheap one, all alike: a class is put forward as rarely as is said."""
     rng, wrong, flights = np.random.default_rng(1), 0, 400
     for errors in np.sqrt(rng.chisquare(4.0, (flights, 17, 6))):
-        units = [Flown(f"u{k}", "tactical" if k else "consumer", row) for k, row in enumerate(errors)]
+        units = [UnitFlown(f"u{k}", "tactical" if k else "consumer", row) for k, row in enumerate(errors)]
         wrong += len(rank_units(units, 0.05).front) > 1
     assert wrong <= stats.binom.ppf(0.999, flights, 0.05)

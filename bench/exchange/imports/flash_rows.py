@@ -263,8 +263,9 @@ def _find_accuracies(
 
 def find_undulation(log: DataFlash) -> float:
     """Return by how much heights over the sea are above ellipsoidal ones [m]; 0 if it is not known."""
-    data = log.read("GPA") if "GPA" in log else {}
-    return float(np.median(data["Und"])) if "Und" in data else 0.0
+    found = log.read("GPA").get("Und", np.empty(0)) if "GPA" in log else np.empty(0)
+    known = found[np.isfinite(found)]
+    return float(np.median(known)) if len(known) else 0.0
 
 
 def _find_delay(log: DataFlash) -> tuple[float, str]:
