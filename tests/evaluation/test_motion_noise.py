@@ -28,13 +28,13 @@ def truth():
     return weaving(LENGTH, rate=RATE)
 
 
-def shaken(imu, seed, times=TIMES, line=0.0):
-    """Return samples with a shaking of a corner frequency, and with a line of an engine at 31 Hz [times]."""
+def shaken(imu, seed, times=TIMES, line=0.0, at=31.0):
+    """Return samples with a shaking of a corner frequency, and with a line of an engine [times] at [Hz]."""
     random, n = np.random.default_rng(seed), len(imu)
     keep, t = np.exp(-2 * np.pi * CORNER / RATE), imu.t[:, None]
     white = random.standard_normal((n, 6))
     noise = lfilter([1.0 - keep], [1.0, -keep], white, axis=0)  # at low frequencies as dense as the white
-    noise += line * np.cos(2 * np.pi * 31.0 * t + np.arange(6))
+    noise += line * np.cos(2 * np.pi * at * t + np.arange(6))
     size = times / np.sqrt(RATE)
     gyro, accel = size * IMU.gyro.random_walk, size * IMU.accel.random_walk
     return replace(imu, dtheta_b=imu.dtheta_b + gyro * noise[:, :3], dvel_b=imu.dvel_b + accel * noise[:, 3:])
@@ -47,8 +47,8 @@ def test_the_density_of_shaking_is_found_beside_the_motion_and_a_line(truth):
     assert plain[0] == pytest.approx(IMU.gyro.random_walk, rel=0.1)
     assert plain[1] == pytest.approx(IMU.accel.random_walk, rel=0.1)
     wanted = np.hypot(TIMES / np.sqrt(1.0 + (6.0 / CORNER) ** 2), 1.0)
-    for line in (0.0, 30.0):
-        gyro, accel = measure_motion_noise(shaken(imu, 5, line=line), [])
+    for line, at in ((0.0, 31.0), (30.0, 31.0), (30.0, 4.0), (30.0, 8.0)):  # the last two inside of a band
+        gyro, accel = measure_motion_noise(shaken(imu, 5, line=line, at=at), [])
         assert gyro / IMU.gyro.random_walk == pytest.approx(wanted, rel=0.15)
         assert accel / IMU.accel.random_walk == pytest.approx(wanted, rel=0.15)
 

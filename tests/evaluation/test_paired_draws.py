@@ -70,6 +70,17 @@ def test_the_draws_that_would_decide_decide_in_about_half_of_the_cases():
     assert sum(word != "undecided" for word in many) > 2 * sum(word != "undecided" for word in few)
 
 
+def test_two_that_are_nearly_the_same_need_draws_until_the_interval_is_within_5_percent():
+    rng = np.random.default_rng(3)
+    while True:
+        pair = compare_draws_of(NAMES, *draw(rng, 30, 1.0, correlation=0.99))
+        off = abs(np.log(pair.ratio.value))
+        if pair.deciding is not None and 0.01 < off < 0.02:
+            break
+    half = np.log(pair.ratio.high / pair.ratio.value)
+    assert pair.deciding == pytest.approx(30 * (half / (np.log1p(SAME) - off)) ** 2, abs=2)
+
+
 def test_pairs_that_hardly_differ_are_not_promised_to_be_told():
     values = np.array([1.0, 2.0])
     pair = compare_draws_of(NAMES, values, np.array([2.0, 1.0]) * (1.0 + 0.5 * SAME))

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import pipeline
+from bench import pipeline, rotation
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.start import steady_course, turn_on
@@ -46,6 +46,25 @@ def test_the_mean_rate_of_a_straight_or_a_standstill_is_the_bias(figure_eight_tr
         now = np.searchsorted(sensed.truth.t, found.until)
         square.append(((found.bias_b - sensed.truth.gyro_bias_b[now]) / found.sd) ** 2)
     assert np.mean(square) < band(36)[1]  # at least as good as it says
+
+
+def test_a_slow_turn_that_the_course_shows_is_no_bias(figure_eight_truth):
+    """0.4 deg/s, 8 deg in the stretch: the same gyros in straight flight have the same bias."""
+    profile = bench.load_profile("figure-eight", MPU)
+    sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 5001))
+    straight = turn_on.find_turn_on(sensed.data, sensed.initial)
+    rate = np.array([0.0, 0.0, np.deg2rad(0.4)])
+    imu, fixes = sensed.data.imu, sensed.data.fixes
+    turned_b = rotation.rotate(rotation.conjugate(sensed.initial.q_nb), rate)
+    vel_n = rotation.rotate(rotation.from_rotvec(np.outer(fixes.t, rate)), fixes.vel_n)
+    data = replace(
+        sensed.data,
+        imu=replace(imu, dtheta_b=imu.dtheta_b + turned_b * imu.dt[:, None]),
+        fixes=replace(fixes, vel_n=vel_n),
+    )
+    found = turn_on.find_turn_on(data, sensed.initial)
+    assert found is not None
+    assert found.bias_b == pytest.approx(straight.bias_b, abs=np.deg2rad(0.02))
 
 
 def test_nothing_is_learnt_of_a_small_bias_or_in_a_turn(figure_eight_truth):
