@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -45,6 +45,7 @@ class HeldOutScore:
     rmse_h_m: Estimate
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
     repetition: Mapping[str, tuple[float, float]]  # of innovations, as `measure_repetition` returns it
+    lost: int = 0  # draws that did not converge, which are in no figure
 
 
 class Trial(Protocol):
@@ -115,7 +116,7 @@ class ProfileTrial:
         rows = [row["estimators"][self.label] for row in others]
         good = [row for row in rows if row["metrics"]["converged"]]
         sums = [{name: np.array(one) for name, one in row["repetition"].items()} for row in good]
-        return _judge(*_draw_values(good), sums)
+        return replace(_judge(*_draw_values(good), sums), lost=len(rows) - len(good))
 
 
 class LogTrial:

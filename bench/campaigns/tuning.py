@@ -65,6 +65,11 @@ class Tuning:
                 f"{title}, on data not used for tuning: {format_number(old.value, 3)} ({old.interval}) "
                 f"before, {format_number(new.value, 3)} ({new.interval}) after"
             )
+        if self.before.lost or self.after.lost:
+            found.append(
+                f"draws that did not converge, which are in neither figure: {self.before.lost} before, "
+                f"{self.after.lost} after"
+            )
         found += [
             f"innovations of {sensor} still repeat from one update to the next: correlation {value:.2f}, "
             f"within {band:.2f} is right; {self.label} lacks a state there, and white noise only hides it"

@@ -15,7 +15,7 @@ import bench
 from bench import pipeline
 from bench.campaigns import tuning
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import HeldOutScore, measure_costs
+from bench.campaigns.trials import HeldOutScore, ProfileTrial, measure_costs
 from bench.campaigns.worker import RunTask
 from bench.cli import main
 from bench.config import load_profile
@@ -130,6 +130,28 @@ def test_what_is_known_of_a_factor_is_told(factor, ends, told):
     judged, name = HeldOutScore(one, one, {}), "imu.gyro.noise"
     found = tuning.Tuning("x", "consistency", {name: factor}, {name: ends}, True, 3, 3, judged, judged, 9, {})
     assert told in found.sentences[1]
+
+
+def test_draws_that_are_lost_are_told(here):
+    """A filter that converges in fewer draws is no better for those that it keeps."""
+    one = Estimate(1.0, 0.9, 1.1)
+    kept, lost = HeldOutScore(one, one, {}), HeldOutScore(one, one, {}, lost=3)
+    ends = {"imu.gyro.noise": (0.9, 1.1)}
+    found = tuning.Tuning("x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, lost, 9, {})
+    assert (
+        found.sentences[-1] == "draws that did not converge, which are in neither figure: 0 before, 3 after"
+    )
+    whole = tuning.Tuning("x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, kept, 9, {})
+    assert not any("did not converge" in text for text in whole.sentences)
+
+
+def test_the_draws_that_judge_count_those_they_lose(here, monkeypatch):
+    good = {"converged": True, "pos_rmse_h_m": 1.0, "nees_mean": 9.0, "nees_states": 9.0}
+    rows = [{"metrics": {**good, "converged": k not in (1, 4)}, "repetition": {}} for k in range(6)]
+    trial = object.__new__(ProfileTrial)
+    trial.label, trial._runs = "x", 6
+    monkeypatch.setattr(trial, "_compute", lambda *_: [{"estimators": {"x": row}} for row in rows])
+    assert trial.judge({}).lost == 2
 
 
 def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
