@@ -239,6 +239,36 @@ def test_variances_of_a_quaternion_become_those_of_angles():
     assert_allclose(turn_quaternion(diagonal[None], q[None])[0], phi.var(axis=0), rtol=0.011)
 
 
+def test_the_gate_of_a_test_ratio_is_that_of_the_parameters(tmp_path):
+    """EK3_POS_I_GATE in percent of a standard deviation; without it, as for the velocity, 5."""
+    kinds = {name: flown.KINDS[name] for name in ("PARM", "XKF1", "XKF3", "XKF4")}
+    rows = [("PARM", (1, "AHRS_EKF_TYPE", 3.0)), ("PARM", (1, "EK3_POS_I_GATE", 300.0))]
+    for k in range(3):
+        t = 1_000_000 + 100_000 * k
+        rows.append(("XKF1", (t, 0, *[0.0] * 14)))
+        rows.append(("XKF3", (t, 0, 0.3, 0.0, 0.4, 1.0 + 0.1 * k, 0.0, 2.0)))
+        rows.append(("XKF4", (t, 0, 0.1, 0.2, 0.1, 0)))
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    table = autopilot.read_estimate(SourceSpec(path, "dataflash"), None).innovations
+    by_name = {name: table.nis[table.code == code] for code, name in enumerate(table.sensor)}
+    assert_allclose(by_name["gnss_position"], 2 * (0.2 * 3.0) ** 2, rtol=1e-6)
+    assert_allclose(by_name["gnss_velocity"], 3 * (0.1 * 5.0) ** 2, rtol=1e-6)
+
+
+def test_a_core_flies_from_the_record_on_that_says_so(tmp_path):
+    kinds = {name: flown.KINDS[name] for name in ("XKF1", "XKF4", "ORGN")}
+    rows = [("ORGN", (1, 0, 50.0, 30.0, 100.0))]
+    for k in range(10):
+        t = 1_000_000 + 100_000 * k
+        for core in (0, 1):
+            rows.append(("XKF1", (t, core, 0, 0, 0, 10.0 + core, *[0.0] * 10)))
+            rows.append(("XKF4", (t, core, 0.1, 0.2, 0.1, 0 if k < 4 else 1)))
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    assert own.motion.vel_n[:, 0].tolist() == [10.0] * 4 + [11.0] * 6
+    assert [(row[0], row[2]) for row in own.events] == [(pytest.approx(1.4), "lane")]
+
+
 def test_a_repeated_innovation_is_one(tmp_path):
     t = np.arange(6.0)
     z = np.array([[1.0], [1.0], [2.0], [2.0], [0.0], [3.0]])
