@@ -48,6 +48,7 @@ class Mistake:
     left: dict[str, BlockNees]  # of each block without it; "all" of all
 
 
+@np.errstate(all="ignore")  # a diverged solution is a result, not a warning
 def find_mistakes(
     truth: Trajectory, solution: NavSolution, antenna_b: FloatArray, begin: float
 ) -> dict[str, Any]:
@@ -77,6 +78,8 @@ def find_mistakes(
     rows = np.flatnonzero(find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT))
     at = select_epochs(solution, rows[:: max(1, len(rows) // _MOST)])
     answers = Answers(at.t, at.lla, at.vel_n, at.q_nb, at.cov)
+    if not move(truth, answers).inside.any():
+        return {}
     steps = list[list[Mistake]]()
     first = _judge(truth, answers, claimed)
     for _ in range(_ROUNDS):

@@ -121,6 +121,16 @@ def test_what_a_constant_error_may_be_by_chance_is_no_convention(sigmas, named):
     assert conventions(found) == named
 
 
+def test_what_cannot_be_compared_is_no_convention():
+    """Without a warning: nothing after the alignment, times that the truth has not, numbers of 1e200."""
+    given, sensed = mistaken.give("", 0)
+    profile, truth = mistaken.fly()
+    begin, arm = profile.evaluation.begin, sensed.data.antenna_b
+    assert find_mistakes(truth, given, arm, 1e9) == {}
+    assert find_mistakes(truth, replace(given, t=given.t + 1e6), arm, begin) == {}
+    assert find_mistakes(truth, replace(given, lla=given.lla * 1e200), arm, begin) == {}
+
+
 def test_the_place_of_the_antenna_is_recognized():
     (arm,) = (one for one in list_conventions(mistaken.ARM) if one.name == "lever arm")
     assert "the motion of the antenna" in arm.words(1.1 * mistaken.ARM)
