@@ -81,7 +81,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
     if "baro" in instruments and spec.imu.format in AUTOPILOTS:
-        instruments["baro"] = _set_altimeter(instruments["baro"], fixes, spec.start.at)
+        instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at)
     return LogRecords(
         imu=imu,
         fixes=fixes,
@@ -320,7 +320,7 @@ def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> 
     )
 
 
-def _set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float) -> BaroData:
+def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float) -> BaroData:
     """Return a barometer set at the start to the height by the fixes, as a pilot sets it to that of a field.
 
     The pressure of the day is in no log: without that its heights are off by a hundred metres.

@@ -17,8 +17,9 @@ from bench.config.log import SourceSpec, load_log
 from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, own_judge
 from bench.exchange.imports.contents import tell_innovations, turn_quaternion
-from bench.exchange.log_records import read_records
+from bench.exchange.log_records import read_records, set_altimeter
 from bench.exchange.log_start import find_magnetic_heading, find_start
+from bench.instruments import BaroData
 from bench.signals.magnetic import field_n
 from tests.exchange import flown
 from tests.exchange.flash import write_flash
@@ -278,13 +279,29 @@ def test_a_repeated_innovation_is_one(tmp_path):
     assert_allclose(table.nis, [0.25, 1.0])
 
 
+def make_fixes(t: np.ndarray, heights: np.ndarray) -> bench.data.GnssFixes:
+    n = len(t)
+    lla = np.column_stack([np.zeros((n, 2)), heights])
+    return bench.data.GnssFixes(
+        t, t, np.ones(n, np.bool_), lla, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 3)),
+        np.zeros(n, np.int64),
+    )  # fmt: skip
+
+
+def test_a_barometer_is_set_to_the_fixes_of_the_first_ten_seconds():
+    """It reads 100 m too much: a fix that is off, and those before and after, do not count."""
+    t = np.arange(0.0, 60.0)
+    climb = 500.0 + 2.0 * t
+    heights = np.where((t < 20.0) | (t > 30.0), climb + 70.0, climb)
+    heights[25] += 40.0
+    baro = BaroData(t, t, np.ones(60, np.bool_), climb + 100.0, np.ones(60))
+    assert_allclose(set_altimeter(baro, make_fixes(t, heights), 20.0).alt_baro, climb)
+    assert set_altimeter(baro, make_fixes(t[:5], heights[:5]), 20.0) is baro
+
+
 def test_only_long_silences_are_outages():
     t = np.concatenate([np.arange(0, 10, 0.2), np.arange(10.8, 20, 0.2), np.arange(25, 30, 0.2)])
-    n = len(t)
-    record = bench.data.GnssFixes(
-        t, t, np.ones(n, np.bool_), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3, 3)),
-        np.zeros((n, 3, 3)), np.zeros(n, np.int64),
-    )  # fmt: skip
+    record = make_fixes(t, np.zeros(len(t)))
     (gap,) = own_judge.find_outages(record)
     assert gap == pytest.approx((19.8, 25.0), abs=0.11)
 
