@@ -304,7 +304,7 @@ def test_what_limits_is_the_largest_share_unless_another_filter_would_gain_much(
     shares = {"the IMU": 0.7, "the receiver": 0.299, "the start": 0.001}
     told = VarianceShares("flight", "mine", "100 s", 2.0, shares, 1.25).tell("unit")
     assert told == (
-        "What limits mine with unit on flight at 100 s is the IMU: of the variance the IMU 70 %, the receiver "
-        "30 % (expected 2 m RMS); the best linear filter would have 80 % of the error."
+        "What limits mine with unit on flight at 100 s is the IMU: of the variance the IMU 70 %, the "
+        "receiver 30 % (expected 2 m RMS); the best linear filter would have 80 % of the error."
     )
     assert VarianceShares("flight", "mine", "100 s", 2.0, shares, 2.0).limiting == "the filter"
