@@ -80,6 +80,59 @@ def test_nothing_is_learnt_of_a_small_bias_or_in_a_turn(figure_eight_truth):
     assert turn_on.find_turn_on(data, large.initial) is None
 
 
+def turning_from(fixes, t):
+    """Return fixes whose course goes round in half a minute from an instant [s] on."""
+    course = 0.2 * np.maximum(fixes.t - t, 0.0)
+    speed = np.hypot(fixes.vel_n[:, 0], fixes.vel_n[:, 1])
+    return replace(
+        fixes, vel_n=np.column_stack([speed * np.cos(course), speed * np.sin(course), np.zeros(len(speed))])
+    )
+
+
+def test_what_a_short_stretch_tells_is_taken_back_when_the_course_leaves(figure_eight_truth):
+    """The first seconds may be the begin of a turn: then the filter is the one that has learnt nothing."""
+    profile = bench.load_profile("figure-eight", MPU)
+    sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 5001))
+    data = replace(sensed.data, fixes=turning_from(sensed.data.fixes, 3.0), output_t=np.array([3.0, 22.0]))
+    early = turn_on.find_turn_on(data, sensed.initial, 2.5)
+    assert early is not None
+    assert turn_on.find_turn_on(data, sensed.initial, 5.0) is None
+    learnt = load("loose-full", {}).run(data, sensed.initial)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(turn_on, "LARGE", np.inf)
+        plain = load("loose-full", {}).run(data, sensed.initial)
+    assert np.abs(learnt.gyro_bias_b[0] - plain.gyro_bias_b[0]).max() > 0.1 * np.abs(early.bias_b).max()
+    np.testing.assert_array_equal(learnt.q_nb[1], plain.q_nb[1])
+    assert any("the course has left" in text for _, _, text in learnt.events.select("alignment"))
+
+
+def test_a_roll_is_no_bias(figure_eight_truth):
+    """60 deg/s about the nose is more than any such unit errs, though the course stays."""
+    profile = bench.load_profile("figure-eight", MPU)
+    sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 5001))
+    imu = sensed.data.imu
+    roll = np.outer(imu.dt, np.deg2rad([60.0, 0.0, 0.0]))
+    data = replace(sensed.data, imu=replace(imu, dtheta_b=imu.dtheta_b + roll))
+    assert turn_on.find_turn_on(data, sensed.initial, 5.0) is None
+    assert turn_on.find_turn_on(sensed.data, sensed.initial, 5.0) is not None
+
+
+def test_the_first_seconds_are_honest_with_a_bias_of_degrees_per_second(figure_eight_truth):
+    """16 draws; all seconds of a draw may err together. A filter that learns after 20 s has 20 and more."""
+    profile = replace(bench.load_profile("figure-eight", {"sensors.imu": "mpu-9250"}), seed=11)
+    truth = first_rows(figure_eight_truth, 4401)
+    nees = []
+    for run in range(16):
+        sensed = pipeline.sense(profile, truth, run)
+        data = replace(sensed.data, output_t=np.arange(2.0, 22.0))
+        solution = load("loose-full", {}).run(data, sensed.initial)
+        errors = error_series(truth, solution)
+        sd = np.sqrt(np.einsum("kii->ki", solution.cov)[:, 6:9])
+        assert (np.abs(errors.phi_n) < 8.0 * sd).all()
+        nees.append(errors.nees.mean())
+    assert np.mean(nees) < 9.0 + Z * np.sqrt(18.0 / 16)
+
+
 @pytest.mark.slow
 def test_loose_full_is_honest_with_a_bias_of_degrees_per_second(figure_eight_truth):
     """6 draws of 5 minutes; without such a start the first turn loses the heading."""

@@ -38,7 +38,6 @@ from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
-from bench.navigation.start.alignment import SETTLED
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.steady_course import (
     FIRST,
@@ -48,9 +47,12 @@ from bench.navigation.start.steady_course import (
     TURNED_SD,
 )
 from bench.specs import ImuSpec
+from bench.units import STANDARD_GRAVITY
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
-SHORTEST = 5.0  # stretch [s]
+STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]
+SHORTEST, FIRST_LOOK = 5.0, 0.9  # stretch that has ended; one that goes on, which a longer one replaces [s]
+MOST = 5.0  # sd; no unit errs by more
 
 Run = Callable[[SensorData, InitialState, float | None], NavSolution]
 Begin = Callable[[SensorData, InitialState, list[EventRow], float | None], InPieces]
@@ -68,7 +70,8 @@ class TurnOn:
 class FromTurnOn(SessionState):
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
-    At the end of the stretch it takes the record so far once more, from the start.
+    While the stretch goes on it takes the record so far once more, from the start, whenever the bias is known
+    better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn.
 
     Parameters
     ----------
@@ -84,7 +87,7 @@ class FromTurnOn(SessionState):
     """
 
     pieces: Kept[list[SensorData]]  # the record until the stretch has ended, each longer than the next
-    waits: Kept[bool]  # for that
+    step: Kept[int]  # of `STEPS`, that is to come
     found: Kept[TurnOn | None]
     told: Kept[float]  # until then the filter before has told its innovations [s]
     filter: Kept[InPieces]
@@ -93,7 +96,7 @@ class FromTurnOn(SessionState):
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
         self._begin, self.head, self.initial = begin, take_head(first), initial
-        self.pieces, self.waits, self.found, self.told = [self.head], True, None, -np.inf
+        self.pieces, self.step, self.found, self.told = [self.head], 0, None, -np.inf
         self.filter = begin(self.head, initial, events, None)
 
     @property
@@ -109,24 +112,33 @@ class FromTurnOn(SessionState):
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if not np.array_equal(self.head.antenna_b, piece.antenna_b):
-            self.waits = False  # the record from the start is of another antenna
+            self.step = len(STEPS)  # the record from the start is of another antenna
         parts: list[NavSolution] = []
-        if self.waits:
+        if self.step < len(STEPS):
             _append(self.pieces, piece)
-            due = self.initial.t + FIRST + SETTLED
-            if max(newest_sample(one) for one in self.pieces) >= due:
-                self.waits = False
-                found = find_turn_on(self._join_pieces(), self.initial)
-                if found is not None:
-                    before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
-                    piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
-                    solution = self.filter.feed(before, 0.0, last=True)
-                    events = [*solution.events.rows(), _event(self.initial, found)]
-                    parts.append(replace(solution, events=Events.from_rows(events)))
-                    self._begin_again(found, due, look_back)
-        if not self.waits:
+        while self.step < len(STEPS):
+            due = self.initial.t + STEPS[self.step]
+            if max(newest_sample(one) for one in self.pieces) < due:
+                break
+            self.step += 1
+            record = self._join_pieces()
+            found = find_turn_on(record, self.initial, due)
+            if self._is_other(found):
+                before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
+                piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
+                solution = self._own(self.filter.feed(self._less(before), 0.0, last=True))
+                events = [*solution.events.rows(), _event(self.initial, found, due)]
+                parts.append(replace(solution, events=Events.from_rows(events)))
+                self._begin_again(record, found, due, look_back)
+        if self.step == len(STEPS):
             self.pieces = []
         return join_solutions([*parts, self._own(self.filter.feed(self._less(piece), look_back, last=last))])
+
+    def _is_other(self, found: TurnOn | None) -> bool:
+        """Tell whether the bias is known better now, or was none: the course left soon after the start."""
+        if found is None or self.found is None:
+            return found is not self.found
+        return found.sd < self.found.sd
 
     def _join_pieces(self) -> SensorData:
         """Return the record so far."""
@@ -136,10 +148,10 @@ class FromTurnOn(SessionState):
         self.pieces = [record]
         return record
 
-    def _begin_again(self, found: TurnOn, due: float, look_back: float) -> None:
+    def _begin_again(self, record: SensorData, found: TurnOn | None, due: float, look_back: float) -> None:
         """Let a filter without this bias take the record until an instant [s] once more."""
-        (record,), self.found, self.told = self.pieces, found, due
-        self.filter = self._begin(self.head, self.initial, [], found.sd)
+        self.found, self.told = found, due
+        self.make_parts()
         again = cut_piece(record, np.flatnonzero(~(record.imu.t > due)), -np.inf, due)
         self.filter.feed(self._less(replace(again, output_t=np.empty(0))), look_back, last=False)
 
@@ -195,7 +207,9 @@ def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialS
     return replace(solution, events=Events.from_rows([_event(initial, found), *solution.events.rows()]))
 
 
-def _event(initial: InitialState, found: TurnOn) -> EventRow:
+def _event(initial: InitialState, found: TurnOn | None, due: float = math.inf) -> EventRow:
+    if found is None:
+        return initial.t, due, "alignment", "turn-on bias of the gyros as before: the course has left"
     text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
     return initial.t, found.until, "alignment", text
 
@@ -211,16 +225,17 @@ def _give_back(found: TurnOn, solution: NavSolution) -> NavSolution:
     return replace(solution, gyro_bias_b=solution.gyro_bias_b + found.bias_b, extra=extra)
 
 
-def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
+def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math.inf) -> TurnOn | None:
     """Return the bias of the gyros by the first straight or standstill; None if it is small or there is none.
 
-    The attitude at the start has to be given.
+    The attitude at the start has to be given. What comes after ``until`` [s] is not looked at.
     """
+    until = min(until, initial.t + FIRST)
     fixes, spec = sensors.fixes, sensors.specs.imu
     if fixes is None or not may_be_learnt(sensors, initial):
         return None
     used, _, _ = timeline.fix_rows(fixes, sensors.imu.t, initial.t)
-    used = used[(fixes.t_arrival[used] <= initial.t + FIRST) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
+    used = used[(fixes.t_arrival[used] <= until) & np.isfinite(fixes.vel_n[used]).all(axis=1)]
     t, vel_n = fixes.t[used], fixes.vel_n[used]
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
@@ -228,26 +243,40 @@ def find_turn_on(sensors: SensorData, initial: InitialState) -> TurnOn | None:
         return None
     height = fixes.lla[used, 2]
     if (speed < STILL).all():
-        inside = rows[sensors.imu.t[rows] <= initial.t + FIRST]
+        inside = rows[sensors.imu.t[rows] <= until]
         ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
-        span = len(ends) * standstill.WINDOW
-        if span < SHORTEST:
+        span, ended = len(ends) * standstill.WINDOW, False
+        if span < FIRST_LOOK:
             return None
-        sd = math.hypot(STILL_SD / span, _warming_sd(span, height, spec, initial))
-        return TurnOn(motion_b[:, :3].mean(axis=0), sd, float(ends[-1]))
-    course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
-    straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
-    count = len(t) if straight.all() else int(np.argmin(straight))
-    if count < 2 or t[count - 1] - t[0] < SHORTEST:
+        sd, bias_b, end = STILL_SD, motion_b[:, :3].mean(axis=0), float(ends[-1])
+    else:
+        course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
+        straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
+        ended = not straight.all()
+        count = int(np.argmin(straight)) if ended else len(t)
+        if count < 2:
+            return None
+        first, end = float(t[0]), float(t[count - 1])
+        inside = rows[(sensors.imu.t[rows] > first) & (sensors.imu.t[rows] <= end)]
+        span = float(sensors.imu.dt[inside].sum())
+        turn_n = np.array([0.0, 0.0, (course[count - 1] - course[0]) / span])
+        turn_b = rotation.rotate(rotation.conjugate(initial.q_nb), turn_n)
+        sd, bias_b = TURNED_SD, sensors.imu.dtheta_b[inside].sum(axis=0) / span - turn_b
+        height, end = height[:count], float(fixes.t_arrival[used[count - 1]])
+    sd = math.hypot(sd / span, _warming_sd(span, height, spec, initial))
+    before = _error_sd(spec, initial)
+    if span < (SHORTEST if ended else FIRST_LOOK) or sd > before:
         return None
-    first, end = float(t[0]), float(t[count - 1])
-    inside = rows[(sensors.imu.t[rows] > first) & (sensors.imu.t[rows] <= end)]
-    span = float(sensors.imu.dt[inside].sum())
-    turn_n = np.array([0.0, 0.0, (course[count - 1] - course[0]) / span])
-    turn_b = rotation.rotate(rotation.conjugate(initial.q_nb), turn_n)
-    mean = sensors.imu.dtheta_b[inside].sum(axis=0) / span
-    sd = math.hypot(TURNED_SD / span, _warming_sd(span, height[:count], spec, initial))
-    return TurnOn(mean - turn_b, sd, float(fixes.t_arrival[used[count - 1]]))
+    if np.abs(bias_b).max() > MOST * math.hypot(before, sd):  # the vehicle turns, not the unit
+        return None
+    return TurnOn(bias_b, sd, end)
+
+
+def _error_sd(spec: ImuSpec, initial: InitialState) -> float:
+    """Return the sd of the error of a gyro at the start by its datasheet [rad/s]."""
+    gyro, warm = spec.gyro, thermal_figures(initial.t, float(initial.lla[2]), spec)[0]
+    parts = (gyro.turn_on_bias_sd, gyro.temperature_sd * warm, gyro.g_sensitivity_sd * STANDARD_GRAVITY)
+    return math.hypot(*parts)
 
 
 def _warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
