@@ -11,6 +11,7 @@ import bench
 from bench import pipeline, rotation
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.start import steady_course, turn_on
 from tests.builders import Z, at_rest, band, first_rows
 from tests.navigation import honesty
@@ -131,6 +132,24 @@ def test_the_first_seconds_are_honest_with_a_bias_of_degrees_per_second(figure_e
         assert (np.abs(errors.phi_n) < 8.0 * sd).all()
         nees.append(errors.nees.mean())
     assert np.mean(nees) < 9.0 + Z * np.sqrt(18.0 / 16)
+
+
+def test_in_pieces_it_begins_again_with_the_same_bits(figure_eight_truth, tmp_path):
+    """Cut into 0.7 s, saved and gone on with between."""
+    profile = bench.load_profile("figure-eight", {"sensors.imu": "mpu-9250"})
+    sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 2401))
+    whole = load("loose-full", {}).run(sensed.data, sensed.initial)
+    assert len(whole.events.select("alignment")) >= 3
+    filter_, found, begin = bench.open_filter("loose-full", sensed.initial), [], -np.inf
+    for k, end in enumerate(np.arange(0.7, 13.0, 0.7)):
+        found.append(filter_.feed(bench.take_piece(sensed.data, begin, end)))
+        begin = end
+        if k % 4 == 1:
+            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / f"{k}.npz"))
+    joined = join_solutions([*found, filter_.finish()])
+    np.testing.assert_array_equal(joined.lla, whole.lla)
+    np.testing.assert_array_equal(joined.cov, whole.cov)
+    assert joined.events.rows() == whole.events.rows()
 
 
 @pytest.mark.slow
