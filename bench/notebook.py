@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import Any
 
 from bench.errors import BenchError
+from bench.wording import format_number
 
 MOST_ROWS = 30
 """Rows of a table that a notebook shows."""
@@ -45,9 +46,7 @@ def _write_cell(value: object) -> str:
 
 def format_cell(value: object) -> str:
     """Return a number with four digits, None as a dash, anything else as it is."""
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return "-" if value is None else str(value)
+    return format_number(value) if isinstance(value, float) or value is None else str(value)
 
 
 def make_frame(columns: Mapping[str, Any]) -> Any:

@@ -287,7 +287,7 @@ LASER = AidingSensor(
 STUDY = Toy(
     new={
         "bench/studies/coin.py": """
-from bench.findings import Findings, StudyTable
+from bench.findings import Findings, FindingTable
 from bench.studies.study import Count, StudyOptions, StudyWorkers
 
 
@@ -297,7 +297,7 @@ class Options(StudyOptions):
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    table = StudyTable("coin", "Heads", {"toss": list(range(options.tosses))})
+    table = FindingTable("coin", "Heads", {"toss": list(range(options.tosses))})
     return Findings(("It is a coin.",), (table,), ())
 """
     },

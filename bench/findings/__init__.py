@@ -15,8 +15,8 @@ from bench.wording import suggest
 
 
 @dataclass(frozen=True)
-class StudyTable:
-    """A table of a study."""
+class FindingTable:
+    """A table of what was found."""
 
     name: str  # of its file
     title: str
@@ -24,13 +24,13 @@ class StudyTable:
     units: Mapping[str, str] = field(default_factory=dict)  # of the columns that have one
 
 
-def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> StudyTable:
+def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> FindingTable:
     """Return a table of rows; a column gets the unit in which its name ends."""
     values = {
         key: [one if one is None or isinstance(one, str | int) else float(one) for one in column]
         for key, column in zip(columns, zip(*rows, strict=True), strict=True)
     }
-    return StudyTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
+    return FindingTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Findings:
     """What a study found."""
 
     verdicts: tuple[str, ...]  # sentences
-    tables: tuple[StudyTable, ...]
+    tables: tuple[FindingTable, ...]
     figures: tuple[Plot, ...]  # the last part of each path names its file
     draws: int = 0  # noise draws behind each figure with an interval; 0: nothing is drawn
     good: bool = True  # no verdict is negative
@@ -63,7 +63,7 @@ class StudyResult:
         return self.findings.verdicts
 
     @property
-    def tables(self) -> Mapping[str, StudyTable]:
+    def tables(self) -> Mapping[str, FindingTable]:
         """The tables by name."""
         return {table.name: table for table in self.findings.tables}
 

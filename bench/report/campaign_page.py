@@ -16,6 +16,7 @@ from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metrics import find_metric
 from bench.findings import series
+from bench.findings.looks import find_look
 from bench.findings.series import Colour, Plot, Series
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot
@@ -124,7 +125,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
 
 def _make_card(outcome: Outcome) -> dict[str, Any]:
     word = outcome.consistency.word if outcome.consistency else "too few runs for a verdict"
-    kind, mark = page.mark_of(word) if outcome.consistency else ("none", "–")
+    kind, mark = find_look(word) if outcome.consistency else ("none", "–")
     first, *rest = (text.removeprefix(f"{outcome.label}: ") for text in outcome.sentences)
     return {
         "label": outcome.label,
@@ -144,7 +145,7 @@ def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:
         outcome.condition,
         outcome.label,
         f"{outcome.converged_runs} of {outcome.runs}",
-        page.mark_of(found.word)[0] if found else "none",
+        find_look(found.word)[0] if found else "none",
         found.word if found else "–",
         tuple(("–", "") if one is None else _format(one) for one in estimates),
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from bench import durable
 from bench.campaigns.card import Card, describe_suite
 from bench.campaigns.card_lines import Line
+from bench.findings.looks import find_look
 from bench.report import page
 from bench.wording import format_number
 
@@ -59,7 +60,7 @@ def write_card(path: Path, card: Card) -> None:
 def _make_row(line: Line) -> tuple[str, str, str, str, str, str]:
     """Return flight, figure, value, interval, class and sentence of a line."""
     ends = " to ".join("open" if end is None else format_number(end) for end in (line.low, line.high))
-    kind = page.mark_of(line.word)[0] if line.topic == "honesty" else ""
+    kind = find_look(line.word)[0] if line.topic == "honesty" else ""
     text = line.sentence.removeprefix(f"{line.flight}: ").removeprefix(f"{line.topic}: ")
     value = "never" if line.value is None else format_number(line.value)
     return line.flight, line.figure, value, ends, kind, text

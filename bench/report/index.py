@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from bench import durable, store
 from bench.errors import ConfigError
+from bench.findings.looks import find_look
 from bench.report import page
 from bench.wording import format_number
 
@@ -71,7 +72,7 @@ def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_Index
             int(summary["run"]),
             label,
             str(values.get("verdict", "")),
-            page.mark_of(str(values.get("verdict", "")))[0],
+            find_look(str(values.get("verdict", "")))[0],
             format_number(values.get("pos_rmse_h_m")),
             format_number(values.get("pos_claimed_h_m")),
         )

@@ -20,6 +20,7 @@ from bench.evaluation.key_figures import MEANING, OUTAGES, explain_rows, format_
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
+from bench.findings.looks import LOOKS, find_look
 from bench.places import PACKAGE
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
@@ -28,15 +29,7 @@ from bench.report import svg
 from bench.run_result import RunResult
 from bench.wording import format_number, replace_control
 
-_MARKS = {
-    verdict.CONSISTENT: ("good", "✓"),
-    verdict.UNDERCONFIDENT: ("wide", "△"),
-    verdict.NO_CLAIM: ("none", "–"),
-    verdict.UNJUDGED: ("none", "–"),
-    "undecided": ("none", "?"),
-}
-"""Verdict -> class of its card, and a sign for those who do not see colours; all others are bad."""
-_BAD, _FAR = ("bad", "✗"), ("wide", "△")
+_FAR = LOOKS["underconfident"]  # of an honest filter whose error is far from usual
 _INTRODUCTIONS = {
     "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
     "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
@@ -124,7 +117,7 @@ def make_page(name: str, result: RunResult) -> str:
 def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
     word = str(values.get("verdict", ""))
     far = word == verdict.CONSISTENT and verdict.find_far_off(values)
-    kind, mark = _FAR if far else mark_of(word)
+    kind, mark = _FAR if far else find_look(word)
     remarks = [
         f"{begun:g} to {end:g} s: {text}"
         for what in ("alignment", "restart", "reset", "ended")
@@ -144,11 +137,6 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
         "remarks": remarks,
         "unmodelled": list(values.get("unmodelled") or ()),
     }
-
-
-def mark_of(word: str) -> tuple[str, str]:
-    """Return the class and the sign of a verdict."""
-    return _MARKS.get(word, _BAD)
 
 
 def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:

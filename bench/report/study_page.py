@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.findings import StudyResult, StudyTable
+from bench.findings import FindingTable, StudyResult
 from bench.findings.series import Plot
+from bench.notebook import format_cell
 from bench.report import page
 from bench.report.page import CaptionedPlot
-from bench.wording import format_number
 
 _LONG = 40  # text in a cell that is broken into lines
 
@@ -63,7 +63,7 @@ def _find_window(plot: Plot) -> tuple[float, float]:
     return first, last
 
 
-def _fill(table: StudyTable) -> dict[str, Any]:
+def _fill(table: FindingTable) -> dict[str, Any]:
     """Return title, heads with their class, and rows of a table."""
     columns = [[format_cell(value) for value in values] for values in table.columns.values()]
     kinds = [_find_kind(values, cells) for values, cells in zip(table.columns.values(), columns, strict=True)]
@@ -79,10 +79,3 @@ def _find_kind(values: Sequence[object], cells: Sequence[str]) -> str:
     if not any(isinstance(value, str) for value in values):
         return "number"
     return "words" if max(map(len, cells)) > _LONG else "text"
-
-
-def format_cell(value: object) -> str:
-    """Return a value of a table of a study as text."""
-    if isinstance(value, float) or value is None:
-        return format_number(value)
-    return str(value)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from bench import store
 from bench.config.tables import ROWS
 from bench.files import read_json
-from bench.findings import Findings, StudyResult, StudyTable
+from bench.findings import Findings, FindingTable, StudyResult
 from bench.findings.series import Plot, Series
 
 _Numbers = list[float | None]
@@ -145,10 +145,10 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
         return StudyResult(*named, findings, found.provenance, found.wall_s)
 
 
-def _read_table(folder: Path, name: str) -> StudyTable:
+def _read_table(folder: Path, name: str) -> FindingTable:
     table = store.read_table(folder / f"{name}.parquet")
     units = {field.name: field.metadata[b"unit"].decode() for field in table.schema if field.metadata}
-    return StudyTable(name, json.loads(table.schema.metadata[b"bench"])["title"], table.to_pydict(), units)
+    return FindingTable(name, json.loads(table.schema.metadata[b"bench"])["title"], table.to_pydict(), units)
 
 
 def _describe_plot(plot: Plot) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
 from bench.errors import ConfigError
 from bench.evaluation.route_errors import RADIUS, allowed_heading_error, cross_track_error
-from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings import Findings, FindingTable, make_table, series
 from bench.findings.series import Plot
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
@@ -112,7 +112,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     )
 
 
-def _fill_route(options: Options) -> StudyTable:
+def _fill_route(options: Options) -> FindingTable:
     heading, off = options.heading_deg * DEG, options.cross_track_m
     rows = [
         (km, cross_track_error(1e3 * km, heading), find_allowed(1e3 * km, off)) for km in options.lengths_km

@@ -26,7 +26,7 @@ from bench.evaluation.linear.held import (
     variance_of,
 )
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, compare_draws
-from bench.findings import Findings, StudyTable, series
+from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot
 from bench.studies.drawn_errors import (
     Draws,
@@ -98,7 +98,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     return Findings(
         verdicts=tuple(told),
         tables=(
-            StudyTable("bound", title, columns, {}),
+            FindingTable("bound", title, columns, {}),
             _tabulate(bound, key_instants(bound.t, profile).values()),
         ),
         figures=tuple(_plot(bound, errors, smoothing)),
@@ -107,7 +107,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     )
 
 
-def _tabulate(bound: Bound, at: Iterable[int]) -> StudyTable:
+def _tabulate(bound: Bound, at: Iterable[int]) -> FindingTable:
     """Return the standard deviations of the best linear estimator and of the best smoother at instants."""
     rows = list(at)
     columns: dict[str, Any] = {"t_s": bound.t[rows].tolist()}
@@ -118,7 +118,7 @@ def _tabulate(bound: Bound, at: Iterable[int]) -> StudyTable:
             stem, unit = quantity.name.rsplit("_", 1)
             name = f"{stem}_smoothed_{unit}" if smooth else quantity.name
             columns[name], units[name] = quantity.sd(least).tolist(), quantity.unit
-    return StudyTable("best_linear", "Standard deviations of the best linear estimator", columns, units)
+    return FindingTable("best_linear", "Standard deviations of the best linear estimator", columns, units)
 
 
 def _plot(bound: Bound, errors: dict[str, FloatArray], smoothing: dict[str, bool]) -> list[Plot]:

@@ -23,7 +23,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import check_aiding
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
-from bench.findings import Findings, StudyTable, series
+from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot, Series
 from bench.navigation.models.loose_tight import Loose
 from bench.specs import Profile
@@ -89,7 +89,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         *_compare(pairs, options.draws),
         *_judge_claim(budget, at, label, gains.refused),
     ]
-    sides = StudyTable("side_by_side", f"{label}: covariance beside {options.draws} draws", *_units(pairs))
+    sides = FindingTable("side_by_side", f"{label}: covariance beside {options.draws} draws", *_units(pairs))
     return Findings(
         verdicts=tuple(told),
         tables=(_tabulate(budget, at, label), sides),
@@ -137,7 +137,7 @@ def _stack(variance: FloatArray, quantity: Quantity) -> FloatArray:
     return np.asarray(variance[:, quantity.states].sum(axis=1)) / quantity.scale**2
 
 
-def _tabulate(budget: Budget, at: dict[str, int], label: str) -> StudyTable:
+def _tabulate(budget: Budget, at: dict[str, int], label: str) -> FindingTable:
     """Return the standard deviation by source at each instant, the largest first."""
     columns: dict[str, list[Any]] = {"t_s": [], "source": [], "share_percent": []}
     columns |= {quantity.name: [] for quantity in QUANTITIES}
@@ -153,7 +153,7 @@ def _tabulate(budget: Budget, at: dict[str, int], label: str) -> StudyTable:
                 columns[name].append(float(values[s]))
     units = {q.name: q.unit for q in QUANTITIES} | {"t_s": "s", "share_percent": "%"}
     title = f"{label}: standard deviation by source, share of the horizontal variance"
-    return StudyTable("budget", title, columns, units)
+    return FindingTable("budget", title, columns, units)
 
 
 def pair_variances(

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.findings import Findings, StudyTable, series
+from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Colour, Plot, Series
 from bench.flight.closed_form import SwingingFlight
 from bench.navigation import mechanization
@@ -93,7 +93,7 @@ class _TrueFlight(NamedTuple):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Fly every algorithm and return the tables and figures."""
-    parts: Sequence[Callable[[Options, _TrueFlight], tuple[list[str], StudyTable, list[Plot]]]] = (
+    parts: Sequence[Callable[[Options, _TrueFlight], tuple[list[str], FindingTable, list[Plot]]]] = (
         _compare_attitudes,
         _compare_frames,
         _compare_series,
@@ -118,7 +118,7 @@ def _list_attitudes() -> list[tuple[str, str, int]]:
     return sums + [(f"{_VECTOR}, {m}", _VECTOR, m) for m in range(1, coning.MOST_SAMPLES + 1)]
 
 
-def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
     flat = _TrueFlight(
         *SwingingFlight(bank=0.0, climb=0.0, nod=0.0).fly(options.duration_s, options.rate_hz),
         flight.interval,
@@ -159,7 +159,7 @@ def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str]
     ]
     units = {"position_m": "m", "attitude_arcsec": "arcsec", "level_turns_arcsec": "arcsec", "step_us": "us"}
     units |= {key: "deg/h" for key in columns if key.startswith("coning")}
-    table = StudyTable("attitudes", "Attitude algorithms, north, up, east", columns, units)
+    table = FindingTable("attitudes", "Attitude algorithms, north, up, east", columns, units)
     growth = Plot(("mechanizations", "growth"), "position error by attitude [m]", tuple(lines), log="y")
     title, over = "drift under coning [deg/h]", "rate of the IMU"
     cone = Plot(("mechanizations", "coning"), title, tuple(cones), across="Hz", over=over, log="xy")
@@ -196,7 +196,7 @@ def coning_drift(
     return float(np.linalg.norm(turn)) / float(t[-1]) / (DEG / HOUR)
 
 
-def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
     columns: dict[str, list[Any]] = {}
     slow = (100.0, 10.0, 1.0)
     medium = {100.0: 100.0, 10.0: 50.0, 1.0: 10.0}  # rates of the table of A-2.2.6
@@ -236,13 +236,13 @@ def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], S
         f"the start of their interval, as in the source, and {chosen[True]:.1g} m with those of its middle."
     ]
     units = {"rates_hz": "Hz", "position_m": "m", "attitude_arcsec": "arcsec", "step_us": "us"}
-    table = StudyTable("frames", "Frames and rates, rotation vector", columns, units)
+    table = FindingTable("frames", "Frames and rates, rotation vector", columns, units)
     title = f"position error after {options.duration_s} s [m]"
     plot = Plot(("mechanizations", "rates"), title, tuple(lines), across="Hz", over="slow rate", log="xy")
     return told, table, [plot]
 
 
-def _compare_series(options: Options, flight: _TrueFlight) -> tuple[list[str], StudyTable, list[Plot]]:
+def _compare_series(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
     columns: dict[str, list[Any]] = {"figure": [], "formula": [], "largest_error": [], "position_m": []}
     rates = Rates(100.0, 50.0, 10.0)
     for kind, names, measure in (
@@ -261,7 +261,7 @@ def _compare_series(options: Options, flight: _TrueFlight) -> tuple[list[str], S
         f"other two sets by {max(map(gravity_error, ('fine', 'medium'))):.1g} ug."
     ]
     title = "Series of radii and gravity, 0 to 12 km, east, north, up"
-    return told, StudyTable("series", title, columns, {"position_m": "m"}), []
+    return told, FindingTable("series", title, columns, {"position_m": "m"}), []
 
 
 def radii_error(name: str, height: float = 12_000.0) -> float:
@@ -288,7 +288,7 @@ def gravity_error(name: str, height: float = 12_000.0) -> float:
 
 def _compare_accelerometers(
     options: Options, flight: _TrueFlight
-) -> tuple[list[str], StudyTable, list[Plot]]:
+) -> tuple[list[str], FindingTable, list[Plot]]:
     del flight
     t = np.unique(np.rint(np.geomspace(30.0, 3600.0, 25)))
     measured = simulate_accelerometers(t) / _TINY
@@ -319,7 +319,7 @@ def _compare_accelerometers(
         f"The strapdown agrees with the law within {100.0 * off:.2g} % from 30 to 1800 s.",
     ]
     units = {key: "s" if key.endswith("_s") else "m" for key in columns}
-    table = StudyTable("accelerometers", "Accelerometers alone: six on a cube", columns, units)
+    table = FindingTable("accelerometers", "Accelerometers alone: six on a cube", columns, units)
     title = f"position error without gyros, {options.accel_bias_ug:g} ug [m]"
     return told, table, [Plot(("mechanizations", "accelerometers"), title, tuple(lines), log="xy")]
 

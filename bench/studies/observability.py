@@ -22,7 +22,7 @@ from bench.evaluation.linear.directions import (
     observe,
 )
 from bench.evaluation.linear.held import bound_flight
-from bench.findings import Findings, StudyTable, series
+from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot
 from bench.studies.drawn_errors import UnitFlight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
@@ -88,7 +88,7 @@ def _figure(seen: Observed, states: tuple[int, ...], scale: float) -> FloatArray
     return np.asarray(seen.sd[:, states].max(axis=1) / scale)
 
 
-def _tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> StudyTable:
+def _tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
     columns: dict[str, list[Any]] = {
         "from_s": [float(seen.t[a]) for _, a, _ in phases],
         "to_s": [float(seen.t[b]) for _, _, b in phases],
@@ -102,7 +102,7 @@ def _tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> Stud
         for when, rows in ends.items():
             key = f"{stem}_{when}_{'deg_h' if short == 'bias' else short}"
             columns[key], units[key] = values[rows].tolist(), unit
-    return StudyTable("phases", "Known before and after each phase of the flight, 1 sigma", columns, units)
+    return FindingTable("phases", "Known before and after each phase of the flight, 1 sigma", columns, units)
 
 
 def _instants(seen: Observed, phases: list[tuple[str, int, int]]) -> dict[str, int]:
@@ -115,7 +115,7 @@ def _instants(seen: Observed, phases: list[tuple[str, int, int]]) -> dict[str, i
     return found | {"at the end": len(seen.t) - 1}
 
 
-def _tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> StudyTable:
+def _tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
     columns: dict[str, list[Any]] = {
         name: []
         for name in ("t_s", "when", "left_percent", "least_observable", "best_percent", "best", "condition")
@@ -129,7 +129,7 @@ def _tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> 
         for column, value in zip(columns.values(), row, strict=True):
             column.append(value)
     title = "What is left of the uncertainty at the start, along the least and the most observable direction"
-    return StudyTable("directions", title, columns, {"t_s": "s", "left_percent": "%", "best_percent": "%"})
+    return FindingTable("directions", title, columns, {"t_s": "s", "left_percent": "%", "best_percent": "%"})
 
 
 def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list[str]:
@@ -163,7 +163,7 @@ def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list
     return told
 
 
-def _fly_reference() -> tuple[StudyTable, Plot]:
+def _fly_reference() -> tuple[FindingTable, Plot]:
     """Return the heading on the reference flight by grade, with and without turns."""
     lines = []
     found: dict[str, list[float]] = {name: [] for name in ("before", "after", "late", "straight")}
@@ -184,12 +184,12 @@ def _fly_reference() -> tuple[StudyTable, Plot]:
     names = [f"at_{_BEFORE}_s_deg", f"at_{_AFTER}_s_deg", f"at_{_LATE}_s_deg", f"straight_{_LATE}_s_deg"]
     columns: dict[str, list[Any]] = {"grade": list(GRADES), **dict(zip(names, found.values(), strict=True))}
     title = "Heading on the reference flight, an S-turn from 240 to 360 s, 1 sigma"
-    table = StudyTable("reference", title, columns, dict.fromkeys(names, "deg"))
+    table = FindingTable("reference", title, columns, dict.fromkeys(names, "deg"))
     title = "heading on the reference flight, 1 sigma [deg]"
     return table, Plot(("observability", "reference-heading"), title, tuple(lines), log="y")
 
 
-def _tell_reference(table: StudyTable) -> list[str]:
+def _tell_reference(table: FindingTable) -> list[str]:
     grade, *values = table.columns.values()
     rows = {name: [column[k] for column in values] for k, name in enumerate(grade)}
     texts = []

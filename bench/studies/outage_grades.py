@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
-from bench.findings import StudyTable, make_table, series
+from bench.findings import FindingTable, make_table, series
 from bench.findings.series import Plot
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
 from bench.studies.study import StudyWorkers
@@ -82,7 +82,7 @@ def find_time(seconds: FloatArray, values: FloatArray, limit: float) -> float | 
     return float(seconds[k - 1] + share * (seconds[k] - seconds[k - 1]))
 
 
-def fill_grades(grades: Sequence[Grown], elapsed: Sequence[float], limit: float) -> StudyTable:
+def fill_grades(grades: Sequence[Grown], elapsed: Sequence[float], limit: float) -> FindingTable:
     """Return the growth by grade at the times asked for, and when it is beyond the limit [m]."""
     rows = [
         (one.name, one.phase, T, *values, find_time(one.seconds, one.east, limit))

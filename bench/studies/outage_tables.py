@@ -10,7 +10,7 @@ import numpy as np
 
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.paired_draws import PairedRatio
-from bench.findings import StudyTable, make_table, series
+from bench.findings import FindingTable, make_table, series
 from bench.findings.series import Plot, Series
 from bench.studies.catalog_units import CatalogImu
 from bench.studies.outage_grades import find_time
@@ -32,7 +32,7 @@ def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]
 
 def fill_drifts(
     drifts: Drifts, units: Mapping[str, CatalogImu], elapsed: Sequence[float], limit: float
-) -> tuple[StudyTable, ...]:
+) -> tuple[FindingTable, ...]:
     """Return the horizontal drift, its sources, the time to a limit [m], error and claim, drift by axis."""
     rows, claims, by_axis, sources, times = [], [], [], [], []
     for (unit, phase), drift in drifts.items():

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench.findings import Findings, StudyTable
+from bench.findings import Findings, FindingTable
 from bench.studies.register_proofs import find_root, group_tests, run_tests
 from bench.studies.register_rows import ROWS
 from bench.studies.study import StudyOptions, StudyWorkers
@@ -74,5 +74,5 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     verdicts += [f"Does not hold: {text}." for text in failed]
     if opened:
         verdicts.append(f"Open: {'; '.join(opened)}.")
-    tables = tuple(StudyTable(name, title, parts[name]) for _, name, title in _PARTS if name in parts)
+    tables = tuple(FindingTable(name, title, parts[name]) for _, name, title in _PARTS if name in parts)
     return Findings(tuple(verdicts), tables, (), good=not failed)

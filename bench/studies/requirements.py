@@ -25,7 +25,7 @@ from bench.config.library import find_datasheet
 from bench.errors import ConfigError
 from bench.evaluation import drift_laws
 from bench.evaluation.drift_laws import SCHULER
-from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings import Findings, FindingTable, make_table, series
 from bench.findings.series import Plot
 from bench.navigation import mechanization
 from bench.specs import ImuSpec
@@ -179,7 +179,7 @@ def _navigate_at_rest(lat: float, n: int, gyro: FloatArray, accel: FloatArray) -
 # --- tables, words and figures ----------------------------------------------------------------------------
 
 
-def _fill_split(options: Options, t: FloatArray, sizes: Mapping[str, FloatArray]) -> StudyTable:
+def _fill_split(options: Options, t: FloatArray, sizes: Mapping[str, FloatArray]) -> FindingTable:
     columns = {"outage_s": t, **{ERRORS[key].column: values for key, values in sizes.items()}}
     title = f"Errors that together make {options.error_m:g} m, each with an equal part of the variance"
     rows = list(zip(*(values.tolist() for values in columns.values()), strict=True))
@@ -188,7 +188,7 @@ def _fill_split(options: Options, t: FloatArray, sizes: Mapping[str, FloatArray]
 
 def _fill_alone(
     options: Options, t: FloatArray, allowed: Mapping[str, FloatArray], simulated: FloatArray
-) -> StudyTable:
+) -> FindingTable:
     columns = {
         "outage_s": t,
         **{ERRORS[name].column: values for name, values in allowed.items()},

@@ -49,7 +49,7 @@ from bench.evaluation.required_performance import (
     judge_rate,
     judge_share,
 )
-from bench.findings import Findings, StudyTable
+from bench.findings import Findings, FindingTable
 from bench.flight.off_track import measure_off_track
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
@@ -148,7 +148,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     words = [row["word"] for row in rows]
     return Findings(
         verdicts=tuple(_tell(errors, planes, options, rows, hours)),
-        tables=(StudyTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
+        tables=(FindingTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
         figures=tuple(plot_stanford(watches[0].t, planes)),
         draws=flights,
         good=MISSED not in words,

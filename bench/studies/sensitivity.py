@@ -24,7 +24,7 @@ from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate, pool_rmse
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
-from bench.findings import Findings, StudyTable, make_table, series
+from bench.findings import Findings, FindingTable, make_table, series
 from bench.findings.series import Plot, Series
 from bench.places import PACKAGE
 from bench.studies.study import (
@@ -183,7 +183,7 @@ def _read(text: str) -> Any:
         return text
 
 
-def _fill(options: Options, swept: Mapping[str, Sequence[Swept]]) -> StudyTable:
+def _fill(options: Options, swept: Mapping[str, Sequence[Swept]]) -> FindingTable:
     rows = []
     for label, every in swept.items():
         for one in every:

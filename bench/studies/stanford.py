@@ -10,7 +10,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.evaluation.ensemble import CONFIDENCE
 from bench.evaluation.required_performance import Watched, estimate_per_run
-from bench.findings import StudyTable, series
+from bench.findings import FindingTable, series
 from bench.findings.series import Plot
 
 PLANES = ("horizontal", "vertical")
@@ -22,7 +22,7 @@ def known_size(size: FloatArray) -> FloatArray:
     return np.where(np.isnan(size), np.inf, size)
 
 
-def tabulate_stanford(planes: list[Watched]) -> StudyTable:
+def tabulate_stanford(planes: list[Watched]) -> FindingTable:
     """Return how often each part of the Stanford diagram was visited."""
     names = ("plane", "part", "instants_percent", "runs", "runs_low_percent", "runs_high_percent")
     columns: dict[str, list[Any]] = {name: [] for name in names}
@@ -43,7 +43,7 @@ def tabulate_stanford(planes: list[Watched]) -> StudyTable:
                 column.append(value)
     units = {name: "%" for name in names if name.endswith("percent")}
     title = f"Stanford diagram; intervals of {100 * CONFIDENCE:g} % over runs (Clopper and Pearson)"
-    return StudyTable("stanford", title, columns, units)
+    return FindingTable("stanford", title, columns, units)
 
 
 def plot_stanford(t: FloatArray, planes: list[Watched]) -> Iterator[Plot]:

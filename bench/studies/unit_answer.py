@@ -11,7 +11,7 @@ import numpy as np
 from bench.evaluation.ensemble import estimate_quantile
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED
-from bench.findings import StudyTable, make_table, series
+from bench.findings import FindingTable, make_table, series
 from bench.findings.series import Plot, Series
 from bench.studies.catalog_units import CLASSES, CatalogImu
 from bench.studies.study import format_estimate
@@ -185,7 +185,7 @@ def _name_choice(ranking: Ranking) -> str:
 
 def fill_tables(
     answers: Sequence[Answer], units: Mapping[str, CatalogImu], laws: Mapping[str, float], law_s: float
-) -> tuple[StudyTable, ...]:
+) -> tuple[FindingTable, ...]:
     """Return the errors of all units, and the figures that no source states of each."""
     rows = []
     for answer in answers:
@@ -210,7 +210,7 @@ def fill_tables(
     return (make_table("units", title, names, rows), _fill_gaps(units))
 
 
-def _fill_gaps(units: Mapping[str, CatalogImu]) -> StudyTable:
+def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:
     rows: list[tuple[Any, ...]] = []
     for name, unit in units.items():
         for gap in unit.absent:

@@ -7,22 +7,23 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from bench.baselines import checking
 from bench.baselines.annotations import annotate
+from bench.baselines.comparing import ONE_DRAW
 from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import LOOKS, MATCHES, Verdict
+from bench.baselines.verdict_rows import LOOKS, MATCHES, Verdict, Word
 from bench.campaigns.pools import count_processors
+from bench.findings import FindingTable
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
+from bench.workbench.printing import print_finding_table, print_findings
 
-STYLES = {"worse": "bold red", "better": "green", "undecided": "yellow", "same": ""}
-"""Style of each word of a verdict."""
+_WORDS = get_args(Word)[::-1]
 
 
 def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
@@ -75,30 +76,34 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
         changed = [row for row in rows if row.word != "same"]
         counts = Counter[str](row.word for row in rows)
-        words = ", ".join(f"{counts[word]} {word}" for word in STYLES if counts[word])
+        words = ", ".join(f"{counts[word]} {word}" for word in _WORDS if counts[word])
         draws = max(row.draws for row in rows)
         how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
         console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
         if changed:
-            console.print(_make_table(changed))
+            print_finding_table(console, tabulate_verdicts(changed))
     if any(row.word == "undecided" and row.draws < LOOKS[-1] for row in verdicts):
         console.print(f"Baselines of {LOOKS[-1]} draws would decide more: --record with the code of before.")
     worse = [row for row in verdicts if row.word == "worse"]
-    for row in worse[:5]:
-        console.print(Text(row.sentence, "red"), soft_wrap=True)
+    print_findings(console, [row.sentence for row in worse[:5]])
     if len(worse) > 5:
         console.print(f"{len(worse) - 5} more are worse.")
 
 
-def _make_table(rows: Sequence[Verdict]) -> Table:
-    table = Table(pad_edge=False)
-    table.add_column("verdict", no_wrap=True, min_width=9)
-    table.add_column("metric", overflow="fold")
-    table.add_column("before", justify="right", overflow="fold")
-    table.add_column("now", justify="right", overflow="fold")
-    table.add_column("change, + is worse", overflow="fold")
-    for row in rows:
-        numbers = ["-" if value is None else f"{value:.4g}" for value in (row.old, row.new)]
-        change = "; ".join(filter(None, [row.format_change(), "" if row.note in MATCHES else row.note]))
-        table.add_row(Text(row.word, STYLES[row.word]), row.metric, *numbers, change)
-    return table
+def tabulate_verdicts(
+    rows: Sequence[Verdict], title: str = "", heads: tuple[str, str] = ("before", "now")
+) -> FindingTable:
+    """Return a table of verdicts; one draw each makes no word."""
+    columns: dict[str, Sequence[Any]] = {
+        "metric": [row.metric for row in rows],
+        heads[0]: [row.old for row in rows],
+        heads[1]: [row.new for row in rows],
+    }
+    if any(row.note != ONE_DRAW for row in rows):
+        notes = ["" if row.note in MATCHES else row.note for row in rows]
+        columns["verdict"] = [row.word for row in rows]
+        columns["change, + is worse"] = [
+            "; ".join(filter(None, [row.format_change(), note]))
+            for row, note in zip(rows, notes, strict=True)
+        ]
+    return FindingTable("verdicts", title, columns)

@@ -8,27 +8,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from bench import durable, store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
-from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import is_key_figure
+from bench.findings.looks import find_look
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
 from bench.saving import save
 from bench.wording import format_number
-from bench.workbench.check_verb import STYLES
+from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.flight_verbs import print_end
-
-KINDS = {"worse": "bad", "better": "good", "undecided": "wide", "same": "none"}
-"""Word of a verdict -> class of its cell in a report."""
+from bench.workbench.printing import print_finding_table, print_findings
 
 
 def compare(folders: Sequence[Path], *, console: Console, out: Path | None, force: bool) -> list[Compared]:
@@ -50,9 +46,11 @@ def _print_compared(console: Console, one: Compared) -> None:
     shown = [row for row in one.verdicts if is_key_figure(row.metric)]
     for profile, estimator in dict.fromkeys((row.profile, row.estimator) for row in shown):
         rows = [row for row in shown if (row.profile, row.estimator) == (profile, estimator)]
-        console.print(_make_table(f"{estimator}, {profile}", one, rows))
-    for sentence in one.sentences:
-        console.print(sentence, soft_wrap=True)
+        own = len({one.first, one.other, "metric", "verdict"}) == 4
+        heads = (one.first, one.other) if own else ("first", "second")
+        table = tabulate_verdicts(rows, f"{estimator}, {profile}", heads)
+        print_finding_table(console, table)
+    print_findings(console, one.sentences)
     if all(row.note == ONE_DRAW for row in one.verdicts):
         return
     worse = sum(row.word == "worse" for row in one.verdicts)
@@ -62,24 +60,6 @@ def _print_compared(console: Console, one: Compared) -> None:
         "confidence over all of them.",
         soft_wrap=True,
     )
-
-
-def _make_table(title: str, one: Compared, rows: Sequence[Verdict]) -> Table:
-    table = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False
-    )
-    table.add_column("", no_wrap=True)
-    for name in (one.first, one.other):
-        table.add_column(Text(name), justify="right", overflow="fold")
-    single = all(row.note == ONE_DRAW for row in rows)
-    if not single:
-        table.add_column("verdict", no_wrap=True, min_width=9)
-        table.add_column("change, + is worse", overflow="fold")
-    for row in rows:
-        numbers = (format_number(value) for value in (row.old, row.new))
-        words = () if single else (Text(row.word, STYLES[row.word]), row.format_change() or row.note)
-        table.add_row(row.metric, *numbers, *words)
-    return table
 
 
 def _write_overlay(
@@ -126,7 +106,7 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
                 "old": format_number(row.old),
                 "new": format_number(row.new),
                 "word": row.word,
-                "kind": KINDS[row.word],
+                "kind": find_look(row.word).kind,
                 "change": row.format_change() or row.note,
             }
             for row in one.verdicts

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from rich import box
 from rich.console import Console, JustifyMethod
 from rich.table import Table
+from rich.text import Text
+
+from bench.findings.looks import LOOKS
 
 _WIDEST_TEXT = 24  # a column of text in a table too wide for the console
 _GAP = 2  # between columns
@@ -33,7 +36,7 @@ class _Shown(NamedTuple):
 def print_table(
     console: Console, columns: Mapping[str, TableColumn], keys: Sequence[str], title: str = ""
 ) -> None:
-    """Print a table; if it is too wide, in parts with as many columns as there is room for beside the keys.
+    """Print a table, in parts if it is too wide, each as wide as there is room for; verdicts have their look.
 
     Parameters
     ----------
@@ -46,18 +49,20 @@ def print_table(
     title : str
         Above the first part, as wide as the console.
     """
-    plain = [
-        _Shown(name, one.cells, one.words, _measure([name, *one.cells])) for name, one in columns.items()
-    ]
+    plain = {name: _Shown(name, *one, _measure([name, *one.cells])) for name, one in columns.items()}
     if title:
         console.print(title, style="table.title")
-    whole = _make_table(plain)
+    whole = _make_table(plain.values())
     if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
         console.print(whole)
         return
-    narrow = {name: _narrow(one) for name, one in zip(columns, plain, strict=True)}
+    narrow = {name: _narrow(one) for name, one in plain.items()}
     for part in _divide(narrow, keys, console.width):
-        console.print(_make_table([narrow[name] for name in part]))
+        shown = {name: narrow[name] for name in part}
+        longest = max(part, key=lambda name: plain[name].width)  # gets what room there is left
+        spare = max(0, console.width - 1 - sum(one.width + _GAP for one in shown.values()))
+        shown[longest] = shown[longest]._replace(width=shown[longest].width + spare)
+        console.print(_make_table(shown.values()))
 
 
 def _measure(texts: Sequence[str]) -> int:
@@ -94,11 +99,11 @@ def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> It
     yield part
 
 
-def _make_table(columns: Sequence[_Shown]) -> Table:
+def _make_table(columns: Collection[_Shown]) -> Table:
     shown = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for one in columns:
         kind: JustifyMethod = "left" if one.words else "right"
         shown.add_column(one.head, justify=kind, overflow="fold", max_width=one.width)
     for row in zip(*(one.cells for one in columns), strict=True):
-        shown.add_row(*row)
+        shown.add_row(*(Text(cell, LOOKS[cell].style) if cell in LOOKS else cell for cell in row))
     return shown

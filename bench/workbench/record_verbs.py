@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from bench import api, config, durable, log_pipeline, store
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.findings import FindingTable
 from bench.saving import save
 from bench.specs import TriadSpec
 from bench.wording import one_line
@@ -23,6 +23,7 @@ from bench.workbench import result_table
 from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
 from bench.workbench.new_log import new_log
+from bench.workbench.printing import print_findings
 
 
 def navigate_log(
@@ -190,13 +191,9 @@ def solve_fixes(
         page.check_page(report, force=force)
     solved = api.solve_rinex(observations, navigation, **options)
     figures = solved.figures()
-    table = Table("", "")
-    for name, value in figures.items():
-        table.add_row(name, f"{value:.3f}" if isinstance(value, float) else str(value))
-    console.print(f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs")
-    console.print(table)
-    for note in solved.notes:
-        console.print(note, soft_wrap=True)
+    title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"
+    table = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
+    print_findings(console, solved.notes, [table])
     if out is not None:
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")

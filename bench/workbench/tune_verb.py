@@ -12,6 +12,7 @@ from bench.campaigns.tuning import Tuning, tune
 from bench.errors import ConfigError
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
+from bench.workbench.printing import print_findings
 
 
 def run_tuning(source: str, *, console: Console, out: Path, force: bool, **options: Any) -> Tuning:
@@ -25,8 +26,7 @@ def run_tuning(source: str, *, console: Console, out: Path, force: bool, **optio
             status.update(Text(f"set {number}, cost {cost:.4g}; at most {most} until it converges"))
 
         tuning = tune(source, progress=show, **options)
-    for sentence in tuning.sentences:
-        console.print(sentence, soft_wrap=True)
+    print_findings(console, tuning.sentences)
     for path in tuning.write(out):
         kind = path.name.removesuffix("-tuned.toml")
         console.print(f"Wrote {path}: --set sensors.assumed.{kind}={path}", soft_wrap=True)

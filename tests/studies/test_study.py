@@ -19,7 +19,7 @@ from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.findings import StudyTable
+from bench.findings import FindingTable
 from bench.findings.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
@@ -27,7 +27,7 @@ from bench.store.study_folder import save_study
 from bench.studies import STUDIES
 from bench.studies.conducting import find_study
 from bench.studies.study import format_estimate, make_command, read_options
-from bench.workbench import study_verb
+from bench.workbench.printing import print_finding_table
 
 SHORT = {"outages_s": (60, 300)}
 
@@ -87,7 +87,7 @@ def test_options_left_out_are_not_listed(folder):
 def test_text_stands_on_the_left_of_its_column_and_numbers_on_the_right(folder):
     columns = {"grade": ["one"], "gyro_deg_h": [0.5], "unit": ["deg/h"], "remark": ["word " * 12]}
     read = bench.load_study(folder)
-    found = dataclasses.replace(read.findings, tables=(StudyTable("t", "Title", columns),))
+    found = dataclasses.replace(read.findings, tables=(FindingTable("t", "Title", columns),))
     page = study_page.make_page(dataclasses.replace(read, findings=found))
     heads = dict(re.findall(r'<th scope="col" class="(\w+)">(\w+)</th>', page))
     assert heads == {"text": "unit", "number": "gyro_deg_h", "words": "remark"}
@@ -111,7 +111,7 @@ def test_a_wide_table_is_divided_and_nothing_is_cut(width):
         "remark": ["word " * 12] * 6,
     }
     file = io.StringIO()
-    study_verb._print_table(Console(file=file, width=width), StudyTable("t", "The title", columns))
+    print_finding_table(Console(file=file, width=width), FindingTable("t", "The title", columns))
     lines = file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     assert "…" not in file.getvalue()
