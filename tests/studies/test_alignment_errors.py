@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 
 import bench
 from bench.errors import ConfigError
@@ -87,3 +88,15 @@ def test_the_seed_changes_the_draws_and_nothing_else():
 def test_what_cannot_be_asked_is_one_line(given, message):
     with pytest.raises(ConfigError, match=message):
         bench.study("alignment", **given)
+
+
+def test_the_interval_of_drawn_attitudes_holds_their_covariance():
+    """Of 150 studies of 40 draws about 95 % hold it, 99.9 % band; one a tenth as wide would not."""
+    held = 0
+    for seed in range(150):
+        _, by_cov, _, low, high, _ = alignment_errors.match_at(
+            alignment_errors.Options(draws=40, seed=seed), 57.6
+        )
+        held += low <= by_cov <= high
+    least, most = stats.binom.ppf([0.0005, 0.9995], 150, 0.95)
+    assert least <= held <= most
