@@ -30,7 +30,7 @@ class Axes:
 
     @property
     def gyro_factor(self) -> float:
-        """By which the unit of the gyros is wrong [1]."""
+        """Factor that converts the gyros to rad/s [1]."""
         return float(np.abs(self.gyro).max())
 
 

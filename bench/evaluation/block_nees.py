@@ -23,7 +23,7 @@ from bench.units import SAME_INSTANT
 
 @dataclass(frozen=True, slots=True)
 class BlockNees:
-    """The mean NEES of some states in one run, and what this run allows."""
+    """Mean NEES of some states in one run, with its band in this run."""
 
     states: int  # its expected value
     mean: float  # infinite where a covariance is not positive definite or an error not finite
@@ -33,7 +33,7 @@ class BlockNees:
 
     @property
     def excess(self) -> float:
-        """What is more than expected."""
+        """By how much the mean exceeds its expected value."""
         return self.mean - self.states
 
     @property

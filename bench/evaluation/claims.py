@@ -84,7 +84,7 @@ def _find_edge(edge: Edge, states: int, samples: float) -> float | None:
 
 
 def find_nees_band(states: int, samples: float) -> tuple[float, float]:
-    """Return the 99.9 % band of the mean of so many independent values of NEES."""
+    """Return the 99.9 % band of the mean of ``samples`` independent values of NEES."""
     return mean_band(states, samples, NEES_PROBABILITY)
 
 

@@ -38,7 +38,7 @@ _NOTHING = np.empty(0)
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """A convention with its constants, and what is left without it."""
+    """A convention that was mistaken, with its constants, and the NEES once it is undone."""
 
     convention: Convention
     constants: FloatArray
@@ -108,7 +108,7 @@ def find_mistakes(
 
 
 def _judge(truth: Trajectory, answers: Answers, claimed: Sequence[str]) -> dict[str, BlockNees]:
-    """Return the NEES of each block and of all."""
+    """Return the mean NEES of each block, and of all states."""
     motion = move(truth, answers)
     error, cov = compare(answers, motion), answers.cov[motion.inside]
     return {
@@ -201,7 +201,7 @@ def _try(
 def _fit(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str]
 ) -> tuple[FloatArray, bool]:
-    """Return the constants of a convention, and whether both halves of the flight have the same."""
+    """Return the constants of a convention, and whether both halves of the flight give the same ones."""
     start = np.zeros(one.constants)
     if len(one.starts) > 1:
         few = _take(answers, slice(None, None, max(1, len(answers.t) // _FEW)))
@@ -227,7 +227,7 @@ def _take(answers: Answers, rows: slice) -> Answers:
 def _weigh(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str], constants: FloatArray
 ) -> float:
-    """Return the mean NEES of the blocks with given constants; infinite if it is none."""
+    """Return the mean NEES of the blocks with given constants; infinite if it is not finite."""
     undone = one.undo(answers, move(truth, answers), constants)
     motion = move(truth, undone)
     return _measure(compare(undone, motion), undone.cov[motion.inside], blocks).mean

@@ -1,4 +1,4 @@
-"""How much of what was asked for a solution answers, and what its silences are charged.
+"""How many of the requested instants a solution answers, and the error that is counted at the others.
 
 Each block that it estimates (position, velocity, attitude) counts at every instant from its first answer on.
 A silent instant is charged the last answer, carried on by its own velocity: a filter that is silent where it
@@ -28,7 +28,7 @@ _GAP = 1.5  # so many times its usual interval a sensor was silent [1]
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """The share of the instants that each block answers, of those that the data allow."""
+    """Part of the instants that each block answers, of those at which the data allow an answer."""
 
     shares: Mapping[str, float]  # by block that is estimated, from the first answer on [1]
     waited: float  # from the first instant asked for to the first answer [s]
@@ -37,7 +37,7 @@ class Coverage:
 
     @property
     def share(self) -> float:
-        """That of the block with the fewest answers; 1 without any, which is another verdict."""
+        """The part of the block with the fewest answers; 1 without any, which has its own verdict."""
         return min(self.shares.values(), default=1.0)
 
     @property
@@ -61,7 +61,7 @@ class Coverage:
 
 
 def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage:
-    """Return how much of the instants asked for a solution answers, by block.
+    """Return the part of the requested instants that a solution answers, by block.
 
     An instant at which any value of a block is not finite, or that a table does not cover, has no answer of
     it. Those do not count that :func:`find_excused` names.

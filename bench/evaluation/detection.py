@@ -61,13 +61,13 @@ def _is_active(fault: Fault, t: FloatArray) -> BoolArray:
 
 
 def _concerns(fault: Fault, raised: Alarms) -> bool:
-    """Tell whether alarms are of the sensor of a fault."""
+    """Return whether alarms come from the sensor that has the fault."""
     names = _SHOWS_IN.get(fault.sensor)
     return names is None or any(sensor.startswith(names) for sensor in raised.sensors)
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:
-    """1 if during the fault an update of its sensor was refused or an event told of it, else 0."""
+    """1 if during the fault an update of its sensor was refused or an event reported it, else 0."""
     return {k: float(measure_delay(f, case.alarms) is not None) for k, f in case.faults.items()}
 
 

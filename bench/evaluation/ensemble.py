@@ -225,7 +225,7 @@ def estimate_fraction(inside: BoolArray, confidence: float = CONFIDENCE) -> Esti
 
 
 def estimate_rate(count: int, n: int, confidence: float = CONFIDENCE) -> Estimate:
-    """Return how often something happens that happened in ``count`` of n runs: divergence, failure.
+    """Return the probability of an event, such as a divergence, that happened in ``count`` of n runs.
 
     Interval of Clopper and Pearson (Biometrika 26, 1934): it holds the rate at least as often as it says.
 

@@ -108,7 +108,7 @@ def _bound(count: int, n: int, looks: int) -> Estimate:
 
 
 def decide(count: int, n: int, share: float, looks: int = 1) -> str:
-    """Return whether a share is met by ``count`` of n runs, at one of so many looks at them.
+    """Return whether ``count`` of n runs meet a required fraction, at one of several looks at the runs.
 
     Examples
     --------

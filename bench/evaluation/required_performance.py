@@ -32,7 +32,7 @@ class Watched:
 
     @property
     def alert(self) -> BoolArray:
-        """Where the pilot is told not to rely on the position: an alarm, or a level beyond the limit."""
+        """Where the pilot is warned not to rely on the position: an alarm, or a level beyond the limit."""
         return np.asarray(self.alarm | ~(self.level <= self.limit))
 
     @property
@@ -52,10 +52,10 @@ def estimate_per_run(happened: BoolArray) -> Estimate:
 
 
 def count_detected(watched: Watched, within: float) -> tuple[int, int]:
-    """Return in how many runs the error went beyond the limit, and in how many an alert told it each time.
+    """Return the runs whose error went beyond the limit, and those of them with an alert each time.
 
-    The errors of a run come of the same cause, so a run counts once. In time is within so many seconds of the
-    first instant beyond the limit; an alert before that counts as long as it lasts until then.
+    The errors of a run have one cause, so a run counts once. An alert is in time if it comes at most ``within``
+    seconds after the first instant beyond the limit; an earlier one counts if it lasts until then.
     """
     late = round(within / watched.interval)
     beyond, alert = ~(watched.error <= watched.limit), watched.alert
@@ -89,7 +89,7 @@ class JudgedFigure:
 
 
 def judge_rate(events: int, hours: float, most: float) -> JudgedFigure:
-    """Judge a rate per hour by independent events in so many flight hours (Poisson).
+    """Judge a rate per hour from the number of independent events in some flight hours (Poisson).
 
     It is met where the upper bound is at most ``most``, missed where the lower one is above. Undecided it
     would be met after so many more hours without another event; nothing is extrapolated.

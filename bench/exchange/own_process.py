@@ -180,7 +180,7 @@ class RemotePassage:
         return solution
 
     def copy(self) -> RemotePassage:
-        """Return a filter that goes on from here by itself."""
+        """Return an independent filter in the same state."""
         return RemotePassage(self._held, self._label, self._seconds, self.end)
 
     def state(self) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """The built-in estimators by name, and how an estimator is built from a name and its options.
 
-A row imports its filter when it is asked for one: who only lists them does not load numba.
+A row imports its filter only when one is built, so that listing the names does not load numba.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A filter that takes a record in pieces, of a hundredth of a second or an hour, and ends as on the whole.
 
-A measurement arrives after the instant it is valid at. A filter that has gone past that instant cannot
-compare it with its state there. So it takes a piece up to ``look_back`` before its last sample and leaves
-the rest of the samples waiting. An answer between pieces goes over these on a copy.
+A measurement arrives later than its time of validity, and a filter that has passed that time can no longer
+compare it with its state. So the filter processes a piece only up to ``look_back`` before its last sample;
+the rest of the samples wait. An answer between pieces processes these on a copy.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ class PieceFilter(SessionState):
 
     @contextmanager
     def _doubt_the_file(self) -> Iterator[None]:
-        """Name the saved state that the filter goes on from where it ends in an error of another kind."""
+        """Add the saved state that the filter resumed from to an error of another kind."""
         try:
             yield
         except EstimatorError:

@@ -1,4 +1,4 @@
-"""The check that an estimator says in pieces, bit for bit, what it says of the whole."""
+"""Check that an estimator gives the same bits in pieces as on the whole record."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _ENDS = (0.3, 0.31, 0.8)  # of the pieces, as parts of the samples
 
 
 def check_pieces(estimator: object, sensors: SensorData, initial: InitialState, whole: NavSolution) -> None:
-    """Raise AssertionError if an estimator that runs in pieces gives other bits in them than of the whole.
+    """Raise AssertionError if the answers of an estimator in pieces differ from those on the whole record.
 
     The start is given.
     """

@@ -251,7 +251,7 @@ def test_what_looks_over_seconds_finds_something():
         found = whole(use)
         assert names <= {found.innovations.sensor[code] for code in found.innovations.code}
         assert [text for *_, text in found.events.select("integrity")] == [
-            "1 positions moved otherwise than the velocities of the receiver"
+            "1 positions disagree with the velocities of the receiver"
         ]
 
 

@@ -138,7 +138,7 @@ class _Walk:
         ]
 
     def move(self, k: int) -> None:
-        """Go over step k."""
+        """Propagate over step k."""
         W, own, decay, count = self.W[k], self.own[k], self.fade[k], self.I
         n, R = len(self.X), len(decay)
         top = W @ self.X

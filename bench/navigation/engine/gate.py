@@ -69,7 +69,7 @@ class InnovationLog(NamedTuple):
 
 
 def new_log(size: int) -> InnovationLog:
-    """Return a log for so many rows."""
+    """Return an empty log with room for ``size`` rows."""
     return InnovationLog(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
 
 

@@ -66,7 +66,7 @@ class InPieces(Protocol):
         ...
 
     def copy(self) -> Self:
-        """Return a filter that goes on from here by itself."""
+        """Return an independent filter in the same state."""
         ...
 
     def state(self) -> dict[str, Any]:
@@ -91,7 +91,7 @@ class RunsInPieces(Protocol):
     """An estimator that runs in pieces.
 
     Its ``run`` on the whole record gives the same bits. An attribute ``finds_start = True`` is optional: the
-    estimator takes a start that is not told as it is, and needs no alignment.
+    estimator takes an incomplete start and does its own alignment.
     """
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
@@ -102,7 +102,7 @@ class RunsInPieces(Protocol):
         first : SensorData
             Its records say which sensors there are, and its datasheets are those assumed.
         initial : InitialState
-            Start; complete, unless the estimator finds it by itself.
+            Start; complete, unless the estimator does its own alignment.
         events : list of (t, t_end, kind, text)
             What went before.
 

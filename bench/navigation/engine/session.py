@@ -36,7 +36,7 @@ class SessionState:
     """Something with a state that is declared: its attributes of type ``Kept[...]``."""
 
     def copy(self) -> Self:
-        """Return one that goes on from here by itself."""
+        """Return an independent copy in the same state."""
         other = copy(self)
         other.make_scratch()
         for name in kept(type(self)):
@@ -73,7 +73,7 @@ class SessionState:
 
     @classmethod
     def blank(cls) -> Self:
-        """Return one to restore a state into, where there is none before the first piece."""
+        """Return an object to restore a state into, where there is none before the first piece."""
         return cls.__new__(cls)
 
     def make_scratch(self) -> None:
@@ -125,7 +125,7 @@ _fields: Callable[[type], dict[str, Any]] = cache(_find_fields)
 
 
 def fork(value: Any) -> Any:
-    """Return a value that goes on by itself; what cannot change is shared."""
+    """Return an independent copy of a value; parts that cannot change are shared."""
     if isinstance(value, np.ndarray):
         return _copy_array(value) if value.flags.writeable else value
     if hasattr(value, "restore"):

@@ -1,9 +1,10 @@
-"""Positions of a receiver against its velocities: a position that moved otherwise is told.
+"""Report a position of a receiver that disagrees with its velocities.
 
-The way from an earlier fix less the sum of the velocities in between has to fit its variance: by white and
-Markov errors of both ends and of the velocities. The earlier fix is the median of the last few that passed,
-and of the first within each of `WINDOWS`; one that failed is no measure, so a ramp is told until it ends.
-Over the first of the windows it is the median of all so far. What is told of a fix follows from those before.
+The displacement from an earlier fix, less the integral of the velocities in between, is tested against its
+variance, which follows from the white and Markov errors of both positions and of the velocities. The earlier
+fix is the median of the last few fixes that passed, and of the first few within each of `WINDOWS`. A fix that
+failed is not compared with, so a ramp is reported until it ends. Within the first window the median of all
+fixes so far is taken. Only earlier fixes decide about a fix.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ _T, _REST, _END, _SUMMED, _PATH = 0, slice(1, 4), slice(4, 7), slice(7, 10), 10
 
 
 class MovedFixes(SessionState):
-    """Tells fixes whose position moved otherwise than their velocities say, one after another.
+    """Tests the positions of fixes, one after another, against the velocities of the same receiver.
 
     Parameters
     ----------
     gnss : GnssSpec
         For the Markov errors.
     false_alarm : float
-        Chance that a sound fix is told.
+        Probability that a sound fix is reported.
     """
 
     _begin: Kept[FloatArray]  # (3,) of the first fix [m], e; none before it
@@ -64,7 +65,7 @@ class MovedFixes(SessionState):
         self._passed, self._told = False, None
 
     def take(self, fixes: GnssFixes, variance: FloatArray, *, last: bool) -> tuple[BoolArray, list[EventRow]]:
-        """Return which positions (M,) of the next fixes moved otherwise, and an event for each row of these.
+        """Return which positions (M,) of the next fixes disagree with the velocities, and the events.
 
         Fixes without velocity pass; the test begins anew after a gap.
 
@@ -93,11 +94,11 @@ class MovedFixes(SessionState):
         if self._told is None:
             return []
         (first, end, count), self._told = self._told, None
-        words = "positions moved otherwise than the velocities of the receiver"
+        words = "positions disagree with the velocities of the receiver"
         return [(first, end, "integrity", f"{count} {words}", "gnss_position")]
 
     def _moved(self, t: float, lla: FloatArray, vel_n: FloatArray, variance: FloatArray) -> bool:
-        """Return whether the position of the next fix moved otherwise."""
+        """Return whether the position of the next fix disagrees with the velocities."""
         C_en, dt = matrix_en(lla[0], lla[1]), t - float(self._before[_T])
         vel_e = C_en @ vel_n
         known = len(self._begin) > 0
@@ -126,7 +127,7 @@ class MovedFixes(SessionState):
         return self._compare(fix)
 
     def _compare(self, fix: FloatArray) -> bool:
-        """Return whether a fix moved otherwise than those before; one that did not is a measure."""
+        """Return whether a fix disagrees with those before; if not, later fixes are compared with it."""
         if not self._passed:
             if not len(self._measures) or fix[_T] < self._measures[0, _T] + WINDOWS[0]:
                 self._measures = np.vstack([self._measures, fix])
@@ -143,7 +144,7 @@ class MovedFixes(SessionState):
         return False
 
     def _fits(self, fix: FloatArray, some: FloatArray) -> bool:
-        """Return whether the way of a fix from the median of some others is that of the velocities."""
+        """Return whether the displacement from the median of some fixes agrees with the velocities."""
         one = some[len(some) // 2]
         T = abs(float(fix[_T] - one[_T]))
         slow = self._slow

@@ -61,7 +61,7 @@ class Schedule(SessionState):
     accuracy : str
         What the variance of a fix comes from, see :func:`aiding_sensors.weigh_fixes`.
     watch : MovedFixes or None
-        Leaves out positions that moved otherwise than the velocities say; None: no such test.
+        Leaves out positions that disagree with the velocities; None: no such test.
     cut : bool
         End a step at every answer: a smoother has a node there.
     as_sampled : bool
@@ -141,7 +141,7 @@ class Schedule(SessionState):
 
     @property
     def imu_t(self) -> FloatArray:
-        """Instants (N,) of the samples to go over [s]."""
+        """Instants (N,) of the samples to process [s]."""
         return take_increasing(self.imu.t, self.rows)
 
     def take(self, sensors: SensorData, *, last: bool) -> ImuData:

@@ -381,7 +381,7 @@ class Passage(SessionState):
             schedule.events += self._absent(piece)
 
     def can_go(self, look_back: float) -> bool:
-        """Return whether there is enough to go over before the last piece."""
+        """Return whether enough samples wait to be processed before the last piece."""
         return self.schedule.end - self.schedule.t >= look_back + _STRIDE
 
     def go(self, look_back: float = 0.0) -> tuple[NavSolution, Nodes]:

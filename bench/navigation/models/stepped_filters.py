@@ -34,7 +34,7 @@ class Measurement(NamedTuple):
 
 
 class SteppedFilter(SessionState, ABC):
-    """What a filter knows, and how it goes on."""
+    """A filter that is stepped in Python: its state, prediction and update."""
 
     shapes: tuple[tuple[int, ...], ...]  # of what it answers
     one_antenna: bool  # for all of a record
@@ -133,7 +133,7 @@ class SteppedPassage(SessionState):
             self.schedule.add(sensor, piece, self.initial, self.layout)
 
     def _go(self) -> NavSolution:
-        """Go over what has come; return the answers that are final."""
+        """Process the samples received so far; return the answers that are final."""
         schedule, flight = self.schedule, self.flight
         last, plan = schedule.last, schedule.plan()
         steps, count = plan.steps, plan.go_to + 1

@@ -316,7 +316,7 @@ class SigmaPointFlight(SteppedFilter):
         self._feed_back(mean)
 
     def use(self, t: float, one: Measurement) -> None:
-        """Use a measurement, each of its sub-vectors gated by itself."""
+        """Use a measurement, with a gate for each of its sub-vectors."""
         self.data.values[0], self.data.variance[0] = one.values, one.variance
         at = 0
         while not self.lost:

@@ -66,7 +66,7 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
 
 
 class StartSearch(SessionState):
-    """Looks for the start in a record that goes on.
+    """Search for an initial alignment in a record that still grows.
 
     Parameters
     ----------

@@ -170,7 +170,7 @@ def _speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
 
 
 def _quartet(fixes: GnssFixes, rows: IntArray) -> tuple[int, int, int, int]:
-    """Return the first and last fix of a stretch, between them those a share of it away from each."""
+    """Return the first and last fix of a stretch, and the two that lie ``SHARE`` of it inside."""
     t = fixes.t[rows]
     away = SHARE * (t[-1] - t[0])
     after = max(int(np.searchsorted(t, t[0] + away + timeline.TIME_TOLERANCE)) - 1, 1)

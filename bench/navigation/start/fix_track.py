@@ -65,7 +65,7 @@ class FixTrack(SessionState):
         self._rows = [(np.empty((0, 4)), np.empty((0, 4), np.int64))]
 
     def expect(self, options: GnssOnlyOptions) -> None:
-        """Go on with other manoeuvres; what the acceleration may be now grows to theirs."""
+        """Continue with other manoeuvres; the variance of the acceleration grows to theirs."""
         sd = float(options.acceleration)
         self._model = self._model._replace(sd=sd, tau=float(options.correlation_s))
         for k in range(6, 9):

@@ -1,4 +1,4 @@
-"""Position and velocity by the fixes alone, and an attitude that is held: what is left without an IMU."""
+"""Position and velocity from fixes alone, and an attitude that is held, while the IMU gives nothing."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class End(NamedTuple):
 
 
 class Coast(SessionState):
-    """Goes on from the end of a filter by fixes, in order of time.
+    """Continues the answers of a filter from fixes alone, in order of time.
 
     Parameters
     ----------

@@ -145,7 +145,7 @@ class ManyHeadings(SessionState):
         return join_solutions(found)
 
     def _step(self, part: SensorData, look_back: float, *, last: bool) -> list[NavSolution]:
-        """Let all hypotheses take a part; return the estimates, and when one is left what it says."""
+        """Feed a part to all hypotheses; return their joint estimate, or that of the last one left."""
         solutions = [member.feed(part, look_back, last=last) for member in self.members]
         for k, solution in enumerate(solutions):
             self.tables[k] = join_tables([one for one in (self.tables[k], solution.innovations) if len(one)])
@@ -173,7 +173,7 @@ class ManyHeadings(SessionState):
         return found
 
     def _end(self, solution: NavSolution, until: float, text: str) -> NavSolution:
-        """Return what the best one says from here on, with its innovations and events that waited."""
+        """Return the next answers of the best hypothesis, with its innovations and events so far."""
         event = (self.start, until, "alignment", f"heading unknown: {COUNT} hypotheses; {text}")
         events = Events.from_rows([*self.events[self.best], event])
         return replace(solution, innovations=self.tables[self.best], events=events)
@@ -215,13 +215,13 @@ class ManyHeadings(SessionState):
         return self.members[0].answer(head) if self.complete else answer_now(self, head)
 
     def make_parts(self) -> None:
-        """Leave one hypothesis if it stands for all."""
+        """Keep one hypothesis alone once it represents all."""
         if self.complete:
             require(0 <= self.best < len(self.members), "best", "must be one of the hypotheses")
             self.members = [self.members[self.best]]
 
     def check(self) -> None:
-        """Check what tells the hypotheses apart."""
+        """Check the restored index of the best hypothesis, and the time of the next comparison."""
         require(0 <= self.best < len(self.log), "best", "must be one of the hypotheses")
         require(self.span > 0, "span", "must be positive")
 

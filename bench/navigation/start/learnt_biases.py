@@ -1,4 +1,4 @@
-"""Biases of an IMU that a filter has learnt and the next one goes on with."""
+"""Biases of an IMU that one filter has estimated and the next one starts with."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class LearntBiases:
         return replace(piece, specs=replace(piece.specs, imu=replace(spec, gyro=gyro)))
 
     def taken_off(self, piece: SensorData) -> SensorData:
-        """Return a piece less the biases, with the datasheet of what is left of them.
+        """Return a piece with the biases subtracted, and a datasheet of their remaining errors.
 
-        A sample is beyond the range by what the unit gave, not by what is left of that.
+        Whether a sample is beyond the range is decided before the subtraction.
         """
         imu, spec = piece.imu, piece.specs.imu
         dt = imu.dt[:, None]
@@ -51,7 +51,7 @@ class LearntBiases:
         return replace(piece, imu=less, specs=specs)
 
     def given_back(self, solution: NavSolution) -> NavSolution:
-        """Return a solution of a piece less the biases with them; one without further states as it is."""
+        """Return a solution with the subtracted biases added to its bias states, if it has any."""
         if not solution.extra_names:
             return solution
         extra = solution.extra.copy()

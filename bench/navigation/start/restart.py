@@ -69,7 +69,7 @@ class _Pause(SessionState):
     why: Kept[list[str]]  # the others did
 
     def due(self, until: float) -> FloatArray:
-        """Return the answers wanted until an instant [s], which are wanted no more."""
+        """Remove and return the output times up to an instant [s]."""
         due = self.wanted <= until
         found, self.wanted = self.wanted[due], self.wanted[~due]
         return found
@@ -209,7 +209,7 @@ class BetweenGaps(SessionState):
             self.filter = None
 
     def _stop(self, silent: tuple[float, float], found: list[NavSolution]) -> None:
-        """Go on by the fixes alone from a gap from one instant until another [s]; without any end."""
+        """Continue from fixes alone in a gap from one instant until another [s], or without end."""
         if self.accuracy is None:
             if self.stopped is not None:
                 length, because = f"{silent[1] - silent[0]:.6g} s", _name_ranges(self.lost)
@@ -231,7 +231,7 @@ class BetweenGaps(SessionState):
         self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
 
     def _unknown(self, t: FloatArray) -> NavSolution:
-        """Return what is not known at instants t (M,), with the further states of the filter."""
+        """Return a solution of NaN at instants t (M,), with the further states of the filter."""
         none = np.full((len(t), len(self.names)), np.nan)
         return replace(nothing_known(t), extra_names=self.names, extra=none, extra_sd=none)
 
@@ -297,7 +297,7 @@ class BetweenGaps(SessionState):
         return self.biases.taken_off(piece) if self.again else piece
 
     def _own(self, solution: NavSolution) -> NavSolution:
-        """Return a solution of the filter with the biases that it did not see."""
+        """Return a solution of the filter with the biases added that were taken off its increments."""
         return self.biases.given_back(solution) if self.again else solution
 
     def answer(self, head: SensorData) -> NavSolution:
@@ -357,7 +357,7 @@ def _name_ranges(lost: dict[str, int]) -> str:
 
 
 def _ways(begin: float, coast: Coast) -> list[StartSearch]:
-    """Return how to look for a start behind a gap that ended at an instant [s]: at rest, then moving."""
+    """Return the search for an alignment after a gap that ended at an instant [s]: at rest, then moving."""
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
     speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity

@@ -232,7 +232,7 @@ def _carry_kernel(
 def _use_kernel(
     k: int, now: SingerTrack, fixes: Fixes, model: Manoeuvres, log: InnovationLog, work: TrackWork
 ) -> None:
-    """Use a fix that is valid now, position and velocity (if it has one) each tested by itself."""
+    """Use a fix that is valid now, position and velocity (if it has one) each with its own test."""
     x, P, z, e, dx, r = now.x, now.P, work.z, work.e, work.dx, fixes.r[k]
     t, trust, vel_n, drifted, moves = now.t[0], now.trust, fixes.vel_n[k], False, True
     parts = 2 if np.isfinite(vel_n[0] + vel_n[1] + vel_n[2]) else 1

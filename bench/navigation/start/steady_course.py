@@ -34,7 +34,7 @@ STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the
 
 
 class Gyros(NamedTuple):
-    """What a filter is told of its gyros beside their datasheet."""
+    """What a filter knows of its gyros beyond their datasheet."""
 
     sd: float | None = None  # how well their errors are known at the start as a whole [rad/s]
     steady: bool = False  # they lose the heading, and a steady course keeps it
@@ -49,7 +49,7 @@ def has_large_bias(sensors: SensorData) -> bool:
 
 
 class SteadyCourse(SessionState):
-    """Measures the course by fixes, once an interval, until it has changed.
+    """Measures the course over ground from fixes, once per interval, until it changes.
 
     Parameters
     ----------

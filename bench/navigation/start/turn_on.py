@@ -135,7 +135,7 @@ class FromTurnOn(SessionState):
         return join_solutions([*parts, self._own(self.filter.feed(self._less(piece), look_back, last=last))])
 
     def _is_other(self, found: TurnOn | None) -> bool:
-        """Tell whether the bias is known better now, or was none: the course left soon after the start."""
+        """Return whether a new estimate of the bias replaces the one in use."""
         if found is None or self.found is None:
             return found is not self.found
         return found.sd < self.found.sd

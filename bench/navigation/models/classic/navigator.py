@@ -170,7 +170,7 @@ def corrected(nav: Nav, x: FloatArray) -> Nav:
 
 
 def axes_turned(x: FloatArray) -> FloatArray:
-    """Return the Jacobian (22, 22) of what is left of an error after :func:`corrected` took x (22,) off.
+    """Return the Jacobian (22, 22) of the error that remains after :func:`corrected` subtracted x (22,).
 
     The tilts turn with the axes of the unit.
     """

@@ -128,7 +128,7 @@ class _Biases:
         self.sd = np.maximum(np.sqrt(self.variance), np.repeat(_LEAST[[3, 2]], 3))
 
     def over(self, dt: float) -> tuple[FloatArray, FloatArray]:
-        """Return what is left of each after a time and the standard deviation of what is new (6,)."""
+        """Return the factor by which each decays over a time, and the sd of its new noise (6,)."""
         twice = 2.0 * self.decay * dt
         grown = np.where(twice > 0, -np.expm1(-twice) / np.where(twice > 0, twice, 1.0), 1.0)
         new = np.sqrt(self.density * dt * grown)
@@ -264,7 +264,7 @@ class _Chain:
         return measured
 
     def _join(self, k: int, measured: Any, Rz: FloatArray, *, first: bool) -> FloatArray:
-        """Return the rows (30, 31) of two nodes: the link between them, and what is known of the former."""
+        """Return the rows (30, 31) of two nodes: the factor between them, and the prior of the former."""
         F, by_state, by_bias = np.zeros((15, 15)), np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
         left, new = self.biases.over(measured.deltaTij())
         mean = 0.5 * (1.0 + left)  # of a bias on the way, over that at the former node

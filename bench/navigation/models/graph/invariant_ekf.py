@@ -186,7 +186,7 @@ class InvariantFlight(SteppedFilter):
     def use_fix(
         self, t: float, fix: FloatArray, r: FloatArray, antenna_b: FloatArray, w_b: FloatArray
     ) -> None:
-        """Use position and velocity of a fix, each gated by itself; there may be no velocity."""
+        """Use position and velocity of a fix, each with its own gate; there may be no velocity."""
         place, C_tn = self.frame.locate(fix[:3])
         self.gravity = self.frame.gravity(self.ekf.state().position())
         moving = bool(np.isfinite(fix[3:]).all())
