@@ -10,6 +10,7 @@ from bench.specs import ImuSpec
 from bench.units import DEG, STANDARD_GRAVITY
 
 IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
+_ALL = "all"
 
 # What an aircraft can do, for a unit whose datasheet has no range.
 _MOST_RATE = 5700.0 * DEG  # [rad/s]
@@ -42,3 +43,17 @@ def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
         found.append((f"{name} at or beyond its range of {limit / factor:.4g} {unit}", rows))
         left &= ~rows
     return found
+
+
+def count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
+    """Return counts of samples without use with more of them: of all, and by the words of a range."""
+    if not len(lost):
+        return counts
+    more = {_ALL: len(lost)} | {why: int(rows.sum()) for why, rows in find_beyond(lost, spec)}
+    return {why: counts.get(why, 0) + count for why, count in more.items()}
+
+
+def name_ranges(lost: dict[str, int]) -> str:
+    """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
+    parts = [f"{n} of {lost[_ALL]} samples have the {why}" for why, n in lost.items() if n and why != _ALL]
+    return f" ({' and '.join(parts)})" if parts else ""

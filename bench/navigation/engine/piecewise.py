@@ -21,6 +21,8 @@ from bench.data import (
     no_innovations,
 )
 from bench.errors import EstimatorError
+from bench.navigation.engine.kept_rows import columns
+from bench.navigation.engine.timeline import TIME_TOLERANCE
 
 _COUNTED = re.compile(r"(\w+): (\d+) (.*)")
 """Text of an event that counts rows of a record."""
@@ -122,9 +124,22 @@ def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
 
 def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
     """Return some of the answers of a solution, with its innovations and events."""
-    columns: dict[str, Any] = {f.name: getattr(solution, f.name) for f in fields(solution)}
-    columns = {name: one[rows] for name, one in columns.items() if isinstance(one, np.ndarray)}
-    return replace(solution, **columns)
+    found: dict[str, Any] = {f.name: getattr(solution, f.name) for f in fields(solution)}
+    found = {name: one[rows] for name, one in found.items() if isinstance(one, np.ndarray)}
+    return replace(solution, **found)
+
+
+def take_after(answered: float, told: float, solution: NavSolution) -> NavSolution:
+    """Return a solution without the answers until an instant, and without what it told until another [s]."""
+    if np.isfinite(answered):
+        solution = take_answers(solution, slice(int(np.searchsorted(solution.t, answered, "right")), None))
+    table = solution.innovations
+    kept = table.t > told + TIME_TOLERANCE
+    if not kept.all():
+        rest = {name: one[kept] for name, one in columns(table).items() if name != "sensor"}
+        solution = replace(solution, innovations=replace(table, **rest))
+    events = [row for row in solution.events.rows() if row[1] > told + TIME_TOLERANCE]
+    return replace(solution, events=Events.from_rows(events))
 
 
 def join_solutions(parts: list[NavSolution]) -> NavSolution:
@@ -132,13 +147,13 @@ def join_solutions(parts: list[NavSolution]) -> NavSolution:
     parts = [one for one in parts if len(one) or one.extra_names] or parts[:1]  # others know nothing yet
     if len(parts) == 1:
         return parts[0]
-    columns = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}
-    for name, column in columns.items():
+    found = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}
+    for name, column in found.items():
         if isinstance(column, np.ndarray):
-            columns[name] = np.concatenate([getattr(one, name) for one in parts])
-    columns["innovations"] = join_tables([one.innovations for one in parts if len(one.innovations)])
-    columns["events"] = Events.from_rows(join_events([row for one in parts for row in one.events.rows()]))
-    return NavSolution(**columns)
+            found[name] = np.concatenate([getattr(one, name) for one in parts])
+    found["innovations"] = join_tables([one.innovations for one in parts if len(one.innovations)])
+    found["events"] = Events.from_rows(join_events([row for one in parts for row in one.events.rows()]))
+    return NavSolution(**found)
 
 
 def join_tables(tables: list[Innovations]) -> Innovations:

@@ -155,7 +155,10 @@ class Fusion:
         options = self.options
         whole = options.every_error or options.mems
         begin = partial(self._from_start, steady=options.every_error and has_large_bias(first))
-        return between_gaps(begin, first, initial, events, options.accuracy, whole=whole)
+        return between_gaps(
+            begin, first, initial, events, options.accuracy,
+            whole=whole, readmit_after_s=None if options.tight else options.readmit_after_s,
+        )  # fmt: skip
 
     def _from_start(
         self,

@@ -41,6 +41,13 @@ class End(NamedTuple):
     extra_sd: FloatArray  # (n,)
 
 
+def lost_at(t: float, end: End) -> End:
+    """Return the end of a filter that is lost at an instant [s]: its attitude may be any that is usual."""
+    none, cov = np.full(3, np.nan), np.full((9, 9), np.nan)
+    cov[6:, 6:] = np.diag(np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD]))
+    return end._replace(t=t, lla=none, vel_n=none, cov=cov)
+
+
 class Coast(SessionState):
     """Continues the answers of a filter from fixes alone, in order of time.
 

@@ -64,6 +64,10 @@ class LearntBiases:
         )
 
 
+UNLEARNT = LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
+"""Of a filter that has not begun."""
+
+
 def learn_biases(
     end: End, spec: ImuSpec, biases: LearntBiases, steady: tuple[FloatArray, FloatArray] | None
 ) -> LearntBiases:

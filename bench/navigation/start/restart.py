@@ -7,6 +7,9 @@ covariance grows. When the samples are back, the alignment at rest or on the mov
 (`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
 all other states begin as at the first start. A filter without fixes ends at the gap: nothing tells where
 it is.
+
+A filter that has refused sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
+nothing taken over of what it said, biases included: with a heading wrong by 90 deg it has learnt wrong ones.
 """
 
 from __future__ import annotations
@@ -19,50 +22,55 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import EventRow, Events, ImuData, InitialState, NavSolution, SensorData
+from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
-from bench.navigation.engine.imu_range import find_beyond
+from bench.navigation.engine.imu_range import count_lost, name_ranges
 from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
     answer_now,
     join_solutions,
+    take_after,
     take_answers,
 )
 from bench.navigation.engine.record_cuts import (
     cut_piece,
     goes_beyond,
     join_pieces,
+    newest_sample,
     nothing_known,
     take_head,
 )
 from bench.navigation.engine.session import Kept, SessionState, require
-from bench.navigation.error_state_filter.state_blocks import WIND_SD
+from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
+from bench.navigation.error_state_filter.state_blocks import WIND_SD, assumed
 from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
 from bench.navigation.start.alignment import StartSearch
 from bench.navigation.start.course import LEAST_SPEED
-from bench.navigation.start.fixes_only import Coast, End, fresh_fixes
-from bench.navigation.start.learnt_biases import LearntBiases, learn_biases
-from bench.specs import ImuSpec
+from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
+from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
+from bench.navigation.start.refused_fixes import RefusedFixes
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
-_ALL = "all"
+_LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
+_LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
 
 Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
 
 @dataclass
 class _Pause(SessionState):
-    """From the last sample before a gap to where the filter starts again."""
+    """From the last sample before a gap to where the filter starts again, or from where it was lost."""
 
     coast: Kept[Coast]
     silent: Kept[tuple[float, float]]  # [s]
-    because: Kept[str]  # what it comes from, where that is known
+    kind: Kept[str]  # of the event
+    why_stopped: Kept[str]
     wanted: Kept[FloatArray]  # answers [s]
     record: Kept[SensorData | None]  # since the gap, None before its first sample
     ways: Kept[list[StartSearch]]  # that have not failed
@@ -93,6 +101,8 @@ class BetweenGaps(SessionState):
         How the filter weighs fixes; None: it has none, and ends at a gap.
     whole : bool
         The filter knows what adds to its biases (``steady_errors``), and ``begin`` takes ``gyro_sd``.
+    readmit_after_s : float or None
+        Of its gate; None: it is not reset.
     """
 
     head: Kept[SensorData]
@@ -106,7 +116,11 @@ class BetweenGaps(SessionState):
     stopped: Kept[End | None]  # before the last gap
     names: Kept[tuple[str, ...]]  # of the further states
     pause: Kept[_Pause | None]
+    watch: Kept[RefusedFixes | None]
     filter: Kept[InPieces | None]
+    fork: Kept[InPieces | None]  # the filter as it was before the first of some refusals
+    since: Kept[SensorData | None]  # what has come since
+    told: Kept[tuple[float, float]]  # last answer and last innovation given since [s]
 
     def __init__(
         self,
@@ -117,12 +131,17 @@ class BetweenGaps(SessionState):
         accuracy: FixAccuracy | None,
         *,
         whole: bool = False,
+        readmit_after_s: float | None = None,
     ) -> None:
         self._begin, self.head, self.accuracy, self.whole = begin, take_head(first), accuracy, whole
         self.filter, self.intake = begin(first, start, events), timeline.ImuIntake(start.t)
-        self.start, self.biases = start, LearntBiases(*np.zeros((2, 3)), *np.full((2, 3), np.inf))
+        self.start, self.biases = start, UNLEARNT
         self.again, self.lost, self.held, self.newest = False, {}, None, -np.inf
         self.pause, self.stopped, self.names = None, None, ()
+        self.watch = None
+        if accuracy is not None and readmit_after_s is not None:
+            self.watch = RefusedFixes(assumed(first.specs, "gnss"), accuracy, readmit_after_s)
+        self.fork, self.since, self.told = None, None, (-np.inf, -np.inf)
 
     @property
     def end(self) -> float:
@@ -143,11 +162,11 @@ class BetweenGaps(SessionState):
             self._take(cut_piece(record, sound, after, ended), look_back, found, ended=ended)
             first, after = behind, ended
             lost = slice(int(rows[k - 1]) + 1 if k else 0, behind)
-            self.lost = _count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
+            self.lost = count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
             self._stop((ended, float(imu.t[behind] - imu.dt[behind])), found)
         stop = int(again[0]) if len(again) else len(imu)
         lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
-        self.lost = _count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
+        self.lost = count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
         until = np.inf if last else self.end
         rest = record
         if first or stop < len(imu) or goes_beyond(record, until):
@@ -174,14 +193,9 @@ class BetweenGaps(SessionState):
         return piece if held is None else replace(join_pieces(held, piece), antenna_b=piece.antenna_b)
 
     def _take(
-        self,
-        part: SensorData,
-        look_back: float,
-        found: list[NavSolution],
-        *,
-        last: bool = False,
-        ended: float | None = None,
-    ) -> None:
+        self, part: SensorData, look_back: float, found: list[NavSolution], *,
+        last: bool = False, ended: float | None = None,
+    ) -> None:  # fmt: skip
         """Take a part without a long gap; nothing comes after the ``last``, and a gap after ``ended`` [s]."""
         if self.filter is None and self.pause is None:  # it has ended
             found.append(self._unknown(part.output_t))
@@ -189,6 +203,8 @@ class BetweenGaps(SessionState):
         if self.accuracy is not None:
             assert part.fixes is not None
             fresh, self.newest = fresh_fixes(part.fixes, self.newest)
+            if self.watch is not None:
+                self.watch.take(fresh)
         if self.pause is not None:
             self.pause.coast.take(fresh)
             aligned = self._align(part, look_back, found, last=last, ended=ended)
@@ -196,23 +212,80 @@ class BetweenGaps(SessionState):
                 return
             part = aligned
         assert self.filter is not None
+        self._keep_copy(part)
+        before = self.biases
         if ended is None:
-            found.append(self._own(self.filter.feed(self._less(part), look_back, last=last)))
+            solution = self._own(self.filter.feed(self._less(part), look_back, last=last))
         else:
-            wanted = np.union1d(part.output_t, ended)
-            solution = self._own(self.filter.feed(self._less(replace(part, output_t=wanted)), 0.0, last=True))
-            asked = len(wanted) == len(part.output_t)
-            found.append(solution if asked else take_answers(solution, slice(-1)))
-            self.stopped, self.names = _last_answer(solution), solution.extra_names
-            steady = cast("KnowsImuErrors", self.filter).steady_errors() if self.whole else None
-            self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
-            self.filter = None
+            solution = self._end_at(part, ended)
+        lost = None if self.watch is None else self.watch.find(solution.innovations)
+        if lost is not None:
+            self.biases = before
+            self._reset(lost, look_back, found, last=last, ended=ended)
+            return
+        found.append(solution)
+        self._drop_copy(solution)
+
+    def _end_at(self, part: SensorData, ended: float) -> NavSolution:
+        """Let the filter take a part and end at an instant [s]; keep what it has learnt."""
+        assert self.filter is not None
+        wanted = np.union1d(part.output_t, ended)
+        solution = self._own(self.filter.feed(self._less(replace(part, output_t=wanted)), 0.0, last=True))
+        self.stopped, self.names = _last_answer(solution), solution.extra_names
+        steady = cast("KnowsImuErrors", self.filter).steady_errors() if self.whole else None
+        self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
+        self.filter = None
+        return solution if len(wanted) == len(part.output_t) else take_answers(solution, slice(-1))
+
+    def _keep_copy(self, part: SensorData) -> None:
+        """Keep a copy of the filter where it may get lost in a part, or the part if there is one."""
+        if self.watch is None:
+            return
+        assert self.filter is not None
+        if self.since is not None:
+            self.since = join_pieces(self.since, part)
+        elif self.watch.any_refused or newest_sample(part) - self.filter.end > _LONG:
+            self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
+
+    def _drop_copy(self, solution: NavSolution) -> None:
+        """Drop the copy where nothing was refused of late; else remember what has been given since."""
+        if self.since is None:
+            return
+        assert self.watch is not None
+        kept = self.filter is not None and self.watch.any_refused
+        if not kept or newest_sample(self.since) - self.since.imu.t[0] > _LONGEST_KEPT:
+            self.fork, self.since = None, None
+        answered, told = self.told
+        self.told = float(solution.t.max(initial=answered)), float(solution.innovations.t.max(initial=told))
+
+    def _reset(
+        self, t: float, look_back: float, found: list[NavSolution], *, last: bool, ended: float | None
+    ) -> None:
+        """End the filter where it was lost [s], go on by the fixes alone and take the rest of the record."""
+        assert self.watch is not None
+        assert self.since is not None
+        record, told, fix = self.since, self.told, self.watch.last(t)
+        self.filter, self.fork, self.since = self.fork, None, None
+        ahead = record.imu.t > t
+        part, before = cut_piece(record, np.flatnonzero(~ahead), -np.inf, t), self.biases
+        found.append(take_after(*told, self._end_at(part, t)))
+        self.biases = before  # what it has learnt is as wrong as its attitude
+        assert self.stopped is not None
+        assert self.accuracy is not None
+        coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
+        coast.take(fix)
+        why = f"{self.watch.window:g} s of fixes refused that moved as their velocities say"
+        self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
+        self.watch.forget()
+        self.newest = float(fix.t[-1])
+        rest = cut_piece(record, np.flatnonzero(ahead), t, np.inf)
+        self._take(rest, look_back, found, last=last, ended=ended)
 
     def _stop(self, silent: tuple[float, float], found: list[NavSolution]) -> None:
         """Continue from fixes alone in a gap from one instant until another [s], or without end."""
         if self.accuracy is None:
             if self.stopped is not None:
-                length, because = f"{silent[1] - silent[0]:.6g} s", _name_ranges(self.lost)
+                length, because = f"{silent[1] - silent[0]:.6g} s", name_ranges(self.lost)
                 text = f"IMU silent for {length}{because}: it ends; without fixes nothing tells where it is"
                 events: list[EventRow] = [
                     (*silent, "timeline", f"imu: gap of {length}", "imu"),
@@ -224,11 +297,16 @@ class BetweenGaps(SessionState):
         if self.pause is None:
             assert self.stopped is not None
             coast = Coast(self.head, self.stopped, self.names, self.accuracy)
-            self.pause = _Pause(coast, silent, "", np.empty(0), None, [], [])
-        because = _name_ranges(self.lost)
+            self.pause = _Pause(coast, silent, "", "", np.empty(0), None, [], [])
+        because = name_ranges(self.lost)
         if because:
             self.pause.coast.go_beyond()
-        self.pause = replace(self.pause, silent=silent, because=because, record=None, ways=[], why=[])
+        if self.watch is not None:
+            self.watch.forget()
+        why = f"IMU silent for {silent[1] - silent[0]:.6g} s{because}"
+        self.pause = replace(
+            self.pause, silent=silent, kind="restart", why_stopped=why, record=None, ways=[], why=[]
+        )
 
     def _unknown(self, t: FloatArray) -> NavSolution:
         """Return a solution of NaN at instants t (M,), with the further states of the filter."""
@@ -262,7 +340,6 @@ class BetweenGaps(SessionState):
                 found.append(pause.coast.answers(pause.due(until)))
                 return None
             start, ((_, _, _, text, *_),) = aligned
-        length = f"{begin - stopped:.6g} s"
         if start is None:
             until = self.end if ended is None else ended
             text = f"not started again: {'; '.join(pause.why)}"
@@ -270,11 +347,14 @@ class BetweenGaps(SessionState):
         else:
             until, text = start.t, f"until {start.t:.6g} s; {text}"
             coasted = pause.coast.answers(pause.due(until - 2.0 * timeline.TIME_TOLERANCE))
-        text = f"IMU silent for {length}{pause.because}: position and velocity by the fixes alone {text}"
+        text = f"{pause.why_stopped}: position and velocity by the fixes alone {text}"
+        sensor = "imu" if pause.kind == "restart" else SENSORS[POSITION]
         events: list[EventRow] = [
-            (stopped, begin, "timeline", f"imu: gap of {length}", "imu"),
-            (stopped, until, "restart", text.replace("alone not", "alone; not"), "imu"),
+            (stopped, until, pause.kind, text.replace("alone not", "alone; not"), sensor)
         ]
+        if pause.kind == "restart":
+            length = f"imu: gap of {begin - stopped:.6g} s"
+            events.insert(0, (stopped, begin, "timeline", length, "imu"))
         found.append(replace(coasted, events=Events.from_rows(events)))
         if start is None:
             if last:
@@ -312,8 +392,8 @@ class BetweenGaps(SessionState):
         return answer_now(self, head)
 
     def make_parts(self) -> None:
-        """Make the filter of the present start."""
-        self.filter = self._begin_again()
+        """Make the filter of the present start, and one for its copy."""
+        self.filter, self.fork = self._begin_again(), self._begin_again()
 
     def check(self) -> None:
         """Check that filter and samples go together."""
@@ -329,6 +409,7 @@ def between_gaps(
     accuracy: FixAccuracy | None,
     *,
     whole: bool = False,
+    readmit_after_s: float | None = None,
 ) -> InPieces:
     """Return a filter before its first piece that starts again after long gaps, as `BetweenGaps` does.
 
@@ -339,21 +420,7 @@ def between_gaps(
         if accuracy is not None and first.observations is not None:
             return begin(first, start, events)
         accuracy = None
-    return BetweenGaps(begin, first, start, events, accuracy, whole=whole)
-
-
-def _count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
-    """Return counts of samples without use with more of them: of all, and by the words of a range."""
-    if not len(lost):
-        return counts
-    more = {_ALL: len(lost)} | {why: int(rows.sum()) for why, rows in find_beyond(lost, spec)}
-    return {why: counts.get(why, 0) + count for why, count in more.items()}
-
-
-def _name_ranges(lost: dict[str, int]) -> str:
-    """Return how many of the samples without use are at the end of a range, in words; "" if none is."""
-    parts = [f"{n} of {lost[_ALL]} samples have the {why}" for why, n in lost.items() if n and why != _ALL]
-    return f" ({' and '.join(parts)})" if parts else ""
+    return BetweenGaps(begin, first, start, events, accuracy, whole=whole, readmit_after_s=readmit_after_s)
 
 
 def _ways(begin: float, coast: Coast) -> list[StartSearch]:

@@ -21,11 +21,12 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import columns, take_rows
+from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
     join_solutions,
+    take_after,
 )
 from bench.navigation.engine.record_cuts import (
     cut_piece,
@@ -34,7 +35,6 @@ from bench.navigation.engine.record_cuts import (
     take_head,
 )
 from bench.navigation.engine.session import Kept, SessionState
-from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
@@ -159,7 +159,11 @@ class FromTurnOn(SessionState):
         return piece if self.found is None else _take_off(self.found, piece)
 
     def _own(self, solution: NavSolution) -> NavSolution:
-        return solution if self.found is None else _give_back(self.found, _after(self.told, solution))
+        return (
+            solution
+            if self.found is None
+            else _give_back(self.found, take_after(-np.inf, self.told, solution))
+        )
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
@@ -168,17 +172,6 @@ class FromTurnOn(SessionState):
     def make_parts(self) -> None:
         """Make the filter before or after the stretch."""
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
-
-
-def _after(t: float, solution: NavSolution) -> NavSolution:
-    """Return a solution without the innovations and events until an instant [s]."""
-    table = solution.innovations
-    kept = table.t > t + TIME_TOLERANCE
-    if not kept.all():
-        rest = {name: one[kept] for name, one in columns(table).items() if name != "sensor"}
-        solution = replace(solution, innovations=replace(table, **rest))
-    events = [row for row in solution.events.rows() if row[1] > t + TIME_TOLERANCE]
-    return replace(solution, events=Events.from_rows(events))
 
 
 def _append(pieces: list[SensorData], piece: SensorData) -> None:

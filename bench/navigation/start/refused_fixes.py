@@ -1,0 +1,111 @@
+"""Fixes that a filter refuses for long although they agree with each other: then the filter is wrong.
+
+The gate believes refused fixes again after a while (`engine.gate`) and opens position and velocity for it.
+Where the attitude is lost that is no help: the filter drifts off again, and refuses the next. What tells a
+lost filter from a receiver that errs are the fixes alone. Those of a frozen receiver, of one whose position
+is pulled away and of one in a burst of noise move otherwise than their velocities (`velocity_consistency`).
+Whoever spoofs position and velocity alike passes, as at the gate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+from bench.data import GnssFixes, Innovations
+from bench.navigation.engine.kept_rows import join_rows, take_rows
+from bench.navigation.engine.session import Kept, SessionState
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
+from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
+from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
+from bench.navigation.options import FixAccuracy
+from bench.specs import GnssSpec
+
+_SHARE = 0.75  # of the positions of a window that are refused, those that the gate believed again among them
+_FEWEST = 10  # fixes in a window
+_FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
+
+
+class RefusedFixes(SessionState):
+    """Tells when a filter has refused sound fixes for long, from its innovations and the fixes.
+
+    Parameters
+    ----------
+    gnss : GnssSpec
+        Assumed datasheet.
+    accuracy : str
+        How the filter weighs fixes.
+    readmit_after_s : float
+        Of its gate. A window is twice as long, and no shorter than the fixes are compared over.
+    """
+
+    _fixes: Kept[GnssFixes | None]  # of the last window
+    _t: Kept[FloatArray]  # (K,) instants of its verdicts on positions [s]
+    _refused: Kept[BoolArray]  # (K,)
+    _begun: Kept[float]  # first verdict [s]
+    _next: Kept[float]  # before it the fixes are not looked at again [s]
+
+    def __init__(self, gnss: GnssSpec, accuracy: FixAccuracy, readmit_after_s: float) -> None:
+        self._gnss, self._accuracy = gnss, accuracy
+        self.window = 2.0 * max(readmit_after_s, WINDOWS[0])
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, with another filter."""
+        self._fixes, self._t, self._refused = None, np.empty(0), np.empty(0, np.bool_)
+        self._begun, self._next = np.inf, -np.inf
+
+    def take(self, fixes: GnssFixes) -> None:
+        """Take the next sound fixes, in the order of their arrival."""
+        self._fixes = fixes if self._fixes is None else join_rows(self._fixes, fixes)
+
+    @property
+    def any_refused(self) -> bool:
+        """Whether a position of the last window was refused."""
+        return bool(self._refused.any())
+
+    def find(self, table: Innovations) -> float | None:
+        """Return the first instant [s] at which the filter is lost, by its next innovations."""
+        code = table.sensor.index(SENSORS[POSITION]) if SENSORS[POSITION] in table.sensor else -1
+        rows = np.flatnonzero((table.code == code) & (table.component == 0))
+        if not len(rows):
+            return None
+        before = len(self._t)
+        t = np.concatenate([self._t, table.t[rows]])
+        refused = np.concatenate([self._refused, ~table.accepted[rows]])
+        self._begun = min(self._begun, float(t[0]))
+        if refused[before:].any():
+            first = np.searchsorted(t, t - self.window, side="right")
+            sums, k = np.concatenate([[0], np.cumsum(refused)]), np.arange(len(t))
+            count = k + 1 - first
+            due = refused & (sums[k + 1] - sums[first] >= _SHARE * count) & (count >= _FEWEST) & (k >= before)
+            for now in t[due & (t >= self._begun + self.window)].tolist():
+                if now < self._next:
+                    continue
+                if self._agree(now):
+                    return float(now)
+                self._next = now + 0.25 * self.window
+        kept = t > t[-1] - self.window
+        self._t, self._refused = t[kept], refused[kept]
+        if self._fixes is not None:
+            self._fixes = self._fixes.take(self._fixes.t_arrival > t[-1] - self.window)
+        return None
+
+    def last(self, t: float) -> GnssFixes:
+        """Return the last fix that had arrived at an instant [s]."""
+        assert self._fixes is not None
+        (rows,) = np.nonzero(self._fixes.t_arrival <= t + TIME_TOLERANCE)
+        return take_rows(self._fixes, rows[-1:])
+
+    def _agree(self, now: float) -> bool:
+        """Tell whether all fixes of a window until an instant [s] moved as their velocities say."""
+        assert self._fixes is not None
+        arrival = self._fixes.t_arrival
+        inside = (arrival > now - self.window) & (arrival <= now + TIME_TOLERANCE)
+        fixes = self._fixes.take(inside)
+        if len(fixes) < _FEWEST or not np.isfinite(fixes.vel_n).all():
+            return False
+        variance = weigh_fixes(fixes, fix_variance(self._gnss, gnss_markov=True), self._accuracy)
+        moved, _ = MovedFixes(self._gnss, _FALSE_ALARM).take(fixes, variance, last=True)
+        return not moved.any()
