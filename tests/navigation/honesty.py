@@ -48,6 +48,7 @@ class Judged:
     states: int = 9
     nees: list[FloatArray] = field(default_factory=list)  # (M,) of each draw at the judged instants
     nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each draw
+    apart: list[FloatArray] = field(default_factory=list)  # (M, 3) position error of each draw [m], n
     failed: int = 0  # draws without a solution
 
     @property
@@ -64,6 +65,12 @@ class Judged:
     def error(self) -> float:
         """Standard error of the mean."""
         return float(self.averages.std(ddof=1) / np.sqrt(len(self.nees))) if len(self.nees) > 1 else math.nan
+
+    def rmse(self, axes: slice) -> float:
+        """Return the RMSE of position along some axes, n, over all draws [m]."""
+        if not self.apart:
+            return math.nan
+        return float(np.sqrt(np.mean(np.sum(np.concatenate(self.apart)[:, axes] ** 2, axis=1))))
 
     def outside(self) -> list[str]:
         """Return the sensors whose mean NIS is outside its 99.9 % band, each with its mean over its dof."""
@@ -95,6 +102,8 @@ class Judged:
             "error": self.error,
             "median": float(np.median(averages)) if len(averages) else math.nan,
             "most": float(averages.max()) if len(averages) else math.nan,
+            "horizontal": self.rmse(slice(0, 2)),
+            "vertical": self.rmse(slice(2, 3)),
             "nis": self.outside(),
             "innovations": self.innovations(),
             "averages": averages.tolist(),
@@ -199,6 +208,7 @@ def judge_draws(
                 continue
             judged.states = errors.states
             judged.nees.append(errors.nees[chosen])
+            judged.apart.append(errors.pos_n[chosen])
             series = consistency.nis_by_sensor(solution.innovations, profile.evaluation.begin)
             for sensor, each in series.items():
                 sound = find_sound(profile, each.t)
@@ -221,14 +231,18 @@ def measure(
     *,
     hz: float | None = 20.0,
     twin: bool = False,
+    receiver: str = "own",
 ) -> Iterator[dict[str, Any]]:
-    """Yield a row for each profile, unit ("own": that of the profile) and estimator."""
+    """Yield a row for each profile, unit and receiver ("own": that of the profile) and estimator."""
+    on_board = {} if receiver == "own" else {"sensors.gnss": receiver}
     for name in profiles:
-        flown = bench.load_profile(name)
+        flown = bench.load_profile(name, on_board)
         truth = bench.fly(flown)
         for unit in units:
             overrides = {} if unit == "own" else {"sensors.imu": unit}
-            profile = replace(bench.load_profile(name, {**overrides, "evaluation.output_hz": 1.0}), seed=seed)
+            profile = replace(
+                bench.load_profile(name, {**on_board, **overrides, "evaluation.output_hz": 1.0}), seed=seed
+            )
             label = profile.sensors.imu.name if unit == "own" else unit
             pairs = [
                 (use, {"covariance_hz": hz} if hz and built_in.takes_option(use, "covariance_hz") else {})
@@ -248,6 +262,7 @@ def write_row(row: dict[str, Any]) -> str:
     line = (
         f"{row['profile']:22s} {row['unit']:13s} {row['use']:11s} {row['mean']:8.2f} +- {row['error']:6.2f}"
         f"  median {row['median']:6.2f}  most {row['most']:8.1f}"
+        f"  RMSE {row['horizontal']:6.3f} {row['vertical']:6.3f} m"
     )
     if row["failed"]:
         line += f"  failed {row['failed']}"
@@ -304,6 +319,7 @@ def main() -> None:
     parser.add_argument("--profiles", default=",".join(list_names("profiles")))
     parser.add_argument("--units", default="own", help="names, 'own' or 'all'")
     parser.add_argument("--estimators", default="loose-full")
+    parser.add_argument("--receiver", default="own", help="a name, or 'own'")
     parser.add_argument("--runs", type=int, default=10)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--hz", type=float, default=20.0, help="of the covariance; 0: at every sample")
@@ -324,7 +340,7 @@ def main() -> None:
     units = list_names("catalog/imu") if given.units == "all" else given.units.split(",")
     rows = measure(
         given.profiles.split(","), units, given.estimators.split(","), given.runs, given.seed,
-        hz=given.hz or None, twin=given.twin,
+        hz=given.hz or None, twin=given.twin, receiver=given.receiver,
     )  # fmt: skip
     for row in rows:
         print(write_row(row), flush=True)
