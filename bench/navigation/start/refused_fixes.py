@@ -13,7 +13,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.data import GnssFixes, Innovations
-from bench.navigation.engine.kept_rows import join_rows, take_rows
+from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
@@ -96,7 +96,7 @@ class RefusedFixes(SessionState):
         """Return the last fix that had arrived at an instant [s]."""
         assert self._fixes is not None
         (rows,) = np.nonzero(self._fixes.t_arrival <= t + TIME_TOLERANCE)
-        return take_rows(self._fixes, rows[-1:])
+        return self._fixes.take(rows[-1:])
 
     def _agree(self, now: float) -> bool:
         """Tell whether all fixes of a window until an instant [s] moved as their velocities say."""
