@@ -103,7 +103,7 @@ def read_log(
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
     built = dict(zip(choices, load_estimators(choices.values()), strict=True))
     for label, one in built.items():
-        estimator.check_needs(one, label, {"fixes", *spec.instruments})
+        estimator.check_needs(one, label, {"fixes", *spec.instruments}, specs=spec.assumed)
     records = read_records(spec)
     for choice in spec.estimators:
         if is_autopilot(choice.use):

@@ -309,12 +309,12 @@ def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
     Raises
     ------
     bench.errors.EstimatorError, bench.errors.ConfigError
-        As for :func:`build_estimator`, and if a record that one needs is missing.
+        As for :func:`build_estimator`, and if a record that one needs is missing or it refuses a sensor.
     """
     labels = [choice.label for choice in profile.estimators]
     built = dict(zip(labels, load_estimators(profile.estimators), strict=True))
     for label, one in built.items():
-        estimator.check_needs(one, label, _list_records(profile))
+        estimator.check_needs(one, label, _list_records(profile), specs=profile.sensors.assumed)
     return built
 
 

@@ -213,7 +213,7 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         package="gtsam",
     ),
     "graph-smoother": BuiltIn(
-        "factor graph of gtsam with the states of loose-15 over the whole record, slow (extra 'graph')",
+        "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow (extra 'graph')",
         _import_graph_smoother,
         GraphOptions,
         {},

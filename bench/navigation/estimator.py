@@ -26,7 +26,8 @@ class Estimator(Protocol):
     data only, keeps nothing between calls and never sees the truth. A method
     ``unmodelled(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
     the errors of the sensors that the estimator has no state for. An attribute ``needs: tuple[str, ...]`` is
-    optional too: the records of `SensorData` it cannot work without, of :data:`RECORDS`.
+    optional too: the records of `SensorData` it cannot work without, of :data:`RECORDS`. So is a method
+    ``refuses(specs: AssumedSpecs) -> str``: why it cannot be honest with such sensors, or "".
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
@@ -105,16 +106,21 @@ def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str,
         raise EstimatorError(f"estimator {use!r}: {error}") from error
 
 
-def check_needs(estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]") -> None:
-    """Check before the flight that an estimator will get the records it needs.
+def check_needs(
+    estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]", *,
+    specs: AssumedSpecs | None = None,
+) -> None:  # fmt: skip
+    """Check before the flight that an estimator will get the records it needs, and sensors it takes.
 
     ``records`` are the names of those there will be; ``place`` is where messages say they come from.
 
     Raises
     ------
     EstimatorError
-        If one of its ``needs`` is missing, or is not the name of a record.
+        If one of its ``needs`` is missing or is not the name of a record, or if it refuses ``specs``.
     """
+    if specs is not None and (said := getattr(estimator, "refuses", lambda _: "")(specs)):
+        raise EstimatorError(f"estimator {name!r}: {said}")
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
             raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")

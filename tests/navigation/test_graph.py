@@ -14,9 +14,10 @@ from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.navigation.estimator import check_needs
 from bench.navigation.models.graph.flat_frame import FlatFrame
 from tests.builders import band, ensemble
-from tests.weaving import DEG, IMU, units, weaving
+from tests.weaving import DEG, GNSS, IMU, units, weaving
 
 FINE = replace(
     IMU,
@@ -121,6 +122,21 @@ def test_the_factor_graph_is_the_smoother(imu):
     if imu is not FINE:
         assert_allclose(ours.extra_sd[5:], other.extra_sd[5:, :6], rtol=0.02)
         assert np.abs((ours.extra - other.extra[:, :6]) / other.extra_sd[:, :6])[5:].max() < 0.2
+
+
+def test_the_factor_graph_refuses_fixes_that_wander(sensed):
+    """Before the flight and in a run; white ones it takes, and a record without fixes."""
+    wandering = replace(GNSS, pos_h_markov_sd=3.0)
+    specs, one = replace(sensed.data.specs, gnss=wandering), load("graph-smoother", {})
+    line = (
+        "it takes the errors of fixes for white, but those of 'weaving-gnss' last for minutes; 'smoother' has"
+    )
+    with pytest.raises(EstimatorError, match=f"^estimator 'graph-smoother': {line}"):
+        check_needs(one, "graph-smoother", {"fixes"}, specs=specs)
+    with pytest.raises(EstimatorError, match=line):
+        one.run(replace(sensed.data, specs=specs), sensed.initial)
+    check_needs(one, "graph-smoother", {"fixes"}, specs=sensed.data.specs)
+    assert one.refuses(replace(specs, gnss=None)) == ""
 
 
 def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):

@@ -18,6 +18,7 @@ from scipy.linalg import block_diag, solve_triangular
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, NavSolution, SensorData
+from bench.errors import EstimatorError
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -51,7 +52,15 @@ class GraphSmoother:
         self.options = read_options(GraphOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate each instant from all fixes of the record, earlier and later."""
+        """Estimate each instant from all fixes of the record, earlier and later.
+
+        Raises
+        ------
+        bench.errors.EstimatorError
+            Where :meth:`refuses` says why, and as for an alignment.
+        """
+        if sensors.fixes is not None and (said := self.refuses(sensors.specs)):
+            raise EstimatorError(said)
         return run_between_gaps(self._run, sensors, initial, "datasheet")
 
     def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
@@ -90,6 +99,19 @@ class GraphSmoother:
         table, refused = chain.gate.take(last=True)
         told = Events.from_rows(events + refused)
         return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
+
+    def refuses(self, specs: AssumedSpecs) -> str:
+        """Return why it takes no fixes of the receiver assumed; "" where they are white.
+
+        Averaged over a whole record, errors that last for minutes would leave a claim ten times too small.
+        """
+        gnss = specs.gnss
+        if gnss is None or not max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd, gnss.vel_markov_sd):
+            return ""
+        return (
+            f"it takes the errors of fixes for white, but those of {gnss.name!r} last for minutes; "
+            "'smoother' has states for them"
+        )
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
