@@ -28,7 +28,7 @@ from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.consistency import SensorNis
-from bench.evaluation.error_series import error_series
+from bench.evaluation.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
 from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 
@@ -49,7 +49,7 @@ class Judged:
     nees: list[FloatArray] = field(default_factory=list)  # (M,) of each draw at the judged instants
     nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each draw
     apart: list[FloatArray] = field(default_factory=list)  # (M, 3) position error of each draw [m], n
-    failed: int = 0  # draws without a solution
+    failed: int = 0  # draws that did not converge by the rule of a run, from the first answer on
 
     @property
     def averages(self) -> FloatArray:
@@ -203,8 +203,8 @@ def judge_draws(
             solution = estimator.answer(one, judged.use, sensed.data, sensed.initial)
             errors = error_series(truth, solution)
             chosen = choose_instants(profile, errors.t)
+            judged.failed += not check_convergence(errors, solution)[0]
             if not np.isfinite(errors.nees[chosen]).all():
-                judged.failed += 1
                 continue
             judged.states = errors.states
             judged.nees.append(errors.nees[chosen])
