@@ -39,7 +39,7 @@ perf: .venv/perf
 	$(BIN)/python -m tests.perf.ratios
 
 oracle: .venv/ready
-	$(BIN)/python tests/oracle.py
+	$(BIN)/python -m tests.oracle
 
 # the tables of bench/guide that say what the code declares
 guide: .venv/ready

@@ -10,17 +10,21 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 
 import numpy as np
 from scipy.special import stdtrit
 
+from bench import store
 from bench.campaigns.groups import Group, gather
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.plan import plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.evaluation.ensemble_consistency import TOLERATED
+from bench.files import read_json
 from bench.specs import Profile
+from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants
 
 CAMPAIGN_FILES = Path(__file__).parent / "campaign_files"
@@ -34,6 +38,7 @@ TABLES = (
 )
 """Estimators of each table, few enough for a terminal."""
 CONFIDENCE = 0.99
+"""Of the interval that the mark follows from; the one that is shown has `tests.measured.SHOWN`."""
 MARKS = {"consistent": "=", "overconfident": "!", "underconfident": "~", "undecided": "?"}
 """Verdict -> its mark in a cell."""
 FEWEST = 5
@@ -52,7 +57,7 @@ class Row:
     draws: int  # judged
     lost: int  # did not converge
     mean: float
-    half: float  # of the interval; NaN from one draw
+    half: float  # of the interval that is shown; NaN from one draw
 
     @property
     def word(self) -> str:
@@ -60,12 +65,18 @@ class Row:
         least, most = (self.states * limit for limit in TOLERATED)
         if not self.draws or np.isnan(self.half):
             return "undecided"
-        if self.mean - self.half > most:
+        half = self.half * find_factor(self.draws, CONFIDENCE) / find_factor(self.draws, SHOWN)
+        low, high = self.mean - half, self.mean + half
+        if low > most:
             return "overconfident"
-        if self.mean + self.half < least:
+        if high < least:
             return "underconfident"
-        inside = least <= self.mean - self.half and self.mean + self.half <= most
-        return "consistent" if inside else "undecided"
+        return "consistent" if least <= low and high <= most else "undecided"
+
+
+def find_factor(draws: int, confidence: float) -> float:
+    """Return half of the interval of a mean over its standard error."""
+    return float(stdtrit(draws - 1, 0.5 + 0.5 * confidence))
 
 
 def summarize(profile: str, label: str, states: int, lost: int, averages: np.ndarray) -> Row:
@@ -73,7 +84,7 @@ def summarize(profile: str, label: str, states: int, lost: int, averages: np.nda
     n = len(averages)
     half = np.nan
     if n > 1:
-        half = float(stdtrit(n - 1, 0.5 + 0.5 * CONFIDENCE) * averages.std(ddof=1) / np.sqrt(n))
+        half = float(find_factor(n, SHOWN) * averages.std(ddof=1) / np.sqrt(n))
     return Row(profile, label, states, n, lost, float(averages.mean()) if n else np.nan, half)
 
 
@@ -83,6 +94,13 @@ def measure(file: Path, folder: Path) -> Iterator[Row]:
     with Journal(folder / NAME) as journal:
         for group in gather(plan, journal):
             yield judge(group, plan.cells[group.number].profile)
+
+
+def read_stamp(folder: Path) -> str:
+    """Return the day and the commit of a campaign."""
+    file = folder / store.CAMPAIGN_RESULT
+    commit = str(read_json(file)["provenance"]["commit"] or "no commit")
+    return f"{date.fromtimestamp(file.stat().st_mtime)} at {commit[:7]}"
 
 
 def judge(group: Group, profile: Profile) -> Row:
@@ -131,3 +149,4 @@ if __name__ == "__main__":
     ]
     for labels in TABLES:
         print("\n".join(write_table([row for row in found if row.label in labels], labels)), end="\n\n")
+    print(write_measured(read_stamp(folder) for folder in campaigns.iterdir() if (folder / NAME).exists()))

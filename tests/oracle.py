@@ -4,8 +4,8 @@ The two are one estimator in other axes, coordinates and code, linearized at oth
 the pole is left out: the reduced coordinates of classic-22 end at 85 deg (equations 1.5). Exit status 1 when
 a difference exceeds its limit.
 
-    python tests/oracle.py                    all profiles, bench/guide/accuracy.md rewritten
-    python tests/oracle.py circuit survey     only these, nothing written
+    python -m tests.oracle                    all profiles, bench/guide/accuracy.md rewritten
+    python -m tests.oracle circuit survey     only these, nothing written
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from bench import earth, pipeline, rotation
 from bench.config import list_profiles, load_profile
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.loose_tight import Loose
+from tests.measured import stamp, write_measured
 
 LIMITS = {"position": 0.05, "velocity": 0.005, "attitude": 20e-6}  # RMS [m], [m/s], [rad]
 EXEMPT = ("polar",)
@@ -76,7 +77,9 @@ def main(names: list[str]) -> int:
         if not found_end:
             print(f"error: {PAGE}: no lines {BEGIN!r} and {END!r} to write between", file=sys.stderr)
             return 2
-        PAGE.write_text("\n".join([head + BEGIN, *lines, END]) + tail, encoding="utf-8")
+        PAGE.write_text(
+            "\n".join([head + BEGIN, *lines, "", write_measured([stamp()]), END]) + tail, encoding="utf-8"
+        )
     print("all within the limits" if within else "a limit is exceeded")
     return 0 if within else 1
 

@@ -31,10 +31,14 @@ from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
 from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from tests.measured import SHOWN, stamp, write_measured
 
 FOLDER = Path(bench.__file__).parent
 RECOVERY = 60.0  # after a fault, in which no honesty is asked for [s]
-ALLOWED, CONFIDENCE = 0.10, 0.99  # distance of the ratio from 1, and of the interval that tells
+ALLOWED, CONFIDENCE = (
+    0.10,
+    0.99,
+)  # distance of the ratio from 1, and of the interval that the word follows from
 SEED = 90210  # of the judging draws; no model was built on them
 
 
@@ -272,9 +276,12 @@ def write_row(row: dict[str, Any]) -> str:
 
 
 def judge_ratio(row: dict[str, Any]) -> tuple[float, str]:
-    """Return half of the interval of a ratio to the twin, and what it tells about 10 %."""
-    half = float(stdtrit(row["draws"] - 1, 0.5 + 0.5 * CONFIDENCE) * row["ratio_error"])
-    low, high = row["ratio"] - half, row["ratio"] + half
+    """Return half of the interval of a ratio to the twin that is shown, and the word about 10 %."""
+    half, wide = (
+        float(stdtrit(row["draws"] - 1, 0.5 + 0.5 * part) * row["ratio_error"])
+        for part in (SHOWN, CONFIDENCE)
+    )
+    low, high = row["ratio"] - wide, row["ratio"] + wide
     near = [abs(end - 1.0) <= ALLOWED for end in (low, high)]
     if all(near):
         return half, "within"
@@ -333,9 +340,10 @@ def main() -> None:
         rows = [json.loads(line) for line in given.table.read_text().splitlines()]
         if all("twin" not in row for row in rows):
             print("\n".join([*write_pools(rows, "unit"), "", *write_pools(rows, "profile")]))
+            print(write_measured(row["measured"] for row in rows))
             return
         key = "unit" if len({row["profile"] for row in rows}) == 1 else "profile"
-        print("\n".join(write_table(rows, key)))
+        print("\n".join([*write_table(rows, key), write_measured(row["measured"] for row in rows)]))
         return
     units = list_names("catalog/imu") if given.units == "all" else given.units.split(",")
     rows = measure(
@@ -346,7 +354,7 @@ def main() -> None:
         print(write_row(row), flush=True)
         if given.out:
             with given.out.open("a") as file:
-                file.write(json.dumps(row) + "\n")
+                file.write(json.dumps(row | {"measured": stamp()}) + "\n")
 
 
 if __name__ == "__main__":

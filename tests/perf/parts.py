@@ -24,6 +24,7 @@ from bench.navigation.error_state_filter.error_state import (
 from bench.navigation.error_state_filter.propagation import noise_kernel
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Passage
+from tests.measured import stamp, write_measured
 from tests.perf.dense import epoch_costs
 
 STEPS = 20_000  # of the covariance, in one slice
@@ -126,3 +127,4 @@ def main() -> None:
 
 if __name__ == "__main__":
     main()
+    print(write_measured([stamp()]))
