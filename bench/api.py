@@ -25,6 +25,7 @@ from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorDat
 from bench.errors import ConfigError
 from bench.run_result import RunResult
 from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
+from bench.stages import Watcher
 
 if TYPE_CHECKING:
     from bench.evaluation.noise_curves import AllanResult
@@ -47,7 +48,7 @@ def run(
     bound: bool = False,
     causes: bool | None = None,
     guard: Guard = DEFAULT_GUARD,
-    progress: Callable[[float], None] | None = None,
+    progress: Watcher | None = None,
 ) -> RunResult:
     """Fly one profile, sense, navigate with every estimator, and judge.
 
@@ -80,7 +81,7 @@ def run(
     guard : Guard
         What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
-        Called with the seconds flown so far.
+        Called with what is going on (`bench.stages.Stage`, whose ``str`` says it), whenever that changes.
 
     Raises
     ------

@@ -20,7 +20,8 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -75,6 +76,7 @@ class Kernel:
         import numba
 
         choose_cache()
+        _time_compiling()
         shortcut: Any = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
         made = numba.njit(**self._options, **shortcut)(self.py_func)
         known = made._cache._cache_file
@@ -216,6 +218,57 @@ def kernel(function: _Function) -> _Function:
 def inner(function: _Function) -> _Function:
     """Compile a function that only kernels call; without its Python wrapper this takes a third less time."""
     return cast(_Function, Kernel(function, no_cpython_wrapper=True))
+
+
+class _CompileClock:
+    """CPU time that compiling took so far, without what was read from the cache, and who is told of it."""
+
+    def __init__(self) -> None:
+        self.cpu_s, self.watchers = 0.0, list[Callable[[bool], object]]()
+        self._depth, self._begun = 0, 0.0
+
+    def turn(self, step: int) -> None:
+        """Begin (1) or end (-1) one compilation; those of the parts of a kernel lie in its own."""
+        self._depth += step
+        if self._depth == (1 if step > 0 else 0):
+            now = time.process_time()
+            self.cpu_s += 0.0 if step > 0 else now - self._begun
+            self._begun = now
+            for tell in self.watchers:
+                tell(step > 0)
+
+
+_CLOCK = _CompileClock()
+
+
+@cache
+def _time_compiling() -> None:
+    """Have numba tell the clock when it compiles."""
+    from numba.core import event
+
+    class Listener(event.Listener):
+        def on_start(self, event: object) -> None:
+            _CLOCK.turn(1)
+
+        def on_end(self, event: object) -> None:
+            _CLOCK.turn(-1)
+
+    event.register("numba:compile", Listener())
+
+
+def read_compile_time() -> float:
+    """Return the CPU time that this process has compiled so far [s]."""
+    return _CLOCK.cpu_s
+
+
+@contextmanager
+def watch_compiling(tell: Callable[[bool], object]) -> Iterator[None]:
+    """Call a function with True whenever compiling begins, with False when it ends."""
+    _CLOCK.watchers.append(tell)
+    try:
+        yield
+    finally:
+        _CLOCK.watchers.remove(tell)
 
 
 def types_of(*arguments: Any) -> tuple[Any, ...]:

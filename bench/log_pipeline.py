@@ -15,6 +15,7 @@ import numpy as np
 
 from bench import disk_arrays, pipeline, store
 from bench.arrays import BoolArray, FloatArray
+from bench.compiled import watch_compiling
 from bench.config.checks import is_autopilot
 from bench.config.log import LogSpec, load_log
 from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
@@ -37,6 +38,7 @@ from bench.exchange.log_start import find_start
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
+from bench.stages import Stages, Watcher
 from bench.units import SAME_INSTANT
 
 REPORTED = "fix_accuracy"
@@ -155,7 +157,11 @@ def _describe_accuracy(records: LogRecords) -> Check:
 
 
 def navigate_log(
-    log: str | Path | RecordedLog, *, outages: Sequence[float] | None = (), places: int = 10
+    log: str | Path | RecordedLog,
+    *,
+    outages: Sequence[float] | None = (),
+    places: int = 10,
+    progress: Watcher | None = None,
 ) -> RunResult:
     """Run estimators on a recording and judge them; one that raises has failed.
 
@@ -170,6 +176,8 @@ def navigate_log(
         None: 10, 30 and 60 s, as far as the recording has room for them; none beside a reference.
     places : int
         Number of places of each outage.
+    progress : callable or None
+        Called with what is going on (`bench.stages.Stage`), whenever that changes.
 
     Returns
     -------
@@ -184,6 +192,12 @@ def navigate_log(
         start.
     """
     log = log if isinstance(log, RecordedLog) else read_log(log)
+    stages = Stages(progress)
+    with watch_compiling(stages.compile):
+        return _navigate(log, outages, places, stages)
+
+
+def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, stages: Stages) -> RunResult:
     clock = time.process_time()
     spec = log.spec
     session = Session(spec, log.records, _find_start(log), log.reference)
@@ -199,7 +213,8 @@ def navigate_log(
         estimator.check_needs(one, label, present, spec.name)
     solutions, errors, metrics, drifts = {}, {}, {}, []
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
-    for label, one in log.estimators.items():
+    for number, (label, one) in enumerate(log.estimators.items(), 1):
+        stages.begin(f"filter {number} of {len(log.estimators)}: {label}")
         unmodelled = None
         try:
             solution = estimator.answer(one, label, data, session.initial)

@@ -12,6 +12,7 @@ from math import degrees
 from typing import Any
 
 from bench import disk_arrays, store
+from bench.compiled import read_compile_time, watch_compiling
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
@@ -20,6 +21,7 @@ from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
+from bench.stages import FLYING, Stages, Watcher
 
 
 def fly(
@@ -127,8 +129,7 @@ def run(
     truth: Trajectory | None = None,
     bound: bool = False,
     causes: bool | None = False,
-    progress: Callable[[float], None] | None = None,
-    progress_causes: Callable[[str, int], None] = lambda label, runs: None,
+    progress: Watcher | None = None,
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
@@ -150,33 +151,48 @@ def run(
         running the filter again without what may be to blame (`bench.causes`). None: again only if it is
         built in; False: neither.
     progress : callable or None
-        Called with the seconds flown so far.
-    progress_causes : callable
-        Called with the label of a filter and how often it ran again.
+        Called with what is going on (`bench.stages.Stage`), whenever that changes.
 
     Raises
     ------
     bench.errors.EstimatorError
         If no estimator can start, as well as for :func:`build_estimators`.
     """
+    stages = Stages(progress)
+    with watch_compiling(stages.compile):
+        return _run(profile, run, truth, bound, causes, stages)
+
+
+def _run(
+    profile: Profile,
+    run: int,
+    truth: Trajectory | None,
+    bound: bool,
+    causes: bool | None,
+    stages: Stages,
+) -> RunResult:
     built = build_estimators(profile)  # fails before the flight
     if bound:
         from bench.evaluation.linear import held
 
         held.check_flight(profile.sensors, built)
-    clock = {"fly": time.process_time()}
+    compiled_before = read_compile_time()
+    clock = {"fly": _read_work_clock()}
     own_truth = truth is not None
     if truth is None:
-        truth = fly(profile, progress=progress)
+        stages.begin("taking the flight from the cache")
+        truth = fly(profile, progress=partial(_tell_flown, stages, profile.flight.duration))
     check_times(profile, float(truth.t[-1]))
-    clock["sense"] = time.process_time()
+    clock["sense"] = _read_work_clock()
+    stages.begin("sensing")
     sensed = sense(profile, truth, run)
     disk_arrays.release()
-    clock["navigate"] = time.process_time()
+    clock["navigate"] = _read_work_clock()
     solutions, unmodelled, used = {}, dict[str, list[str] | None](), dict[str, float]()
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     specs = _list_specs(profile)
-    for label, one in built.items():
+    for number, (label, one) in enumerate(built.items(), 1):
+        stages.begin(f"filter {number} of {len(built)}: {label}")
         unmodelled[label] = None
         begun = _read_cpu_clock()
         try:
@@ -189,7 +205,8 @@ def run(
         solutions[label] = solution
         used[label] = getattr(one, "cpu_s", _read_cpu_clock() - begun)
     check_starts(raised, len(built))
-    clock["judge"] = time.process_time()
+    clock["judge"] = _read_work_clock()
+    stages.begin("judging")
     from bench.causes.explaining import DrawnRun, explain_run
     from bench.evaluation.convention_search import find_mistakes
     from bench.evaluation.coverage import measure_coverage
@@ -214,7 +231,7 @@ def run(
         label: add_verdict(label, values, covered[label], requirements[label])
         for label, values in metrics.items()
     }
-    clock["causes"] = time.process_time()
+    clock["causes"] = _read_work_clock()
     for choice in profile.estimators if causes is not False else ():
         label, values = choice.label, metrics[choice.label]
         if verdicts[label]["verdict"] not in BROKEN:
@@ -230,12 +247,12 @@ def run(
                 built[label],
                 solutions[label],
                 sensed.data,
-                partial(progress_causes, label),
+                partial(_tell_search, stages, label),
             )
         if found:
             values = {**values, **found}
             verdicts[label] = add_verdict(label, values, covered[label], requirements[label])
-    clock["compare"] = time.process_time()
+    clock["compare"] = _read_work_clock()
     metrics = verdicts
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, sensed.data).items():
@@ -247,12 +264,13 @@ def run(
         ratios = held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
         for label, rows in ratios.items():
             metrics[label]["bound"] = rows
-    clock["end"] = time.process_time()
+    clock["end"] = _read_work_clock()
     hashes = {
         "truth": None if own_truth else store.truth_key(profile.flight),
         "sensors": store.hash_spec(profile.sensors),
     }
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(clock)}
+    cpu_s["compile"] = read_compile_time() - compiled_before
     return RunResult(
         profile=profile.document,
         seed=profile.seed,
@@ -298,9 +316,24 @@ def _describe_scene(profile: Profile) -> dict[str, Any]:
     return {"mesh": profile.flight.mesh, "antenna_mask_deg": mask, "runway": place}
 
 
+def _tell_flown(stages: Stages, duration: float | None, t: float) -> None:
+    if not stages.flies:
+        stages.begin(FLYING, duration)
+    stages.move(t)
+
+
+def _tell_search(stages: Stages, label: str, count: int) -> None:
+    stages.begin(f"why {label} is wrong: run {count}")
+
+
+def _read_work_clock() -> float:
+    """Return the CPU time of this process without that of compiling, which comes once [s]."""
+    return time.process_time() - read_compile_time()
+
+
 def _read_cpu_clock() -> float:
-    """Return the CPU time of this process and of the programs that it has run to their end [s]."""
-    return time.process_time() + sum(os.times()[2:4])
+    """Return the work of this process and the CPU time of the programs that it has run to their end [s]."""
+    return _read_work_clock() + sum(os.times()[2:4])
 
 
 def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:

@@ -63,7 +63,8 @@ def explain_run(
     values : dict
         ``causes``, a row each: the words, the block of states whose claim is broken, its mean NEES with and
         without it (``nees``, ``nees_without``), and the ``step``: those of a step were found together, and
-        without those of the steps before; ``causes_runs``, how often the filter ran; ``why_text``.
+        without those of the steps before; ``causes_runs``, how often the filter ran; ``advice_text``, which
+        filter does better; ``why_text``.
     """
     count = 0
 
@@ -103,7 +104,12 @@ def explain_run(
         for candidate in step.named
     ]
     advice = advise(choice, drawn.on_board, causes.named, sky)
-    return {"causes": rows, "causes_runs": causes.runs, "why_text": f"Why: {describe_causes(causes, advice)}"}
+    return {
+        "causes": rows,
+        "causes_runs": causes.runs,
+        "advice_text": advice,
+        "why_text": f"Why: {describe_causes(causes, advice)}",
+    }
 
 
 def _finite(value: float) -> float | None:

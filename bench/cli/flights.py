@@ -30,6 +30,7 @@ from bench.cli.group import (
     report_option,
     seed_option,
     set_option,
+    table_option,
     write_findings,
 )
 from bench.errors import DONE, NEGATIVE
@@ -58,6 +59,7 @@ from bench.errors import DONE, NEGATIVE
 )
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
 @json_option("the metrics")
+@table_option
 @recording_option
 @report_option
 @force_option()

@@ -123,6 +123,11 @@ def json_option(what: str) -> Decorator:
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
+table_option = click.option(
+    "--table", is_flag=True, help="print every main figure with its bounds, as bench show does"
+)
+
+
 def _refuse_replaced(ctx: click.Context, param: click.Parameter, given: bool) -> None:
     if given:
         raise click.UsageError(f"{param.opts[0]} is now {OPTIONS[param.opts[0]]}", ctx)

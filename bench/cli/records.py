@@ -1,4 +1,4 @@
-"""The verbs of recorded data and other tools: navigate, fixes, allan, export, score, stream."""
+"""The verbs of recorded data, results and other tools: navigate, show, fixes, allan, export, score..."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from bench.cli.group import (
     recording_option,
     report_option,
     set_option,
+    table_option,
 )
 from bench.errors import DONE, NEGATIVE, ConfigError
 
@@ -73,6 +74,7 @@ class _LogCommand(click.Command):
 @set_option
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")
+@table_option
 def navigate(log: str, as_json: bool, **options: Any) -> int:
     """Run estimators on a recording of real sensors.
 
@@ -97,6 +99,20 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     if as_json:
         click.echo(to_json(summary), nl=False)
     return end_run(summary["metrics"])
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", required=False, type=FILE, metavar="[DIR]")
+def show(folder: Path | None) -> int:
+    """Print the figures of finished results as tables, with their bounds.
+
+    DIR is the folder of a run, a log, a campaign or a study; default the newest run
+    below ./runs.
+    """
+    from bench.workbench.show_verb import show_results
+
+    show_results(folder, console=new_console())
+    return DONE
 
 
 @commands.command(epilog=STATUS)

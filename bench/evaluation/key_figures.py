@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.evaluation.metric_words import find_words
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.verdict import find_bounds
 from bench.wording import format_number
@@ -45,25 +46,16 @@ MEANING = (
 )
 _ROWS = {
     "pos_claimed": "claimed: root mean square of the sigma that the filter gives",
-    "cep": "cep50, cep95: radius around the truth that holds 50, 95 % of the horizontal positions",
-    "heading_convergence": "heading_convergence: from then on the heading is right within 1 deg or 3 sigma; "
-    "no sooner than the figures begin",
-    "drift_end": "drift_end: error at the end over the distance flown",
-    "inertial_end": "inertial_end: error at the end without any fix",
-    "nees": "nees_mean: squared error over covariance, nees_states is expected",
-    "nees_inside_95": "nees_inside_95: share of the time with NEES in the central 95 % of its distribution",
-    "coverage": "coverage: share of the time with an error within 3 sigma, 0.997 is expected",
-    "nis": "nis: squared innovation over its covariance; it is low where R is larger than the scatter of the "
-    "fixes, and their slow wander does not show in it",
-    "fault_": "fault_N: the N-th fault of the profile; detected: 1 if the filter refused or reported it; "
-    "delay from its start; max_h: largest horizontal error while it lasts",
-    "false_alarms": "false_alarms: sound measurements that were refused",
+    "heading_convergence": "a heading is within 1 deg or 3 sigma no sooner than the figures begin",
+    "outage_": "an outage moves the error by the length of its last error minus its first",
+    "nees": "NEES, normalized estimation error squared: squared error over claimed variance; the number of "
+    "states is right",
+    "coverage": "99.7 % within 3 sigma is right",
+    "nis": "NIS, normalized innovation squared: 3 is right of a GNSS position or velocity, 1 of a scalar; it "
+    "is low where R is larger than the scatter of the fixes, and their slow wander does not show in it",
+    "fault_": "a fault is noticed if the filter refused or reported it",
 }
-"""Beginning of the name of a row -> what it is."""
-OUTAGES = (
-    "Outages: drift is the error at the end, growth how far the error moved since the start, which may be "
-    "more or less; law is the growth that the datasheets give, root mean square."
-)
+"""Beginning of the name of a row -> what its words do not say."""
 
 
 def is_key_figure(name: str) -> bool:
@@ -72,11 +64,8 @@ def is_key_figure(name: str) -> bool:
 
 
 def explain_rows(names: Sequence[str]) -> list[str]:
-    """Return what rows of the table are that their names do not tell, a text for each kind."""
-    found = [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
-    axes = "h: horizontal; n, e, d: north, east, down"
-    attitude = ["phi: attitude error about n, e, d"] if any("_phi_" in name for name in names) else []
-    return [axes, *attitude, *found]
+    """Return what rows of the table are that their words do not say, a text for each kind."""
+    return [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
 
 
 def list_key_figures(measured: Measured) -> list[str]:
@@ -94,11 +83,14 @@ def list_key_figures(measured: Measured) -> list[str]:
 
 
 def format_bounds(name: str, values: Mapping[str, Any]) -> str:
-    """Return the bounds of a metric in one run, such as ``1.05 to 29`` or ``≥0.50``; "" if it has none."""
+    """Return the bounds of a metric in one run, such as ``1.05 to 29`` or ``≥50``; "" if it has none."""
     bounds = find_bounds(name, values)
     if bounds is None:
         return ""
-    low, high = (
-        None if end is None else f"{end:.2f}" if end < 10 else format_number(end, 3) for end in bounds
-    )
+    factor = find_words(name).factor
+    low, high = (None if end is None else _format_bound(factor * end) for end in bounds)
     return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
+
+
+def _format_bound(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else format_number(value, 3)

@@ -120,7 +120,7 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
     reason = values.get("reason")
     if values.get("failed"):
         return FAILED, f"{label} {reason}"
-    error = _describe_error(values)
+    error = describe_accuracy(values)
     if not values["converged"]:
         text = f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(" .")
         return DIVERGED, f"{text}.{_tell_why(values)}"
@@ -242,15 +242,15 @@ def _explain(values: Mapping[str, Any]) -> str:
     return f" Worst is the {TITLES[worst]}, in 3D: {format_number(known[worst], 3)} sigma, root mean square."
 
 
-def _describe_error(values: Mapping[str, Any]) -> str:
+def describe_accuracy(values: Mapping[str, Any]) -> str:
     """Return the horizontal error and what is claimed, or the tilt of an estimator without position."""
     error, claimed = values.get("pos_rmse_h_m"), values.get("pos_claimed_h_m")
     if error is None:
         tilt = values.get("tilt_rmse_deg")
         return "no finite horizontal error" if tilt is None else f"tilt error {tilt:.3g} deg"
+    where = "" if claimed is None else f", claims {format_distance(claimed)}"
     if "withheld_fixes" in values:
-        return f"withheld fixes lie {format_distance(error)} away"
-    where = "" if claimed is None else f" where it claims {format_distance(claimed)}"
+        return f"withheld fixes lie {format_distance(error)} away{where}"
     return f"horizontal error {format_distance(error)}{where}"
 
 
@@ -284,11 +284,22 @@ def _compare(value: float, most: float) -> str:
 
 
 def format_distance(metres: float) -> str:
-    """Return a distance with three digits.
+    """Return a distance as a reader needs it: to a decimal, below a metre with two digits.
 
     Examples
     --------
-    >>> format_distance(13.69), format_distance(12048.0)
-    ('13.7 m', '12 km')
+    >>> format_distance(5.99), format_distance(0.2964), format_distance(136.9), format_distance(12048.0)
+    ('6.0 m', '0.30 m', '137 m', '12.0 km')
     """
-    return f"{metres / 1000:.3g} km" if abs(metres) >= 1000 else f"{metres:.3g} m"
+    unit, value = ("km", metres / 1000) if abs(metres) >= 999.5 else ("m", metres)
+    return f"{round_figure(value)} {unit}"
+
+
+def round_figure(value: float) -> str:
+    """Return a number to a decimal, below one with two digits, from a hundred on without decimals."""
+    if not np.isfinite(value):
+        return "without bound"
+    size = abs(value)
+    return (
+        f"{value:.0f}" if size >= 99.5 else f"{value:.1f}" if size >= 0.995 or value == 0 else f"{value:#.2g}"
+    )

@@ -16,7 +16,7 @@ from bench import disk_arrays, earth, store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
-from bench.evaluation.key_figures import MEANING, OUTAGES, explain_rows, format_bounds, list_key_figures
+from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
@@ -92,7 +92,6 @@ def make_page(name: str, result: RunResult) -> str:
         all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
         meaning=MEANING,
         explanations=explain_rows(key_figures),
-        outages=OUTAGES if any(n.startswith("outage_") for n in key_figures) else "",
         drift_columns=DRIFT_COLUMNS,
         drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
         drift_meaning=DRIFT_MEANING,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from textwrap import wrap
 from typing import Any
 
 from rich.console import Console
@@ -20,6 +21,7 @@ from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.config.profile import make_choice
 from bench.evaluation.ensemble import Estimate
+from bench.evaluation.metric_words import find_words
 from bench.report import card_page, page
 from bench.report.writing import write_report
 from bench.specs import Guard
@@ -32,6 +34,7 @@ CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
 """Default folders for campaigns, and for the runs of cards."""
 
 _IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
+_IN_WORDS = {"pos_rmse_h_m": "horizontal error", "pos_rmse_d_m": "height", "heading_rmse_deg": "heading"}
 _NEES = "ANEES / n"
 _MOST_FAILURES = 5  # that are printed
 
@@ -119,11 +122,15 @@ def _format_time(seconds: float) -> str:
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
-def print_campaign(console: Console, result: Campaign) -> None:
-    """Print the figures, the sentences, and where the files are."""
+def print_campaign(console: Console, result: Campaign, *, table: bool = False) -> None:
+    """Print the figures, as a table if asked for, the sentences, and where the files are."""
     several = len({one.condition for one in result.outcomes}) > 1
-    if result.outcomes:
+    if result.outcomes and (several or table):
         (_compare_conditions if several else _compare_estimators)(console, result)
+    for one in () if several or table else result.outcomes:
+        for text in wrap(_summarize(one), console.width, subsequent_indent="  "):
+            console.print(text)
+    if result.outcomes:
         console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
     if several:
@@ -136,7 +143,9 @@ def print_campaign(console: Console, result: Campaign) -> None:
         console.print(f"{len(result.failed) - _MOST_FAILURES} more failed.")
     missing = result.planned - result.finished
     done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
-    console.print(f"Wrote {result.folder}: {done} in {result.timing['wall_s']:.1f} s.", soft_wrap=True)
+    if not table:
+        console.print(f"Wrote {result.folder}: {done} in {result.timing['wall_s']:.1f} s.", soft_wrap=True)
+        console.print(f"All figures: bench show {result.folder}", soft_wrap=True)
     if missing:
         console.print("The same command with --resume continues.")
 
@@ -145,7 +154,7 @@ def _compare_estimators(console: Console, result: Campaign) -> None:
     """Print a table with a column for each estimator."""
     names = list(dict.fromkeys(name for one in result.outcomes for name in one.errors))
     nees = [_NEES] if any(one.consistency for one in result.outcomes) else []
-    columns = {"": TableColumn(names + nees, words=True)}
+    columns = {"": TableColumn([_name(name) for name in names] + nees, words=True)}
     for one in result.outcomes:
         cells = [_format_estimate(one.errors.get(name)) for name in names]
         columns[one.label] = TableColumn(cells + [_format_estimate(_find_ratio(one)) for _ in nees])
@@ -159,10 +168,27 @@ def _compare_conditions(console: Console, result: Campaign) -> None:
         "condition": TableColumn([one.condition for one in ran], words=True),
         "estimator": TableColumn([one.label for one in ran], words=True),
         "converged": TableColumn([f"{one.converged_runs} of {one.runs}" for one in ran]),
-        **{name: TableColumn([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
+        **{_name(name): TableColumn([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
         _NEES: TableColumn([_format_estimate(_find_ratio(one)) for one in ran]),
     }
     print_table(console, columns, ["condition", "estimator"])
+
+
+def _name(metric: str) -> str:
+    """Return what a column or a row holds, with its unit."""
+    found = find_words(metric)
+    return f"{found.words} [{found.unit}]" if found.unit else found.words
+
+
+def _summarize(one: Outcome) -> str:
+    """Return the main errors of an estimator, and how its claim holds, with their intervals."""
+    parts = []
+    for metric, words in _IN_WORDS.items():
+        if (found := one.errors.get(metric)) is not None:
+            parts.append(f"{words} {_format_estimate(found, 3)} {find_words(metric).unit}")
+    if ratio := _find_ratio(one):
+        parts.append(f"{_NEES} {_format_estimate(ratio, 3)}, 1 is right")
+    return f"{one.label}: {'; '.join(parts) or 'no run converged'}"
 
 
 def _find_ratio(outcome: Outcome) -> Estimate | None:
@@ -170,10 +196,10 @@ def _find_ratio(outcome: Outcome) -> Estimate | None:
     return Estimate(found.ratio, found.low, found.high) if found else None
 
 
-def _format_estimate(estimate: Estimate | None) -> str:
+def _format_estimate(estimate: Estimate | None, digits: int = 4) -> str:
     if estimate is None:
         return "-"
-    return f"{format_number(estimate.value)} ({estimate.interval})"
+    return f"{format_number(estimate.value, digits)} ({estimate.interval})"
 
 
 def run_card(

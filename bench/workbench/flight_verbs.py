@@ -5,18 +5,16 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from bench import api, config, pipeline, store
+from bench import config, store
 from bench.run_result import RunResult
-from bench.saving import save
-from bench.specs import Profile
-from bench.workbench import result_table, show
+from bench.stages import FLYING, Stage, Watcher
+from bench.wording import one_line
 from bench.workbench.console import PlainConsole
 
 RUNS = Path("runs")
@@ -34,45 +32,65 @@ def run(
     force: bool,
     bound: bool = False,
     causes: bool | None = None,
+    table: bool = False,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
-    """Fly one profile, evaluate its estimators, write the results folder, and print the metrics.
+    """Fly one profile, evaluate its estimators, write the results folder, and print a screen of it.
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.config.load_profile`.
+    `bench.config.load_profile`. ``table`` prints every main metric, too.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
+    console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
+    from bench import pipeline  # what takes half a second comes after the first line
+    from bench.saving import save
+
     begun = time.perf_counter()
-    with _show_progress(profile) as (progress, progress_causes):
-        result = pipeline.run(
-            profile,
-            draw,
-            bound=bound,
-            causes=causes,
-            progress=progress,
-            progress_causes=progress_causes,
-        )
+    with show_stages() as watch:
+        result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch)
+    print_result(console, result, table=table)
     store.leave_out_pandas()
-    result_table.print_result(console, profile, result)
-    result_table.print_bound(console, result.metrics)
-    show.print_sanity(console, result.events.select("sanity"))
-    save(result, folder, recording=recording, report=report, force=force)
-    print_end(console, folder, begun)
+    with show_stages() as watch:
+        watch(Stage("writing"))
+        save(result, folder, recording=recording, report=report, force=force)
+    print_end(console, folder, begun, table=table)
     return result, folder
 
 
-def print_end(console: Console, folder: Path, begun: float) -> None:
-    """Print the folder of the results, how long they took, and the next command."""
+def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:
+    """Return the two lines that a run begins with: what is flown, and what its figures count."""
+    return f"{one_line(title)}\nseed {seed}, run {draw}, {evaluation}\n"
+
+
+def print_result(console: Console, result: RunResult, *, table: bool) -> None:
+    """Print the headlines of a result, or all its main metrics."""
+    from bench.workbench import result_table, show
+
+    if table:
+        result_table.print_metrics(console, result.metrics, result.solutions)
+    else:
+        result_table.print_headlines(console, result.metrics)
+    result_table.print_bound(console, result.metrics)
+    if "log" not in result.more:
+        show.print_sanity(console, result.events.select("sanity"))
+
+
+def print_end(console: Console, folder: Path, begun: float | None = None, *, table: bool = True) -> None:
+    """Print the folder of the results, how long they took, and the next commands."""
+    console.print()
     for path in sorted(folder.glob(store.PRINTED.format("*"))):
         console.print(f"What a filter printed is in {path}.", soft_wrap=True)
-    console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.")
+    if begun is not None:
+        console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.", soft_wrap=True)
     page = folder / store.REPORT
     if page.is_file():
         console.print(f"Report: {page}", soft_wrap=True)
+    if not table:
+        console.print(f"All figures: bench show {folder}", soft_wrap=True)
     if (folder / store.RECORDING).is_file():
         console.print(f"Next: bench view {folder}", soft_wrap=True)
 
@@ -85,9 +103,17 @@ def find_own_estimators() -> None:
 
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
     """Fly the truth of one profile into the cache, and print its legs and extremes; no estimator is run."""
+    from bench import api
+    from bench.workbench import show
+
     profile = config.load_profile(name, allow_code=True, **profile_options)
-    with _show_progress(profile) as (progress, _):
-        summary = api.describe_flight(profile, progress)
+    with show_stages() as watch:
+        length = profile.flight.duration
+
+        def show_time(t: float) -> None:
+            watch(Stage(FLYING, t, length))
+
+        summary = api.describe_flight(profile, show_time)
     show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
 
@@ -102,38 +128,17 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 
 
 @contextlib.contextmanager
-def _show_progress(
-    profile: Profile,
-) -> Iterator[tuple[Callable[[float], None], Callable[[str, int], None]]]:
-    """Provide functions that show the seconds flown so far, and which filter runs again for its causes.
-
-    Nothing is shown before the first call.
-    """
+def show_stages() -> Iterator[Watcher]:
+    """Provide a function that shows on a terminal what is going on; elsewhere it shows nothing."""
     screen = PlainConsole(stderr=True)
     if not screen.is_interactive:
-        yield lambda t: None, lambda label, runs: None
+        yield lambda stage: None
         return
-    columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[flown]}", markup=False),
-    )
-    duration = profile.flight.duration
-    of = f" of {duration:.0f}" if duration else ""
-    with contextlib.ExitStack() as stack:
-        bar = Progress(*columns, TimeElapsedColumn(), console=screen, transient=True)
-        task = bar.add_task(f"flying {profile.name}", total=duration, flown="")
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        def start() -> None:
-            if not bar.live.is_started:
-                stack.enter_context(bar)
-
-        def show_time(t: float) -> None:
-            start()
-            bar.update(task, completed=t, flown=f"{t:.0f}{of} s")
-
-        def show_runs(label: str, runs: int) -> None:
-            start()
-            bar.update(task, description=f"why {label} is wrong", total=None, flown=f"run {runs}")
-
-        yield show_time, show_runs
+    columns = (TextColumn("{task.description}", markup=False), BarColumn())
+    with Progress(*columns, TimeElapsedColumn(), console=screen, transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda stage: bar.update(
+            task, description=str(stage), completed=stage.done, total=stage.total or None
+        )

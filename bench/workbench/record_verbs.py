@@ -16,12 +16,14 @@ from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import FindingTable
+from bench.run_result import RunResult
 from bench.saving import save
 from bench.specs import TriadSpec
+from bench.stages import Stage
 from bench.wording import one_line
 from bench.workbench import result_table
 from bench.workbench.divided_table import TableColumn, print_table
-from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end
+from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end, print_result, show_stages
 from bench.workbench.new_log import new_log
 from bench.workbench.printing import print_findings
 
@@ -36,12 +38,14 @@ def navigate_log(
     recording: bool,
     report: bool,
     force: bool,
+    table: bool = False,
     **log_options: Any,
 ) -> dict[str, Any]:
-    """Check a recording, run estimators on it, print their metrics, and write the results folder.
+    """Check a recording, run estimators on it, print a screen of it, and write the results folder.
 
     ``name`` is a log, or a recording, for which one is written beside it unless it is there. If ``out`` is
-    None the folder is ``runs/<log>``. ``log_options`` are those of `bench.read_log`.
+    None the folder is ``runs/<log>``. ``table`` prints every check and every main metric, too.
+    ``log_options`` are those of `bench.read_log`.
     Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
@@ -51,27 +55,43 @@ def navigate_log(
     begun = time.perf_counter()
     log = log_pipeline.read_log(name, **log_options)
     title = one_line(log.spec.title)
-    console.print(f"{title}: t = 0 is {log.records.origin:.9g} s on the clock of the files")
-    for check in log.checks:
-        mark, style = ("  ", None) if check.good else ("! ", "yellow")
-        console.print(mark + check.text, style=style, soft_wrap=True)
-    for note in log.records.notes:
+    console.print(f"{title}: t = 0 is {log.records.origin:.9g} s on the clock of the files", soft_wrap=True)
+    for note in log.records.notes if table else ():
         console.print(f"  {note}")
-    result = log_pipeline.navigate_log(log, outages=outages, places=places)
-    judge = f"{len(result.records['withheld'])} fixes withheld"
-    if log.reference is not None:
-        judge = f"judged by the reference, {log.spec.document['reference']['file']}"
-    console.print(f"{title}: {judge}, {log.spec.evaluation}", soft_wrap=True)
-    result_table.print_metrics(console, result.metrics, result.solutions)
+    with show_stages() as watch:
+        result = log_pipeline.navigate_log(log, outages=outages, places=places, progress=watch)
+    print_log(console, result, table=table)
+    with show_stages() as watch:
+        watch(Stage("writing"))
+        save(result, folder, recording=recording, report=report, force=force, say=console.print)
+    print_end(console, folder, begun, table=table)
+    return {"metrics": result.metrics, **result.more}
+
+
+def print_log(console: Console, result: RunResult, *, table: bool) -> None:
+    """Print what a recording looked like, its judge, and what the estimators made of it.
+
+    Without ``table`` of the checks those that are not good, and of the drift the verdict.
+    """
+    checks, document = result.more["validity"], result.profile
+    for check in checks:
+        if table or not check["good"]:
+            mark, style = ("  ", None) if check["good"] else ("! ", "yellow")
+            console.print(mark + check["text"], style=style, soft_wrap=table)
+    good = sum(check["good"] for check in checks)
+    if not table and good:
+        console.print(f"{good} of {len(checks)} checks of the recording are good.")
+    judge = "judged by the fixes kept from the filters"
+    if "reference" in document:
+        judge = f"judged by the reference, {document['reference']['file']}"
+    console.print(f"{judge}, {result.evaluation}", soft_wrap=True)
+    print_result(console, result, table=table)
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
-    elif log.reference is None:
+    elif "reference" not in document:
         console.print(
             "Withheld fixes tell little of the IMU; the recording is too short for cuts without GNSS"
         )
-    save(result, folder, recording=recording, report=report, force=force, say=console.print)
-    print_end(console, folder, begun)
-    return {"metrics": result.metrics, **result.more}
 
 
 def _find_log(name: str, console: Console) -> str:

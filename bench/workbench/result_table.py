@@ -1,8 +1,9 @@
-"""Print the result of a run: a verdict for each estimator, then the table of the main metrics."""
+"""Print the result of a run: a headline for each estimator, and the table of the main metrics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from textwrap import wrap
 from typing import Any
 
 from rich import box
@@ -11,34 +12,48 @@ from rich.table import Table
 from rich.text import Text
 
 from bench.data import NavSolution
-from bench.evaluation import verdict
-from bench.evaluation.key_figures import (
-    MEANING,
-    OUTAGES,
-    Measured,
-    explain_rows,
-    format_bounds,
-    list_key_figures,
-)
-from bench.run_result import RunResult
-from bench.specs import Profile
-from bench.wording import format_number, one_line
+from bench.evaluation import headline, verdict
+from bench.evaluation.headline import Headline, Kind, make_headline
+from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
+from bench.evaluation.metric_words import find_words, format_metric, group_metrics
+from bench.wording import format_number
 from bench.workbench.divided_table import TableColumn, print_table
 
-_STYLES = {
-    verdict.OVERCONFIDENT: "bold red",
-    verdict.DIVERGED: "bold red",
-    verdict.FAILED: "bold red",
-    verdict.INCOMPLETE: "bold red",
-    verdict.UNDERCONFIDENT: "yellow",
-    verdict.CONSISTENT: "green",
-}
+_STYLES: Mapping[Kind, str] = {"good": "green", "wide": "yellow", "bad": "bold red", "none": ""}
+
+ROOM = 14
+"""Lines for the headlines of a run: with what stands before and behind them a screen of 24."""
+_FIRST_LEFT_OUT: tuple[dict[str, Any], ...] = (
+    {},
+    {"drift": ""},
+    {"figures": ""},
+    {"outside": ""},
+    {"required": ""},
+    {"why": ""},
+)
+"""What is left out of headlines where there is no room, in this order."""
 
 
-def print_result(console: Console, profile: Profile, run: RunResult) -> None:
-    """Print verdicts and main metrics of one run, one column per estimator, and the errors not modelled."""
-    console.print(f"{one_line(profile.title)}: seed {run.seed}, run {run.run}, {run.evaluation}")
-    print_metrics(console, run.metrics, run.solutions)
+def print_headlines(console: Console, measured: Measured) -> None:
+    """Print the verdict, error, claim and main figures of each estimator, as many lines as have room."""
+    lines = [make_headline(label, values) for label, values in measured.items()]
+    for left_out in _FIRST_LEFT_OUT:
+        lines = [one._replace(**left_out) for one in lines]
+        texts = [list(_wrap_headline(one, console.width)) for one in lines]
+        if sum(map(len, texts)) <= ROOM:
+            break
+    for one, (first, *more) in zip(lines, texts, strict=True):
+        console.print(Text(first, _STYLES[one.kind]))
+        for text in more:
+            console.print(text)
+    if any("NEES" in text for own in texts for text in own):
+        console.print(headline.NEES, style="dim")
+
+
+def _wrap_headline(one: Headline, width: int) -> Iterator[str]:
+    first = f"{one.mark} {one.label}: {one.word}{f'; {one.error}' if one.error else ''}"
+    for text in (first, *one.more):
+        yield from wrap(text, width, initial_indent="" if text is first else "  ", subsequent_indent="    ")
 
 
 def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, NavSolution]) -> None:
@@ -48,16 +63,14 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     """
     for values in measured.values():
         if text := values.get("verdict_text"):
-            far = values["verdict"] == verdict.CONSISTENT and verdict.find_far_off(values)
-            console.print(text, style="yellow" if far else _STYLES.get(values["verdict"]))
+            console.print(text, style=_STYLES[headline.find_kind(str(values["verdict"]), values)])
     names = list_key_figures(measured)
     for table in _divide(console, measured, names):
         console.print(table)
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
-    console.print(f"{'; '.join(explain_rows(names))}.", style="dim")
-    if any(name.startswith("outage_") for name in names):
-        console.print(OUTAGES, style="dim")
+    if explained := explain_rows(names):
+        console.print(f"{'; '.join(explained)}.", style="dim")
     for values in measured.values():
         for text in verdict.list_sentences(values):
             console.print(text)
@@ -131,18 +144,22 @@ def _width(console: Console, table: Table) -> int:
 def _make_table(measured: Measured, names: Sequence[str], *, narrow: bool) -> Table:
     """Return the table of some estimators; if narrow, with bounds below the values."""
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("metric", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for label in measured:
         table.add_column(label.replace("-", "-\n") if narrow else label, justify="right", no_wrap=True)
-    for name in names:
-        table.add_row(name, *(_make_cell(name, values, narrow=narrow) for values in measured.values()))
+    table.add_column("")
+    for group, members in group_metrics(names).items():
+        table.add_row(Text(group, "bold"))
+        for name in members:
+            cells = (_make_cell(name, values, narrow=narrow) for values in measured.values())
+            table.add_row(f" {find_words(name).words}", *cells, find_words(name).unit)
     return table
 
 
 def _make_cell(name: str, values: Mapping[str, Any], *, narrow: bool) -> Text:
     """Return a value with its bounds, marked if it is outside."""
     outside, bounds = verdict.is_outside(name, values), format_bounds(name, values)
-    text = format_number(values.get(name)) + (" !" if outside else "")
+    text = format_metric(name, values.get(name)) + (" !" if outside else "")
     if bounds:
         text += f"\n{bounds.replace(' to ', '-')}" if narrow else f" ({bounds})"
     return Text(text, "bold red" if outside else "")

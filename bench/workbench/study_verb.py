@@ -26,11 +26,16 @@ def run_study(name: str, *, console: Console, out: Path | None, report: bool, **
         result = study(name, out=out, progress=progress, **options)
     if out is not None and report:
         write_report(out)
-    print_findings(console, result.verdicts, result.findings.tables)
-    console.print(f"{result.command}: {result.wall_s:.1f} s", style="dim", soft_wrap=True)
+    print_study(console, result)
     if out is not None:
         console.print(f"Wrote {out / store.REPORT if report else out}.", soft_wrap=True)
     return result
+
+
+def print_study(console: Console, result: StudyResult) -> None:
+    """Print the answer and the tables of a study."""
+    print_findings(console, result.verdicts, result.findings.tables)
+    console.print(f"{result.command}: {result.wall_s:.1f} s", style="dim", soft_wrap=True)
 
 
 @contextlib.contextmanager

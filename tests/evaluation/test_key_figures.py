@@ -1,33 +1,47 @@
-"""The rows of the table of a run are told apart by their names or by the line below it."""
+"""The metrics of a run are read in words, each its own, with a unit and a heading."""
 
 import pytest
 
 from bench.evaluation.key_figures import explain_rows, list_key_figures
+from bench.evaluation.metric_words import find_words, format_metric, group_metrics, list_wordless
 from bench.evaluation.metrics import METRICS
 from bench.wording import format_number
 
-PLAIN = (
-    "pos_rmse", "vel_rmse", "tilt_rmse", "heading_rmse",  # named as in every textbook
-    "outage_", "fault_", "false_alarms_",  # count what a profile scripts; outages have a line
-    "output_coverage",
-)  # fmt: skip
+
+def test_every_metric_has_words_of_its_own():
+    """No two rows of a table read alike, none is an identifier, and all stand under a heading."""
+    names = {metric.name.format("n" if "phi" in metric.name else "gps") for metric in METRICS}
+    assert list_wordless() == []
+    told = {find_words(name).words for name in names - {"coverage_3sigma_bias_gps"}}
+    assert len(told) == len(names) - 1
+    assert not any("_" in words for words in told)
+    assert sum(map(len, group_metrics(names).values())) == len(names)
 
 
-def test_every_row_is_plain_or_explained():
-    names = [metric.name.format("1") for metric in METRICS]
-    rows = list_key_figures({"x": dict.fromkeys(names, 0.5)})
-    assert len(rows) > 20
-    for name in rows:
-        if not name.startswith(PLAIN):
-            said = explain_rows([name])[1:]
-            assert said, name
-            assert len(said[0]) > 20
+@pytest.mark.parametrize(
+    ("name", "value", "read"),
+    [
+        ("pos_rmse_h_m", 5.99, "horizontal error, rms 5.99 m"),
+        ("coverage_3sigma_vel_d", 0.9812, "vertical velocity within 3 sigma 98.1 %"),
+        ("coverage_3sigma_phi_d", 1.0, "heading within 3 sigma 100 %"),
+        ("phi_rmse_n_deg", 0.054, "tilt about north error, rms 0.054 deg"),
+        ("outage_2_drift_h_m", 7.666, "outage 2: error at its end 7.666 m"),
+        ("nis_mean_gnss_position", 2.9, "NIS GNSS position, mean 2.9"),
+        ("fault_1_detected", 1.0, "fault 1: noticed yes"),
+        ("rpe_10s_m_all", 1.85, "relative error over 10 s, whole run 1.85 m"),
+        ("false_alarm_rate_per_h", None, "false alarms - 1/h"),
+    ],
+)
+def test_a_metric_is_read_with_its_value_and_unit(name, value, read):
+    words = find_words(name)
+    assert f"{words.words} {format_metric(name, value)} {words.unit}".rstrip() == read
 
 
-@pytest.mark.parametrize(("name", "word"), [("coverage_3sigma_phi_n", "attitude"), ("cep95_m", "radius")])
+@pytest.mark.parametrize(("name", "word"), [("coverage_3sigma_phi_n", "99.7 %"), ("nees_mean", "normalized")])
 def test_only_the_rows_that_are_there_are_explained(name, word):
+    assert len(list_key_figures({"x": {name: 0.5}})) == 1
     assert word in " ".join(explain_rows([name]))
-    assert word not in " ".join(explain_rows(["nees_mean"]))
+    assert word not in " ".join(explain_rows(["vel_rmse_3d_mps"]))
 
 
 def test_numbers_have_no_power_of_ten_below_ten_million():

@@ -40,7 +40,7 @@ def test_an_overconfident_filter_is_told_with_figures_reason_and_remedy():
     found = verdict()
     assert found["verdict"] == "overconfident"
     assert found["verdict_text"] == (
-        "loose-15 is overconfident: horizontal error 13.7 m where it claims 0.7 m (NEES 1031, 9 expected, "
+        "loose-15 is overconfident: horizontal error 13.7 m, claims 0.70 m (NEES 1031, 9 expected, "
         "1 to 29 possible in this run; east position inside 3 sigma 5 % of the time). Worst is the position, "
         "in 3D: 20 sigma, root mean square."
     )
@@ -55,7 +55,7 @@ def test_without_a_truth_loud_innovations_are_overconfident():
     assert log["verdict"] == "overconfident"
     assert log["verdict_text"] == (
         "loose-15 is overconfident by its innovations, NIS of gnss_position 120 (at most 3.2): "
-        "withheld fixes lie 13.7 m away."
+        "withheld fixes lie 13.7 m away, claims 0.70 m."
     )
     quiet = verdict(**sound, **{**nis, "nis_mean_gnss_position": 1.0}, withheld_fixes=50)
     assert quiet["verdict"] == "underconfident"
@@ -102,7 +102,7 @@ def test_an_estimate_that_used_every_fix_is_judged_by_its_innovations_alone():
         (
             {"converged": False, "reason": "lost", "why_text": "A."},
             "diverged",
-            "lost. Horizontal error 13.7 m where it claims 0.7 m. A.",
+            "lost. Horizontal error 13.7 m, claims 0.70 m. A.",
         ),
         (
             {"unmodelled": [], "error_over_sigma_pos": 1234.0, "nees_mean": 4e4, "nees_high": 2345.0},
@@ -135,7 +135,7 @@ def test_a_drift_is_compared_with_the_law_of_its_datasheet():
     inertial = {"inertial_end_h_m": 54e3, "inertial_law_rms_h_m": 40e3, "inertial_law_95_h_m": 70e3}
     (text,) = verdict(**inertial)["drift_text"]
     assert text == (
-        "loose-15, unaided: 54 km off at the end; its datasheet gives 40 km rms, 70 km at 95 %: normal."
+        "loose-15, unaided: 54.0 km off at the end; its datasheet gives 40.0 km rms, 70.0 km at 95 %: normal."
     )
 
 
@@ -153,7 +153,7 @@ def test_bounds_stand_beside_nees_nis_and_coverage():
     [
         (
             {"pos_max_h_m": 12048.0},
-            "loose-15 is honest, and up to 12 km off: consistent with its covariance",
+            "loose-15 is honest, and up to 12.0 km off: consistent with its covariance",
         ),
         ({"pos_max_v_m": 301.0}, "is honest, and up to 301 m off in height"),
         ({"vel_max_mps": 20.0}, "is honest, and up to 20 m/s off in velocity"),

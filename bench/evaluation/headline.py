@@ -1,0 +1,169 @@
+"""What a run says of an estimator in a few short lines: for the terminal, pages and the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, NamedTuple
+
+from bench.evaluation import verdict
+from bench.evaluation.required_metrics import MISSED
+from bench.evaluation.verdict import describe_accuracy, find_far_off, format_distance, is_outside
+from bench.wording import format_number
+
+Kind = Literal["good", "wide", "bad", "none"]
+
+MARKS: Mapping[Kind, str] = {"good": "✓", "wide": "△", "bad": "✗", "none": "–"}
+"""Kind of a verdict -> a sign for those who do not see colours."""
+
+_KINDS: Mapping[str, Kind] = {
+    verdict.CONSISTENT: "good",
+    verdict.UNDERCONFIDENT: "wide",
+    verdict.NO_CLAIM: "none",
+    verdict.UNJUDGED: "none",
+    "undecided": "none",
+}
+
+NEES = (
+    "NEES, the normalized estimation error squared: squared error over claimed variance, summed over the "
+    "states; their number is right."
+)
+"""What the figure is by which a claim is judged."""
+
+_AXES = {
+    "pos_d": "height",
+    "pos_n": "north",
+    "pos_e": "east",
+    "vel_n": "north velocity",
+    "vel_e": "east velocity",
+    "vel_d": "vertical velocity",
+    "phi_d": "heading",
+    "phi_n": "tilt about north",
+    "phi_e": "tilt about east",
+}
+_LEAST_INSIDE = 0.9  # an axis that is longer outside 3 sigma is named, even if one run allows it [1]
+
+
+class Headline(NamedTuple):
+    """An estimator in a run; empty texts where there is nothing to say."""
+
+    label: str
+    word: str
+    kind: Kind
+    error: str  # and what is claimed
+    figures: str
+    drift: str
+    outside: str
+    why: str
+    required: str
+    note: str  # instead of all of these
+
+    @property
+    def mark(self) -> str:
+        """The sign of the verdict."""
+        return MARKS[self.kind]
+
+    @property
+    def more(self) -> tuple[str, ...]:
+        """The lines below the first."""
+        if self.note:
+            return (self.note,)
+        return tuple(filter(None, (self.figures, self.outside, self.drift, self.why, self.required)))
+
+
+def find_kind(word: str, values: Mapping[str, Any] | None = None) -> Kind:
+    """Return the kind of a verdict; a claim that holds and is of no use is wide."""
+    kind = _KINDS.get(word, "bad")
+    return "wide" if kind == "good" and values is not None and find_far_off(values) else kind
+
+
+def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
+    """Return the headline of the metrics of an estimator, as `verdict.add_verdict` returns them."""
+    word = str(values.get("verdict", ""))
+    far = find_far_off(values) if word == verdict.CONSISTENT else ""
+    error = describe_accuracy(values) if "pos_rmse_h_m" in values or "tilt_rmse_deg" in values else ""
+    if not values.get("converged", True):
+        error = f"{values['reason']}{'; ' if error else ''}{error}"
+    return Headline(
+        label=label,
+        word=f"{word}, but {far}" if far else word,
+        kind=find_kind(word, values),
+        error=error,
+        figures="; ".join(_list_figures(values)),
+        drift="; ".join(_list_drifts(values)),
+        outside=_describe_outside(values),
+        why=_describe_why(values),
+        required=_describe_required(values),
+        note=f"the same as {same} with these sensors" if (same := values.get("same_as")) else "",
+    )
+
+
+def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
+    for name, words, unit in (
+        ("pos_rmse_d_m", "height", "m"),
+        ("vel_rmse_3d_mps", "velocity", "m/s"),
+        ("heading_rmse_deg", "heading", "deg"),
+    ):
+        value = values.get(name)
+        if value is not None:
+            text = format_distance(value) if unit == "m" else f"{format_number(value, 2)} {unit}"
+            yield f"{words} {text}"
+    mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
+    if mean is not None and low is not None and high is not None:
+        yield f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"
+
+
+def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the outage with the largest growth beside what is normal, and the end of a run without fixes."""
+    grown = {
+        name.split("_")[1]: value
+        for name, value in values.items()
+        if name.startswith("outage_") and name.endswith("_growth_h_m") and value is not None
+    }
+    end, most = values.get("inertial_end_h_m"), values.get("inertial_law_95_h_m")
+    unaided = end is not None and most is not None
+    if grown and not unaided:
+        number = max(grown, key=lambda one: grown[one])
+        law = values.get(f"outage_{number}_law_95_h_m")
+        normal = "" if law is None else f", up to {format_distance(law)} is normal"
+        which = "GNSS outage" if len(grown) == 1 else f"worst of {len(grown)} GNSS outages"
+        yield f"{which}: error grows by {format_distance(grown[number])}{normal}"
+    if end is not None and most is not None:
+        far, normal = format_distance(end), format_distance(most)
+        yield f"without aiding: {far} off at the end, up to {normal} is normal"
+
+
+def _describe_outside(values: Mapping[str, Any]) -> str:
+    """Return which errors are outside 3 sigma too long, and for how much of the time; the worst first."""
+    found = {}
+    for axis, words in _AXES.items():
+        name = f"coverage_3sigma_{axis}"
+        inside = values.get(name)
+        if inside is not None and (inside < _LEAST_INSIDE or is_outside(name, values)):
+            found[words] = 1.0 - inside
+    if not found:
+        return ""
+    worst = sorted(found, key=lambda one: -found[one])
+    told = ", ".join(f"{one} {_share(found[one])}" for one in worst[:3])
+    rest = f", {len(worst) - 3} more" if len(worst) > 3 else ""
+    return f"outside 3 sigma: {told} of the time{rest}"
+
+
+def _share(part: float) -> str:
+    return f"{100.0 * part:.0f} %" if part > 0.01 else f"{100.0 * part:.1f} %"
+
+
+def _describe_why(values: Mapping[str, Any]) -> str:
+    causes, advice = values.get("causes"), values.get("advice_text")
+    if not causes:
+        return str(values.get("why_text") or "").replace("Why: ", "why: ", 1)
+    names = list(dict.fromkeys(str(one["cause"]) for one in causes))
+    return f"why: {'; '.join(names)}.{f' {advice}' if advice else ''}"
+
+
+def _describe_required(values: Mapping[str, Any]) -> str:
+    texts = values.get("required_text") or ()
+    if not texts:
+        return ""
+    label = str(texts[0]).partition(": ")[0]
+    missed = [text.removeprefix(f"{label}: ") for text in texts if text.endswith(f"{MISSED}.")]
+    return " ".join(missed) or f"required: {len(texts)} met"

@@ -1,0 +1,52 @@
+"""The verb show: the figures of finished results, as tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.console import Console
+
+from bench import store
+from bench.errors import ConfigError
+from bench.wording import one_line
+from bench.workbench.flight_verbs import RUNS, describe_run, print_end, print_result
+
+
+def show_results(folder: Path | None, *, console: Console) -> None:
+    """Print the figures of a run, a log, a campaign or a study; None for the newest run below ``runs``.
+
+    Raises
+    ------
+    ConfigError
+        If the folder has no results.
+    """
+    folder = folder or _find_newest()
+    if (folder / store.CAMPAIGN_RESULT).is_file():
+        from bench.campaigns.stored import load_campaign
+        from bench.workbench.campaign_verb import print_campaign
+
+        print_campaign(console, load_campaign(folder), table=True)
+    elif (folder / store.STUDY_RESULT).is_file():
+        from bench.studies.study_folder import load_study
+        from bench.workbench.study_verb import print_study
+
+        print_study(console, load_study(folder))
+    else:
+        result = store.load(folder)
+        title = str(result.profile.get("title", folder.name))
+        if "log" in result.more:
+            console.print(f"{one_line(title)}\n{result.evaluation}\n")
+            from bench.workbench.record_verbs import print_log
+
+            print_log(console, result, table=True)
+        else:
+            console.print(describe_run(title, result.seed, result.run, result.evaluation))
+            print_result(console, result, table=True)
+    print_end(console, folder)
+
+
+def _find_newest() -> Path:
+    found = [path.parent for path in RUNS.glob(f"*/{store.RESULT}")]
+    if not found:
+        raise ConfigError(f"no results below {RUNS}: bench run figure-eight makes some")
+    return max(found, key=lambda one: (one / store.RESULT).stat().st_mtime)

@@ -1,0 +1,129 @@
+"""What a command prints of a run fits on a screen of 24 lines and 80 columns, and begins within a second."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from io import StringIO
+from pathlib import Path
+
+import numba
+import numpy as np
+import pytest
+
+import bench
+from bench import cli, compiled, pipeline
+from bench.evaluation.headline import make_headline
+from bench.evaluation.verdict import add_verdict
+from bench.stages import Stage
+from bench.workbench import result_table
+from bench.workbench.console import PlainConsole
+from tests.evaluation.test_verdict import SOUND, verdict
+
+WIDTH, HEIGHT = 80, 24
+CAUSES = ("time-correlated GNSS position error", "time-correlated GNSS velocity error", "gyro misalignment")
+
+
+def take_lines(text: str) -> list[str]:
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= WIDTH
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("profile", "words"),
+    [
+        ("figure-eight", ("✓ loose-full: consistent; horizontal error 6.0 m, claims 6.1 m", "GNSS outage:")),
+        ("approach", ("✗ loose-15: overconfident;", "outside 3 sigma: height 100 %")),
+        ("gnss-faults", ("✓ baro-inertial: consistent;", "height 4.4 m")),
+    ],
+)
+def test_a_run_is_told_on_one_screen(profile, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["run", profile, "--no-causes", "--no-rrd", "--no-report"]) in (0, 1)
+    printed = capsys.readouterr().out
+    assert len(take_lines(printed)) <= HEIGHT
+    for text in (*words, "NEES, the normalized estimation error squared", "All figures: bench show runs/"):
+        assert text in printed
+    assert cli.main(["show"]) == 0
+    table = capsys.readouterr().out
+    take_lines(table)
+    assert "horizontal error, rms" in table
+    assert "pos_rmse_h_m" not in table
+
+
+@pytest.mark.parametrize("count", [1, 3, 9])
+def test_more_filters_leave_out_what_matters_least(count):
+    """All verdicts with error and claim stay; the cause outlasts the figures."""
+    causes = [{"cause": name, "block": "position", "step": 1} for name in CAUSES]
+    values = verdict(causes=causes, advice_text="loose-full has states for all of them.", pos_rmse_d_m=14.65)
+    out = StringIO()
+    console = PlainConsole(file=out, width=WIDTH)
+    result_table.print_headlines(console, {f"filter-{k}": values for k in range(count)})
+    lines = take_lines(out.getvalue())
+    assert len(lines) <= result_table.ROOM + 2
+    assert sum("overconfident; horizontal error 13.7 m, claims 0.70 m" in line for line in lines) == count
+    assert ("why: time-correlated" in out.getvalue()) == (count <= 3)
+    assert ("height 14.7 m" in out.getvalue()) == (count == 1)
+
+
+def test_a_headline_names_what_is_required_and_missed():
+    asked = [{"metric": "pos_rmse_h_m", "most": 5.0}, {"metric": "nees_states", "most": 9.0}]
+    found = make_headline("mine", add_verdict("mine", dict(SOUND), None, asked))
+    assert found.required == "pos_rmse_h_m is 13.69 m, at most 5 m is required: missed."
+    met = make_headline("mine", add_verdict("mine", dict(SOUND), None, asked[1:]))
+    assert met.required == "required: 1 met"
+
+
+def test_the_first_line_comes_before_anything_that_takes_long(tmp_path):
+    """Half a second on an idle machine: numpy, pydantic, rich and click, and as much again."""
+    command = [sys.executable, "-m", "bench", "run", "figure-eight", "--no-rrd", "--no-report"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=tmp_path, text=True) as started:
+        assert started.stdout is not None
+        assert started.stdout.readline() == "Figure-eights in a steady wind, GNSS lost for a minute\n"
+        used = Path(f"/proc/{started.pid}/stat").read_text().rpartition(")")[2].split()[11:13]
+        started.terminate()
+    own = sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
+    code = "import time, numpy, pydantic, rich.console, click; print(time.process_time())"
+    floor = float(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
+    assert own < 3.0 * floor
+
+
+def test_a_run_names_its_stages():
+    """Sensing, each filter of how many and judging, also where the flight comes from the cache."""
+
+    stages: list[Stage] = []
+    result = bench.run(
+        "approach", estimators=["loose-15", "free-inertial"], causes=False, progress=stages.append
+    )
+    told = list(dict.fromkeys(stage.words for stage in stages))
+    assert told[-4:] == ["sensing", "filter 1 of 2: loose-15", "filter 2 of 2: free-inertial", "judging"]
+    assert str(Stage("flying", 30.0, 60.0)) == "flying, 30 of 60 s"
+    assert str(Stage("filter 1 of 2: x", compiling=True)) == "filter 1 of 2: x (compiling, once)"
+    assert result.provenance["cpu_s"]["compile"] >= 0.0
+
+
+def test_compiling_is_told_and_is_not_the_work_of_a_filter():
+    """The clock that a filter's CPU is read from stands still while its kernels compile."""
+
+    def add(values: np.ndarray) -> float:
+        total = 0.0
+        for value in values:
+            total += value
+        return total
+
+    told: list[bool] = []
+    compiled._time_compiling()
+    one = numba.njit(add)  # never from a cache
+    with compiled.watch_compiling(told.append):
+        cpu, work, before = time.process_time(), pipeline._read_work_clock(), compiled.read_compile_time()
+        assert one(np.ones(3)) == 3.0
+        compiling = compiled.read_compile_time() - before
+        cpu, work = time.process_time() - cpu, pipeline._read_work_clock() - work
+        assert one(np.ones(4)) == 4.0
+    assert told == [True, False]
+    assert compiling > 0.02
+    assert work == pytest.approx(cpu - compiling, abs=1e-3)
+    assert compiled.read_compile_time() - before == compiling
