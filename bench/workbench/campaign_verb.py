@@ -168,7 +168,10 @@ def _compare_conditions(console: Console, result: Campaign) -> None:
         "condition": TableColumn([one.condition for one in ran], words=True),
         "estimator": TableColumn([one.label for one in ran], words=True),
         "converged": TableColumn([f"{one.converged_runs} of {one.runs}" for one in ran]),
-        **{_name(name): TableColumn([_format_estimate(one.errors.get(name)) for one in ran]) for name in _IN_ROWS},
+        **{
+            _name(name): TableColumn([_format_estimate(one.errors.get(name)) for one in ran])
+            for name in _IN_ROWS
+        },
         _NEES: TableColumn([_format_estimate(_find_ratio(one)) for one in ran]),
     }
     print_table(console, columns, ["condition", "estimator"])

@@ -27,7 +27,7 @@ def show_results(folder: Path | None, *, console: Console) -> None:
 
         print_campaign(console, load_campaign(folder), table=True)
     elif (folder / store.STUDY_RESULT).is_file():
-        from bench.studies.study_folder import load_study
+        from bench.store.study_folder import load_study
         from bench.workbench.study_verb import print_study
 
         print_study(console, load_study(folder))

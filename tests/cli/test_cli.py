@@ -97,7 +97,7 @@ def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
     names = {path.name for path in folder.iterdir()}
     assert {"result.json", "truth.parquet", "sensors-imu.parquet", "sensors-gnss.parquet"} <= names
     assert {"solution-loose-15.parquet", "errors-loose-15.parquet", "flight.rrd"} <= names
-    assert "pos_rmse_h_m" in out
+    assert "✓ loose-15: consistent; horizontal error" in out
     assert out.endswith("Next: bench view runs/short-5\n")
     assert left(here / "runs") == ["short-5"]
     result = store.load(folder)
@@ -112,15 +112,16 @@ def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
 
 
 def test_five_estimators_stand_in_one_table_of_80_columns(here, capsys):
-    """Names of metrics whole, each mean NIS with its band; what they have in common is said once."""
+    """Words of metrics whole, each mean NIS with its band; what they have in common is said once."""
     names = ("loose-15", "loose-22", "smoother", "baro-inertial", "gnss-only")
     chosen = [part for name in names for part in ("-e", name)]
-    status, out, _ = say(capsys, "run", "short.toml", "--no-rrd", "--set", 'sensors.baro="bmp388"', *chosen)
+    given = ("--no-rrd", "--table", "--set", 'sensors.baro="bmp388"')
+    status, out, _ = say(capsys, "run", "short.toml", *given, *chosen)
     assert status == 0
     assert max(len(line) for line in out.splitlines()) <= 80
-    for name in ("heading_convergence_s", "coverage_3sigma_phi_d", "nis_mean_gnss_velocity"):
-        assert len([line for line in out.splitlines() if line.split()[:1] == [name]]) == 1
-    (row,) = [k for k, line in enumerate(out.splitlines()) if line.split()[:1] == ["nis_mean_baro"]]
+    for words in ("heading within 1 deg or 3 sigma from", "heading within 3 sigma", "NIS GNSS velocity, mean"):
+        assert len([line for line in out.splitlines() if line.strip().startswith(words)]) == 1
+    (row,) = [k for k, line in enumerate(out.splitlines()) if line.strip().startswith("NIS barometer, mean")]
     assert len(re.findall(r"\d\.\d\d-\d\.\d\d", out.splitlines()[row + 1])) == 4
     assert "loose-15, loose-22: not modelled: " in out.replace("\n", " ")
 
@@ -371,7 +372,7 @@ def test_a_recording_or_report_that_fails_is_status_5_and_loses_nothing(
         patched.setattr(*place, fail)
         status, out, err = say(capsys, "run", "short.toml", "-o", "a")
     assert status == 5
-    assert "pos_rmse_h_m" in out
+    assert "✓ loose-15: consistent; horizontal error" in out
     reason = f"the {view} failed, {type(error).__name__}: {error}"
     verb = {"recording": "record", "report": "report"}[view]
     assert err == f"error: a: the results are written, but {reason}; bench {verb} a makes it again\n"

@@ -71,7 +71,7 @@ def test_a_solution_of_the_bench_scores_what_it_scored(run, tmp_path, capsys, ki
     text = add_verdict("made", expected)["verdict_text"]
     assert measured["verdict_text"].replace("solution-made", "made") == text
     assert "solution-made covers 100 % of the 202 instants, 202 rows" in said
-    assert any({"metric", "made"} <= set(line.split()) for line in said.splitlines())
+    assert any("made" in line.split() for line in said.splitlines())
 
 
 def test_blocks_that_are_not_given_have_no_metrics_and_no_consistency(run, tmp_path, capsys):

@@ -307,7 +307,7 @@ def test_a_profile_of_one_line_flies_a_table_and_judges_the_usual_filter_on_it(t
     write(tmp_path / "made.csv", turns(20.0, 90.0), (*GEODETIC, *EULER))
     (tmp_path / "mine.toml").write_text('trajectory = "made.csv"\n')
     assert cli.main(["run", "mine.toml", "--seed", "3"]) == 0
-    assert "pos_rmse_h_m" in capsys.readouterr().out
+    assert "horizontal error" in capsys.readouterr().out
     assert (tmp_path / "runs/mine-3/flight.rrd").is_file()
     assert cli.main(["fly", "mine.toml", "--set", "duration_s=100"]) == 2
     assert capsys.readouterr().err == "error: made.csv: it lasts 90 s; duration_s = 100 s is longer\n"
