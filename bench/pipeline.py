@@ -239,7 +239,7 @@ def _run(
         found = dict[str, Any]()
         if choice.use not in built_in.BUILT_IN:
             antenna_b, begin = sensed.data.antenna_b, profile.evaluation.begin
-            found = find_mistakes(truth, solutions[label], antenna_b, begin)
+            found = find_mistakes(truth, [solutions[label]], antenna_b, begin)
         if not found and _is_searched(choice, causes):
             found = explain_run(
                 DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation.begin, specs),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import secrets
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -14,11 +13,13 @@ from pydantic import Field
 
 from bench import pipeline, store
 from bench.campaigns.card_bound import bound_errors_of
-from bench.campaigns.card_causality import judge_causality
+from bench.campaigns.card_causality import hash_all_answers, judge_causality
+from bench.campaigns.card_conventions import judge_conventions
 from bench.campaigns.card_lines import (
     COUNT,
     IMPOSSIBLE,
     SHARE,
+    UNPROVEN,
     Line,
     Rows,
     judge_flight,
@@ -118,11 +119,11 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Whether every draw converged, nothing looks ahead, and what is required is met."""
+        """Whether every draw converged, it is proven not to look ahead, and what is required is met."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
-            and all(line.word != IMPOSSIBLE for line in self.lines)
+            and all(line.word not in (IMPOSSIBLE, UNPROVEN) for line in self.lines)
             and all(line.word == MET for line in self.lines if line.topic == "requirements")
         )
 
@@ -249,9 +250,10 @@ def make_card(
         mine = select(flight.name, own)
         lines += judge_flight(flight, mine, beside, other, without, bound_errors_of(profile))
         lines += judge_requirements(flight.name, own, mine, required)
-    lines.append(judge_causality(plan, suite, own))
+    by_flight = [select(name, own) for name in names]
+    lines.append(judge_causality(plan, suite, own, by_flight))
+    lines += judge_conventions(plan, suite, own, by_flight)
     judged = [row for row in rows if row["estimator"] == own]
-    answers = " ".join(str(row.get("answers")) for row in judged)
     return Card(
         estimator=own,
         against=other,
@@ -265,7 +267,7 @@ def make_card(
         options=dict(options or {}),
         seed=seed,
         program=hash_estimator(plan, own),
-        answers=hashlib.sha256(answers.encode()).hexdigest()[:16],
+        answers=hash_all_answers(judged),
         commands={name: select(name, own)[0]["command"] for name in names},
         lost=tuple(
             LostDraw(

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.campaigns.card import Card
-from bench.campaigns.card_lines import COUNT, SHARE, Line, write_figure
+from bench.campaigns.card_lines import CONVENTIONS, COUNT, SHARE, Line, write_figure
 from bench.errors import ConfigError
 from bench.evaluation import ensemble
 from bench.evaluation.regression import Change, average_changes, decide
@@ -58,7 +58,7 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
     others = {(line.topic, line.flight, line.figure): line for line in second.lines}
     for line in first.lines:
         other = others.get((line.topic, line.flight, line.figure))
-        if other is None or line.topic in ("robustness", "requirements"):  # compared as accuracy
+        if other is None or line.topic in ("robustness", "requirements", CONVENTIONS):
             continue
         if _are_same(line, other):
             same += 1

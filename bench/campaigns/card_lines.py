@@ -42,6 +42,15 @@ SHARE = "least share of instants"
 IMPOSSIBLE = "impossible"
 """Word of an error below the bound."""
 
+CONVENTIONS = "conventions"
+"""Topic of the line that says which convention a filter looks like."""
+
+UNPROVEN = "not proven"
+"""Word of a filter whose causality cannot be proven: it fails, or does not repeat its answers."""
+
+_UNEVEN = "uneven"  # word of a claim that is right in the mean of all instants only
+_INSIDE = 0.8  # of the time with NEES in the central 95 % of its distribution: less is uneven
+
 Rows = Sequence[Mapping[str, Any]]
 """Metrics of an estimator by draw."""
 
@@ -216,6 +225,15 @@ def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
     else:
         word = "consistent" if least <= ratio.low and ratio.high <= most else "undecided"
     text = f"NEES is {_format(ratio)} times its expectation: {word}"
+    share = _estimate_share(
+        np.array([row["nees_inside_95"] for row in own if _normalize(row) is not None], float)
+    )
+    if word not in ("overconfident", "underconfident") and share.high < _INSIDE:
+        word = _UNEVEN
+        text = (
+            f"NEES is {_format(ratio)} times its expectation in the mean, but within the central 95 % of its "
+            f"distribution for {_format(share, 100.0)} % of the time: {word}"
+        )
     return [_make_line("honesty", flight, "NEES over its expectation", ratio, text, by_draw, word)]
 
 

@@ -6,10 +6,16 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from bench import store
 from bench.campaigns.campaign_file import CampaignSpec, Values
 from bench.campaigns.plan import Plan
+from bench.config import load_profile
+
+_EVENTS = ("fault", "gnss_outage")
 
 VERSION = 3
 """Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
@@ -32,8 +38,35 @@ class Suite(CampaignSpec):
     members: tuple[SuiteFlight, ...] = ()
 
     def conditions(self) -> Iterator[tuple[str, Values]]:
-        """Yield profile and values of each flight, in order."""
-        return ((one.profile, one.values) for one in self.members)
+        """Yield profile and values of each flight, in order; with a seed at other times of what breaks."""
+        for one in self.members:
+            moved = {} if self.seed is None else move_events(one, self.seed)
+            yield one.profile, {**one.values, **moved}
+
+
+_FARTHEST = 20.0  # that a fault is moved [s]
+_OF_GAP = 0.4  # of the time to its neighbours
+
+
+def move_events(flight: SuiteFlight, seed: int) -> Values:
+    """Return the faults and outages of a flight, each moved in time by a draw of the seed.
+
+    So a filter that knows the times of the suite by heart finds others. What lasts from the start on, or
+    touches something else, stays; the order stays, too.
+    """
+    profile = load_profile(flight.profile, flight.values, estimators=["free-inertial"])
+    rows = [(key, row) for key in _EVENTS for row in profile.document.get(key, ())]
+    spans = [(row["start_s"], row["start_s"] + row["duration_s"]) for _, row in rows]
+    end = float(profile.document["duration_s"]) if "duration_s" in profile.document else np.inf
+    rng = np.random.default_rng([seed, *flight.name.encode()])
+    moved: dict[str, list[Any]] = {}
+    for (key, row), (first, last) in zip(rows, spans, strict=True):
+        before = max([profile.evaluation.begin, *(b for a, b in spans if a < first)])
+        after = min([end, *(a for a, _ in spans if a > first)])
+        room = max(0.0, min(_FARTHEST, _OF_GAP * (first - before), _OF_GAP * (after - last)))
+        start = round(first + rng.uniform(-room, room), 1)
+        moved.setdefault(key, []).append({**row, "start_s": start if room else first})
+    return moved
 
 
 def _drop_imu(start_s: float, duration_s: float) -> Values:

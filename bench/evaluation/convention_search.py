@@ -50,16 +50,17 @@ class Mistake:
 
 @np.errstate(all="ignore")  # a diverged solution is a result, not a warning
 def find_mistakes(
-    truth: Trajectory, solution: NavSolution, antenna_b: FloatArray, begin: float
+    truth: Trajectory, solutions: Sequence[NavSolution], antenna_b: FloatArray, begin: float
 ) -> dict[str, Any]:
-    """Return what the metrics of a solution whose claim is broken say of its conventions; empty for none.
+    """Return what the metrics of solutions whose claim is broken say of their conventions; empty for none.
 
     Parameters
     ----------
     truth : Trajectory
         The motion.
-    solution : NavSolution
-        What is judged.
+    solutions : sequence of NavSolution
+        What is judged: answers of one filter, of one draw of the noise or of several. One constant has to do
+        for all of them.
     antenna_b : (3,) array
         Place of the antenna [m], b.
     begin : float
@@ -72,12 +73,19 @@ def find_mistakes(
         changes with and without it (``nees``, ``nees_without``) and the ``step``, the same for those that
         the flight does not tell apart; and ``why_text``.
     """
-    claimed = claimed_blocks(solution)
+    blocks = [claimed_blocks(one) for one in solutions]
+    claimed = [name for name in blocks[0] if all(name in others for others in blocks)]
     if not claimed:
         return {}
-    rows = np.flatnonzero(find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT))
-    at = select_epochs(solution, rows[:: max(1, len(rows) // _MOST)])
-    answers = Answers(at.t, at.lla, at.vel_n, at.q_nb, at.cov)
+    parts = []
+    for one in solutions:
+        rows = np.flatnonzero(find_covered_epochs(one) & (one.t >= begin - SAME_INSTANT))
+        parts.append(select_epochs(one, rows[:: max(1, len(solutions) * len(rows) // _MOST)]))
+    t, lla, vel_n, q_nb, cov = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("t", "lla", "vel_n", "q_nb", "cov")
+    )
+    answers = Answers(t, lla, vel_n, q_nb, cov)
     if not move(truth, answers).inside.any():
         return {}
     steps = list[list[Mistake]]()

@@ -119,6 +119,6 @@ def _make_score(
     judged = add_verdict(label, measured, covered, required)
     if truth is not None and judged["verdict"] in BROKEN:
         antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
-        found = find_mistakes(truth, solution, antenna_b, run.evaluation.begin)
+        found = find_mistakes(truth, [solution], antenna_b, run.evaluation.begin)
         judged = add_verdict(label, {**measured, **found}, covered, required)
     return Score(label, solution, errors, judged, run, coverage, rows)

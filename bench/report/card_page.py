@@ -6,7 +6,7 @@ from pathlib import Path
 
 from bench import durable
 from bench.campaigns.card import Card, describe_suite
-from bench.campaigns.card_lines import Line
+from bench.campaigns.card_lines import CONVENTIONS, Line
 from bench.findings.looks import find_look
 from bench.report import page
 from bench.wording import format_number
@@ -16,6 +16,7 @@ _TITLES = {
     "convergence": "Does it converge?",
     "causality": "Does it use the future?",
     "honesty": "Does it know its error?",
+    CONVENTIONS: "Which convention may be wrong?",
     "accuracy": "How accurate is it?",
     "height": "How accurate is its height?",
     "velocity": "How accurate is its velocity?",
@@ -62,5 +63,6 @@ def _make_row(line: Line) -> tuple[str, str, str, str, str, str]:
     ends = " to ".join("open" if end is None else format_number(end) for end in (line.low, line.high))
     kind = find_look(line.word)[0] if line.topic == "honesty" else ""
     text = line.sentence.removeprefix(f"{line.flight}: ").removeprefix(f"{line.topic}: ")
-    value = "never" if line.value is None else format_number(line.value)
+    never = "never" if line.topic in ("convergence", "coverage") else "-"
+    value = never if line.value is None else format_number(line.value)
     return line.flight, line.figure, value, ends, kind, text

@@ -53,7 +53,7 @@ def test_a_case_with_a_solution_by_hand():
 
 
 def test_intervals_hold_the_truth_and_what_does_not_show_has_no_end():
-    repetitions = 100
+    repetitions = 40  # on flights: tests.campaigns.tune_power
     inside, below, above = np.zeros(2), 0, 0
     for seed in range(repetitions):
         found = search_factors(draw_costs(seed), 3, 1000)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import binom, multivariate_normal
 
 import bench
 from bench import pipeline
@@ -23,21 +23,10 @@ from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
 from bench.places import PACKAGE
 from bench.store import truth_key
+from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE
 
 WRONG = 4.0  # times the noise of the receiver on board
-
-
-def spoil(text: str, wrong: dict[str, float]) -> str:
-    """Return a datasheet with factors on its white noises, by table or begin of the key."""
-    table, lines = "", []
-    for line in text.splitlines():
-        table = line.strip("[]") if line.startswith("[") else table
-        key, _, value = line.partition(" = ")
-        noise = key.startswith("noise_") or "white_sd" in key
-        factor = wrong.get(table, wrong.get(key.partition("_")[0])) if noise else None
-        lines.append(line if factor is None else f"{key} = {factor * float(value)}")
-    return "\n".join(lines)
 
 
 class HerePool(ExecutorPool):
@@ -180,19 +169,10 @@ def test_a_filter_that_claims_nothing_cannot_be_tuned(here):
 
 
 @pytest.mark.slow
-def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
+def test_four_wrong_values_are_found_again(tmp_path):
     """Eight draws whose filter is right but for four noises; they hardly show that of the accelerometers."""
-    wrong = {"gyro": 5.0, "accel": 0.4, "pos": 0.3, "vel": 4.0}
-    monkeypatch.chdir(tmp_path)
-    for kind, name in (("imu", "matched-mems"), ("gnss", "matched-white")):
-        text = (PACKAGE / "catalog" / kind / f"{name}.toml").read_text()
-        (tmp_path / f"{kind}-wrong.toml").write_text(spoil(text, wrong))
-    found = bench.tune(
-        "figure-eight-matched",
-        "loose-15",
-        runs=8,
-        overrides={"sensors.assumed.imu": "imu-wrong.toml", "sensors.assumed.gnss": "gnss-wrong.toml"},
-    )
+    wrong = tune_power.WRONG
+    found = bench.tune("figure-eight-matched", "loose-15", runs=8, overrides=tune_power.write_wrong(tmp_path))
     assert found.converged
     assert found.agreed == found.starts == 3
     for name, (start, factor) in zip(found.factors, wrong.items(), strict=True):
@@ -209,6 +189,23 @@ def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
             assert high is not None
             assert low * factor < 1.0 < high * factor
     assert 0.8 < found.after.nees_ratio.value < 1.25
+
+
+@pytest.mark.long
+def test_intervals_hold_the_right_noises_on_flights():
+    """100 tunings, each on draws of its own; the accelerometers' noise does not show."""
+    rows = list(tune_power.repeat(100))
+    assert all(row.converged for row in rows)
+    low, high = binom.ppf([0.0005, 0.9995], len(rows), 0.95)
+    counts = tune_power.count(rows)
+    for noise in ("gyro", "pos", "vel"):
+        held, near, below, above = counts[noise]
+        assert low <= held <= high, noise
+        assert near >= 95, noise
+        assert (below, above) == (0, 0), noise
+    assert counts["accel"][2] >= 95
+    told = [" ".join(row.sentences) for row in rows if row.intervals["accel"][0] is None]
+    assert all("imu.accel.noise" in text and "these data cannot tell: at most" in text for text in told)
 
 
 @pytest.mark.parametrize(

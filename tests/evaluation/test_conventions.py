@@ -77,7 +77,7 @@ def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
         verdict = add_verdict(use, pipeline.judge(profile, truth, solution, sensed.truth)[1])["verdict"]
         assert verdict in BROKEN
         begin = profile.evaluation.begin
-        assert find_mistakes(truth, solution, sensed.data.antenna_b, begin) == {}
+        assert find_mistakes(truth, [solution], sensed.data.antenna_b, begin) == {}
 
 
 def test_what_a_straight_flight_does_not_tell_is_named_together(monkeypatch):
@@ -99,7 +99,7 @@ def test_two_mistakes_are_named_one_after_the_other():
     solution, sensed = mistaken.give("conjugate", 0)
     profile, truth = mistaken.fly()
     both = mistaken.MISTAKES["velocities ENU"][0](solution, sensed.data)
-    found = find_mistakes(truth, both, sensed.data.antenna_b, profile.evaluation.begin)
+    found = find_mistakes(truth, [both], sensed.data.antenna_b, profile.evaluation.begin)
     assert sorted(conventions(found)) == [
         "an attitude from level to body, the conjugate quaternion",
         "velocities east, north, up",

@@ -1,0 +1,94 @@
+"""Print who cheats, and what the card says: the table of the guide.
+
+``python -m tests.campaigns.cheat_table`` takes two minutes of CPU: each cheat on the flight of the
+quick suite that shows it, with the eight draws of the suite, beside `loose-15`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+from unittest.mock import patch
+
+import bench
+from bench.campaigns import card, running
+from bench.campaigns.card_suite import LATE, QUICK
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.specs import Guard
+
+_PLAIN = "s-turns-matched"
+
+
+@dataclass(frozen=True)
+class Cheat:
+    """What a filter does, and where its card shows it."""
+
+    words: str
+    name: str  # in `tests.campaigns.cheats`, or a built-in filter
+    topics: tuple[str, ...] = ("convergence",)
+    flight: str = _PLAIN
+    options: Mapping[str, Any] = field(default_factory=dict)
+    own_process: bool = False
+
+
+CHEATS = (
+    Cheat("500 m too high", "TooHigh"),
+    Cheat("velocity 20 m/s down", "SinksOnPaper"),
+    Cheat("heading 92 deg off", "HeadsWrong"),
+    Cheat("stays where it starts, without a covariance", "Frozen"),
+    Cheat("answers where its sigma is smallest", "AnswersWhereItIsSure", ("coverage",)),
+    Cheat("no attitude where its heading is doubtful", "LosesItsHeading", ("coverage",)),
+    Cheat("claims an accuracy only where it is sure", "ClaimsWhereItIsSure"),
+    Cheat("claims to be exact", "ClaimsToBeExact"),
+    Cheat("stamps its answers with times of its own", "StampsItsOwnTimes"),
+    Cheat("an alarm every second", "AlwaysAlarms", ("faults", "alarms"), "gnss-faults"),
+    Cheat("an alarm every other second", "AlarmsInTurns", ("alarms",), "gnss-faults"),
+    Cheat("claims 100 times its sigma", "Gain", ("honesty",), options={"gain": 100.0}),
+    Cheat("too narrow and too wide a claim in turns", "Swings", ("honesty",)),
+    Cheat("0.1 s late", "IsLate", ("conventions",)),
+    Cheat("velocities east, north, up", "SpeaksEnu", ("conventions",)),
+    Cheat("takes fixes before they arrive", "TakesFixesEarly", ("causality",), LATE),
+    Cheat("`smoother`, unspoiled", "smoother", ("causality",), LATE),
+    Cheat("remembers the records of other runs", "Remembers", ("causality",), LATE, own_process=True),
+    Cheat("answers otherwise in another process", "Throws", ("causality",), LATE, own_process=True),
+    Cheat(
+        "knows the truth, and is a decimetre off",
+        "KnowsTheTruth",
+        ("accuracy",),
+        options={"profile": "s-turns"},
+    ),
+)
+
+
+def make_rows() -> Iterator[tuple[str, str]]:
+    """Yield who it is, and what the lines of the card say."""
+    for one in CHEATS:
+        members = tuple(replace(member, without="") for member in QUICK.members if member.name == one.flight)
+        use = f"tests.campaigns.cheats:{one.name}" if one.name[0].isupper() else one.name
+        here = patch.object(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        with here, patch.object(card, "QUICK", replace(QUICK, members=members)):
+            found = bench.make_card(
+                use,
+                against="loose-15",
+                quick=True,
+                options=one.options,
+                guard=Guard(in_process=not one.own_process),
+            )
+        lines = {(line.topic, line.figure): line for line in found.lines}
+        told = [
+            line.sentence.partition(": ")[2].rstrip(".")
+            for (topic, figure), line in lines.items()
+            if topic in one.topics and not figure.startswith(("longest time", "largest error"))
+        ]
+        yield one.words, "; ".join(told)
+
+
+def main() -> None:
+    print("| who | what the card says |\n|---|---|")
+    for who, said in make_rows():
+        print(f"| {who} | {said} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

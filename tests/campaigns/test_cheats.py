@@ -1,0 +1,239 @@
+"""Each way to cheat, and each honest mistake, is on the card of a small filter that commits it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import bench
+from bench.campaigns import card, card_causality, running
+from bench.campaigns.card_causality import judge_causality
+from bench.campaigns.card_lines import CONVENTIONS, UNPROVEN, Line, Rows
+from bench.campaigns.card_suite import LATE, Suite, SuiteFlight
+from bench.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.campaigns.worker import hash_answers
+from bench.cli import main
+from bench.config import load_profile
+from bench.specs import Guard
+from tests.campaigns.test_campaign import PROFILE
+
+DRAWS = 3
+SPOOF = {
+    "kind": "spoofing", "start_s": 8.0, "duration_s": 3.0, "step_m": [400.0, 0.0, 0.0]
+}  # fmt: skip
+HALF_A_SECOND = {"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 20.0, "added_s": 0.5}
+PLAIN = SuiteFlight("plain", "short.toml", {"sensors.gnss": "matched-white"})
+LATE_FLIGHT = SuiteFlight(LATE, "short.toml", {"fault": [HALF_A_SECOND]})
+HERE = Guard(in_process=True)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with a flight of 20 s."""
+    folder = tmp_path_factory.mktemp("cheats")
+    (folder / "short.toml").write_text(PROFILE)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def here(place, monkeypatch):
+    """Cards of three draws of this flight, made in this process."""
+    monkeypatch.chdir(place)
+    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+    use_flights(monkeypatch, PLAIN)
+
+
+def use_flights(monkeypatch, *members: SuiteFlight, runs: int = DRAWS) -> None:
+    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=runs, members=members))
+
+
+def judge(name: str, **options) -> card.Card:
+    return bench.make_card(
+        f"tests.campaigns.cheats:{name}", **{"against": "loose-15", "quick": True, "guard": HERE, **options}
+    )
+
+
+def find(found: card.Card, topic: str, flight: str = "plain") -> Line:
+    return next(one for one in found.lines if (one.flight, one.topic) == (flight, topic))
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("TooHigh", "height error is 5"),
+        ("SinksOnPaper", "velocity error is 2"),
+        ("HeadsWrong", "heading error is 9"),
+        ("Frozen", "horizontal error is 19"),
+        ("AnswersWhereItIsSure", "draw 0: answers 60"),
+        ("LosesItsHeading", "attitude is not finite"),
+        ("SpeaksLate", "no solution before t = 14 s"),
+        ("ClaimsWhereItIsSure", "covariance is not finite"),
+        ("ClaimsToBeExact", "covariance is not positive definite"),
+        ("StampsItsOwnTimes", "failed: its t must be sensors.output_t"),
+        ("AnswersTwice", "failed: its t must be sensors.output_t"),
+    ],
+)
+def test_no_draw_of_it_converges(name, reason):
+    found = judge(name)
+    line = find(found, "convergence")
+    assert line.value == 0.0
+    assert f"converged in 0 of {DRAWS} draws; draw 0: " in line.sentence
+    assert reason in line.sentence
+    assert f"converged in 0 of {DRAWS} draws" in found.summary
+    assert [one.draw for one in found.lost] == list(range(DRAWS))
+    assert not found.good
+    share = find(found, "coverage").value
+    assert share == pytest.approx(
+        {"AnswersWhereItIsSure": 0.5, "LosesItsHeading": 0.7}.get(name, share), abs=0.2
+    )
+    if name == "SpeaksLate":
+        assert found.lines[1].sentence == "plain: first answer after 14 s at most."
+
+
+def test_alarms_outside_faults_are_counted(monkeypatch):
+    use_flights(monkeypatch, SuiteFlight("spoofed", "short.toml", {"fault": [SPOOF]}))
+    always = judge("AlwaysAlarms")
+    assert find(always, "alarms", "spoofed").value > 0.99
+    assert "in alarm for 100" in find(always, "alarms", "spoofed").sentence
+    noticed = [one for one in always.lines if one.topic == "faults"][-1]
+    assert noticed.sentence == f"spoofed: noticed {DRAWS} of {DRAWS} faults."
+    use_flights(monkeypatch, PLAIN)
+    assert find(judge("AlwaysAlarms"), "alarms").value > 0.99
+    assert find(judge("AlarmsInTurns"), "alarms").value == pytest.approx(0.5, abs=0.05)
+    assert find(judge("Wrong"), "alarms").value == 0.0
+
+
+def test_a_claim_that_is_right_in_the_mean_alone_is_uneven():
+    """Too narrow at half of the instants, too wide at the others: the mean NEES is right."""
+    honest, swings = (find(judge(name), "honesty") for name in ("Wrong", "Swings"))
+    assert swings.value == pytest.approx(honest.value, rel=0.05)
+    assert (honest.word != "uneven", swings.word) == (True, "uneven")
+    assert "its expectation in the mean, but within the central 95 % of its distribution" in swings.sentence
+
+
+def test_who_knows_the_truth_is_below_the_bound_and_an_honest_filter_is_not():
+    """The bound is the covariance of the best linear filter; a matched one comes near it."""
+    cheat = judge("KnowsTheTruth")
+    line = find(cheat, "accuracy")
+    assert line.word == "impossible"
+    assert line.sentence.endswith("times the bound: no causal filter can; it has the future, or the truth.")
+    assert not cheat.good
+    assert "below the bound of causal filters in 2 figures" in cheat.summary
+    profile = load_profile("short.toml", PLAIN.values, estimators=["loose-15"])
+    least = bench.run(profile, bound=True).metrics["loose-15"]["bound"]
+    by_name = {row["quantity"]: row["bound"] for row in least}
+    assert line.over_bound[0] == pytest.approx(0.1 / by_name["horizontal position"], rel=0.05)
+    honest = bench.make_card("loose-15", against="loose-22", quick=True)
+    assert not [one for one in honest.lines if one.word == "impossible"]
+    assert find(honest, "heading").over_bound is not None
+    assert honest.good
+
+
+# --- the future -------------------------------------------------------------------------------------------
+
+
+def test_fixes_taken_before_they_arrive_are_seconds_of_the_future(monkeypatch):
+    use_flights(monkeypatch, LATE_FLIGHT)
+    early, honest = (find(judge(name), "causality", LATE) for name in ("TakesFixesEarly", "Wrong"))
+    assert early.value == pytest.approx(0.5, abs=0.05)
+    assert early.sentence.startswith(f"{LATE}: uses the future: 0.4")
+    assert (honest.value, honest.sentence) == (0.0, f"{LATE}: uses the future: no.")
+
+
+def test_who_looks_ahead_on_other_flights_only_is_found(monkeypatch):
+    use_flights(monkeypatch, LATE_FLIGHT, PLAIN)
+    found = judge("SmoothsOnTime")
+    assert find(found, "causality", LATE).sentence == f"{LATE}: uses the future: the whole record, on plain."
+    assert not found.good
+    assert find(judge("Wrong"), "causality", LATE).sentence == (
+        f"{LATE}: uses the future: no, neither here nor on plain."
+    )
+
+
+def test_what_a_filter_remembers_of_other_runs_tells_it_no_future(monkeypatch):
+    """Each run of the proof has a process of its own."""
+    monkeypatch.setattr(card_causality, "_INSTANTS", 1)
+    use_flights(monkeypatch, PLAIN, runs=2)
+    assert find(judge("Remembers", guard=Guard()), "causality").value > 1.0
+
+
+def test_what_is_proven_are_the_answers_of_the_card(monkeypatch):
+    """Other answers in another process: the proof would be of another filter than the one that is judged."""
+    use_flights(monkeypatch, PLAIN, runs=2)
+    found = judge("Throws", guard=Guard())
+    line = find(found, "causality")
+    assert (line.value, line.word) == (None, UNPROVEN)
+    assert "not repeatable" in line.sentence
+    assert not found.good
+    assert "not repeatable" in found.summary
+
+
+def list_rows(label: str) -> list[Rows]:
+    profile = load_profile("short.toml", PLAIN.values, estimators=[label])
+    results = [bench.run(profile, run=k) for k in range(2)]
+    hashes = [hash_answers(one.solutions[label]) for one in results]
+    return [[{"converged": True, "answers": text} for text in hashes]]
+
+
+def test_a_smoother_is_marked_and_files_prove_nothing(monkeypatch):
+    use_flights(monkeypatch, PLAIN, runs=2)
+    Path("answers").mkdir(exist_ok=True)
+    plan, labels = card._plan(card.QUICK, "smoother", "file:answers", HERE)
+    told = [
+        judge_causality(plan, card.QUICK, label, list_rows(label)) for label in labels if "ans" not in label
+    ]
+    assert [line.sentence for line in told] == [
+        "plain: uses the future: the whole record.",
+        "plain: uses the future: no.",
+    ]
+    files = judge_causality(plan, card.QUICK, labels[1], [[{"answers": "x"}]])
+    assert files.sentence == "plain: uses the future: not proven, its answers were made elsewhere."
+    assert files.word == ""
+
+
+# --- conventions ------------------------------------------------------------------------------------------
+
+
+def test_a_filter_that_looks_like_a_wrong_convention_is_told_so_with_one_constant_for_all_draws():
+    late, enu, honest, high = (
+        [line for line in judge(name).lines if line.topic == CONVENTIONS]
+        for name in ("IsLate", "SpeaksEnu", "Wrong", "Frozen")
+    )
+    assert "time offset" in late[0].figure
+    assert "looks like answers that are 0.1" in late[0].sentence
+    assert late[0].sentence.endswith(f"with the same constants in {DRAWS} draws.")
+    assert enu[0].figure == "velocities east, north, up"
+    assert (honest, high) == ([], [])
+
+
+# --- options and requirements -----------------------------------------------------------------------------
+
+
+def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
+    Path("need.toml").write_text(
+        "[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 0.001\nshare = 0.9\n"
+        "[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 100.0\nshare = 0.1\nflight = 'plain'\n"
+    )
+    own = ["card", "-e", "tests.campaigns.cheats:Gain", "--against", "loose-15", "--quick", "--in-process"]
+    more = ["--option", "gain=100.0", "--label", "wide", "-o", "wide.json", "--require", "need.toml"]
+    assert main([*own, *more, "--junit", "need.xml", "--force"]) == 1
+    found = bench.read_card(Path("wide.json"))
+    assert (found.estimator, found.options) == ("wide", {"gain": 100.0})
+    once = bench.make_card("loose-15", against="loose-22", quick=True)
+    ratio = find(found, "honesty").value / find(once, "honesty").value
+    assert ratio == pytest.approx(1e-4, rel=1e-6)
+    assert find(found, "honesty").word == "underconfident"
+    assert find(found, "accuracy").by_draw == find(once, "accuracy").by_draw
+    assert found.answers != once.answers
+    words = [line.word for line in found.lines if line.topic == "requirements"]
+    assert words == ["missed", "met"]
+    assert "wide: pos_rmse_h_m is at most 0.001 m in 0 of 3 runs" in capsys.readouterr().out
+    assert Path("need.xml").read_text().count("<testcase") == 2
+    assert Path("cards/wide-quick/journal.jsonl").is_file()
+    assert card.verify_card(found, guard=HERE) == []
+    other = judge("Gain", label="one")
+    assert (other.program != found.program, other.answers == once.answers) == (True, True)
+    Path("need.toml").write_text("[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 1.0\nflight = 'moon'\n")
+    assert main([*own, "--require", "need.toml"]) == 2
+    assert "need.toml: [[requirement]] 1: no flight 'moon'; there are plain" in capsys.readouterr().err
