@@ -369,7 +369,7 @@ def test_the_tree_of_readme_is_true():
 
 def test_the_floors_of_readme_are_those_that_are_checked():
     text = ALL["README"].read_text()
-    written = re.search(r"```text\n(cli > .*?)```", text, re.DOTALL)
+    written = re.search(r"```text\n(__main__ : cli > .*?)```", text, re.DOTALL)
     assert written is not None
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     floors = [set(re.split(r" [|:] ", floor.strip())) for floor in written[1].split(">")]
