@@ -291,7 +291,7 @@ def test_a_wild_sample_is_bridged_and_named(truth, draws, whole, case):
 def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
     drawn, seen = draws[0], []
 
-    def run(data, initial):
+    def run(data, initial, gyro_sd):
         seen.append((data, initial))
         return FILTER.forward(data, initial)[0]
 
@@ -340,6 +340,21 @@ def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
     high = 9 * band(90)[1]
     assert (np.mean(inside, axis=0) < high).all(), np.mean(inside, axis=0)
     assert (np.mean(after, axis=0) < high).all(), np.mean(after, axis=0)
+
+
+def test_a_smoother_of_a_consumer_unit_starts_again_with_its_gyros_known_as_a_whole(recorded):
+    """Two draws, the 12 s after the restart. With bias and temperature known one by one it is 1e12."""
+    gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
+    changes = {"sensors.imu": "mpu-9250", "fault": [gap], "evaluation.output_hz": 1.0}
+    profile = load_profile("figure-eight", changes)
+    truth, found = truth_of(recorded(profile.flight), 100.0), []
+    for draw in range(2):
+        drawn = pipeline.sense(profile, truth, draw)
+        solution = load("smoother", {}).run(drawn.data, drawn.initial)
+        ((_, end, _),) = solution.events.select("restart")
+        errors = error_series(truth, solution)
+        found.append(errors.nees[window(errors, end, end + 12.0)].mean())
+    assert np.mean(found) < 9 * band(18)[1]
 
 
 # --- motion beyond the range of the IMU ---------------------------------------------------------------------

@@ -27,7 +27,7 @@ from bench.navigation.engine import long_records
 from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
-from bench.navigation.engine.piecewise import InPieces, answer_now
+from bench.navigation.engine.piecewise import InPieces, KnowsImuErrors, answer_now
 from bench.navigation.engine.session import Kept, SessionState, require, require_range
 from bench.navigation.engine.timeline import empty_epochs
 from bench.navigation.engine.velocity_consistency import MovedFixes
@@ -108,27 +108,39 @@ class Fusion:
         return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
 
     def forward(
-        self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED
+        self,
+        sensors: SensorData,
+        initial: InitialState,
+        gyros: Gyros = AS_SPECIFIED,
+        ends: list[KnowsImuErrors] | None = None,
     ) -> tuple[NavSolution, list[Nodes]]:
         """Return a solution and the nodes a smoother goes back over.
 
         They come in stretches, in their order; a record that is not long is one. There are none where the
-        heading was unknown and stayed so.
+        heading was unknown and stayed so. The filter at its end is appended to ``ends``.
         """
         initial, events = alignment.complete(sensors, initial)
+        ends = [] if ends is None else ends
         if not headings.heading_is_unknown(initial):
-            return self._forward(sensors, initial, events, gyros)
+            return self._forward(sensors, initial, events, gyros, ends)
         search = ManyHeadings(partial(self._passage, gyros=gyros), sensors, initial, events)
         solution = search.feed(sensors, 0.0, last=True)
+        ends.append(search)
         if not search.complete:
             return solution, []
-        return solution, self._forward(sensors, search.starts[search.best], [], gyros)[1]
+        return solution, self._forward(sensors, search.starts[search.best], [], gyros, [])[1]
 
     def _forward(
-        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros
+        self,
+        sensors: SensorData,
+        initial: InitialState,
+        events: list[EventRow],
+        gyros: Gyros,
+        ends: list[KnowsImuErrors],
     ) -> tuple[NavSolution, list[Nodes]]:
         """Return what :meth:`forward` does, from a complete initial state with a known heading."""
         passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
+        ends.append(passage)
         if not long_records.is_long(sensors):
             passage.take(sensors, last=True)
             solution, nodes = passage.go()

@@ -26,6 +26,7 @@ from bench.arrays import FloatArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import long_records
+from bench.navigation.engine.piecewise import KnowsImuErrors
 from bench.navigation.error_state_filter.error_state import (
     PHI,
     difference_kernel,
@@ -61,18 +62,36 @@ class Smoother:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate each instant from all measurements of the record, earlier and later."""
 
-        def between(piece: SensorData, start: InitialState) -> NavSolution:
-            run = partial(self._run, steady=steady)
-            return smooth_from_turn_on(run, piece, start) if steady else run(piece, start, None)
+        ends: list[KnowsImuErrors] = []
+        unseen = np.zeros(6)  # errors of the IMU that the filter does not see
 
-        steady = self.options.every_error and has_large_bias(sensors)
+        def between(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
+            run = partial(self._run, steady=steady, ends=ends)
+            unseen[:] = 0.0
+            if not steady or gyro_sd is not None:
+                return run(piece, start, gyro_sd)
+            solution, unseen[:3] = smooth_from_turn_on(run, piece, start)
+            return solution
 
-        return run_between_gaps(between, sensors, initial, self.options.accuracy)
+        def errors_at_end() -> tuple[FloatArray, FloatArray]:
+            mean, sd = ends[-1].steady_errors()
+            return mean + unseen, sd
+
+        options = self.options
+        steady = options.every_error and has_large_bias(sensors)
+        whole = errors_at_end if options.every_error or options.mems else None
+        return run_between_gaps(between, sensors, initial, options.accuracy, whole)
 
     def _run(
-        self, sensors: SensorData, initial: InitialState, gyro_sd: float | None, *, steady: bool
+        self,
+        sensors: SensorData,
+        initial: InitialState,
+        gyro_sd: float | None,
+        *,
+        steady: bool,
+        ends: list[KnowsImuErrors],
     ) -> NavSolution:
-        forward, stretches = self.filter.forward(sensors, initial, Gyros(gyro_sd, steady))
+        forward, stretches = self.filter.forward(sensors, initial, Gyros(gyro_sd, steady), ends)
         if not any(len(nodes.t) for nodes in stretches):
             return forward
         smooth(stretches)

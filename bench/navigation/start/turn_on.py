@@ -188,10 +188,17 @@ def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
     return bool(large and given and first.fixes is not None)
 
 
-def smooth_from_turn_on(run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:
-    """Return what `run_from_turn_on` does of a smoother: it knows the stretch from its first answer on."""
+def smooth_from_turn_on(
+    run: Run, sensors: SensorData, initial: InitialState
+) -> tuple[NavSolution, FloatArray]:
+    """Return what `FromTurnOn` does of a smoother, which knows the stretch from its first answer on.
+
+    The second is the bias (3,) of the gyros [rad/s] that it did not see.
+    """
     found = find_turn_on(sensors, initial)
-    return run(sensors, initial, None) if found is None else _run_without(found, run, sensors, initial)
+    if found is None:
+        return run(sensors, initial, None), np.zeros(3)
+    return _run_without(found, run, sensors, initial), found.bias_b
 
 
 def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from bench import disk_arrays
+from bench.arrays import FloatArray
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import join_rows, take_rows
@@ -14,22 +15,30 @@ from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import BetweenGaps
 
-Run = Callable[[SensorData, InitialState], NavSolution]
+Run = Callable[[SensorData, InitialState, float | None], NavSolution]
+Errors = Callable[[], tuple[FloatArray, FloatArray]]
 
 
 def run_between_gaps(
-    run: Run, sensors: SensorData, initial: InitialState, accuracy: FixAccuracy | None
+    run: Run,
+    sensors: SensorData,
+    initial: InitialState,
+    accuracy: FixAccuracy | None,
+    steady_errors: Errors | None = None,
 ) -> NavSolution:
     """Return the solution of a filter of whole records, started again after each long gap of the IMU.
 
     Parameters
     ----------
     run : callable
-        The filter, for a record without gaps longer than `timeline.LONGEST_BRIDGE`.
+        The filter, for a record without gaps longer than `timeline.LONGEST_BRIDGE`. After one it gets the sd
+        of what is left of the errors of the gyros [rad/s], where ``steady_errors`` tells it, else None.
     sensors, initial : SensorData, InitialState
         Record and start. Without a long gap ``run`` gets them as they are.
     accuracy : str or None
         How the filter weighs fixes; None: it uses none, and has nothing to start again from.
+    steady_errors : callable or None
+        Tells after a run what `piecewise.KnowsImuErrors` does at its end.
 
     Returns
     -------
@@ -42,13 +51,16 @@ def run_between_gaps(
         If the record does not allow the alignment asked for at the start.
     """
     if accuracy is None or sensors.fixes is None or not _has_long_gap(sensors, initial.t):
-        return run(sensors, initial)
+        return run(sensors, initial, None)
     start, events = alignment.complete(sensors, initial)
 
-    def begin(_: SensorData, start: InitialState, events: list[EventRow]) -> Any:
-        return _WholeRun(run, start, events)
+    def begin(
+        _: SensorData, start: InitialState, events: list[EventRow], gyro_sd: float | None = None
+    ) -> Any:
+        return _WholeRun(run, start, events, gyro_sd, steady_errors)
 
-    return BetweenGaps(begin, sensors, start, events, accuracy).feed(sensors, 0.0, last=True)
+    between = BetweenGaps(begin, sensors, start, events, accuracy, whole=steady_errors is not None)
+    return between.feed(sensors, 0.0, last=True)
 
 
 def _has_long_gap(sensors: SensorData, start: float) -> bool:
@@ -69,8 +81,17 @@ def _has_long_gap(sensors: SensorData, start: float) -> bool:
 class _WholeRun:
     """A filter that takes a record only as a whole, as one that takes pieces."""
 
-    def __init__(self, run: Run, start: InitialState, events: list[EventRow]) -> None:
-        self._run, self._start, self._events = run, start, events
+    def __init__(
+        self,
+        run: Run,
+        start: InitialState,
+        events: list[EventRow],
+        gyro_sd: float | None,
+        steady_errors: Errors | None,
+    ) -> None:
+        self._run, self._start, self._events, self._gyro_sd = run, start, events, gyro_sd
+        if steady_errors is not None:
+            self.steady_errors = steady_errors
 
     @property
     def end(self) -> float:
@@ -78,5 +99,5 @@ class _WholeRun:
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         assert last
-        solution = self._run(piece, self._start)
+        solution = self._run(piece, self._start, self._gyro_sd)
         return replace(solution, events=Events.from_rows([*self._events, *solution.events.rows()]))

@@ -63,7 +63,7 @@ class GraphSmoother:
             raise EstimatorError(said)
         return run_between_gaps(self._run, sensors, initial, "datasheet")
 
-    def _run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
+    def _run(self, sensors: SensorData, initial: InitialState, _: float | None) -> NavSolution:
         gtsam = load_gtsam()
         initial, plan, dtheta, dvel, events = plan_fixes(sensors, initial)
         steps = plan.steps
