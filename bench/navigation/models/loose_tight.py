@@ -108,12 +108,9 @@ class Fusion:
         return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
 
     def forward(
-        self,
-        sensors: SensorData,
-        initial: InitialState,
-        gyros: Gyros = AS_SPECIFIED,
+        self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED,
         ends: list[KnowsImuErrors] | None = None,
-    ) -> tuple[NavSolution, list[Nodes]]:
+    ) -> tuple[NavSolution, list[Nodes]]:  # fmt: skip
         """Return a solution and the nodes a smoother goes back over.
 
         They come in stretches, in their order; a record that is not long is one. There are none where the
@@ -131,13 +128,9 @@ class Fusion:
         return solution, self._forward(sensors, search.starts[search.best], [], gyros, [])[1]
 
     def _forward(
-        self,
-        sensors: SensorData,
-        initial: InitialState,
-        events: list[EventRow],
-        gyros: Gyros,
+        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros,
         ends: list[KnowsImuErrors],
-    ) -> tuple[NavSolution, list[Nodes]]:
+    ) -> tuple[NavSolution, list[Nodes]]:  # fmt: skip
         """Return what :meth:`forward` does, from a complete initial state with a known heading."""
         passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
         ends.append(passage)
@@ -326,13 +319,9 @@ class Passage(SessionState):
         if "velocity" in options.integrity and specs.gnss is not None:
             watch = MovedFixes(specs.gnss, options.gate_probability)
         self.schedule = Schedule(
-            initial.t,
-            specs.imu,
-            compensate=options.compensate_latency,
-            accuracy=options.fix_accuracy,
-            watch=watch,
-            cut=keep,
-        )
+            initial.t, specs.imu, compensate=options.compensate_latency, accuracy=options.fix_accuracy,
+            watch=watch, cut=keep,
+        )  # fmt: skip
         self.schedule.events += events
         self.samplers = filter_.samplers(initial.t, specs.imu)
         self.channels = ranging.Channels()
@@ -340,14 +329,9 @@ class Passage(SessionState):
         if MAGNETOMETER in self.used:
             field = magnetic_map(initial.lla, first.date)
         self.run = ForwardRun(
-            initial,
-            model,
-            first.antenna_b,
-            field,
-            filter_.gate(len(SENSORS), initial.t, model),
-            0.0 if options.covariance_hz is None else (1.0 - 1e-6) / options.covariance_hz,
-            keep,
-        )
+            initial, model, first.antenna_b, field, filter_.gate(len(SENSORS), initial.t, model),
+            0.0 if options.covariance_hz is None else (1.0 - 1e-6) / options.covariance_hz, keep,
+        )  # fmt: skip
 
     @property
     def end(self) -> float:
