@@ -26,6 +26,7 @@ from bench.cli.group import (
     make_guard,
     new_console,
     out_option,
+    rates_option,
     recording_option,
     report_option,
     seed_option,
@@ -182,7 +183,8 @@ def guide(topic: str | None) -> int:
 @commands.command(epilog=STATUS)
 @click.argument("kind", type=click.Choice(["estimator", "check", "log", "schemas"]), metavar="KIND")
 @click.argument("name", required=False)
-def new(kind: str, name: str | None) -> int:
+@rates_option
+def new(kind: str, name: str | None, rates: str | None) -> int:
     """Write a working example as a starting point for your own.
 
     \b
@@ -207,11 +209,12 @@ def new(kind: str, name: str | None) -> int:
     \b
     Examples:
       bench new estimator mine && bench run figure-eight -e mine:Mine
-      bench new check mine:Mine && bench check --allow-code
       bench new log drive.csv && bench navigate drive.toml
     """
     from bench.workbench.new import new_check, new_estimator, new_schemas
 
+    if rates is not None and kind != "log":
+        raise click.UsageError(f"--rates is for bench new log, not for bench new {kind}")
     if kind == "schemas":
         if name is not None:
             raise click.UsageError("bench new schemas takes no NAME")
@@ -223,7 +226,7 @@ def new(kind: str, name: str | None) -> int:
     elif kind == "log":
         from bench.workbench.new_log import new_log
 
-        new_log(name, console=new_console())
+        new_log(name, console=new_console(), rates=rates)
     else:
         new_estimator(name, console=new_console())
     return DONE

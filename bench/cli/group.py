@@ -99,6 +99,11 @@ report_option = click.option(
     show_default=False,
     help="write no report",
 )
+rates_option = click.option(
+    "--rates",
+    type=click.Choice(["deg", "rad"]),
+    help="unit of the gyros in a table, where neither a name nor the motion tells it",
+)
 FILE = click.Path(path_type=Path)
 
 

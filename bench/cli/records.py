@@ -22,6 +22,7 @@ from bench.cli.group import (
     new_console,
     out_option,
     parse_durations,
+    rates_option,
     recording_option,
     report_option,
     set_option,
@@ -66,6 +67,7 @@ class _LogCommand(click.Command):
     is_flag=True,
     help="assume the noise of the IMU while it moves if it is larger than that of its datasheet",
 )
+@rates_option
 @recording_option
 @report_option
 @force_option()

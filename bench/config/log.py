@@ -27,7 +27,7 @@ from bench.wording import as_toml
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
 _MATLAB = ".mat"
-_TABLES = (".csv", ".parquet", _MATLAB)
+_TABLES = (".csv", ".tsv", ".parquet", _MATLAB)
 _ENDINGS = dict.fromkeys(_TABLES, "table") | {
     ".ulg": "ulog",
     ".bin": "dataflash",
@@ -267,8 +267,8 @@ def _find_source(
         wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
     elif folder and form != "rosbag":
         wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
-    elif form == "table" and ending not in _TABLES:
-        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}")
+    elif form == "table" and ending not in (*_TABLES, ".txt"):
+        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}, .txt")
     elif form != "table" and row.columns:
         wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
     elif row.topic is not None and form not in _TOPICS and not (form == "table" and ending == _MATLAB):

@@ -50,13 +50,18 @@ def _name_covariance(block: str) -> dict[str, str]:
     return group("", *(f"cov_{block}_{a}_{block}_{b}" for a in "ned" for b in "ned"))
 
 
+_FRACTION = {"fraction": (group("clock", "t_fraction"),)}
+"""What is added to times that are whole seconds."""
+
 _FLAGS: Mapping[str, tuple[Group, ...]] = {
+    **_FRACTION,
     "arrival": (group("clock", "t_arrival"),),
     "valid": (group("", "valid"),),
 }
 
 IMU: Mapping[str, tuple[Group, ...]] = {
     "time": _TIMES,
+    **_FRACTION,
     "interval": (group("time", "dt"),),
     "valid": _FLAGS["valid"],
     "motion": (
@@ -122,7 +127,7 @@ _SPREADS = {
     "velocity covariance": "cov_vel",
     "dilution": "dilution",
 }
-OPTIONAL = ("velocity", *_SPREADS, *_ALONE)
+OPTIONAL = ("velocity", "fraction", *_SPREADS, *_ALONE)
 """Kinds of columns that may be missing."""
 
 COLUMNS = {
@@ -169,7 +174,8 @@ class LogRows:
         values |= {record: found[kind] for kind, record in _MEASURED.items() if kind in found}
         values |= {name: found[name][:, 0] for name in _ALONE if name in found}
         notes = (f"{shown}: {table.list_unused()}",) if table.unused else ()
-        return cls(found["time"][:, 0], values, notes)
+        t = found["time"][:, 0]
+        return cls(t + found["fraction"][:, 0] if "fraction" in found else t, values, notes)
 
 
 def _to_vel_n(vel: FloatArray, stems: tuple[str, ...], lla: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,14 +12,18 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError
 from bench.exchange import imports
+from bench.exchange.exporter_names import make_plain, match_exporter
 from bench.exchange.imports.navego_structures import list_sensors
-from bench.exchange.rows import MOST_ROWS
+from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
 from bench.units import ENDINGS, split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
 TEXT = ".txt"
-"""Ending of the texts of KF-GINS: increments and fixes, numbers without names."""
+"""Ending of the texts of KF-GINS, numbers without names, and of the tables of some programs."""
+_TEXTS = (TEXT, ".tsv")
+_GRAVITY = {"g": 1.0, "m_s2": 9.8, "mg": 1000.0}
+_NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
 _FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
 _UNKNOWN = -1.0  # that receivers write for a standard deviation they do not know
 _FASTEST = 10.0  # median angular rate of no vehicle [rad/s]
@@ -28,6 +32,13 @@ _WRITTEN = {unit.symbol.replace("^", "").lower(): ending for ending, unit in END
 """Unit in brackets behind a name -> ending."""
 _FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|km/?h|kph|kno?ts?|kn|mph|min|h|hours?")
 """Units that no column of a log has."""
+_IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])")
+"""A unit, but no index."""
+_RUN_TOGETHER = {
+    **{"_dps": "_deg_s", "_degps": "_deg_s", "_degs": "_deg_s", "_radps": "_rad_s", "_rads": "_rad_s"},
+    **{"_mps2": "_m_s2", "_ms2": "_m_s2", "_mss": "_m_s2"},
+}
+"""Endings of units as others write them -> ending."""
 _SPELLINGS = {
     "°": "deg",
     "degrees": "deg",
@@ -54,12 +65,21 @@ def _guess_turn(dtheta: FloatArray) -> str:
 
 
 def _guess_force(force: FloatArray) -> str:
+    """Return the unit with which the median is gravity, along the same axis most of the time; else empty."""
     size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
-    return "" if size < 0.3 else "g" if size < 3.0 else "m_s2" if size < 100.0 else "mg"
+    if not np.linalg.norm(np.nanmedian(force, axis=0)) > _SAME_WAY * size:
+        return ""  # without gravity
+    return next((unit for unit, g in _GRAVITY.items() if abs(size / g - 1.0) < _NEAR), "")
 
 
 def _guess_angle(angle: FloatArray) -> str:
-    return "deg" if float(np.nanmax(np.abs(angle), initial=0.0)) > np.pi else "rad"
+    largest = float(np.nanmax(np.abs(angle), initial=0.0))
+    return "deg_e7" if largest > 1000.0 else "deg" if largest > np.pi else "rad"
+
+
+def _guess_length(value: FloatArray) -> str:
+    """Return mm for integers, as receivers write them, else m."""
+    return "mm" if np.array_equal(value, np.round(value)) and np.ptp(value) > 1.0 else "m"
 
 
 class _SensorQuantity(NamedTuple):
@@ -91,6 +111,10 @@ def _name_velocity(third: str, word: str) -> _SensorQuantity:
 
 
 _ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
+_NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
+"""What is beside the specific force in the tables of phones and filters."""
+_TURNS = ("gyro_", "dtheta_")
+_MILLIMETRES = ("alt", "vel_n", "vel_e", "vel_d")
 _RATES = (
     _TIME,
     _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
@@ -122,6 +146,26 @@ class FoundSensor(NamedTuple):
     others: tuple[str, ...] = ()  # structures alike
     form: str = ""  # where the ending does not tell the format
     turns: bool = False  # it has an attitude too, as no receiver measures it
+    told: str = ""  # what is known of the unit of its gyros
+    program: str = ""  # that wrote it
+    axes: tuple[float, float, float] | None = None  # of an IMU, as the program has them [deg]
+
+    @property
+    def doubtful(self) -> tuple[str, ...]:
+        """The columns of gyros whose unit only their values tell."""
+        turns = {ours: theirs for ours, theirs in self.columns.items() if ours.startswith(_TURNS)}
+        told = any(theirs in line for line in self.guessed for theirs in turns.values())
+        return tuple(turns) if told else ()
+
+    def turn_unit(self) -> FoundSensor:
+        """Return it with gyros in the other unit."""
+        other = {"_rad_s": "_deg_s", "_deg_s": "_rad_s", "_rad": "_deg", "_deg": "_rad"}
+
+        def swap(ours: str) -> str:
+            end = next((one for one in other if ours.endswith(one)), "")
+            return ours.removesuffix(end) + other[end] if ours in self.doubtful and end else ours
+
+        return self._replace(columns={swap(ours): theirs for ours, theirs in self.columns.items()})
 
 
 def find_tables(path: Path) -> dict[str, FoundSensor]:
@@ -132,7 +176,8 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
     ConfigError
         If there is no IMU in the file, no receiver in any, or a unit cannot be told.
     """
-    beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in _TABLES and p != path)
+    endings = (*_TABLES, *_TEXTS) if path.suffix.lower() in _TEXTS else _TABLES
+    beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in endings and p != path)
     found: dict[str, FoundSensor] = {}
     wrong: list[ConfigError] = []
     for kind in _KINDS:
@@ -150,7 +195,8 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
                 if not match.turns:
                     break
         if matches:
-            found[kind] = min(matches, key=lambda match: match.turns)
+            best = min(matches, key=lambda match: match.turns)
+            found[kind] = best._replace(form="table") if best.path.suffix.lower() in _TEXTS else best
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
         there = ", ".join(list_columns(path)[:30])[:300]
         where = ""
@@ -163,6 +209,11 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
             f"{because}"
         )
     return found
+
+
+def has_names(path: Path) -> bool:
+    """Tell whether a text is a table with names above its columns; raise ConfigError if it is not a text."""
+    return any(re.search(r"[a-z]{2}", name.lower()) for name in list_columns(path))
 
 
 def find_texts(path: Path) -> dict[str, FoundSensor]:
@@ -231,12 +282,77 @@ def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
         structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
     found: list[FoundSensor] = []
     for prefix in structures:
+        if not prefix and (known := _match_program(path, names, kind, longest)) is not None:
+            found.append(known)
+            continue
         ways = (_match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
         found += [way for way in ways if way is not None][:1]
     if not found:
         return None
     found.sort(key=lambda match: match.turns)
     return found[0]._replace(others=tuple(one.structure for one in found[1:] if one.structure))
+
+
+def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) -> FoundSensor | None:
+    """Return the columns of a sensor in the table of a program that is known; None if it is of no such."""
+    sets = _KINDS[kind]
+    needed = [[stem for one in way if one.needed and one is not _TIME for stem in one.stems] for way in sets]
+    matched = match_exporter(names, needed)
+    if matched is None:
+        return None
+    program, theirs = matched
+    groups = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind].values()
+    stems = {stem for ways in groups for way in ways for stem in way}
+    wanted = {ours: name for ours, name in theirs.items() if (ours in stems or split_unit(ours)[0] in stems)}
+    motion = next((set(one) for one in needed if set(one) <= {_stem(ours, stems) for ours in wanted}), set())
+    other = {stem for one in needed for stem in one} - motion
+    columns: dict[str, str] = {}
+    guessed: list[str] = []
+    for ours, name in wanted.items():
+        stem = _stem(ours, stems)
+        if stem in other:
+            continue
+        written, known = _split_name(name)[1], ours.removeprefix(stem)
+        unit = written if _IN_BRACKETS.search(name) and written else known or written
+        if _FOREIGN.fullmatch(unit.removeprefix("_")):
+            raise ConfigError(f"{path.name}: {name!r} is in a unit that no column of a log has; convert it")
+        if not unit and stem != "satellites":
+            unit = "_" + _guess_unit(path, stem, wanted, stems, longest)
+            if stem.startswith(_TURNS):
+                guessed.append(name)
+        columns[f"{stem}{unit}"] = name
+    turns = any(re.fullmatch(r"pitch|qu?a?t?w", make_plain(name)) for name in names)
+    unit = next(
+        (o.removeprefix(s) for s in stems if s.startswith(_TURNS) for o in columns if o.startswith(s)), ""
+    )
+    asked = (f"{', '.join(guessed)}: taken as {unit[1:]} by the values",) if guessed else ()
+    return FoundSensor(path, columns, asked, turns=turns, program=program.title, axes=program.axes)
+
+
+def _stem(ours: str, stems: Collection[str]) -> str:
+    return ours if ours in stems else split_unit(ours)[0]
+
+
+def _guess_unit(
+    path: Path, stem: str, columns: Mapping[str, str], stems: Collection[str], longest: float
+) -> str:
+    """Return the unit of a column by its values and those of the columns that belong to it."""
+    quantities = [q for ways in _KINDS.values() for way in ways for q in way]
+    quantity = next((q for q in quantities if stem in q.stems), _TIME)
+    names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
+    values = np.column_stack(list(read_columns(path, names, MOST_ROWS).values()))
+    if quantity is _TIME:
+        return _guess_time(values, longest)
+    if stem in _MILLIMETRES:
+        return _guess_length(values) + ("ps" if stem != "alt" else "")
+    return quantity.guess(values) or _refuse_force(path, names)
+
+
+def _refuse_force(path: Path, names: Sequence[str]) -> str:
+    text = (
+        "not gravity in m/s^2, g or mg, as a specific force has it; increments are dtheta_x_rad, dvel_x_mps"
+    )
+    raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide own-log")
 
 
 def _match_columns(
@@ -265,10 +381,7 @@ def _match_columns(
             values = np.column_stack(list(read_columns(path, whole, MOST_ROWS).values()))
             unit = _guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
             if not unit:
-                text = (
-                    "too small for m/s^2, g or mg with gravity; increments are dtheta_x_rad, dvel_x_mps ..."
-                )
-                raise ConfigError(f"{path.name}: {', '.join(known)}: {text}: bench guide own-log")
+                unit = _refuse_force(path, known)
             guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
             endings = [f"_{unit}"] * len(known)
         columns |= {
@@ -285,10 +398,13 @@ def _split_name(name: str) -> tuple[str, str]:
     """
     words, _, bracket = re.sub(r"[\])].*", "", name.lower().replace("[", "(")).partition("(")
     words = words.strip().lstrip("#").strip().replace(" ", "_")
+    for theirs, ours in _RUN_TOGETHER.items():
+        if words.endswith(theirs):
+            return words.removesuffix(theirs), ours
     stem = split_unit(words)[0]
     if stem != words:
         return stem, words[len(stem) :]
-    written = re.sub(r"[\s^]", "", re.sub(r"[ *·]+s\^?-", "/s", bracket.strip()))
+    written = re.sub(r"[\s^]", "", re.sub(r"[ .*·]*s\.?\^?-", "/s", bracket.strip()))
     for theirs, ours in _SPELLINGS.items():
         written = written.replace(theirs, ours)
     return stem, written if _FOREIGN.fullmatch(written) else _WRITTEN.get(written, "")
@@ -299,6 +415,8 @@ def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mappin
     fitting = [
         name
         for name, (stem, _) in plain.items()
-        if re.fullmatch(pattern, stem) and not _ACCURACY.fullmatch(stem) and name not in taken.values()
+        if re.fullmatch(pattern, stem)
+        and not any(other.fullmatch(stem) for other in (_ACCURACY, _NO_GRAVITY))
+        and name not in taken.values()
     ]
     return min(fitting, key=len, default=None)

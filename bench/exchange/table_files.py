@@ -7,6 +7,7 @@ unpickled, and a file that is too large is refused before it fills the memory.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,15 +26,16 @@ from bench.units import FACTORS, split_unit
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
 _MOST_HEADER = 1_000_000  # longest line, the header included [byte]
+_BRACKETS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _BLOCK = 1 << 20  # read at a time [byte]
-_COMMENTS = ("#", "%")  # how lines above the header begin
+_COMMENTS = ("#", "%", "//")  # how lines above the header begin
 
 UNITS = {
     "time": ("s",),
-    "clock": ("s", "ms", "us", "ns"),
-    "angle": ("deg", "rad", "mrad"),
-    "length": ("m", "km"),
-    "speed": ("m/s",),
+    "clock": ("s", "ms", "us", "ns", "100us"),
+    "angle": ("deg", "rad", "mrad", "deg_e7"),
+    "length": ("m", "km", "mm"),
+    "speed": ("m/s", "mm/s"),
     "rate": ("rad/s", "deg/s", "deg/h"),
     "acceleration": ("m/s^2", "g", "mg"),
     "pressure": ("Pa", "hPa"),
@@ -141,7 +143,7 @@ def read_table(
     try:
         check_file(path, shown, MOST_BYTES)
         names, batches = _open(path, most_rows, structure)
-        chosen, unused = _choose(_rename_columns(names, aliases, shown), kinds, optional, shown)
+        chosen, unused = _choose(names, kinds, optional, shown, aliases)
         wanted = [aliases.get(name, name) for one in chosen.values() for name in one]
         if twice := [name for name in wanted if names.count(name) > 1]:
             raise ConfigError(f"{shown}: more than one column is named {twice[0]!r}; rename those not meant")
@@ -222,7 +224,8 @@ class _TableHeader(NamedTuple):
 def _read_header(path: Path) -> _TableHeader:
     """Return the header of a CSV file, whose columns a comma, a semicolon or a tab separates.
 
-    Empty lines and comments (#, %) above it do not count; the last comment is the header if numbers follow.
+    Empty lines and comments (#, %, //) above it do not count; the last comment is the header if rows follow.
+    A line of units in brackets below it is a part of it: the names get them.
     """
     lines, comment = 0, ""
     try:
@@ -231,13 +234,24 @@ def _read_header(path: Path) -> _TableHeader:
                 if line.strip() and not line.lstrip().startswith(_COMMENTS):
                     break
                 lines, comment = lines + 1, line.strip() or comment
+            below = file.readline(_MOST_HEADER)
     except UnicodeDecodeError:
         raise ConfigError(f"{path.name}: not a text file in UTF-8") from None
     above, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
     cells, named = _split(line, separator), _split(above, _find_separator(above))
-    if comment and len(cells) == len(named) and all(map(_is_number, cells)):
+    if comment and len(cells) == len(named) and _count_numbers(named) < 0.5 <= _count_numbers(cells):
         return _TableHeader(named, lines, separator)
+    units = _split(below, separator)
+    if len(units) == len(cells) and all(_BRACKETS.fullmatch(unit) for unit in units):
+        return _TableHeader(
+            [f"{cell} {unit}" for cell, unit in zip(cells, units, strict=True)], lines + 2, separator
+        )
     return _TableHeader(cells, lines + 1, separator)
+
+
+def _count_numbers(cells: Sequence[str]) -> float:
+    """Return the part of cells that are numbers."""
+    return sum(map(_is_number, cells)) / max(len(cells), 1)
 
 
 def _find_separator(line: str) -> str:
@@ -389,12 +403,21 @@ def _rename_columns(names: Sequence[str], aliases: Mapping[str, str], shown: str
 
 
 def _choose(
-    names: Sequence[str], kinds: Mapping[str, Sequence[Group]], optional: Sequence[str], shown: str
+    names: Sequence[str],
+    kinds: Mapping[str, Sequence[Group]],
+    optional: Sequence[str],
+    shown: str,
+    aliases: Mapping[str, str],
 ) -> tuple[dict[str, tuple[str, ...]], tuple[str, ...]]:
-    """Return the columns of each kind, from its first complete group, and the unused columns."""
-    by_stem: dict[str, list[str]] = {}
+    """Return the columns of each kind, from its first complete group, and the unused columns.
+
+    A column that the log names (``aliases``) goes before one that happens to have the name.
+    """
+    names, by_stem = _rename_columns(names, aliases, shown), dict[str, list[str]]()
     for name in names:
         by_stem.setdefault(split_unit(name)[0], []).append(name)
+    for name in aliases:
+        by_stem[split_unit(name)[0]] = [name]
     chosen: dict[str, tuple[str, ...]] = {}
     for kind, groups in kinds.items():
         found = next((one for one in groups if all(stem in by_stem for stem in one)), None)

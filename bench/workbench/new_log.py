@@ -13,19 +13,22 @@ from rich.console import Console
 
 from bench import durable
 from bench.config.log import LogSpec, load_log
+from bench.data import ImuData
 from bench.errors import ConfigError
-from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.rest_noise import assume_vibration
 from bench.evaluation.validity import check_recording
 from bench.exchange import autopilot, imports
+from bench.exchange.exporter_names import FORWARD_LEFT_UP
 from bench.exchange.exports.column_files import START
 from bench.exchange.imports.contents import Contents
 from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
-from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts
+from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
 from bench.files import check_file, read_json
 from bench.navigation.start.course import LEAST_SPEED
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.units import split_unit
 from bench.wording import one_line, quote_toml
 from bench.workbench.log_starts import ChosenStart, choose_start
 
@@ -47,11 +50,13 @@ _SHAKES = 2.0  # noise of a recording over that of its datasheet that is worth b
 _REP_103 = (".bag", ".db3", ".mcap", "")  # whose axes are forward, left, up; a folder is a bag
 _MOST_CONFIGURATION = 1_000_000  # [byte]
 _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offset_s", "imu_shift_s"))
+_SAME_UNIT = 0.25  # how far the scale of gyros in the right unit may be off [1]
+_FASTEST = 15.0  # angular rate that no vehicle keeps for a hundredth of the time [rad/s]
 _ALIGNS = 10.0  # that an alignment takes [s]
 _SHARE = 0.25  # of a short record that passes before it is judged
 
 
-def new_log(name: str, *, console: Console) -> None:
+def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     """Look at a recorded file and those beside it, and write a log that ``bench navigate`` accepts.
 
     Parameters
@@ -60,6 +65,8 @@ def new_log(name: str, *, console: Console) -> None:
         A table with the columns of an IMU, whose fixes are in it or in a table beside it; the increments of
         KF-GINS, with its fixes beside them; the log of an autopilot (ULog, DataFlash); a bag or an MCAP file.
         The log, ``FILE.toml``, is written beside it.
+    rates : str or None
+        Unit of the gyros, "deg" or "rad", where neither a name nor the motion tells it.
 
     Raises
     ------
@@ -81,14 +88,14 @@ def new_log(name: str, *, console: Console) -> None:
         return
     if path.is_dir() or path.suffix.lower() in _BAGS:
         found = {kind: FoundSensor(path, {}, ()) for kind in ("imu", "gnss")}
-    elif path.suffix.lower() == TEXT:
+    elif path.suffix.lower() == TEXT and not has_names(path):
         found = find_texts(path)
     else:
         found = find_tables(path)
     antenna = _read_antenna(found["gnss"])
     clocks: dict[str, str] = {}
     try:
-        records = _try_log(log, found, antenna, clocks)
+        records, found["imu"] = _try_log(log, found, antenna, clocks, rates)
         last = float(records.imu.t.max())
         rest = None if _gives_a_course(records) else min(max(_SHARE * last, _ALIGNS), 60.0)
         text = _write_log(path.stem, found, antenna, clocks, rest)
@@ -104,11 +111,13 @@ def new_log(name: str, *, console: Console) -> None:
     for kind, one in found.items():
         named = ", ".join(f"{ours} from {theirs}" for ours, theirs in one.columns.items() if ours != theirs)
         within = f", structure {one.structure}" if one.structure else ""
+        within += f", by {one.program}" if one.program else ""
         console.print(f"{kind}: {one.path.name}{within}{': ' if named else ''}{named}", soft_wrap=True)
         for line in one.guessed:
             console.print(f"  {line}", soft_wrap=True)
-        if kind in clocks:
-            console.print(f"  {clocks[kind]}", soft_wrap=True)
+        for line in [one.told, clocks.get(kind, ""), clocks.get("axes", "") if kind == "imu" else ""]:
+            if line:
+                console.print(f"  {line}", soft_wrap=True, markup=False)
     console.print(f"Wrote {log}. Lines with a question are for you.")
     console.print(f"Next: bench navigate {log}")
 
@@ -167,8 +176,7 @@ def _add_clock(clocks: dict[str, str], key: str, spec: LogSpec, records: LogReco
     name, sign = {"velocity_offset_s": ("velocity_shift_s", 1.0), "time_offset_s": ("imu_shift_s", -1.0)}[key]
     if not RecordedMotion.from_records(records.imu, records.fixes).moves:
         return
-    checks = check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
-    off = next((one.value for one in checks if one.name == name and not one.good), None)
+    off = next((one.value for one in _check(spec, records) if one.name == name and not one.good), None)
     if off is not None:
         clocks[key] = f"{key} = {sign * off:+.3f}  # by the motion: right?"
 
@@ -217,22 +225,84 @@ def _tell_flight(
 
 def _try_log(
     log: Path,
-    found: Mapping[str, FoundSensor],
+    found: dict[str, FoundSensor],
     antenna: tuple[list[float], str] | None,
     clocks: dict[str, str],
-) -> LogRecords:
-    """Write the log and read what it names.
+    rates: str | None,
+) -> tuple[LogRecords, FoundSensor]:
+    """Write the log and read what it names; return the records, and the IMU in the units that motion shows.
 
-    Into ``clocks`` goes by how much the times of a sensor are wrong, as its line of the log, if the motion
-    shows it: first those of velocities, by the positions, then those of the IMU, by the velocities.
+    Into ``clocks`` goes how the axes of the IMU lie, and by how much the times of a sensor are wrong, as its
+    line of the log, if the motion shows it: first those of velocities, by the positions, then those of the
+    IMU, by the velocities.
     """
     spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    if found["imu"].form != "kf-gins" and (line := _tell_axes(records.imu, found["imu"])):
+        clocks["axes"] = line
+        spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    if found["imu"].doubtful:
+        records = _settle_rates(log, found, antenna, clocks, rates)
     for kind, key, name in _CLOCKS:
-        checks = check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
-        off = next((one.value for one in checks if one.name == name and not one.good), None)
+        off = next((one.value for one in _check(spec, records) if one.name == name and not one.good), None)
         if off is not None:
             clocks[kind] = f"{key} = {off:+.3f}  # by the motion: right?"
             spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+    return records, found["imu"]
+
+
+def _check(spec: LogSpec, records: LogRecords) -> list[Check]:
+    return check_recording(records.imu, records.fixes, {}, np.asarray(spec.antenna_b))
+
+
+def _tell_axes(imu: ImuData, found: FoundSensor) -> str:
+    """Return the line of [imu] for axes whose z points up, by gravity; empty for one that points down."""
+    force = np.median(imu.dvel_b[imu.valid], axis=0)
+    if not force[2] > 0.5 * np.linalg.norm(force):
+        return ""
+    says = (
+        f"as {found.program} has them" if found.axes == FORWARD_LEFT_UP else "by gravity z points up: right?"
+    )
+    return f"mounting_deg = {json.dumps(list(FORWARD_LEFT_UP))}  # forward, left, up, {says}"
+
+
+def _settle_rates(
+    log: Path,
+    found: dict[str, FoundSensor],
+    antenna: tuple[list[float], str] | None,
+    clocks: dict[str, str],
+    rates: str | None,
+) -> LogRecords:
+    """Read the IMU in the unit of its gyros that the option says, the motion shows, or only one can be.
+
+    Raises
+    ------
+    ConfigError
+        If nothing tells it.
+    """
+    given, read = found["imu"], {}
+    for one in (given, given.turn_unit()):
+        found["imu"] = one
+        unit = "deg" if split_unit(one.doubtful[0])[1].startswith("deg") else "rad"
+        spec, records = _read_back(log, _write_log(log.stem, found, antenna, clocks))
+        gain = next((check.value for check in _check(spec, records) if check.name == "turn_gain"), None)
+        read[unit] = records, one
+        if rates is None and gain is not None and abs(gain - 1.0) < _SAME_UNIT:
+            rates, why = unit, "as the motion shows"
+            break
+    else:
+        imu = read["rad"][0].imu
+        most = float(np.nanquantile(np.linalg.norm(imu.dtheta_b, axis=1) / imu.dt, 0.99))
+        why = "as --rates says" if rates else "no vehicle turns so fast in rad"
+        rates = rates or ("deg" if most > _FASTEST else None)
+    if rates is None:
+        names = ", ".join(given.columns[name] for name in given.doubtful)
+        raise ConfigError(
+            f"{given.path.name}: {names}: rad or deg? Neither their names nor the motion tells; "
+            "say it with --rates deg or --rates rad"
+        )
+    records, settled = read[rates]
+    others = [line for line in given.guessed if given.columns[given.doubtful[0]] not in line]
+    found["imu"] = settled._replace(guessed=tuple(others), told=f"gyros in {rates}, {why}")
     return records
 
 
@@ -304,6 +374,8 @@ def _write_log(
     if found["imu"].path.suffix.lower() in _REP_103:
         text = "# its axes are those of REP 103, forward, left, up?          mounting_deg = [180.0, 0.0, 0.0]"
         asked["imu"][0] = text
+    if "axes" in clocks:
+        asked["imu"][0] = clocks["axes"]
     for kind, one in found.items():
         lines += ["", f"[{kind}]", f"file = {quote_toml(one.path.name)}"]
         if one.form:
@@ -315,6 +387,7 @@ def _write_log(
         if aliases:
             listed = ", ".join(f"{ours} = {quote_toml(theirs)}" for ours, theirs in aliases.items())
             lines.append(f"columns = {{ {listed} }}")
+        lines += [f"# {one.told}"] if one.told else []
         lines += [f"# {one_line(line)}: right?" for line in one.guessed] + asked[kind]
         lines += [clocks[kind]] if kind in clocks else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]

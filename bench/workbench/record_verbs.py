@@ -39,6 +39,7 @@ def navigate_log(
     report: bool,
     force: bool,
     table: bool = False,
+    rates: str | None = None,
     **log_options: Any,
 ) -> dict[str, Any]:
     """Check a recording, run estimators on it, print a screen of it, and write the results folder.
@@ -49,7 +50,7 @@ def navigate_log(
     Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
-    name = _find_log(name, console)
+    name = _find_log(name, console, rates)
     folder = out or RUNS / Path(name).stem
     store.check_folder(folder, force=force)
     begun = time.perf_counter()
@@ -94,7 +95,7 @@ def print_log(console: Console, result: RunResult, *, table: bool) -> None:
         )
 
 
-def _find_log(name: str, console: Console) -> str:
+def _find_log(name: str, console: Console, rates: str | None) -> str:
     """Return the log of a recording, which is written if it is not there; a log is its own."""
     path, log = Path(name), Path(name).with_suffix(".toml")
     if path.suffix == ".toml" or not path.exists():
@@ -102,7 +103,7 @@ def _find_log(name: str, console: Console) -> str:
     if log.exists():
         console.print(f"{log} says how to read {path}.", soft_wrap=True)
     else:
-        new_log(name, console=console)
+        new_log(name, console=console, rates=rates)
     return str(log)
 
 

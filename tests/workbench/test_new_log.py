@@ -55,7 +55,7 @@ def test_the_log_reads_what_was_recorded(tmp_path, style, capsys):
     assert_allclose(found.fixes.vel_n[-1], made["gnss"]["vel_n"][-1], atol=1e-6)
     text = log.read_text()
     assert "mounting_deg" in text
-    assert ("taken as deg_s by the values" in said) == (style == "theirs")
+    assert ("gyros in deg, as the motion shows" in said) == (style == "theirs")
     assert ("taken as ms by the values: right?" in text) == (style == "theirs")
 
 
@@ -326,7 +326,7 @@ def test_a_solution_is_not_taken_for_fixes(tmp_path, capsys):
         assert_allclose(found.fixes.lla, sensed.data.fixes.lla[sensed.data.fixes.valid], atol=1e-9)
     capsys.readouterr()
     assert main(["new", "log", str(tmp_path / "out" / "imu.parquet")]) == 2
-    assert "imu.parquet: accel_x, accel_y, accel_z: too small for m/s^2, g or mg" in capsys.readouterr().err
+    assert "imu.parquet: accel_x, accel_y, accel_z: not gravity in m/s^2, g or mg" in capsys.readouterr().err
 
 
 def test_fixes_of_kf_gins_are_not_taken_for_increments(tmp_path, capsys):
