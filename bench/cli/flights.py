@@ -199,8 +199,7 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
       .github/workflows/accuracy.yml   a CI job that runs bench check
 
     \b
-    log FILE looks at a table, KF-GINS text, ULog, bag or MCAP, and writes beside it:
-      FILE.toml                        a log for bench navigate; it asks what FILE cannot say
+    log FILE looks at a recording; FILE.toml beside it is for bench navigate, with questions
 
     \b
     schemas writes what editors need to complete keys and mark mistakes while you type:
