@@ -17,6 +17,7 @@ from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
+from bench.evaluation.metric_words import find_words, format_metric
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
@@ -27,7 +28,7 @@ from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
 from bench.report import svg
 from bench.run_result import RunResult
-from bench.wording import format_number, replace_control
+from bench.wording import replace_control
 
 _FAR = LOOKS["underconfident"]  # of an honest filter whose error is far from usual
 _INTRODUCTIONS = {
@@ -146,8 +147,16 @@ def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def _fill_table(
     measured: Mapping[str, Mapping[str, Any]], names: Iterable[str]
 ) -> list[tuple[str, str, list[TableCell]]]:
-    """Return name, meaning and a cell for each estimator of the metrics."""
-    return [(name, _explain(name), [_make_cell(name, one) for one in measured.values()]) for name in names]
+    """Return words with the unit, identifier and meaning, and a cell for each estimator of the metrics."""
+    return [
+        (_name_row(name), f"{name}: {_explain(name)}", [_make_cell(name, one) for one in measured.values()])
+        for name in names
+    ]
+
+
+def _name_row(name: str) -> str:
+    found = find_words(name)
+    return f"{found.words} [{found.unit}]" if found.unit else found.words
 
 
 def _explain(name: str) -> str:
@@ -157,7 +166,7 @@ def _explain(name: str) -> str:
 
 def _make_cell(name: str, values: Mapping[str, Any]) -> TableCell:
     return TableCell(
-        format_number(values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
+        format_metric(name, values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
     )
 
 

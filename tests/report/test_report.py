@@ -17,9 +17,9 @@ import bench
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import list_key_figures
+from bench.evaluation.metric_words import format_metric
 from bench.findings.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
-from bench.wording import format_number
 from tests.test_api import SHORT
 
 HOSTILE = "<script>alert(1)</script>\u202e\x1b[2J"
@@ -100,11 +100,13 @@ def test_headings_are_in_order_and_every_picture_is_described(text):
 
 def test_verdicts_and_figures_are_those_of_the_result(result, text):
     table = text[text.index("<table") : text.index("</table>")]
-    rows = re.findall(r'<th scope="row"[^>]*>(\w+)</th>(.*?)</tr>', table, re.S)
+    rows = re.findall(r'<th scope="row" title="(\w+): [^>]*>[^<]+</th>(.*?)</tr>', table, re.S)
     assert [name for name, _ in rows] == list_key_figures(result.metrics)
     for name, cells in rows:
         found = re.findall(r"<td([^>]*)>([^ <]+)", cells)
-        assert [value for _, value in found] == [format_number(v.get(name)) for v in result.metrics.values()]
+        assert [value for _, value in found] == [
+            format_metric(name, v.get(name)) for v in result.metrics.values()
+        ]
         marked = [attribute.strip() == 'class="outside"' for attribute, _ in found]
         assert marked == [name in values["outside"] for values in result.metrics.values()]
     for values in result.metrics.values():
