@@ -138,10 +138,13 @@ def test_in_pieces_it_begins_again_with_the_same_bits(figure_eight_truth, tmp_pa
     """Cut into 0.7 s, saved and gone on with between."""
     profile = bench.load_profile("figure-eight", {"sensors.imu": "mpu-9250"})
     sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 2401))
+    fixes = sensed.data.fixes  # some arrive after a look at the stretch and are valid before it
+    late = replace(sensed.data, fixes=replace(fixes, t_arrival=fixes.t_arrival + 0.7))
+    sensed = replace(sensed, data=late)
     whole = load("loose-full", {}).run(sensed.data, sensed.initial)
-    assert len(whole.events.select("alignment")) >= 3
-    filter_, found, begin = bench.open_filter("loose-full", sensed.initial), [], -np.inf
-    for k, end in enumerate(np.arange(0.7, 13.0, 0.7)):
+    assert len(whole.events.select("alignment")) >= 2
+    filter_, found, begin = bench.open_filter("loose-full", sensed.initial, look_back=0.8), [], -np.inf
+    for k, end in enumerate(np.arange(0.7, 14.1, 0.7)):
         found.append(filter_.feed(bench.take_piece(sensed.data, begin, end)))
         begin = end
         if k % 4 == 1:

@@ -116,6 +116,7 @@ class FromTurnOn(SessionState):
         parts: list[NavSolution] = []
         if self.step < len(STEPS):
             _append(self.pieces, piece)
+        behind = None  # what the filter has to take before the piece
         while self.step < len(STEPS):
             due = self.initial.t + STEPS[self.step]
             if max(newest_sample(one) for one in self.pieces) < due:
@@ -124,15 +125,22 @@ class FromTurnOn(SessionState):
             record = self._join_pieces()
             found = find_turn_on(record, self.initial, due)
             if self._is_other(found):
-                before = cut_piece(piece, np.flatnonzero(~(piece.imu.t > due)), -np.inf, due)
-                piece = cut_piece(piece, np.flatnonzero(piece.imu.t > due), due, np.inf)
-                solution = self._own(self.filter.feed(self._less(before), 0.0, last=True))
+                before, piece = _divide(piece, due)
+                solution = self._take(behind, before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
                 parts.append(replace(solution, events=Events.from_rows(events)))
-                self._begin_again(record, found, due, look_back)
+                self.found, self.told = found, due
+                self.make_parts()
+                behind = replace(_divide(record, due)[0], output_t=np.empty(0))
         if self.step == len(STEPS):
             self.pieces = []
-        return join_solutions([*parts, self._own(self.filter.feed(self._less(piece), look_back, last=last))])
+        return join_solutions([*parts, self._take(behind, piece, look_back, last=last)])
+
+    def _take(
+        self, behind: SensorData | None, piece: SensorData, look_back: float, *, last: bool
+    ) -> NavSolution:
+        whole = piece if behind is None else join_pieces(behind, piece)
+        return self._own(self.filter.feed(self._less(whole), look_back, last=last))
 
     def _is_other(self, found: TurnOn | None) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
@@ -147,13 +155,6 @@ class FromTurnOn(SessionState):
             record = join_pieces(piece, record)
         self.pieces = [record]
         return record
-
-    def _begin_again(self, record: SensorData, found: TurnOn | None, due: float, look_back: float) -> None:
-        """Let a filter without this bias take the record until an instant [s] once more."""
-        self.found, self.told = found, due
-        self.make_parts()
-        again = cut_piece(record, np.flatnonzero(~(record.imu.t > due)), -np.inf, due)
-        self.filter.feed(self._less(replace(again, output_t=np.empty(0))), look_back, last=False)
 
     def _less(self, piece: SensorData) -> SensorData:
         return piece if self.found is None else _take_off(self.found, piece)
@@ -172,6 +173,15 @@ class FromTurnOn(SessionState):
     def make_parts(self) -> None:
         """Make the filter before or after the stretch."""
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
+
+
+def _divide(record: SensorData, t: float) -> tuple[SensorData, SensorData]:
+    """Return what has come until an instant [s], and the rest."""
+    until = ~(record.imu.t > t)
+    return (
+        cut_piece(record, np.flatnonzero(until), -np.inf, t),
+        cut_piece(record, np.flatnonzero(~until), t, np.inf),
+    )
 
 
 def _append(pieces: list[SensorData], piece: SensorData) -> None:
