@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 from bench.evaluation import verdict
 from bench.evaluation.required_metrics import MISSED
 from bench.evaluation.verdict import describe_accuracy, find_far_off, format_distance, is_outside
+from bench.findings.looks import LOOKS, VerdictLook, find_look
 from bench.wording import format_number
-
-Kind = Literal["good", "wide", "bad", "none"]
-
-MARKS: Mapping[Kind, str] = {"good": "✓", "wide": "△", "bad": "✗", "none": "–"}
-"""Kind of a verdict -> a sign for those who do not see colours."""
-
-_KINDS: Mapping[str, Kind] = {
-    verdict.CONSISTENT: "good",
-    verdict.UNDERCONFIDENT: "wide",
-    verdict.NO_CLAIM: "none",
-    verdict.UNJUDGED: "none",
-    "undecided": "none",
-}
 
 NEES = (
     "NEES, the normalized estimation error squared: squared error over claimed variance, summed over the "
-    "states; their number is right."
+    "states; a filter that knows its errors has the number of states."
 )
 """What the figure is by which a claim is judged."""
 
@@ -48,7 +36,7 @@ class Headline(NamedTuple):
 
     label: str
     word: str
-    kind: Kind
+    look: VerdictLook
     error: str  # and what is claimed
     figures: str
     drift: str
@@ -58,11 +46,6 @@ class Headline(NamedTuple):
     note: str  # instead of all of these
 
     @property
-    def mark(self) -> str:
-        """The sign of the verdict."""
-        return MARKS[self.kind]
-
-    @property
     def more(self) -> tuple[str, ...]:
         """The lines below the first."""
         if self.note:
@@ -70,10 +53,11 @@ class Headline(NamedTuple):
         return tuple(filter(None, (self.figures, self.outside, self.drift, self.why, self.required)))
 
 
-def find_kind(word: str, values: Mapping[str, Any] | None = None) -> Kind:
-    """Return the kind of a verdict; a claim that holds and is of no use is wide."""
-    kind = _KINDS.get(word, "bad")
-    return "wide" if kind == "good" and values is not None and find_far_off(values) else kind
+def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
+    """Return the look of a verdict; a claim that holds and is of no use is a warning."""
+    look = find_look(word)
+    useless = look.kind == "good" and values is not None and find_far_off(values)
+    return LOOKS[verdict.UNDERCONFIDENT] if useless else look
 
 
 def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
@@ -86,7 +70,7 @@ def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
     return Headline(
         label=label,
         word=f"{word}, but {far}" if far else word,
-        kind=find_kind(word, values),
+        look=judge_look(word, values),
         error=error,
         figures="; ".join(_list_figures(values)),
         drift="; ".join(_list_drifts(values)),

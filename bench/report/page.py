@@ -16,12 +16,12 @@ from bench import disk_arrays, earth, store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
+from bench.evaluation.headline import judge_look
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import find_words, format_metric
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
-from bench.findings.looks import LOOKS, find_look
 from bench.places import PACKAGE
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
@@ -30,7 +30,6 @@ from bench.report import svg
 from bench.run_result import RunResult
 from bench.wording import replace_control
 
-_FAR = LOOKS["underconfident"]  # of an honest filter whose error is far from usual
 _INTRODUCTIONS = {
     "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
     "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
@@ -116,8 +115,7 @@ def make_page(name: str, result: RunResult) -> str:
 
 def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
     word = str(values.get("verdict", ""))
-    far = word == verdict.CONSISTENT and verdict.find_far_off(values)
-    kind, mark = _FAR if far else find_look(word)
+    kind, mark = judge_look(word, values)
     remarks = [
         f"{begun:g} to {end:g} s: {text}"
         for what in ("alignment", "restart", "reset", "ended")

@@ -13,13 +13,11 @@ from rich.text import Text
 
 from bench.data import NavSolution
 from bench.evaluation import headline, verdict
-from bench.evaluation.headline import Headline, Kind, make_headline
+from bench.evaluation.headline import Headline, make_headline
 from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import find_words, format_metric, group_metrics
 from bench.wording import format_number
 from bench.workbench.divided_table import TableColumn, print_table
-
-_STYLES: Mapping[Kind, str] = {"good": "green", "wide": "yellow", "bad": "bold red", "none": ""}
 
 ROOM = 14
 """Lines for the headlines of a run: with what stands before and behind them a screen of 24."""
@@ -43,7 +41,7 @@ def print_headlines(console: Console, measured: Measured) -> None:
         if sum(map(len, texts)) <= ROOM:
             break
     for one, (first, *more) in zip(lines, texts, strict=True):
-        console.print(Text(first, _STYLES[one.kind]))
+        console.print(Text(first, one.look.style))
         for text in more:
             console.print(text)
     if any("NEES" in text for own in texts for text in own):
@@ -51,7 +49,7 @@ def print_headlines(console: Console, measured: Measured) -> None:
 
 
 def _wrap_headline(one: Headline, width: int) -> Iterator[str]:
-    first = f"{one.mark} {one.label}: {one.word}{f'; {one.error}' if one.error else ''}"
+    first = f"{one.look.mark} {one.label}: {one.word}{f'; {one.error}' if one.error else ''}"
     for text in (first, *one.more):
         yield from wrap(text, width, initial_indent="" if text is first else "  ", subsequent_indent="    ")
 
@@ -63,7 +61,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     """
     for values in measured.values():
         if text := values.get("verdict_text"):
-            console.print(text, style=_STYLES[headline.find_kind(str(values["verdict"]), values)])
+            console.print(text, style=headline.judge_look(str(values["verdict"]), values).style)
     names = list_key_figures(measured)
     for table in _divide(console, measured, names):
         console.print(table)
