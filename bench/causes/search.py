@@ -19,7 +19,7 @@ from bench.causes.candidates import SKY_ERRORS, WANDER, Candidate
 from bench.evaluation.block_nees import BlockNees, find_broken_block
 from bench.evaluation.error_series import TITLES
 from bench.navigation import built_in, estimator
-from bench.navigation.options import FORWARD
+from bench.navigation.forward_filters import FORWARD
 from bench.specs import AssumedSpecs, EstimatorChoice, SensorsSpec
 from bench.wording import format_number
 

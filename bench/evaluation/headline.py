@@ -66,7 +66,8 @@ def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
     far = find_far_off(values) if word == verdict.CONSISTENT else ""
     error = describe_accuracy(values) if "pos_rmse_h_m" in values or "tilt_rmse_deg" in values else ""
     if not values.get("converged", True):
-        error = f"{values['reason']}{'; ' if error else ''}{error}"
+        reason = str(values["reason"]).removeprefix(f"{word}: ")
+        error = f"{reason}{'; ' if error else ''}{error}"
     return Headline(
         label=label,
         word=f"{word}, but {far}" if far else word,

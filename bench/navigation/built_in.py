@@ -1,6 +1,7 @@
 """The built-in estimators by name, and how an estimator is built from a name and its options.
 
-A row imports its filter only when one is built, so that listing the names does not load numba.
+A row imports its filter and its options only when they are asked for: listing the names loads neither numba
+nor pydantic.
 """
 
 from __future__ import annotations
@@ -8,26 +9,16 @@ from __future__ import annotations
 import importlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bench.errors import EstimatorError
 from bench.installed import find_class
 from bench.navigation.estimator import Estimator, catch_exit, construct
-from bench.navigation.options import (
-    FORWARD,
-    ClassicOptions,
-    ComplementaryOptions,
-    FusionOptions,
-    GnssOnlyOptions,
-    GraphOptions,
-    InvariantOptions,
-    LeastSquaresOptions,
-    Options,
-    SmootherOptions,
-    TightOptions,
-    UnscentedOptions,
-)
+from bench.navigation.forward_filters import FORWARD
 from bench.wording import as_toml
+
+if TYPE_CHECKING:
+    from bench.navigation.options import Options
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +27,14 @@ class BuiltIn:
 
     title: str
     import_class: Callable[[], type[Estimator]]  # imports it
-    options: type[Options]
+    import_options: Callable[[], type[Options]]
     fixed: Mapping[str, Any]  # options that make it what it is
     package: str | None = None  # that has to be installed beside bench
+
+    @property
+    def options(self) -> type[Options]:
+        """The class of its options."""
+        return self.import_options()
 
     def wrong(self, given: Mapping[str, Any]) -> list[str]:
         """Return a line for each option of a profile that is wrong."""
@@ -47,6 +43,12 @@ class BuiltIn:
             *(f"option {name!r} is fixed to {as_toml(self.fixed[name])}; leave it out" for name in clash),
             *self.options.list_wrong({k: v for k, v in given.items() if k not in clash}, self.fixed),
         ]
+
+
+def _options() -> Any:
+    from bench.navigation import options
+
+    return options
 
 
 def _import_loose() -> type[Estimator]:
@@ -125,97 +127,106 @@ _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias", _import_loose, FusionOptions, FORWARD["loose-15"]
+        "INS/GNSS/baro, 15 states and a baro bias",
+        _import_loose,
+        lambda: _options().FusionOptions,
+        FORWARD["loose-15"],
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states", _import_loose, FusionOptions, FORWARD["loose-22"]
+        "the same with GNSS Markov errors, 22 states",
+        _import_loose,
+        lambda: _options().FusionOptions,
+        FORWARD["loose-22"],
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
         _import_loose,
-        FusionOptions,
+        lambda: _options().FusionOptions,
         FORWARD["loose-mems"],
     ),
     "loose-full": BuiltIn(
         "loose-22 with a state or noise for every error of the IMU that its datasheet names",
         _import_loose,
-        FusionOptions,
+        lambda: _options().FusionOptions,
         FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
         "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
         _import_tight,
-        TightOptions,
+        lambda: _options().TightOptions,
         FORWARD["tight"],
     ),
     "smoother": BuiltIn(
         "loose-full and a pass back over its record",
         _import_smoother,
-        SmootherOptions,
+        lambda: _options().SmootherOptions,
         {"gnss": True},
     ),
     "baro-inertial": BuiltIn(
-        "IMU and barometer", _import_loose, FusionOptions, {"gnss": False, "gnss_markov": False}
+        "IMU and barometer",
+        _import_loose,
+        lambda: _options().FusionOptions,
+        {"gnss": False, "gnss_markov": False},
     ),
     "free-inertial": BuiltIn(
         "IMU alone, with its open-loop covariance",
         _import_loose,
-        FusionOptions,
+        lambda: _options().FusionOptions,
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
     "gnss-only": BuiltIn(
         "position and velocity from the fixes, without IMU",
         _import_gnss_only,
-        GnssOnlyOptions,
+        lambda: _options().GnssOnlyOptions,
         {},
     ),
     "ukf": BuiltIn(
         "the states of loose-15 by sigma points, slow",
         _import_ukf,
-        UnscentedOptions,
+        lambda: _options().UnscentedOptions,
         {},
     ),
     "classic-22": BuiltIn(
         "the source's 22 states step by step, slow: the oracle of loose-22",
         _import_classic_22,
-        ClassicOptions,
+        lambda: _options().ClassicOptions,
         {},
     ),
     "error-ekf": BuiltIn(
         "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
         _import_error_ekf,
-        ClassicOptions,
+        lambda: _options().ClassicOptions,
         {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
     ),
     "fixed-gain": BuiltIn(
         "classic-22 with the gain of a settled filter throughout, slow",
         _import_fixed_gain,
-        ClassicOptions,
+        lambda: _options().ClassicOptions,
         _NO_FORM,
     ),
     "complementary": BuiltIn(
         "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
         _import_complementary,
-        ComplementaryOptions,
+        lambda: _options().ComplementaryOptions,
         _NO_FORM,
     ),
     "least-squares": BuiltIn(
         "least squares over the past, old measurements with less weight, slow",
         _import_least_squares,
-        LeastSquaresOptions,
+        lambda: _options().LeastSquaresOptions,
         _NO_FORM,
     ),
     "invariant-ekf": BuiltIn(
         "invariant EKF of gtsam on SE2(3), nine states; IMU biases act as noise; slow (extra 'graph')",
         _import_invariant_ekf,
-        InvariantOptions,
+        lambda: _options().InvariantOptions,
         {},
         package="gtsam",
     ),
     "graph-smoother": BuiltIn(
         "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow (extra 'graph')",
         _import_graph_smoother,
-        GraphOptions,
+        lambda: _options().GraphOptions,
         {},
         package="gtsam",
     ),

@@ -20,16 +20,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from bench.navigation.forward_filters import FORWARD
 from bench.wording import as_toml, describe_error, read_words, suggest
-
-FORWARD: Mapping[str, Mapping[str, bool]] = {
-    "loose-15": {"gnss_markov": False},
-    "loose-22": {"gnss_markov": True},
-    "loose-mems": {"gnss_markov": True, "mems": True},
-    "loose-full": {"gnss_markov": True, "every_error": True},
-    "tight": {"gnss_markov": False},
-}
-"""The compiled filters that run forward with GNSS -> the options that make each what it is."""
 
 
 @dataclass(frozen=True)

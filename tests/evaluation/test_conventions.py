@@ -117,7 +117,7 @@ def test_what_a_constant_error_may_be_by_chance_is_no_convention(sigmas, named):
     lla = earth.displace(lla, np.array([0.0, 0.0, 6.0]))
     cov = np.tile(np.diag(np.square(sd)), (len(given.t), 1, 1))
     solution = replace(given, lla=lla, vel_n=vel_n, q_nb=q_nb, cov=cov)
-    found = find_mistakes(truth, solution, sensed.data.antenna_b, profile.evaluation.begin)
+    found = find_mistakes(truth, [solution], sensed.data.antenna_b, profile.evaluation.begin)
     assert conventions(found) == named
 
 
@@ -126,9 +126,9 @@ def test_what_cannot_be_compared_is_no_convention():
     given, sensed = mistaken.give("", 0)
     profile, truth = mistaken.fly()
     begin, arm = profile.evaluation.begin, sensed.data.antenna_b
-    assert find_mistakes(truth, given, arm, 1e9) == {}
-    assert find_mistakes(truth, replace(given, t=given.t + 1e6), arm, begin) == {}
-    assert find_mistakes(truth, replace(given, lla=given.lla * 1e200), arm, begin) == {}
+    assert find_mistakes(truth, [given], arm, 1e9) == {}
+    assert find_mistakes(truth, [replace(given, t=given.t + 1e6)], arm, begin) == {}
+    assert find_mistakes(truth, [replace(given, lla=given.lla * 1e200)], arm, begin) == {}
 
 
 def test_the_place_of_the_antenna_is_recognized():

@@ -116,7 +116,7 @@ def test_run_and_campaign_end_with_1_where_a_requirement_is_missed(tmp_path, cap
     path = tmp_path / "short.toml"
     for text, status, failures in ((KEPT, 0, 0), (KEPT + BROKEN, 1, 1)):
         path.write_text(PROFILE.format(text))
-        for verb in (["run", "--no-rrd"], ["campaign", "--runs", "6", "--jobs", "1"]):
+        for verb in (["run", "--table", "--no-rrd"], ["campaign", "--runs", "6", "--jobs", "1"]):
             order = [*verb, "short.toml", "--no-report", "--force", "--junit", "found.xml"]
             assert main(order) == status, verb
             said = re.sub(r"\s+", " ", capsys.readouterr().out)

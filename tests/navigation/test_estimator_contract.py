@@ -553,7 +553,7 @@ def test_a_filter_that_diverges_is_a_result(truth, sensed, case):
 def test_a_filter_of_nan_did_not_converge(truth, sensed):
     data = replace(sensed.data, specs=replace(sensed.data.specs, **ABSURD["gyro noise of NaN"]))
     solution = Loose(readmit_after_s=0.0).run(data, sensed.initial)
-    assert np.isnan(solution.lla[-1]).all()
+    assert np.isnan(solution.lla[solution.t < 20.0][-1]).all()  # until the fixes alone begin it anew
     _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert judged["converged"] is False
     _, judged = metrics.judge(

@@ -204,7 +204,7 @@ def navigated(folder, text, capsys, *more):
         (folder / f"{name}.toml").write_text(sheet)
     (folder / "drive.toml").write_text(text)
     out = folder / "out"
-    code = main(["navigate", str(folder / "drive.toml"), "-o", str(out), *more])
+    code = main(["navigate", "--table", str(folder / "drive.toml"), "-o", str(out), *more])
     said = capsys.readouterr()
     assert code == 0, said.err
     assert "gives no velocity; gravity" in said.err + said.out

@@ -253,7 +253,7 @@ class BetweenGaps(SessionState):
             return
         assert self.watch is not None
         kept = self.filter is not None and self.watch.any_refused
-        if not kept or newest_sample(self.since) - self.since.imu.t[0] > _LONGEST_KEPT:
+        if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > _LONGEST_KEPT:
             self.fork, self.since = None, None
         answered, told = self.told
         self.told = float(solution.t.max(initial=answered)), float(solution.innovations.t.max(initial=told))

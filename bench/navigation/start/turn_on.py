@@ -29,6 +29,7 @@ from bench.navigation.engine.piecewise import (
     take_after,
 )
 from bench.navigation.engine.record_cuts import (
+    aiding_records,
     cut_piece,
     join_pieces,
     newest_sample,
@@ -116,7 +117,6 @@ class FromTurnOn(SessionState):
         parts: list[NavSolution] = []
         if self.step < len(STEPS):
             _append(self.pieces, piece)
-        behind = None  # what the filter has to take before the piece
         while self.step < len(STEPS):
             due = self.initial.t + STEPS[self.step]
             if max(newest_sample(one) for one in self.pieces) < due:
@@ -126,21 +126,19 @@ class FromTurnOn(SessionState):
             found = find_turn_on(record, self.initial, due)
             if self._is_other(found):
                 before, piece = _divide(piece, due)
-                solution = self._take(behind, before, 0.0, last=True)
+                solution = self._take(before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
                 parts.append(replace(solution, events=Events.from_rows(events)))
                 self.found, self.told = found, due
                 self.make_parts()
-                behind = replace(_divide(record, due)[0], output_t=np.empty(0))
+                again = replace(_divide(record, due)[0], output_t=np.empty(0))
+                self._take(again, max(look_back, _reach_back(piece, due)), last=False)  # all of it is told
         if self.step == len(STEPS):
             self.pieces = []
-        return join_solutions([*parts, self._take(behind, piece, look_back, last=last)])
+        return join_solutions([*parts, self._take(piece, look_back, last=last)])
 
-    def _take(
-        self, behind: SensorData | None, piece: SensorData, look_back: float, *, last: bool
-    ) -> NavSolution:
-        whole = piece if behind is None else join_pieces(behind, piece)
-        return self._own(self.filter.feed(self._less(whole), look_back, last=last))
+    def _take(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+        return self._own(self.filter.feed(self._less(piece), look_back, last=last))
 
     def _is_other(self, found: TurnOn | None) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
@@ -182,6 +180,12 @@ def _divide(record: SensorData, t: float) -> tuple[SensorData, SensorData]:
         cut_piece(record, np.flatnonzero(until), -np.inf, t),
         cut_piece(record, np.flatnonzero(~until), t, np.inf),
     )
+
+
+def _reach_back(rest: SensorData, t: float) -> float:
+    """Return how long before an instant [s] that is valid which arrives after it [s]."""
+    valid = [one.t[one.t_arrival > t].min(initial=t) for one in aiding_records(rest).values()]
+    return t - min(valid, default=t)
 
 
 def _append(pieces: list[SensorData], piece: SensorData) -> None:
