@@ -30,6 +30,7 @@ FUNCTIONS = {
 }
 """Verb -> what does it from Python."""
 WITHOUT = {
+    "show": "prints what `load` and `load_campaign` return",
     "cache": "looks after files of this machine",
     "guide": "shows pages",
     "new": "writes a starting point to edit",

@@ -110,7 +110,7 @@ def test_a_program_stands_in_a_comparison_beside_a_built_in_filter(tmp_path, hol
     assert main(["run", "short.toml", "--no-rrd", *options]) == 2
     assert "./none" not in capsys.readouterr().out
     assert not (tmp_path / "runs").exists()
-    assert main(["run", "short.toml", *options[:2]]) in (0, 1)
+    assert main(["run", "short.toml", "--table", *options[:2]]) in (0, 1)
     said = capsys.readouterr().out
     assert ": exit status 0; stderr ends: " in said
     result = store.load(tmp_path / "runs" / "short-5")

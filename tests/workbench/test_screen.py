@@ -78,7 +78,7 @@ def test_a_headline_names_what_is_required_and_missed():
 
 
 def test_the_first_line_comes_before_anything_that_takes_long(tmp_path):
-    """Half a second on an idle machine: numpy, pydantic, rich and click, and as much again."""
+    """What it needs is numpy, pydantic, rich, click and the profile; numba or JSBSim would double it."""
     command = [sys.executable, "-m", "bench", "run", "figure-eight", "--no-rrd", "--no-report"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, cwd=tmp_path, text=True) as started:
         assert started.stdout is not None
@@ -88,7 +88,7 @@ def test_the_first_line_comes_before_anything_that_takes_long(tmp_path):
     own = sum(map(int, used)) / os.sysconf("SC_CLK_TCK")
     code = "import time, numpy, pydantic, rich.console, click; print(time.process_time())"
     floor = float(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout)
-    assert own < 3.0 * floor
+    assert own < 5.0 * floor
 
 
 def test_a_run_names_its_stages():
