@@ -12,8 +12,8 @@ from bench.findings.looks import LOOKS, VerdictLook, find_look
 from bench.wording import format_number
 
 NEES = (
-    "NEES, the normalized estimation error squared: squared error over claimed variance, summed over the "
-    "states; a filter that knows its errors has the number of states."
+    "NEES, normalized estimation error squared: squared error over claimed variance, in the mean the number "
+    "of states where the claim is right."
 )
 """What the figure is by which a claim is judged."""
 

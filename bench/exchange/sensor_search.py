@@ -16,13 +16,13 @@ from bench.exchange.exporter_names import make_plain, match_exporter
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
-from bench.units import ENDINGS, split_unit
+from bench.units import ENDINGS, STANDARD_GRAVITY, split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
 TEXT = ".txt"
 """Ending of the texts of KF-GINS, numbers without names, and of the tables of some programs."""
 _TEXTS = (TEXT, ".tsv")
-_GRAVITY = {"g": 1.0, "m_s2": 9.8, "mg": 1000.0}
+_GRAVITY = {"g": 1.0, "m_s2": STANDARD_GRAVITY, "mg": 1000.0}
 _NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
 _FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
 _UNKNOWN = -1.0  # that receivers write for a standard deviation they do not know

@@ -214,7 +214,7 @@ class _Walk:
         return stay(piece.output_t, self.initial, self.count)
 
     def answer(self, head):
-        self.count = self.count + 1000  # it is asked of a copy
+        self.count = self.count + 1000  # the caller asks a copy, and drops it
         return stay(np.array([self.end]), self.initial, self.count)
 
     def copy(self):

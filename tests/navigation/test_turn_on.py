@@ -139,7 +139,8 @@ def test_in_pieces_it_begins_again_with_the_same_bits(figure_eight_truth, tmp_pa
     profile = bench.load_profile("figure-eight", {"sensors.imu": "mpu-9250"})
     sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 2401))
     fixes = sensed.data.fixes  # some arrive after a look at the stretch and are valid before it
-    late = replace(sensed.data, fixes=replace(fixes, t_arrival=fixes.t_arrival + 0.7))
+    t = np.where(np.arange(len(fixes)) == 7, np.nan, fixes.t)  # one says no time
+    late = replace(sensed.data, fixes=replace(fixes, t=t, t_arrival=fixes.t_arrival + 0.7))
     sensed = replace(sensed, data=late)
     whole = load("loose-full", {}).run(sensed.data, sensed.initial)
     assert len(whole.events.select("alignment")) >= 2

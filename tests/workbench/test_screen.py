@@ -45,7 +45,7 @@ def test_a_run_is_told_on_one_screen(profile, words, tmp_path, monkeypatch, caps
     assert cli.main(["run", profile, "--no-causes", "--no-rrd", "--no-report"]) in (0, 1)
     printed = capsys.readouterr().out
     assert len(take_lines(printed)) <= HEIGHT
-    for text in (*words, "NEES, the normalized estimation error squared", "All figures: bench show runs/"):
+    for text in (*words, "NEES, normalized estimation error squared", "All figures: bench show runs/"):
         assert text in printed
     assert cli.main(["show"]) == 0
     table = capsys.readouterr().out

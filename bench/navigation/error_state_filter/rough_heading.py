@@ -39,12 +39,12 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
 def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
     """Take out of F what a roughly known heading does, while the velocity may be none.
 
-    Return whether the heading is any: its error is then a new one, and nothing of the old one goes on.
+    Return whether the heading is unknown: its error then begins anew, independent of what it was.
 
-    With an sd above ``WIDE`` the heading is any, independent of all the rest. What it does to the rate of the
-    tilts, no more than the horizontal Earth rate, is left to the gyro biases: they wander more in a unit that
-    loses it. The tilts turn with the heading, at a rate as unknown as the bias about the vertical, and so
-    forget themselves in the time of a turn by a radian.
+    With an sd above ``WIDE`` the heading may be any, independent of all the rest. What it does to the rate of
+    the tilts, no more than the horizontal Earth rate, is left to the gyro biases: they wander more in a unit
+    that loses it. The tilts turn with the heading, at a rate as unknown as the bias about the vertical, and
+    so forget themselves in the time of a turn by a radian.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""A large turn-on bias of the gyros, learnt over the first minutes before a linear filter takes it.
+"""A large turn-on bias of the gyros, learnt in the first seconds before a linear filter takes it.
 
 In straight flight no measurement shows the heading. A bias of degrees per second turns it by tens of degrees
 until the first turn, and a linear filter is then lost. So the mean rate over a stretch in which the course
 stays is taken for the bias: the attitude of a vehicle that flies or drives straight changes little. At rest
-it does not change at all. The filter then begins again at the start with what is left of the bias; the
-answers until then are those without this knowledge. What is left is learnt while the course stays
-(`steady_course`).
+it does not change at all. The filter begins again at the start with what is left of the bias, first after
+1.5 s and then with what a longer stretch tells; answers that were given are not changed. What is left is
+learnt while the course stays (`steady_course`).
 """
 
 from __future__ import annotations
@@ -125,13 +125,13 @@ class FromTurnOn(SessionState):
             record = self._join_pieces()
             found = find_turn_on(record, self.initial, due)
             if self._is_other(found):
-                before, piece = _divide(piece, due)
+                before, piece = _until(piece, due), _after(piece, due)
                 solution = self._take(before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
                 parts.append(replace(solution, events=Events.from_rows(events)))
                 self.found, self.told = found, due
                 self.make_parts()
-                again = replace(_divide(record, due)[0], output_t=np.empty(0))
+                again = replace(_until(record, due), output_t=np.empty(0))
                 self._take(again, max(look_back, _reach_back(piece, due)), last=False)  # all of it is told
         if self.step == len(STEPS):
             self.pieces = []
@@ -173,19 +173,20 @@ class FromTurnOn(SessionState):
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
 
 
-def _divide(record: SensorData, t: float) -> tuple[SensorData, SensorData]:
-    """Return what has come until an instant [s], and the rest."""
-    until = ~(record.imu.t > t)
-    return (
-        cut_piece(record, np.flatnonzero(until), -np.inf, t),
-        cut_piece(record, np.flatnonzero(~until), t, np.inf),
-    )
+def _until(record: SensorData, t: float) -> SensorData:
+    """Return what has come until an instant [s]."""
+    return cut_piece(record, np.flatnonzero(~(record.imu.t > t)), -np.inf, t)
+
+
+def _after(record: SensorData, t: float) -> SensorData:
+    """Return what comes after an instant [s]."""
+    return cut_piece(record, np.flatnonzero(record.imu.t > t), t, np.inf)
 
 
 def _reach_back(rest: SensorData, t: float) -> float:
     """Return how long before an instant [s] that is valid which arrives after it [s]."""
-    valid = [one.t[one.t_arrival > t].min(initial=t) for one in aiding_records(rest).values()]
-    return t - min(valid, default=t)
+    valid = [np.fmin.reduce(one.t[one.t_arrival > t], initial=t) for one in aiding_records(rest).values()]
+    return t - float(min(valid, default=t))
 
 
 def _append(pieces: list[SensorData], piece: SensorData) -> None:
