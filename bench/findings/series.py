@@ -8,27 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bench import disk_arrays
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events
+from bench.palette import SLOTS, Colour, choose_looks
 
-Colour = tuple[int, int, int]
-
-TRUTH: Colour = (110, 190, 90)
+TRUTH: Colour = SLOTS[0].dark
 FIX: Colour = (255, 205, 50)
 OUTAGE: Colour = (255, 150, 0)
 FAULT: Colour = (225, 70, 225)
 REJECTED: Colour = (255, 60, 60)
 BAND: Colour = (150, 150, 150)
-AXIS_COLOURS: tuple[Colour, ...] = ((235, 90, 90), (90, 190, 90), (90, 140, 250))  # x, y, z and n, e, d
-ESTIMATORS: tuple[Colour, ...] = (
-    (70, 150, 255),
-    (255, 110, 80),
-    (190, 120, 255),
-    (0, 195, 195),
-    (240, 120, 190),
-    (165, 175, 60),
-)
-ESTIMATOR_NAMES = ("blue", "orange", "violet", "teal", "pink", "olive")
+AXIS_COLOURS: tuple[Colour, ...] = (SLOTS[2].dark, SLOTS[4].dark, SLOTS[1].dark)  # x, y, z and n, e, d
+ESTIMATORS: tuple[Colour, ...] = tuple(slot.dark for slot in SLOTS[1:])
 
 MOST_ROWS = 25.0
 """Poses and plots hold at most this many rows a second [Hz]."""
@@ -66,6 +57,7 @@ class Series:
     band: tuple[int, int] | None = None  # the lines between which a claim or an expectation lies
     most: float = np.inf  # rows a second that are enough to show it [Hz]
     labels: tuple[str, ...] = ()  # N, beside the dots; empty: none
+    dashed: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +100,26 @@ class Plot:
                 low, high = low - step, high + step
         margin = 0.04 * (high - low)
         return float(low - margin), float(high + margin)
+
+
+def take_logarithms(plot: Plot) -> Plot:
+    """Return a plot with decimal logarithms on its logarithmic axes; what is not positive is left out."""
+    series = list(plot.series)
+    if "x" in plot.log:
+        kept = [one.t > 0.0 for one in series]
+        series = [
+            replace(one, t=np.log10(one.t[rows]), values=one.values[rows], labels=_select(one.labels, rows))
+            for one, rows in zip(series, kept, strict=True)
+        ]
+    if "y" in plot.log:
+        series = [
+            replace(one, values=np.log10(np.where(one.values > 0.0, one.values, np.nan))) for one in series
+        ]
+    return replace(plot, series=tuple(series))
+
+
+def _select(labels: Sequence[str], rows: BoolArray) -> tuple[str, ...]:
+    return tuple(label for label, kept in zip(labels, rows, strict=True) if kept) if labels else ()
 
 
 def _round_up(value: float, ten: float) -> float:
@@ -172,7 +184,7 @@ def shorten(series: Series) -> Series:
 
 def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:
     """Return the colour each estimator has in every view."""
-    return {label: ESTIMATORS[k % len(ESTIMATORS)] for k, label in enumerate(labels)}
+    return {label: look.colour for label, look in choose_looks(labels).items()}
 
 
 def round_number(value: float) -> float:
@@ -193,10 +205,17 @@ def paler(colour: Colour) -> Colour:
 
 
 def draw_line(
-    key: str, t: FloatArray, values: FloatArray, name: str, colour: Colour, most: float = SLOW
+    key: str,
+    t: FloatArray,
+    values: FloatArray,
+    name: str,
+    colour: Colour,
+    most: float = SLOW,
+    *,
+    dashed: bool = False,
 ) -> Series:
     """Return one line, for which so many rows a second are enough [Hz]."""
-    return shorten(Series(key, t, values[:, None], (name,), (colour,), (1.5,), most=most))
+    return shorten(Series(key, t, values[:, None], (name,), (colour,), (1.5,), most=most, dashed=dashed))
 
 
 def draw_dots(

@@ -23,7 +23,8 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
-from bench.findings.series import Colour, Rows, estimator_colours, shorten
+from bench.findings.series import Rows, shorten
+from bench.palette import Colour, Look, choose_looks
 from bench.run_result import RunResult
 
 
@@ -76,9 +77,14 @@ class Content:
     antenna_mask: float | None = None  # elevation against b below which the antenna receives nothing [rad]
 
     @property
+    def looks(self) -> dict[str, Look]:
+        """How each estimator is drawn."""
+        return choose_looks(self.solutions)
+
+    @property
     def colours(self) -> dict[str, Colour]:
         """The colour of each estimator."""
-        return estimator_colours(self.solutions)
+        return {label: look.colour for label, look in self.looks.items()}
 
 
 def gather_content(result: RunResult, *, in_space: bool = True) -> Content | None:

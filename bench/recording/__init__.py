@@ -48,7 +48,13 @@ def write(path: Path, name: str, result: RunResult) -> None:
     content = gather_content(result)
     if content is None:
         raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
-    plots = {tab.name: tab.plots(content) for tab in TABS}
+    plots = {
+        tab.name: {
+            label: [[drawing.linearize(plot) for plot in row] for row in rows]
+            for label, rows in tab.plots(content).items()
+        }
+        for tab in TABS
+    }
     scene = space.make_scene(content)
     shades = series.shades(content.sensed.events)
     with _strict():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
 from bench.arrays import FloatArray
-from bench.findings.series import Plot, Shade, select_rows
+from bench.findings.series import Plot, Series, Shade, select_rows, take_logarithms
 
 TIMELINE = "flight_time"
 
@@ -30,13 +31,25 @@ def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
         style = (
             rr.SeriesPoints(colors=colours, names=names, marker_sizes=series.widths)
             if series.marks
-            else rr.SeriesLines(colors=colours, names=names, widths=series.widths)
+            else rr.SeriesLines(colors=colours, names=names, widths=_choose_widths(series))
         )
         stream.log(path, style, static=True)
         keep = select_rows(series)
         _send_scalars(stream, path, series.t[keep], series.values[keep])
     for shade in shades:
         _send_shade(stream, entity(*plot.path, "behind", shade.key), shade, plot)
+
+
+def _choose_widths(series: Series) -> list[float]:
+    return [0.5 * one if series.dashed else one for one in series.widths]  # the viewer has no dashes
+
+
+def linearize(plot: Plot) -> Plot:
+    """Return a plot as the viewer, which has no logarithmic axes, can show it: of the logarithms."""
+    if not plot.log:
+        return plot
+    title = f"log10 of {plot.title}" if "y" in plot.log else plot.title
+    return replace(take_logarithms(plot), title=title, log="")
 
 
 def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:

@@ -11,7 +11,8 @@ import rerun.blueprint as rrb
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
-from bench.findings.series import Colour, thin
+from bench.findings.series import thin
+from bench.palette import Colour
 from bench.plots.content import Content
 from bench.plots.tabs.satellites import USED, find_epochs, name_of
 from bench.recording.drawing import TIMELINE

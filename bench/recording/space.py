@@ -19,11 +19,11 @@ from bench.findings.series import (
     MOST_ROWS,
     SLOW,
     TRUTH,
-    Colour,
     limit_rate,
     round_number,
     thin,
 )
+from bench.palette import Colour
 from bench.plots.content import Content
 from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES

@@ -11,7 +11,8 @@ import rerun as rr
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.evaluation.verdict import list_sentences
-from bench.findings.series import ESTIMATOR_NAMES, OUTAGE
+from bench.findings.series import OUTAGE
+from bench.palette import choose_looks
 from bench.plots.content import Content
 from bench.plots.facts import list_facts, list_units
 from bench.recording.drawing import TIMELINE
@@ -92,9 +93,7 @@ def make_summary(result: RunResult) -> str:
     """Return the markdown summary of a result: the experiment, and the metrics by estimator."""
     metrics, profile = result.metrics, result.profile
     begin = f"{result.evaluation.begin:g} s"
-    colours = ", ".join(
-        f"{_escape(label)} {ESTIMATOR_NAMES[k % len(ESTIMATOR_NAMES)]}" for k, label in enumerate(metrics)
-    )
+    colours = ", ".join(f"{_escape(label)} {look.name}" for label, look in choose_looks(metrics).items())
     truth = "GNSS is yellow" if result.truth is None else "Truth is green, GNSS yellow"
     lost = [f"{start:g} to {end:g} s" for start, end, _ in result.events.select("gnss_outage")]
     faults = [f"{start:g} to {end:g} s: {text}" for start, end, text in result.events.select("fault")]

@@ -17,7 +17,8 @@ from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metrics import find_metric
 from bench.findings import series
 from bench.findings.looks import find_look
-from bench.findings.series import Colour, Plot, Series
+from bench.findings.series import Plot, Series
+from bench.palette import Colour
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot
 from bench.specs import EvaluationWindow

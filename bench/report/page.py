@@ -22,6 +22,7 @@ from bench.evaluation.metric_words import find_words, format_metric
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
+from bench.palette import write_variables
 from bench.places import PACKAGE
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
@@ -295,6 +296,13 @@ def _read(name: str) -> str:
     return (PACKAGE / "report" / name).read_text(encoding="utf-8")
 
 
+def _read_style() -> str:
+    """Return the style with the palette for the ground that the reader has."""
+    light, dark = (write_variables(dark=one) for one in (False, True))
+    on_dark = f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
+    return f":root {{ {light} }}\n{on_dark}\n{_read('page.css')}"
+
+
 def render(template: str, **values: Any) -> str:
     """Return a page from a template of this package, with the style and the script all pages share.
 
@@ -306,7 +314,7 @@ def render(template: str, **values: Any) -> str:
     page: str = (
         _load_templates()
         .get_template(template)
-        .render(style=_read("page.css"), script=script, policy=policy, version=bench.__version__, **values)
+        .render(style=_read_style(), script=script, policy=policy, version=bench.__version__, **values)
     )
     return page
 

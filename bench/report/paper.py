@@ -11,7 +11,8 @@ import numpy as np
 from bench import durable
 from bench.errors import ConfigError
 from bench.findings import series
-from bench.findings.series import Colour, Plot, Shade
+from bench.findings.series import Plot, Shade
+from bench.palette import SLOTS, Colour, find_slot
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.run_result import RunResult
@@ -258,7 +259,9 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
         for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
             if one.band is None or k not in one.band:
                 label = name if name not in seen else None
-                line = {"ls": "", "marker": ".", "ms": 1.5} if one.marks else {"lw": 0.8}
+                line: dict[str, Any] = {"lw": 0.8, "ls": "--" if one.dashed else "-"}
+                if one.marks:
+                    line = {"ls": "", "marker": ".", "ms": 1.5}
                 axes.plot(one.t, one.values[:, k], color=_darken(colour), label=label, **line)
                 for x, y, text in zip(one.t, one.values[:, k], one.labels, strict=False):
                     axes.annotate(text, (x, y), (3, 0), textcoords="offset points", fontsize=_NAME)
@@ -274,5 +277,8 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
 
 
 def _darken(colour: Colour) -> tuple[float, float, float]:
-    red, green, blue = (float(_DARKER * part / 255.0) for part in np.asarray(colour))
+    """Return the tone of a colour for white paper [1]."""
+    slot = find_slot(colour)
+    tone, factor = (colour, _DARKER) if slot is None else (SLOTS[slot].light, 1.0)
+    red, green, blue = (float(factor * part / 255.0) for part in np.asarray(tone))
     return red, green, blue

@@ -7,13 +7,14 @@ is lost. Coordinates are tenths of a pixel, in whole numbers.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.findings.series import Colour, Plot, Series, Shade, round_number
+from bench.arrays import FloatArray, IntArray
+from bench.findings.series import Plot, Series, Shade, round_number, take_logarithms
+from bench.palette import Colour, find_slot
 from bench.wording import replace_control
 
 WIDTH, HEIGHT = 420, 170
@@ -64,7 +65,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
         for axis, (a, b) in zip("xy", (window, plot.limits()), strict=True)
     )
     frame = Frame(across, up, WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM)
-    plot = _take_logarithms(plot)
+    plot = take_logarithms(plot)
     body = [_draw_shade(frame, shade) for shade in shades]
     body += [_draw_band(frame, series) for series in plot.series if series.band is not None]
     for series in plot.series:
@@ -79,26 +80,6 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
         f'{"".join(marks)}<g class="times">{"".join(_mark_times(frame, plot))}</g>'
         f"{_open_area(frame, plot)}{_draw_grid(frame, 'y' in plot.log)}{''.join(body)}</svg></svg>"
     )
-
-
-def _take_logarithms(plot: Plot) -> Plot:
-    """Return a plot with decimal logarithms on its logarithmic axes; what is not positive is left out."""
-    series = list(plot.series)
-    if "x" in plot.log:
-        kept = [one.t > 0.0 for one in series]
-        series = [
-            replace(one, t=np.log10(one.t[rows]), values=one.values[rows], labels=_select(one.labels, rows))
-            for one, rows in zip(series, kept, strict=True)
-        ]
-    if "y" in plot.log:
-        series = [
-            replace(one, values=np.log10(np.where(one.values > 0.0, one.values, np.nan))) for one in series
-        ]
-    return replace(plot, series=tuple(series))
-
-
-def _select(labels: Sequence[str], rows: BoolArray) -> tuple[str, ...]:
-    return tuple(label for label, kept in zip(labels, rows, strict=True) if kept) if labels else ()
 
 
 def describe(plot: Plot) -> str:
@@ -275,7 +256,8 @@ def _draw_series(frame: Frame, series: Series) -> Iterable[str]:
             yield _draw_dots(frame, series.t[good], values[good], "dots", colour)
         else:
             runs = [_thin(*frame.place(series.t[rows], values[rows])) for rows in _split_runs(good)]
-            yield _stroke("".join(_join(np.column_stack(_straighten(*run))) for run in runs), colour)
+            data = "".join(_join(np.column_stack(_straighten(*run))) for run in runs)
+            yield _stroke(data, colour, dashed=series.dashed)
 
 
 def _thin(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
@@ -361,10 +343,15 @@ def _join(points: IntArray) -> str:
     )
 
 
-def _stroke(data: str, colour: Colour) -> str:
-    return f'<path class="line" d="{data}" style="--c:{css_colour(colour)}"/>'
+def _stroke(data: str, colour: Colour, *, dashed: bool = False) -> str:
+    kind = "line dashed" if dashed else "line"
+    return f'<path class="{kind}" d="{data}" style="--c:{css_colour(colour)}"/>'
 
 
 def css_colour(colour: Colour) -> str:
-    """Return a colour as it is written in CSS."""
-    return f"#{colour[0]:02x}{colour[1]:02x}{colour[2]:02x}"
+    """Return a colour as it is written in CSS; one of the palette by its variable."""
+    slot = find_slot(colour)
+    if slot is not None:
+        return f"var(--s{slot})"
+    red, green, blue = colour
+    return f"color-mix(in srgb, #{red:02x}{green:02x}{blue:02x} var(--deep), var(--into))"

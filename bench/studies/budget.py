@@ -26,6 +26,7 @@ from bench.evaluation.linear.terms import model_errors
 from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot, Series
 from bench.navigation.models.loose_tight import Loose
+from bench.palette import Colour
 from bench.specs import Profile
 from bench.studies.drawn_errors import (
     Draws,
@@ -271,7 +272,7 @@ def _judge_claim(budget: Budget, at: dict[str, int], label: str, refused: int) -
 def _plot(budget: Budget, label: str) -> list[Plot]:
     """Return for each quantity the stacked shares of the variance, and claimed and actual error."""
     plots = []
-    colours: dict[str, series.Colour] = {}
+    colours: dict[str, Colour] = {}
     for quantity in QUANTITIES:
         by_source = _stack(budget.variance, quantity)
         whole = by_source.sum(axis=1, keepdims=True)
@@ -296,7 +297,7 @@ def _plot(budget: Budget, label: str) -> list[Plot]:
     return plots
 
 
-def _give_colours(colours: dict[str, series.Colour], names: list[str]) -> None:
+def _give_colours(colours: dict[str, Colour], names: list[str]) -> None:
     """Let each source keep the colour it has, unless two of one figure have the same."""
     for name in names:
         taken = {colours[other] for other in names if other in colours and other != name}
@@ -305,7 +306,7 @@ def _give_colours(colours: dict[str, series.Colour], names: list[str]) -> None:
 
 
 def _draw_layers(
-    t: FloatArray, layers: list[tuple[str, FloatArray]], colours: dict[str, series.Colour]
+    t: FloatArray, layers: list[tuple[str, FloatArray]], colours: dict[str, Colour]
 ) -> Iterator[Series]:
     """Yield an area for each layer on those before it, and its upper edge."""
     below = np.zeros(len(t))

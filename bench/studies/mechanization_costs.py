@@ -18,13 +18,14 @@ from pydantic import Field
 from bench import earth, rotation
 from bench.arrays import FloatArray
 from bench.findings import Findings, FindingTable, series
-from bench.findings.series import Colour, Plot, Series
+from bench.findings.series import Plot, Series
 from bench.flight.closed_form import SwingingFlight
 from bench.navigation import mechanization
 from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
 from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
+from bench.palette import Colour
 from bench.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import NavSolution
-from bench.findings.series import AXES_B, DRIFTING, TRUTH, Colour, Plot, Rows, draw_line, draw_three_sigma
+from bench.findings.series import AXES_B, DRIFTING, TRUTH, Plot, Rows, draw_line, draw_three_sigma
 from bench.instruments import INSTRUMENTS
+from bench.palette import Colour
 from bench.plots.content import Content, Tab
 from bench.units import STANDARD_GRAVITY
 

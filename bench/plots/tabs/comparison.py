@@ -21,7 +21,7 @@ FAR = 20.0
 
 def _plots(content: Content) -> Mapping[str, Rows]:
     """Return plots of two or more estimators, scaled to those that stay near the middle one."""
-    errors, colours = content.errors, content.colours
+    errors, looks = content.errors, content.looks
     sizes: dict[str, Callable[[ErrorSeries], FloatArray]] = {
         "horizontal position error [m]": lambda e: np.hypot(e.pos_n[:, 0], e.pos_n[:, 1]),
         "vertical position error [m]": lambda e: e.pos_n[:, 2],
@@ -32,28 +32,22 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     for title, size in sizes.items():
         lines = {label: size(error) for label, error in errors.items()}
         series = tuple(
-            draw_line(label, errors[label].t, values, label, colours[label])
+            draw_line(label, errors[label].t, values, label, looks[label].colour, dashed=looks[label].dashed)
             for label, values in lines.items()
             if np.isfinite(values).any()
         )
         if len(series) > 1:
             path = ("comparison", title.partition(" ")[0])
             plot = Plot(path, title, series, content.begin, FAR)
-            rows.append([plot, _take_logarithm(plot)])
+            rows.append([plot, _take_sizes(plot)])
     return {"": rows}
 
 
-def _take_logarithm(plot: Plot) -> Plot:
-    """Return a plot of the logarithms, in which a filter that runs away leaves the others readable."""
-    with np.errstate(divide="ignore"):
-        lines = [replace(one, values=np.log10(np.maximum(np.abs(one.values), LEAST))) for one in plot.series]
-    return replace(
-        plot,
-        path=("comparison-log", plot.path[1]),
-        title=f"log10 of {plot.title}",
-        series=tuple(lines),
-        far=np.inf,
-    )
+def _take_sizes(plot: Plot) -> Plot:
+    """Return a plot of the sizes on a logarithmic axis: one that runs away leaves the others readable."""
+    lines = [replace(one, values=np.maximum(np.abs(one.values), LEAST)) for one in plot.series]
+    path = ("comparison-log", plot.path[1])
+    return replace(plot, path=path, title=f"size of {plot.title}", series=tuple(lines), far=np.inf, log="y")
 
 
 COMPARISON = Tab("Comparison", 10, _plots)

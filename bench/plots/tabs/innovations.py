@@ -14,7 +14,6 @@ from bench.findings.series import (
     BAND,
     MOST_ROWS,
     REJECTED,
-    Colour,
     Plot,
     Rows,
     Series,
@@ -24,6 +23,7 @@ from bench.findings.series import (
     shorten,
 )
 from bench.instruments import INSTRUMENTS
+from bench.palette import Colour
 from bench.plots.content import Content, Tab
 
 _MEASURED = {

@@ -12,12 +12,12 @@ from bench.data import GPS, SkyView
 from bench.findings.series import (
     AXIS_COLOURS,
     SLOW,
-    Colour,
     Plot,
     Rows,
     Series,
     draw_line,
 )
+from bench.palette import Colour
 from bench.plots.content import Content, Tab
 from bench.signals import dilution
 

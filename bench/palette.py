@@ -1,0 +1,92 @@
+"""The colours of all pages, recordings and figures: seven, each with a tone for light and for dark ground.
+
+Any two are at least 20 apart by CIEDE2000, with normal sight and without red, green or blue cones, and stand
+out from the ground by 3:1 (`tests/test_palette.py` computes both). They were found by simulated annealing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+Colour = tuple[int, int, int]
+
+
+class Slot(NamedTuple):
+    """A colour in both tones."""
+
+    name: str
+    dark: Colour  # on dark ground, as in the viewer
+    light: Colour  # on light ground, as on paper
+
+
+SLOTS = (
+    Slot("green", (48, 155, 1), (35, 159, 121)),
+    Slot("blue", (167, 166, 242), (97, 9, 230)),
+    Slot("red", (227, 163, 152), (92, 15, 0)),
+    Slot("violet", (134, 50, 253), (61, 27, 84)),
+    Slot("teal", (173, 254, 250), (0, 98, 83)),
+    Slot("pink", (184, 65, 112), (139, 135, 179)),
+    Slot("yellow", (225, 244, 34), (137, 109, 0)),
+)
+"""The first is the truth; the others are estimators."""
+
+_OWNERS: Mapping[str, int] = {
+    **dict.fromkeys(("loose-full", "loose-mems", "tight", "error-ekf"), 1),
+    **dict.fromkeys(("loose-15", "fixed-gain", "least-squares"), 2),
+    **dict.fromkeys(("free-inertial", "complementary", "graph-smoother"), 3),
+    **dict.fromkeys(("smoother", "ukf", "gnss-only"), 4),
+    **dict.fromkeys(("baro-inertial", "classic-22"), 5),
+    **dict.fromkeys(("loose-22", "invariant-ekf", "autopilot"), 6),
+}
+"""Built-in filter -> its slot; those that profiles fly together have different ones."""
+
+
+class Look(NamedTuple):
+    """How an estimator is drawn."""
+
+    colour: Colour  # its tone on dark ground
+    dashed: bool  # another one of the same picture has the colour
+    name: str  # of the colour
+
+
+def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
+    """Return the look of each estimator: its own colour, or the first free one; dashed if none is free.
+
+    In a comparison labels are "estimator, result": an estimator keeps its colour, and the dash is the result.
+
+    Examples
+    --------
+    >>> [look.name for look in choose_looks(["loose-15", "mine"]).values()]
+    ['red', 'blue']
+    """
+    labels = list(labels)
+    slots = {label: slot for label in labels if (slot := _OWNERS.get(label.partition(", ")[0]))}
+    for label in labels:
+        if label not in slots:
+            free = [k for k in range(1, len(SLOTS)) if k not in slots.values()]
+            slots[label] = free[0] if free else 1 + len(slots) % (len(SLOTS) - 1)
+    seen: set[int] = set()
+    looks = {}
+    for label in labels:
+        slot = slots[label]
+        looks[label] = Look(SLOTS[slot].dark, slot in seen, SLOTS[slot].name)
+        seen.add(slot)
+    return looks
+
+
+def find_slot(colour: Colour) -> int | None:
+    """Return the number of the slot of a colour; None if it is none of them."""
+    return next((k for k, slot in enumerate(SLOTS) if slot.dark == colour), None)
+
+
+def write_variables(*, dark: bool) -> str:
+    """Return the slots as CSS variables ``--s0`` to ``--s6`` for a ground.
+
+    Examples
+    --------
+    >>> write_variables(dark=False)[:13]
+    '--s0:#239f79;'
+    """
+    tones = (slot.dark if dark else slot.light for slot in SLOTS)
+    return "".join(f"--s{k}:#{r:02x}{g:02x}{b:02x};" for k, (r, g, b) in enumerate(tones))
