@@ -12,7 +12,7 @@ from typing import NamedTuple
 Colour = tuple[int, int, int]
 
 
-class Slot(NamedTuple):
+class PaletteSlot(NamedTuple):
     """A colour in both tones."""
 
     name: str
@@ -21,13 +21,13 @@ class Slot(NamedTuple):
 
 
 SLOTS = (
-    Slot("green", (48, 155, 1), (35, 159, 121)),
-    Slot("blue", (167, 166, 242), (97, 9, 230)),
-    Slot("red", (227, 163, 152), (92, 15, 0)),
-    Slot("violet", (134, 50, 253), (61, 27, 84)),
-    Slot("teal", (173, 254, 250), (0, 98, 83)),
-    Slot("pink", (184, 65, 112), (139, 135, 179)),
-    Slot("yellow", (225, 244, 34), (137, 109, 0)),
+    PaletteSlot("green", (48, 155, 1), (35, 159, 121)),
+    PaletteSlot("blue", (167, 166, 242), (97, 9, 230)),
+    PaletteSlot("red", (227, 163, 152), (92, 15, 0)),
+    PaletteSlot("violet", (134, 50, 253), (61, 27, 84)),
+    PaletteSlot("teal", (173, 254, 250), (0, 98, 83)),
+    PaletteSlot("pink", (184, 65, 112), (139, 135, 179)),
+    PaletteSlot("yellow", (225, 244, 34), (137, 109, 0)),
 )
 """The first is the truth; the others are estimators."""
 
@@ -42,7 +42,7 @@ _OWNERS: Mapping[str, int] = {
 """Built-in filter -> its slot; those that profiles fly together have different ones."""
 
 
-class Look(NamedTuple):
+class DrawnLook(NamedTuple):
     """How an estimator is drawn."""
 
     colour: Colour  # its tone on dark ground
@@ -50,7 +50,7 @@ class Look(NamedTuple):
     name: str  # of the colour
 
 
-def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
+def choose_looks(labels: Iterable[str]) -> dict[str, DrawnLook]:
     """Return the look of each estimator: its own colour, or the first free one; dashed if none is free.
 
     In a comparison labels are "estimator, result": an estimator keeps its colour, and the dash is the result.
@@ -70,7 +70,7 @@ def choose_looks(labels: Iterable[str]) -> dict[str, Look]:
     looks = {}
     for label in labels:
         slot = slots[label]
-        looks[label] = Look(SLOTS[slot].dark, slot in seen, SLOTS[slot].name)
+        looks[label] = DrawnLook(SLOTS[slot].dark, slot in seen, SLOTS[slot].name)
         seen.add(slot)
     return looks
 

@@ -24,7 +24,7 @@ from bench.data import (
 )
 from bench.errors import NothingToShowError
 from bench.findings.series import Rows, shorten
-from bench.palette import Colour, Look, choose_looks
+from bench.palette import Colour, DrawnLook, choose_looks
 from bench.run_result import RunResult
 
 
@@ -77,7 +77,7 @@ class Content:
     antenna_mask: float | None = None  # elevation against b below which the antenna receives nothing [rad]
 
     @property
-    def looks(self) -> dict[str, Look]:
+    def looks(self) -> dict[str, DrawnLook]:
         """How each estimator is drawn."""
         return choose_looks(self.solutions)
 
