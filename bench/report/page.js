@@ -24,7 +24,7 @@ function readLines(area) {
       for (let k = 2; k < n.length; k += 2) points.push([(x += n[k]), (y += n[k + 1])]);
     }
     const colour = path.style.getPropertyValue("--c");
-    const key = keys.find((one) => one.firstChild.style.getPropertyValue("--c") === colour && one.firstChild.className === "line");
+    const key = keys.find((one) => one.firstChild.style.getPropertyValue("--c") === colour && one.firstChild.className === path.getAttribute("class"));
     return { points, name: key ? key.textContent : "" };
   });
   return area.lines;

@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import bench
-from bench import disk_arrays, earth, store
+from bench import store
 from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
-from bench.evaluation.headline import judge_look
+from bench.evaluation.headline import NEES, make_headline
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import find_words, format_metric
 from bench.evaluation.metrics import find_metric
@@ -27,7 +27,7 @@ from bench.places import PACKAGE
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
-from bench.report import svg
+from bench.report import overview, svg
 from bench.run_result import RunResult
 from bench.wording import replace_control
 
@@ -44,6 +44,7 @@ _INTRODUCTIONS = {
 """Name of a tab -> what its plots show."""
 
 
+_WORST_FIRST = ("bad", "wide", "none", "good")
 _TRUTH = "truth"
 _COLUMNS = 3  # of plots on a wide page
 
@@ -82,12 +83,15 @@ def make_page(name: str, result: RunResult) -> str:
     window = (float(content.motion.t[0]), float(content.motion.t[-1])) if content else (0.0, 1.0)
     sections = list(_draw_sections(content, window, shades, _name_standard(result))) if content else []
     key_figures = list_key_figures(result.metrics)
+    cards = [_make_card(label, values, result) for label, values in result.metrics.items()]
     return render(
         "page.html.jinja",
         title=str(profile.get("title", name)),
         name=name,
         facts=list(list_facts(result)),
-        cards=[_make_card(label, values, result) for label, values in result.metrics.items()],
+        cards=cards,
+        worst=min(cards, key=lambda card: _WORST_FIRST.index(card["kind"]))["label"] if cards else "",
+        nees=NEES,
         labels=list(result.metrics),
         figures=_fill_table(result.metrics, key_figures),
         all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
@@ -98,8 +102,9 @@ def make_page(name: str, result: RunResult) -> str:
         drift_meaning=DRIFT_MEANING,
         checks=result.more.get("validity", ()),
         comparisons=result.more.get("comparisons", ()),
-        track=_draw_track(content) if content else "",
-        track_legend=_list_track_legend(content) if content else (),
+        overview=_draw_errors(content, window, shades) if content else None,
+        track=overview.draw_track(content, shades) if content else "",
+        track_legend=overview.list_track_legend(content) if content else (),
         phases=_list_phases(content, window) if content else (),
         shades=[(shade.key, shade.name) for shade in shades],
         sections=sections,
@@ -115,8 +120,7 @@ def make_page(name: str, result: RunResult) -> str:
 
 
 def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict[str, Any]:
-    word = str(values.get("verdict", ""))
-    kind, mark = judge_look(word, values)
+    headline = make_headline(label, values)
     remarks = [
         f"{begun:g} to {end:g} s: {text}"
         for what in ("alignment", "restart", "reset", "ended")
@@ -125,9 +129,10 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
     ]
     return {
         "label": label,
-        "word": word,
-        "kind": kind,
-        "mark": mark,
+        "word": headline.word,
+        "kind": headline.look.kind,
+        "mark": headline.look.mark,
+        "lines": [line for line in (headline.error, *headline.more) if line],
         "text": str(values.get("verdict_text") or ""),
         "drifts": [
             text.removeprefix(f"{label}, ").removeprefix(f"{label}: ")
@@ -247,36 +252,18 @@ def make_figure(
     for one in plot.series:
         for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
             in_band = one.band is not None and k in one.band
-            kind = "band" if in_band else "dots" if one.marks else "line"
+            kind = "band" if in_band else "dots" if one.marks else "line dashed" if one.dashed else "line"
             shown = one.colours[0] if in_band else colour
             legend.setdefault(name, (name, svg.css_colour(shown), kind))
     title = plot.title.partition(": ")[2] or plot.title
     return CaptionedPlot(title, tuple(legend.values()), svg.draw(plot, window, shades))
 
 
-def _draw_track(content: Content) -> str:
-    origin = content.motion.lla[0]
-    known = isinstance(content.motion, Trajectory)
-    lla = disk_arrays.take(content.motion.lla, slice(None, None, 20))
-    paths = [("truth", series.TRUTH, earth.local_ned(lla, origin)[:, :2])] if known else []
-    for label, solution in content.solutions.items():
-        good = np.isfinite(solution.lla).all(axis=1)
-        if good.any():
-            paths.append((label, content.colours[label], earth.local_ned(solution.lla[good], origin)[:, :2]))
-    fixes = content.sensed.data.fixes
-    dots = np.empty((0, 2))
-    if fixes is not None:
-        good = fixes.valid & np.isfinite(fixes.lla).all(axis=1)
-        dots = earth.local_ned(fixes.lla[good], origin)[:, :2]
-    return svg.draw_track(paths, dots) if paths else ""
-
-
-def _list_track_legend(content: Content) -> list[tuple[str, str, str]]:
-    legend = (
-        [("truth", svg.css_colour(series.TRUTH), "line")] if isinstance(content.motion, Trajectory) else []
-    )
-    legend += [(label, svg.css_colour(colour), "line") for label, colour in content.colours.items()]
-    return legend + ([("GNSS", svg.css_colour(series.FIX), "dots")] if content.sensed.data.fixes else [])
+def _draw_errors(
+    content: Content, window: tuple[float, float], shades: tuple[series.Shade, ...]
+) -> CaptionedPlot | None:
+    plot = overview.plot_errors(content)
+    return make_figure(plot, window, shades) if plot else None
 
 
 def _list_phases(content: Content, window: tuple[float, float]) -> list[tuple[float, float, str, float]]:

@@ -94,7 +94,12 @@ def describe(plot: Plot) -> str:
     return f"{plot.title}: {', '.join(parts)}" if parts else f"{plot.title}: no values"
 
 
-def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray) -> str:
+def draw_track(
+    paths: Sequence[tuple[str, Colour, FloatArray]],
+    dots: FloatArray,
+    stretches: Sequence[tuple[str, FloatArray]] = (),
+    instants: Sequence[tuple[str, FloatArray]] = (),
+) -> str:
     """Return a track seen from above as an SVG element, north up, equal scales.
 
     Parameters
@@ -103,6 +108,10 @@ def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray
         North and east [m], finite; the first sets the scale, without one the dots.
     dots : (M, 2) array
         North and east of fixes [m].
+    stretches : sequence of (key of a shade, (K, 2) array)
+        Parts of the way that are shaded [m].
+    instants : sequence of (name, (2,) array)
+        Places with a ring and a name [m]; a name that would lie on an earlier one is left out.
     """
     first = paths[0][2] if paths else dots
     low, high = first.min(axis=0), first.max(axis=0)
@@ -110,7 +119,13 @@ def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray
     width = height = 420
     north, east = ((float(m - reach), float(m + reach)) for m in middle)
     frame = Frame(east, north, width, height)
-    body = [_draw_dots(frame, dots[:, 1], dots[:, 0], "fix")] if len(dots) else []
+    body = []
+    for key, path in stretches:
+        if len(path):
+            x, y = frame.place(path[:, 1], path[:, 0])
+            body.append(f'<path class="stretch {key}" d="{_join(np.column_stack([x, y]))}"/>')
+    if len(dots):
+        body.append(_draw_dots(frame, dots[:, 1], dots[:, 0], "fix"))
     for _, colour, path in reversed(paths):
         x, y = frame.place(path[:, 1], path[:, 0])
         body.append(_stroke(_join(np.column_stack(_straighten(x, y))), colour))
@@ -123,8 +138,24 @@ def draw_track(paths: Sequence[tuple[str, Colour, FloatArray]], dots: FloatArray
         f'<path class="bar" d="M16 {height - 16}h{bar:.1f}"/>'
         f'<text x="16" y="{height - 22}">{_format_length(step)}</text>'
         f'<path class="bar" d="M{width - 20} 44V16m-5 8l5 -8l5 8"/>'
-        f'<text x="{width - 20}" y="58" text-anchor="middle">N</text></svg>'
+        f'<text x="{width - 20}" y="58" text-anchor="middle">N</text>{"".join(_name_places(frame, instants))}'
+        "</svg>"
     )
+
+
+def _name_places(frame: Frame, instants: Sequence[tuple[str, FloatArray]]) -> Iterable[str]:
+    """Yield a ring and a name for each place; first and last come first."""
+    used: list[tuple[float, float, float]] = []  # begin, end, row
+    for name, place in [*instants[:1], *instants[:0:-1]]:
+        columns, rows = frame.place(place[1:], place[:1])
+        x, y = float(columns[0]) / _GRAIN, float(rows[0]) / _GRAIN
+        yield f'<circle class="place" cx="{x:.1f}" cy="{y:.1f}" r="3.5"/>'
+        length = 1.2 * _LETTER * len(name)
+        begin = x + 7.0 if x + 7.0 + length < frame.width else x - 7.0 - length
+        if any(begin < b and begin + length > a and abs(y - row) < _ROW + 2.0 for a, b, row in used):
+            continue
+        used.append((begin, begin + length, y))
+        yield f'<text class="place" x="{begin:.0f}" y="{y + 4:.0f}">{escape(name)}</text>'
 
 
 def _format_length(metres: float) -> str:

@@ -14,6 +14,7 @@ document.querySelector("svg.area").parentNode.dispatchEvent(new PointerEvent("po
 const cut = "details:not([open]) *, .phases *, svg *, .quiet .legend, .quiet .legend *, #cursor", hidden = MEDIUM === "print" ? cut : `.scroll *, ${cut}`;
 const width = document.documentElement.getBoundingClientRect().right;
 const beyond = [...document.querySelectorAll("body *")].filter((one) => !one.matches(hidden) && one.getBoundingClientRect().right > width + 0.5);
-const found = { beyond: beyond.map((one) => `${one.tagName} ${one.getAttribute("class")} in ${one.parentElement.tagName} ${one.parentElement.id}`), least, requests: performance.getEntriesByType("resource").length,
+const errorsTop = document.querySelector(".errors").getBoundingClientRect().top + scrollY;
+const found = { top: errorsTop, above: document.querySelector(".worst").getBoundingClientRect().bottom + scrollY, beyond: beyond.map((one) => `${one.tagName} ${one.getAttribute("class")} in ${one.parentElement.tagName} ${one.parentElement.id}`), least, requests: performance.getEntriesByType("resource").length,
   width: Math.round(document.documentElement.getBoundingClientRect().width), dark: matchMedia('(prefers-color-scheme: dark)').matches, errors: window.problems, cursor: document.getElementById("cursor").textContent, sorted: document.querySelectorAll("thead button").length };
 document.documentElement.innerHTML = "<body><pre id='found'>" + JSON.stringify(found) + "</pre></body>";

@@ -21,6 +21,9 @@ pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium here")
 LEAST_CONTRAST = 4.5
 """Of text, by WCAG 2.2, success criterion 1.4.3."""
 
+FOLD = 900
+"""A screen full [pixels]: the worst verdict and the plot of errors are on it."""
+
 MEASURE = (Path(__file__).parent / "measure.js").read_text(encoding="utf-8")
 
 
@@ -64,4 +67,6 @@ def test_the_report_in_a_browser(text, tmp_path, width, scheme, medium):
     assert found["least"] >= LEAST_CONTRAST
     assert " s, " in found["cursor"]
     assert found["sorted"] > 5
+    if medium == "screen":
+        assert found["above"] <= found["top"] < FOLD
     assert (found["width"], found["dark"]) == (width, scheme == "dark")
