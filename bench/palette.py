@@ -34,10 +34,10 @@ SLOTS = (
 _OWNERS: Mapping[str, int] = {
     **dict.fromkeys(("loose-full", "loose-mems", "tight", "error-ekf"), 1),
     **dict.fromkeys(("loose-15", "fixed-gain", "least-squares"), 2),
-    **dict.fromkeys(("free-inertial", "complementary", "graph-smoother"), 3),
+    **dict.fromkeys(("free-inertial", "complementary", "graph-smoother"), 6),
     **dict.fromkeys(("smoother", "ukf", "gnss-only"), 4),
     **dict.fromkeys(("baro-inertial", "classic-22"), 5),
-    **dict.fromkeys(("loose-22", "invariant-ekf", "autopilot"), 6),
+    **dict.fromkeys(("loose-22", "invariant-ekf", "autopilot"), 3),
 }
 """Built-in filter -> its slot; those that profiles fly together have different ones."""
 

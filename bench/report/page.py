@@ -9,11 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 import bench
 from bench import store
-from bench.data import Trajectory
 from bench.errors import ConfigError
 from bench.evaluation import verdict
 from bench.evaluation.headline import NEES, make_headline
