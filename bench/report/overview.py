@@ -68,10 +68,10 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
     stretches = [
         (shade.key, ground[(t >= start) & (t <= end)]) for shade in shades for start, end in shade.intervals
     ]
-    return svg.draw_track(paths, dots, stretches, _name_instants(t, ground))
+    return svg.draw_track(paths, dots, stretches, name_instants(t, ground))
 
 
-def _name_instants(t: FloatArray, ground: FloatArray) -> list[tuple[str, FloatArray]]:
+def name_instants(t: FloatArray, ground: FloatArray) -> list[tuple[str, FloatArray]]:
     """Return start, end and round instants between them, each with its place (2,)."""
     first, last = float(t[0]), float(t[-1])
     steps = svg.round_steps(first, last, _TIMES + 2)

@@ -280,7 +280,7 @@ def _read(name: str) -> str:
     return (PACKAGE / "report" / name).read_text(encoding="utf-8")
 
 
-def _read_style() -> str:
+def read_style() -> str:
     """Return the style with the palette for the ground that the reader has."""
     light, dark = (write_variables(dark=one) for one in (False, True))
     on_dark = f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
@@ -298,7 +298,7 @@ def render(template: str, **values: Any) -> str:
     page: str = (
         _load_templates()
         .get_template(template)
-        .render(style=_read_style(), script=script, policy=policy, version=bench.__version__, **values)
+        .render(style=read_style(), script=script, policy=policy, version=bench.__version__, **values)
     )
     return page
 

@@ -1,0 +1,242 @@
+"""Build the documentation as a site that needs no network: ``make docs``.
+
+The guide, a page of all public names from their docstrings, and a picture of each shipped flight become
+``site/``; `zensical` makes the pages. A link that leads nowhere ends the build.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import bench
+from bench import earth
+from bench.config import list_profiles
+from bench.findings import series
+from bench.places import PACKAGE
+from bench.report import overview, page, svg
+from bench.workbench.guide import FOLDER, read_topics
+
+DATA = Path(__file__).parent / "data" / "docs"
+WORKER = "iframe-worker.js"
+"""Lets the search run from a folder; the pages of zensical would load it from the network."""
+_LONG = 90  # letters of a signature on one line
+_REMOTE = "https://unpkg.com/iframe-worker/shim"
+
+_CONFIG = """\
+[project]
+site_name = "bench"
+site_description = "Where an INS/GNSS navigation filter is judged on realistic flights"
+docs_dir = "pages"
+site_dir = "site"
+use_directory_urls = false
+nav = [
+{nav}
+]
+[project.theme]
+font = false
+[[project.theme.palette]]
+media = "(prefers-color-scheme: light)"
+scheme = "default"
+[[project.theme.palette]]
+media = "(prefers-color-scheme: dark)"
+scheme = "slate"
+[project.plugins.offline]
+[project.plugins.search]
+"""
+
+_PLAIN = re.compile(r"(```.*?^```|``.+?``|`[^`\n]+`)|(\[+[^]\[\n]*\]+)(?![(\[])", re.DOTALL | re.MULTILINE)
+
+
+def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
+    """Write the site into a folder and return that of its pages.
+
+    Parameters
+    ----------
+    folder : Path
+        What is in it is replaced.
+    profiles : sequence of str, optional
+        Those of the gallery; all that are shipped unless they are told.
+
+    Raises
+    ------
+    RuntimeError
+        If a page has a link that leads nowhere, or is missing.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    pages = folder / "pages"
+    shutil.copytree(FOLDER, pages, ignore=shutil.ignore_patterns("README.md", "*.py"))
+    for path in pages.glob("*.md"):
+        path.write_text(keep_brackets(path.read_text(encoding="utf-8")), encoding="utf-8")
+    index = keep_brackets((FOLDER / "README.md").read_text(encoding="utf-8"))
+    more = "- [gallery](gallery.md): the shipped flights\n- [api](api.md): every public name of the package\n"
+    (pages / "index.md").write_text(f"{index.rstrip()}\n{more}", encoding="utf-8")
+    (pages / "gallery.md").write_text("\n".join(write_gallery(pages, profiles)), encoding="utf-8")
+    (pages / "api.md").write_text(keep_brackets("\n".join(write_api())), encoding="utf-8")
+    (folder / "zensical.toml").write_text(_CONFIG.format(nav="\n".join(_list_nav())), encoding="utf-8")
+    done = subprocess.run(
+        [Path(sys.executable).with_name("zensical"), "build", "--strict", "--config-file", "zensical.toml"],
+        cwd=folder,
+        env=os.environ | {"NO_COLOR": "1"},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    if done.returncode:
+        raise RuntimeError(f"{done.stdout}\n{done.stderr}")
+    return _take_off_network(folder / "site")
+
+
+def keep_brackets(text: str) -> str:
+    """Return Markdown whose brackets outside code, such as those of units, are no links.
+
+    Examples
+    --------
+    >>> keep_brackets("error [m] of `a[i]`, see [results](results.md)")
+    'error \\\\[m\\\\] of `a[i]`, see [results](results.md)'
+    """
+    return _PLAIN.sub(lambda found: found[1] or re.sub(r"([][])", r"\\\1", found[2]), text)
+
+
+def _list_nav() -> Iterator[str]:
+    names = ["index", *read_topics(), "gallery", "api"]
+    return (f'  {{ "{"guide" if name == "index" else name}" = "{name}.md" }},' for name in names)
+
+
+def _take_off_network(site: Path) -> Path:
+    (site / "404.html").unlink()  # of a server
+    shutil.copy(DATA / WORKER, site / "assets" / WORKER)
+    for path in site.rglob("*.html"):
+        up = "../" * len(path.relative_to(site).parents[:-1])
+        text = path.read_text(encoding="utf-8").replace(_REMOTE, f"{up}assets/{WORKER}")
+        path.write_text(text, encoding="utf-8")
+    return site
+
+
+# --- flights ------------------------------------------------------------------------------------------
+
+
+def write_gallery(pages: Path, profiles: Sequence[str] | None) -> Iterator[str]:
+    """Yield the lines of the page of the shipped flights, and write their pictures beside it."""
+    (pages / "gallery").mkdir()
+    yield "# Gallery\n"
+    yield "The shipped flights from above; `bench run NAME` flies one.\n"
+    for name in profiles or [entry.name for entry in list_profiles()]:
+        yield f"## {name}\n"
+        head = (PACKAGE / "profiles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n\n")[0]
+        yield keep_brackets(" ".join(_read_comment(head.splitlines())))
+        yield f"\n![{name} from above](gallery/{name}.svg)\n"
+        (pages / "gallery" / f"{name}.svg").write_text(_draw(name), encoding="utf-8")
+
+
+def _read_comment(lines: Iterable[str]) -> Iterator[str]:
+    return (line.removeprefix("#").strip() for line in lines if line.startswith("#"))
+
+
+def _draw(name: str) -> str:
+    truth = bench.fly(name)
+    rows = slice(None, None, max(1, len(truth.t) // 4000))
+    ground = earth.local_ned(np.asarray(truth.lla[rows]), truth.lla[0])[:, :2]
+    instants = overview.name_instants(np.asarray(truth.t[rows]), ground)
+    drawn = svg.draw_track([("truth", series.TRUTH, ground)], np.empty((0, 2)), instants=instants)
+    head, _, body = drawn.partition(">")
+    style = page.read_style()
+    return f'{head} xmlns="http://www.w3.org/2000/svg" width="420" height="420"><style>{style}</style>{body}'
+
+
+# --- public names -------------------------------------------------------------------------------------
+
+
+def write_api() -> Iterator[str]:
+    """Yield the lines of the page of all public names: signature, types, shapes, units, errors."""
+    import griffe
+
+    package = griffe.load("bench", docstring_parser="numpy", docstring_options={"warnings": False})
+    found = {name: package[name].final_target for name in sorted(bench.__all__) if name[0] != "_"}
+    yield "# Public names\n"
+    yield "What `import bench` gives. Frames, signs and units are those of [conventions](conventions.md).\n"
+    for kind, title in (("function", "Functions"), ("class", "Classes")):
+        yield f"## {title}\n"
+        for name, one in found.items():
+            if one.kind.value == kind:
+                yield f"### {name}\n"
+                yield from _describe(one)
+
+
+def _describe(one: Any) -> Iterator[str]:
+    if one.kind.value == "function":
+        yield f"```python\n{_format_signature(one)}\n```\n"
+    for section in one.docstring.parsed if one.docstring else ():
+        kind = section.kind.value
+        if kind == "text":
+            yield f"{_strip_roles(section.value)}\n"
+        elif kind == "examples":
+            yield "```pycon\n" + "\n".join(text for _, text in section.value) + "\n```\n"
+        elif kind in ("parameters", "raises", "returns", "attributes", "yields"):
+            yield f"**{kind.capitalize()}**\n"
+            for item in section.value:
+                name = getattr(item, "name", "")
+                kinds = f" `{str(item.annotation).strip('()')}`" if item.annotation else ""
+                words = _strip_roles(" ".join(item.description.split()))
+                yield f"- {f'`{name}`' if name else ''}{kinds}: {words}".replace("-  ", "- ")
+            yield ""
+    if one.kind.value == "class":
+        fields = [
+            field for field in one.attributes.values() if not field.name.startswith("_") and field.annotation
+        ]
+        for field in fields:
+            yield f"- `{field.name}`: `{field.annotation}`{_find_comment(field)}"
+        for method in one.functions.values():
+            if not method.name.startswith("_") and method.docstring:
+                yield f"- `{method.signature()}`: {_strip_roles(method.docstring.value.splitlines()[0])}"
+        yield ""
+
+
+def _find_comment(field: Any) -> str:
+    """Return what stands behind a field in its source, such as shape, unit and frame."""
+    line = field.source.splitlines()[0] if field.source else ""
+    _, _, comment = line.partition("  # ")
+    return f": {comment}" if comment else ""
+
+
+def _format_signature(function: Any) -> str:
+    """Return the signature, one parameter a line where it is long."""
+    text = str(function.signature())
+    if len(text) < _LONG:
+        return text
+    parts, starred = [], False
+    for one in function.parameters:
+        kind = one.kind.value if one.kind else ""
+        if kind == "keyword-only" and not starred:
+            parts.append("*")
+            starred = True
+        mark = {"variadic positional": "*", "variadic keyword": "**"}.get(kind, "")
+        annotation = f": {one.annotation}" if one.annotation else ""
+        default = f" = {one.default}" if one.default is not None and not mark else ""
+        parts.append(f"{mark}{one.name}{annotation}{default}")
+        starred |= mark == "*"
+    inner = "".join(f"    {part},\n" for part in parts)
+    returns = f" -> {function.returns}" if function.returns else ""
+    return f"{function.name}(\n{inner}){returns}"
+
+
+def _strip_roles(text: str) -> str:
+    return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
+
+
+def main() -> None:
+    folder = Path("build") / "docs"
+    site = build(folder)
+    print(f"Wrote {site}: open {site / 'index.html'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,64 @@
+"""The documentation as a site: every link leads somewhere, nothing of it comes from the network."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+import bench
+from bench.workbench.guide import FOLDER, read_topics
+from tests import docs_site
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    return docs_site.build(tmp_path_factory.mktemp("docs") / "site", ["approach"])
+
+
+def test_every_page_is_there_and_loads_nothing_from_elsewhere(site):
+    names = {"index", *read_topics(), "gallery", "api"}
+    assert {path.stem for path in site.glob("*.html")} == names
+    for path in site.rglob("*.html"):
+        text = path.read_text(encoding="utf-8")
+        loaded = re.findall(r"<(?:script|img|iframe)[^>]*\bsrc=\"([^\"]+)\"", text)
+        loaded += re.findall(r"<link[^>]*\bhref=\"([^\"]+)\"", text)
+        assert loaded
+        for one in loaded:
+            assert "//" not in one, f"{path.name} loads {one}"
+            assert (path.parent / one.partition("?")[0].partition("#")[0]).exists(), f"{path.name}: {one}"
+
+
+def test_the_search_is_a_script_that_a_folder_can_hold(site):
+    text = (site / "search.js").read_text(encoding="utf-8")
+    assert "NEES" in text
+    index = json.loads((site / "search.json").read_text(encoding="utf-8"))
+    assert len(index["items"]) > 200
+
+
+def test_every_public_name_is_told_with_its_errors(site):
+    text = (site / "api.html").read_text(encoding="utf-8")
+    for name in bench.__all__:
+        assert name[0] == "_" or f">{name}<" in text, name
+    page = (site.parent / "pages" / "api.md").read_text(encoding="utf-8")
+    one = page.partition("### run\n")[2].partition("### ")[0]
+    assert "profile: str | Path | Profile," in one
+    assert "**Raises**" in one
+    assert "bench.errors.FlightError" in one
+    arrays = text.partition(">NavSolution<")[2].partition("<h3")[0]
+    assert "[m/s], n" in arrays
+
+
+def test_a_link_that_leads_nowhere_ends_the_build(tmp_path, monkeypatch):
+    pages = tmp_path / "guide"
+    pages.mkdir()
+    for path in FOLDER.glob("*.md"):
+        (pages / path.name).write_bytes(path.read_bytes())
+    for path in FOLDER.glob("*.png"):
+        (pages / path.name).write_bytes(path.read_bytes())
+    with (pages / "faults.md").open("a") as page:
+        page.write("\n[gone](no-such-page.md)\n")
+    monkeypatch.setattr(docs_site, "FOLDER", pages)
+    with pytest.raises(RuntimeError, match="no-such-page"):
+        docs_site.build(tmp_path / "site", ["approach"])
