@@ -46,8 +46,8 @@ def test_every_public_name_is_told_with_its_errors(site):
     assert "profile: str | Path | Profile," in one
     assert "**Raises**" in one
     assert "bench.errors.FlightError" in one
-    arrays = text.partition(">NavSolution<")[2].partition("<h3")[0]
-    assert "[m/s], n" in arrays
+    arrays = page.partition("### NavSolution\n")[2].partition("### ")[0]
+    assert r"\[m/s\], n" in arrays
 
 
 def test_a_link_that_leads_nowhere_ends_the_build(tmp_path, monkeypatch):
