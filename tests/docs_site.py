@@ -6,7 +6,6 @@ The guide, a page of all public names from their docstrings, and a picture of ea
 
 from __future__ import annotations
 
-import os
 import re
 import shutil
 import subprocess
@@ -85,13 +84,12 @@ def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
     done = subprocess.run(
         [Path(sys.executable).with_name("zensical"), "build", "--strict", "--config-file", "zensical.toml"],
         cwd=folder,
-        env=os.environ | {"NO_COLOR": "1"},
         capture_output=True,
         text=True,
         timeout=300,
     )
     if done.returncode:
-        raise RuntimeError(f"{done.stdout}\n{done.stderr}")
+        raise RuntimeError(re.sub(r"\x1b\[[\d;]*m", "", f"{done.stdout}\n{done.stderr}"))
     return _take_off_network(folder / "site")
 
 
