@@ -23,6 +23,7 @@ from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.printing import print_finding_table, print_findings
 
+_MOST_NAMES = 8  # of metrics that are undecided
 _WORDS = get_args(Word)[::-1]
 
 
@@ -70,18 +71,23 @@ def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
-    """Print a table of the metrics that changed for each estimator, and how many did not."""
+    """Print a table of the metrics that are better or worse for each estimator, and the names of the undecided."""
     groups = dict.fromkeys((row.profile, row.estimator) for row in verdicts)
     for profile, estimator in groups:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
-        changed = [row for row in rows if row.word != "same"]
+        proven = [row for row in rows if row.word in ("better", "worse")]
+        undecided = [row.metric for row in rows if row.word == "undecided"]
         counts = Counter[str](row.word for row in rows)
         words = ", ".join(f"{counts[word]} {word}" for word in _WORDS if counts[word])
         draws = max(row.draws for row in rows)
         how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
         console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
-        if changed:
-            print_finding_table(console, tabulate_verdicts(changed))
+        if proven:
+            print_finding_table(console, tabulate_verdicts(proven))
+        if undecided:
+            more = len(undecided) - _MOST_NAMES
+            rest = f" and {more} more (--json has their intervals)" if more > 0 else ""
+            console.print(f"undecided: {', '.join(undecided[:_MOST_NAMES])}{rest}", soft_wrap=True)
     if any(row.word == "undecided" and row.draws < LOOKS[-1] for row in verdicts):
         console.print(f"Baselines of {LOOKS[-1]} draws would decide more: --record with the code of before.")
     worse = [row for row in verdicts if row.word == "worse"]
