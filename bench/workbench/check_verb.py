@@ -71,7 +71,7 @@ def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
-    """Print a table of the metrics that are better or worse for each estimator, and the names of the undecided."""
+    """Print a table of the metrics that are better or worse for each estimator; name the undecided."""
     groups = dict.fromkeys((row.profile, row.estimator) for row in verdicts)
     for profile, estimator in groups:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
