@@ -204,8 +204,25 @@ def estimator_option(which: str) -> Decorator:
     )
 
 
+def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if not asked or context.resilient_parsing:
+        return
+    from bench.store.provenance import find_commit
+
+    commit = find_commit()
+    click.echo(f"bench, version {__version__}{f', commit {commit}' if commit else ''}")
+    context.exit()
+
+
 @click.group(context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
-@click.version_option(__version__)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version, and the commit of a working copy.",
+)
 @click.pass_context
 def commands(ctx: click.Context) -> None:
     """Judge INS/GNSS navigation filters on realistic flights.

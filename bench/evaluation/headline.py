@@ -60,6 +60,13 @@ def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLoo
     return LOOKS[verdict.UNDERCONFIDENT] if useless else look
 
 
+def find_best(measured: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the label of the first estimator whose claim holds and is of use, or of the first of all."""
+    looks = {label: judge_look(str(one.get("verdict", "")), one).kind for label, one in measured.items()}
+    good = [label for label, kind in looks.items() if kind == "good"]
+    return next(iter([*good, *looks]), "")
+
+
 def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
     """Return the headline of the metrics of an estimator, as `verdict.add_verdict` returns them."""
     word = str(values.get("verdict", ""))

@@ -73,12 +73,15 @@ class Plot:
     over: str = "time"  # quantity of the horizontal axis
     log: str = ""  # "x", "y" or "xy": axes with powers of ten at equal distances
     ticks: tuple[tuple[float, str], ...] = ()  # places on the horizontal axis and their names; empty: numbers
+    shared: tuple[float, float] | None = None  # limits of the vertical axis that plots beside it have, too
 
     def limits(self) -> tuple[float, float]:
         """Return where the vertical axis begins and ends: a little beyond round numbers around the values.
 
         The viewer writes numbers at powers of ten and their multiples as far as there is room.
         """
+        if self.shared is not None:
+            return self.shared
         shown = [s.values[s.t >= self.scale_from] for s in self.series]
         shown = [v[np.isfinite(v)] for v in shown]
         reach = np.array([np.abs(v).max(initial=0.0) for v in shown])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from math import radians
 
 import numpy as np
@@ -23,7 +24,7 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
-from bench.findings.series import Rows, shorten
+from bench.findings.series import Plot, Rows, shorten
 from bench.palette import Colour, DrawnLook, choose_looks
 from bench.run_result import RunResult
 
@@ -42,6 +43,9 @@ class Carrier:
 
 
 Motion = Trajectory | Carrier
+
+FAR = 20.0
+"""A filter whose error is so many times that of others does not set their scale."""
 
 
 def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> Carrier:
@@ -124,4 +128,28 @@ class Tab:
             for label, rows in self.all_plots(content).items()
         }
         disk_arrays.release()
-        return shown
+        return share_scales(shown)
+
+
+def share_scales(by_label: Mapping[str, Rows]) -> Mapping[str, Rows]:
+    """Return the plots of estimators with one vertical scale for each quantity.
+
+    One that reaches `FAR` times farther than the best keeps a scale of its own: it would flatten the others.
+    """
+    alike: dict[tuple[str, ...], list[Plot]] = {}
+    for rows in by_label.values():
+        for plot in chain.from_iterable(rows):
+            if plot.path[0] == "estimators":
+                alike.setdefault(plot.path[2:], []).append(plot)
+    shared: dict[tuple[str, ...], tuple[float, float]] = {}
+    for plots in alike.values():
+        limits = {plot.path: plot.limits() for plot in plots}
+        least = min(max(map(abs, both)) for both in limits.values())
+        near = {path: both for path, both in limits.items() if max(map(abs, both)) <= FAR * least}
+        if len(near) > 1:
+            both = min(low for low, _ in near.values()), max(high for _, high in near.values())
+            shared |= dict.fromkeys(near, both)
+    return {
+        label: [[replace(plot, shared=shared.get(plot.path)) for plot in row] for row in rows]
+        for label, rows in by_label.items()
+    }

@@ -29,9 +29,29 @@ def list_facts(result: RunResult) -> Iterable[str]:
     if result.truth is not None:
         yield f"{result.truth.t[-1] - result.truth.t[0]:.0f} s"
     if wind := profile.get("wind"):
-        yield f"wind {wind['speed_mps']:g} m/s from {wind['from_deg']:g}°, turbulence {wind['turbulence']}"
+        yield f"{_describe_wind(wind)}, turbulence {wind['turbulence']}"
+    if gusts := profile.get("gust"):
+        yield "; ".join(map(_describe_gust, gusts))
     if "evaluation" in profile:
         yield str(result.evaluation)
+
+
+def _describe_wind(wind: Mapping[str, Any]) -> str:
+    """Return the wind; of layers the lowest and the highest."""
+    layers = sorted(wind.get("layers") or (), key=lambda one: one["alt_m"])
+    if not layers:
+        return f"wind {_describe_flow(wind)}"
+    ends = layers[:1] if len(layers) == 1 else (layers[0], layers[-1])
+    return "wind " + " to ".join(f"{_describe_flow(one)} at {one['alt_m']:g} m" for one in ends)
+
+
+def _describe_flow(one: Mapping[str, Any]) -> str:
+    return f"{one['speed_mps']:g} m/s from {one['from_deg']:g}°"
+
+
+def _describe_gust(gust: Mapping[str, Any]) -> str:
+    peak = sum(float(gust.get(f"{axis}_mps", 0.0)) ** 2 for axis in ("north", "east", "up")) ** 0.5
+    return f"gust of {peak:.3g} m/s at {gust['start_s']:g} s"
 
 
 def list_units(profile: Mapping[str, Any]) -> Iterable[tuple[str, str, str, str]]:

@@ -17,6 +17,7 @@ import rerun as rr
 from bench import disk_arrays, durable, store
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, NothingToShowError
+from bench.evaluation.headline import find_best
 from bench.findings import series
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
@@ -35,8 +36,8 @@ def write(path: Path, name: str, result: RunResult) -> None:
     name : str
         Of the profile or log. The viewer keeps one layout for each name.
     result : RunResult
-        As `bench.run`, `bench.navigate_log` or `bench.load` returns it. Its first estimator is the main one:
-        the overview shows it and, without a truth, it carries the vehicle.
+        As `bench.run`, `bench.navigate_log` or `bench.load` returns it. The overview shows the first
+        estimator whose claim holds; without a truth, the first of all carries the vehicle.
 
     Raises
     ------
@@ -56,13 +57,14 @@ def write(path: Path, name: str, result: RunResult) -> None:
         for tab in TABS
     }
     scene = space.make_scene(content)
+    main = find_best({label: result.metrics.get(label, {}) for label in result.solutions})
     shades = series.shades(content.sensed.events)
     with _strict():
         # the viewer keeps one layout per application: another profile is another application
         # chunks are cut by content and not by the clock, so that the same run gives the same recording
         stream = rr.RecordingStream(f"bench {name}", batcher_config=rr.ChunkBatcherConfig.NEVER())
         memory = stream.memory_recording()  # rerun's own file writer waits for ever when the disk is full
-        stream.send_blueprint(layout.make_blueprint(scene, plots, next(iter(result.solutions), "")))
+        stream.send_blueprint(layout.make_blueprint(scene, plots, main))
         known = result.truth is not None
         stream.send_recording_name(f"{name}, seed {result.seed}, run {result.run}" if known else name)
         space.send(stream, result.more.get("scene", {}), content)

@@ -23,7 +23,7 @@ def provenance() -> dict[str, object]:
     """Return the versions, the commit of the source tree (None outside one) and the platform."""
     return {
         "versions": list_versions(),
-        "commit": _find_commit(),
+        "commit": find_commit(),
         "platform": platform.platform(),
         "machine": platform.machine(),
     }
@@ -45,7 +45,7 @@ def list_versions() -> dict[str, str]:
     return {"bench": bench.__version__, "python": platform.python_version(), **packages}
 
 
-def _find_commit() -> str | None:
+def find_commit() -> str | None:
     """Return the commit of the source tree, with ``-dirty`` if files differ from it; None outside a tree."""
     tree = PACKAGE.parent
     if not (tree / ".git").exists():

@@ -10,13 +10,10 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import ErrorSeries
 from bench.findings.series import Plot, Rows, draw_line
-from bench.plots.content import Content, Tab
+from bench.plots.content import FAR, Content, Tab
 
 LEAST = 1e-3
 """Smaller errors are drawn as this on a logarithmic scale."""
-
-FAR = 20.0
-"""A filter whose error is so many times that of the middle one leaves a comparison, and flattens none."""
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
