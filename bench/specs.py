@@ -217,15 +217,20 @@ class FlightSpec:
     speed: float  # true airspeed [m/s]
     wind_from: float  # direction the wind blows from [rad]
     wind_speed: float  # [m/s]
-    severity: int  # Milspec turbulence: probability-of-exceedance index, 0 none
+    severity: int  # Dryden turbulence: index of exceedance of MIL-F-8785C, 0 none
     turbulence_seed: int
     legs: tuple[Leg, ...]
     duration: float | None  # the last leg is held until then [s]; None: until it ends
     on_ground: bool = False  # starts at rest on the runway; ``speed`` is then that of the first climb
-    runway: Runway | None = None  # None: the ground is the ellipsoid
+    runway: Runway | None = None
+    flat_alt: float = 0.0  # ellipsoidal height of the ground without a runway [m]
     wind_layers: tuple[WindLayer, ...] = ()  # upwards; they replace wind_from and wind_speed
     gusts: tuple[Gust, ...] = ()  # in order, without overlap
-    turbulence_model: str = "milspec"  # or "tustin", another discretization of the same spectra
+
+    @property
+    def ground_alt(self) -> float:
+        """Ellipsoidal height of the ground [m]."""
+        return self.flat_alt if self.runway is None else self.runway.alt
 
     @property
     def label(self) -> str:
@@ -263,6 +268,26 @@ class ScriptSpec:
 
 
 @dataclass(frozen=True, slots=True)
+class TrackSpec:
+    """What a track of positions does not tell: the vehicle, its fixes' noise, the wind it flew in."""
+
+    vehicle: str = "aircraft"  # or "ground"
+    noise: float | None = None  # sd of a fix, north and east each [m]; None: estimated
+    vertical_noise: float | None = None  # the same of its height [m]
+    wind_from: float = 0.0  # direction that the wind blows from [rad]
+    wind_speed: float = 0.0  # [m/s]
+    incidence: float = math.radians(3.0)  # of an aircraft's nose above its path through the air [rad]
+    begin: float = 0.0  # the piece that is used [s]
+    end: float = math.inf
+    bridge: float = 30.0  # longest interval between fixes that is bridged [s]
+
+    @property
+    def wind_n(self) -> tuple[float, float, float]:
+        """Velocity of the air [m/s], n."""
+        return -self.wind_speed * math.cos(self.wind_from), -self.wind_speed * math.sin(self.wind_from), 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class TableSpec:
     """A trajectory from a table made by other software."""
 
@@ -271,6 +296,7 @@ class TableSpec:
     rate: float  # truth and IMU output rate [Hz]
     duration: float | None  # the truth ends then [s]; None: at the end of the table
     mesh: str = "uav"  # class of the simple shape in the recording
+    track: TrackSpec | None = None  # None: [track] is not in the profile
 
     @property
     def label(self) -> str:

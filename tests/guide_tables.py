@@ -22,7 +22,7 @@ from bench.config.fault_tables import FAULTS
 from bench.config.library import ForeignTable
 from bench.config.listing import KeyEntry, list_legs
 from bench.config.log_tables import FileTable, LogTable
-from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable
+from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable, TrackTable
 from bench.config.sheet import MOST, Sheet, SpecTable
 from bench.config.sky_sheet import SkyTable
 from bench.config.tables import Range
@@ -342,6 +342,7 @@ TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
     "aircraft": {
         "aircraft.toml": lambda: write_tables(ForeignTable),
         "scripts": lambda: write_keys("key", list_keys(ScriptTable, ScriptTable.__annotations__)),
+        "track": lambda: write_keys("key of `[track]`", list_keys(TrackTable)),
     },
     "faults": {"faults": write_faults},
     "sensors": {

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 
-from bench.config.profile_tables import ExperimentTable, ScriptTable, TrajectoryTable
+from bench.config.profile_tables import ExperimentTable, ScriptTable, TrackTable, TrajectoryTable
 from bench.errors import ConfigError, FlightError
 from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
-from bench.specs import Flight, ScriptSpec, TableSpec
+from bench.specs import Flight, ScriptSpec, TableSpec, TrackSpec
 from bench.wording import quantity, suggest, tell_where
 
 _TABLES = (".csv", ".parquet")
+_TRACKS = (".gpx", ".kml", ".igc", ".nmea")
 
 
 def find_jsbsim_root(name: str | None, beside: Path) -> Path:
@@ -103,12 +105,32 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
 def _read_trajectory(table: ExperimentTable, beside: Path) -> TableSpec:
     assert isinstance(table, TrajectoryTable)
     path = beside / table.trajectory
-    if path.suffix.lower() not in _TABLES:
-        raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(_TABLES)}")
+    allowed = (*_TABLES, *_TRACKS)
+    if path.suffix.lower() not in allowed:
+        raise ConfigError(f"trajectory = {table.trajectory!r} must end in {' or '.join(allowed)}")
     if not os.path.isfile(path):
         raise ConfigError(f"trajectory = {table.trajectory!r}: no such file{tell_where(table.trajectory)}")
-    rate, duration = float(table.rate_hz), table.duration_s
-    return TableSpec(name=path.stem, path=path.resolve(), rate=rate, duration=duration)
+    return TableSpec(
+        name=path.stem,
+        path=path.resolve(),
+        rate=float(table.rate_hz),
+        duration=table.duration_s,
+        track=_make_track(table.track) if table.track else None,
+    )
+
+
+def _make_track(table: TrackTable) -> TrackSpec:
+    return TrackSpec(
+        vehicle=table.vehicle,
+        noise=table.noise_m,
+        vertical_noise=table.vertical_noise_m,
+        wind_from=math.radians(table.wind_from_deg),
+        wind_speed=table.wind_speed_mps,
+        incidence=math.radians(table.incidence_deg),
+        begin=table.from_s,
+        end=math.inf if table.to_s is None else table.to_s,
+        bridge=table.bridge_s,
+    )
 
 
 EXTERNAL: Mapping[str, tuple[type[ExperimentTable], Callable[[ExperimentTable, Path], Flight]]] = {

@@ -15,7 +15,7 @@ from bench.wording import quantity
 
 def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
     """Check the start, and each leg against the aircraft and the legs before it."""
-    problems = _check_start(table, aircraft)
+    problems = _check_start(table, aircraft) + _check_terrain(table)
     after = "ground" if table.start.on_ground else "air"
     start = LegStart(aircraft, table.start.alt_m, make_runway(table), after)
     for number, leg in enumerate(build_legs(table), 1):
@@ -35,6 +35,26 @@ def make_runway(table: ProfileTable) -> Runway | None:
     if row is None:
         return None
     return Runway(**convert_figures(Runway, row))
+
+
+def choose_ground(table: ProfileTable) -> float:
+    """Return the ellipsoidal height of the ground [m]: of the runway, of [terrain], else the ellipsoid."""
+    if runway := make_runway(table):
+        return runway.alt
+    return table.terrain.alt_m if table.terrain else 0.0
+
+
+def _check_terrain(table: ProfileTable) -> list[str]:
+    if table.terrain is None:
+        return []
+    if make_runway(table) is not None:
+        return ["[terrain] is not used with a runway: all ground is at the height of the runway"]
+    if table.start.alt_m <= table.terrain.alt_m:
+        return [
+            f"[terrain] {quantity('alt_m', table.terrain.alt_m)} is not below the start at "
+            f"{quantity('alt_m', table.start.alt_m)}"
+        ]
+    return []
 
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

@@ -296,6 +296,7 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
         duration=table.duration_s,
         on_ground=start.on_ground,
         runway=leg_checks.make_runway(table),
+        flat_alt=table.terrain.alt_m if table.terrain else 0.0,
         wind_layers=tuple(
             WindLayer(**convert_figures(WindLayer, row))
             for row in sorted(wind.layers, key=lambda row: row.alt_m)
@@ -304,7 +305,6 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
             Gust(air_n=(row.north_mps, row.east_mps, -row.up_mps), **convert_figures(Gust, row))
             for row in sorted(table.gust, key=lambda row: row.start_s)
         ),
-        turbulence_model=wind.turbulence_model,
     )
 
 
@@ -344,9 +344,8 @@ def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[
     """
     if not isinstance(table, ProfileTable) or aircraft is None:
         return {} if isinstance(table, TrajectoryTable) else {"rest_height": -math.inf}
-    runway = table.runway or (table.start if table.start.on_ground else None)
     rest = -math.inf if aircraft.runway is None else aircraft.runway.height - aircraft.imu_b[2]
-    return {"ground_alt": float(runway.alt_m) if runway else 0.0, "rest_height": rest}
+    return {"ground_alt": leg_checks.choose_ground(table), "rest_height": rest}
 
 
 def _choose_day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:

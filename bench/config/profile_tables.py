@@ -24,7 +24,7 @@ Seconds = Annotated[float, between(*SECONDS)]
 Altitude = Annotated[float, between(*ALTITUDES)]
 Speed = Annotated[float, between(*SPEEDS)]
 SEVERITY = {"none": 0, "light": 3, "moderate": 4, "severe": 6}
-"""Milspec severity (probability-of-exceedance index) of the named turbulence levels."""
+"""Severity (index of exceedance of MIL-F-8785C, figure 7) of the named turbulence levels."""
 
 
 def _check_turbulence(value: object) -> object:
@@ -90,7 +90,7 @@ class StartTable(RunwayTable):  # type: ignore[misc, valid-type]
 
 
 class WindTable(Table):
-    """Wind, by the direction it blows from, constant or in layers; turbulence by name or Milspec severity."""
+    """Wind, by the direction it blows from, constant or in layers; turbulence by name or index."""
 
     from_deg: Annotated[float, between(0, 360)] = 0.0
     """Direction that the wind blows from."""
@@ -99,9 +99,14 @@ class WindTable(Table):
     layers: Annotated[tuple[make_table_type(WindLayer), ...], ROWS] = ()  # type: ignore[valid-type]
     """Wind by altitude, in place of the two."""
     turbulence: Annotated[Any, AfterValidator(_check_turbulence)] = "none"
-    """Severity: "none", "light", "moderate", "severe", or its Milspec index, 0 to 7."""
-    turbulence_model: Literal["milspec", "tustin"] = "milspec"
-    """Discretization of the spectra."""
+    """Severity: "none", "light", "moderate", "severe", or its index in MIL-F-8785C, 0 to 7."""
+
+
+class TerrainTable(Table):
+    """The ground of a flight without a runway; with one, all ground is at its height."""
+
+    alt_m: Altitude = 0.0
+    """Height of flat ground above the WGS 84 ellipsoid: turbulence follows the height above it."""
 
 
 class GustTable(make_table_type(Gust)):  # type: ignore[misc]
@@ -276,6 +281,7 @@ class ProfileTable(ExperimentTable):
     start: StartTable
     runway: RunwayTable | None = None  # type: ignore[valid-type]
     wind: WindTable = Field(default_factory=WindTable)
+    terrain: TerrainTable | None = None
     gust: Annotated[tuple[GustTable, ...], ROWS] = ()
     leg: tuple[DeclaredTable, ...]
 
@@ -309,8 +315,32 @@ class ScriptTable(_ExternalTable):
     """Class of the aircraft: the limits that the sanity report uses."""
 
 
+class TrackTable(Table):
+    """What a track of positions does not tell: it becomes a smooth motion of a vehicle."""
+
+    vehicle: Literal["aircraft", "ground"] = "aircraft"
+    """An aircraft flies coordinated turns; a ground vehicle keeps level wheels and points where it goes."""
+    noise_m: Annotated[float, between(0.01, 100)] | None = None
+    """Standard deviation of a fix, north and east each; estimated if left out."""
+    vertical_noise_m: Annotated[float, between(0.01, 100)] | None = None
+    """The same of its height."""
+    wind_from_deg: Annotated[float, between(0, 360)] = 0.0
+    """Direction that the wind blew from."""
+    wind_speed_mps: Annotated[float, between(0, 40)] = 0.0
+    """Its speed."""
+    incidence_deg: Annotated[float, between(-10, 20)] = 3.0
+    """How far the nose of an aircraft is above its path through the air."""
+    from_s: Annotated[float, between(0, 1e6)] = 0.0
+    """Where the piece of the track begins that is used."""
+    to_s: Annotated[float, between(1, 1e6)] | None = None
+    """Where it ends; at the end of the track if left out."""
+    bridge_s: Annotated[float, between(1, 600)] = 30.0
+    """Longest interval between fixes that is bridged; at longer ones the track is cut."""
+
+
 class TrajectoryTable(_ExternalTable):
-    """The file of a profile whose truth is a trajectory table."""
+    """The file of a profile whose truth is a trajectory table, or a track."""
 
     trajectory: str
-    """A .csv or .parquet file, beside the profile."""
+    """A .csv, .parquet, .gpx, .kml, .igc or .nmea file, beside the profile."""
+    track: TrackTable | None = None

@@ -31,10 +31,12 @@ from bench.exchange.table_files import (
     list_names,
     read_table,
 )
+from bench.exchange.track_files import READERS, order_fixes, read_track
+from bench.exchange.track_motion import TableMotion, make_motion
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
-from bench.specs import TableSpec
+from bench.specs import TableSpec, TrackSpec
 from bench.units import FACTORS, STANDARD_GRAVITY, split_unit
 
 MOST_ROWS = 3_000_000
@@ -101,8 +103,7 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
     ConfigError
         If the table cannot be read or cannot be made into a truth; one line names the row.
     """
-    table = read_table(spec.path, KINDS, ("velocity",), MOST_ROWS)
-    rows = _check_rows(table, spec.path.name)
+    rows = _read_motion(spec)
     fit = _fit_splines(rows, spec.path.name)
     length = float(rows.t[-1])
     if spec.duration is not None:
@@ -136,21 +137,27 @@ def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
     yield replace(truth, events=Events.from_rows(events))
 
 
+def _read_motion(spec: TableSpec) -> TableMotion:
+    """Return the motion of a table, or of a track made into one."""
+    shown, track = spec.path.name, spec.track or TrackSpec()
+    if spec.path.suffix.lower() in READERS:
+        return make_motion(read_track(spec.path), track, shown)
+    table = read_table(spec.path, KINDS, ("velocity", "attitude"), MOST_ROWS)
+    if "attitude" in table.columns:
+        if spec.track is not None:
+            raise ConfigError(f"{shown}: [track] is not used: the table has an attitude")
+        return _check_rows(table, shown)
+    table.check_groups({"attitude": _ATTITUDES}, shown)
+    position = table.columns["position"]
+    lla = position if table.stems["position"][0] == "lat" else to_geodetic(position)
+    notes = [table.list_unused()] if table.unused else []
+    return make_motion(order_fixes(table.columns["time"][:, 0], lla, notes, shown), track, shown)
+
+
 # --- checking -----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class _TableMotion:
-    """The motion in a table: times from 0, Earth-fixed positions, attitudes, and velocity if it has one."""
-
-    t: FloatArray  # (N,) [s]
-    pos_e: FloatArray  # (N, 3) [m]
-    q_eb: FloatArray  # (N, 4), sign-continuous
-    vel_e: FloatArray | None  # (N, 3) [m/s]
-    notes: list[EventRow]
-
-
-def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
+def _check_rows(table: TableColumns, shown: str) -> TableMotion:
     """Check the rows and return their motion.
 
     Raises
@@ -180,7 +187,7 @@ def _check_rows(table: TableColumns, shown: str) -> _TableMotion:
     vel_e = table.columns.get("velocity")
     if vel_e is not None and table.stems["velocity"][0] == "vel_n":
         vel_e = rotate(q_en, vel_e)
-    return _TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
+    return TableMotion(t - t[0], pos_e, q_eb, vel_e, notes)
 
 
 def check_positions(
@@ -259,7 +266,7 @@ class _Fit:
         return q_eb
 
 
-def _fit_splines(rows: _TableMotion, shown: str) -> _Fit:
+def _fit_splines(rows: TableMotion, shown: str) -> _Fit:
     from scipy.interpolate import make_interp_spline
 
     at = _choose_knots(rows.t)
@@ -314,7 +321,7 @@ def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
 # --- what is inconsistent -----------------------------------------------------------------------------
 
 
-def _report_inconsistencies(rows: _TableMotion, fit: _Fit) -> list[EventRow]:
+def _report_inconsistencies(rows: TableMotion, fit: _Fit) -> list[EventRow]:
     """Return one event for each kind of inconsistency in a table, with its rows."""
     t, steps = rows.t, np.diff(rows.t)
     found = list(rows.notes)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 
 from bench.data import Trajectory
 from bench.errors import FlightError
+from bench.flight.dryden import through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.flight.jsbsim_units import FT
 from bench.flight.sanity import choose_flight, report_sanity
@@ -22,7 +23,7 @@ from bench.flight.standing import stand
 from bench.flight.state_log import NEIGHBOURS, StateLog
 from bench.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
-from bench.flight.wind import Weather, start_turbulence
+from bench.flight.wind import Weather
 from bench.specs import FlightSpec, ScriptSpec
 
 _Part = TypeVar("_Part")
@@ -86,7 +87,7 @@ def record_plan(
     fdm, cockpit = prepare(spec, dt, say)
     craft = spec.aircraft
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided)
-    run, keep_state, steps = fdm.run, log.keep_state, range(log.per_tick)
+    run, keep_state, steps = through_turbulence(fdm, spec, dt), log.keep_state, range(log.per_tick)
     flown: list[FlownLeg] = []
     keep_state()
     for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
@@ -184,8 +185,7 @@ def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Co
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     say("loading")
     fdm, guided = load_aircraft(spec.aircraft, dt), spec.aircraft.guided
-    if spec.runway is not None:
-        fdm["ic/terrain-elevation-ft"] = spec.runway.alt / FT
+    fdm["ic/terrain-elevation-ft"] = spec.ground_alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = TrimCondition(
         spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down)
@@ -198,5 +198,4 @@ def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Co
         say("settling")
         settle(fdm)
     cockpit = engage(fdm, spec, trimmed)
-    start_turbulence(fdm, spec.severity, spec.turbulence_seed, spec.turbulence_model)
     return fdm, cockpit

@@ -34,6 +34,7 @@ class Summary:
         self._most: dict[str, float] = {}
         self._legs: list[tuple[float, float, str]] = []
         self._sanity: list[tuple[float, float, str]] = []
+        self._table: list[tuple[float, float, str]] = []
 
     def add(self, piece: Trajectory) -> None:
         """Take in the next piece, which begins with the instant at which the last one ended."""
@@ -55,6 +56,7 @@ class Summary:
             self._take(f"{name}_rate", w_b[:, axis])
         self._legs += piece.events.select("leg")
         self._sanity += piece.events.select("sanity")
+        self._table += piece.events.select("table")
 
     def _take(self, name: str, values: FloatArray) -> None:
         if len(values):
@@ -63,7 +65,7 @@ class Summary:
             self._most[name] = max(most, self._most.get(name, most))
 
     def result(self) -> dict[str, Any]:
-        """Return the figures so far, the unit in each key, legs and sanity report as (start, end, text)."""
+        """Return the figures so far, the unit in each key; legs, sanity and remarks as (start, end, text)."""
         least, most = self._least, self._most
         duration = most["t"] - least["t"]
         both = {"alt": "_m", "airspeed": "_mps", "ground_speed": "_mps", "climb": "_mps", "load_factor": ""}
@@ -85,4 +87,5 @@ class Summary:
             **{f"{axis}_rate_max_rad_s": most[f"{axis}_rate"] for axis in ("roll", "pitch", "yaw")},
             "legs": self._legs,
             "sanity": self._sanity,
+            "table": self._table,
         }

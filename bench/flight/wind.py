@@ -1,4 +1,4 @@
-"""Wind by altitude, discrete gusts and Milspec turbulence in JSBSim, the turbulence from a seed."""
+"""Wind by altitude and discrete gusts in JSBSim; turbulence is in `bench.flight.dryden`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,9 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.flight.jsbsim_units import FT
-from bench.specs import FlightSpec, Gust, stream
+from bench.specs import FlightSpec, Gust
 from bench.units import SAME_INSTANT
 
-# Wind 20 ft above ground of MIL-F-8785C for light, moderate and severe turbulence (15, 30, 45 kt), at the
-# probability-of-exceedance index JSBSim takes for each; a straight line between and beyond.
-_SEVERITY = (0.0, 3.0, 4.0, 6.0, 7.0)
-_WIND_20FT_FPS = (0.0, 25.3, 50.6, 76.0, 88.7)
-_MODELS = {"milspec": 3, "tustin": 4}
 _LOCAL_FRAME = 3  # of a cosine gust: north, east, down
 _LEAST_NORTH = 0.01 * FT  # [m/s]
 
@@ -86,17 +81,3 @@ def _start_gust(fdm: Any, gust: Gust) -> None:
     }
     for name, value in values.items():
         fdm[f"atmosphere/cosine-gust/{name}"] = value
-
-
-def start_turbulence(fdm: Any, severity: int, seed: int, model: str = "milspec") -> None:
-    """Start Milspec turbulence of a probability-of-exceedance index (0 none to 7) from a seed.
-
-    ``tustin`` is the same spectra by another discretization. JSBSim draws once per
-    step: the same seed at another step gives another history.
-    """
-    fdm["simulation/randomseed"] = int(stream(seed, 0, "turbulence").integers(1, 2**31 - 1))
-    fdm["atmosphere/turb-type"] = _MODELS[model] if severity else 0
-    fdm["atmosphere/turbulence/milspec/severity"] = severity
-    fdm["atmosphere/turbulence/milspec/windspeed_at_20ft_AGL-fps"] = float(
-        np.interp(severity, _SEVERITY, _WIND_20FT_FPS)
-    )

@@ -35,7 +35,28 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
     for name, text in _describe_flight(summary).items():
         figures.add_row(name, text)
     console.print(figures)
+    for _, _, text in summary["table"]:
+        console.print(f"{profile.flight.label}: {text}", soft_wrap=True)
     print_sanity(console, summary["sanity"])
+
+
+def describe_replay(position: float, attitude: float) -> str:
+    """Return the errors of a replay [m], [rad] in units that read well.
+
+    Examples
+    --------
+    >>> describe_replay(0.0003, 1.2e-7)
+    '0.3 mm, 0.12 microradian'
+    >>> describe_replay(0.79, 3.4e-3)
+    '0.79 m, 3.4 mrad'
+    """
+    lengths, angles = ((1.0, "m"), (1e-3, "mm")), ((1.0, "rad"), (1e-3, "mrad"), (1e-6, "microradian"))
+
+    def describe(value: float, units: tuple[tuple[float, str], ...]) -> str:
+        size, unit = next((row for row in units if value >= 0.1 * row[0]), units[-1])
+        return f"{value / size:.2g} {unit}"
+
+    return f"{describe(position, lengths)}, {describe(attitude, angles)}"
 
 
 def print_sanity(console: Console, remarks: Sequence[tuple[float, float, str]]) -> None:
@@ -67,9 +88,8 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         "pitch": f"{format_range('pitch', '_rad', 1, _DEG)} deg",
         "load factor": format_range("load_factor", "", 2),
         "roll, pitch, yaw rate": f"up to {rates} deg/s",
-        "replay": f"{1e3 * summary['replay_position_m']:.2g} mm, "
-        f"{1e6 * summary['replay_attitude_rad']:.2g} microradian: largest error of an error-free two-sample "
-        "strapdown within 10 minutes",
+        "replay": f"{describe_replay(summary['replay_position_m'], summary['replay_attitude_rad'])}: "
+        "largest error of an error-free two-sample strapdown within 10 minutes",
     }
 
 

@@ -412,6 +412,7 @@ ONE_THING_WRONG = [
     ({"leg.2.to_alt_m": 900}, "[[leg]] 2 (climb): to_alt_m = 900 m is not above the 1000 m before it"),
     ({"leg.2.kind": "descend"}, "[[leg]] 2 (descend): to_alt_m = 1100 m is not below the 1000 m before it"),
     ({"start.speed_mps": 60}, "[start] speed_mps = 60 m/s is outside 20 to 29 m/s of the aerosonde"),
+    ({"terrain.alt_m": 5000.0}, "[terrain] alt_m = 5000 m is not below the start at alt_m = 1000 m"),
     (
         {"wind.turbulence": "bad"},
         "[wind] turbulence = 'bad' must be none, light, moderate, severe or a whole",

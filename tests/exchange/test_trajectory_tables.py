@@ -259,7 +259,7 @@ def test_a_table_that_starts_later_is_shifted_and_says_so(tmp_path):
         ),
         (
             "t_s,lat_deg,lon_deg,alt_m\n0,1,2,3\n",
-            "no columns for attitude: q_nb_w, q_nb_x,.*or roll_deg, pitch_deg",
+            "1 fixes with time, position and height; at least 10 are needed",
         ),
         ("t_s,lat_deg,lat_rad,lon_deg,alt_m\n", "'lat_deg' and 'lat_rad' are the same quantity"),
         ("t_s,lat_m,lon_deg,alt_m\n", "column 'lat_m' must end in its unit"),

@@ -1,0 +1,235 @@
+"""Read positions over time from GPX, KML, NMEA, IGC and tables: what people have of a ride or a flight.
+
+What a file does not say is a remark: of which height it speaks, which fixes are left out. GPX and KML are
+read with the same care as a model of an aircraft; nothing in a file is followed or executed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import reduce
+from operator import xor
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.errors import ConfigError, FlightError
+from bench.flight.model_files import read_xml
+
+MOST_FIXES, LEAST_FIXES = 500_000, 10
+_MOST_BYTES = 200_000_000
+_DAY = 86400.0
+_LONGEST_LINE = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class FixSeries:
+    """Fixes in the order of their times."""
+
+    t: FloatArray  # (N,) [s], from the first
+    lla: FloatArray  # (N, 3) latitude, longitude [rad], height as the file has it [m]
+    notes: tuple[str, ...]  # what was assumed or left out
+
+
+Fix = tuple[float, float, float, float]
+"""Time [s], latitude, longitude [deg], height [m]."""
+
+
+def read_track(path: Path) -> FixSeries:
+    """Read a track by the ending of its file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read or has no times: one line.
+    """
+    shown = path.name
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise ConfigError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
+        notes: list[str] = []
+        fixes = np.array(list(READERS[path.suffix.lower()](path, notes)), dtype=np.float64).reshape(-1, 4)
+    except OSError as error:
+        raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    except FlightError as error:
+        raise ConfigError(str(error)) from None
+    return order_fixes(fixes[:, 0], np.column_stack([np.radians(fixes[:, 1:3]), fixes[:, 3]]), notes, shown)
+
+
+def order_fixes(t: FloatArray, lla: FloatArray, notes: list[str], shown: str) -> FixSeries:
+    """Return fixes as a track: those that are finite and come after the one before; the rest is told."""
+    if len(t) > MOST_FIXES:
+        raise ConfigError(f"{shown}: {len(t)} fixes, more than {MOST_FIXES}")
+    whole = np.isfinite(t) & np.isfinite(lla).all(axis=1)
+    inside = whole & (np.abs(lla[:, 0]) <= 0.5 * np.pi) & (np.abs(lla[:, 1]) <= 2 * np.pi)
+    inside &= (lla[:, 2] > -1e3) & (lla[:, 2] < 1e5)
+    t, lla, left = t[inside], lla[inside], len(t) - int(inside.sum())
+    later = np.ones(len(t), dtype=bool)
+    if len(t):
+        later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
+    if left:
+        notes.append(f"{left} fixes without a time, a position or a height were left out")
+    if not later.all():
+        many = int((~later).sum())
+        notes.append(f"{many} fixes that do not come after the one before were left out")
+    t, lla = t[later], lla[later]
+    if len(t) < LEAST_FIXES:
+        raise ConfigError(
+            f"{shown}: {len(t)} fixes with time, position and height; at least {LEAST_FIXES} are needed"
+        )
+    return FixSeries(t - t[0], lla, tuple(notes))
+
+
+def _strip(element: ElementTree.Element) -> str:
+    return element.tag.rpartition("}")[2]
+
+
+def _parse_time(text: str | None) -> float:
+    """Return seconds of 1970 of an ISO time; NaN if it is none."""
+    try:
+        at = datetime.fromisoformat((text or "").strip())
+    except ValueError:
+        return math.nan
+    return (at if at.tzinfo else at.replace(tzinfo=UTC)).timestamp()
+
+
+def _parse_number(text: str | None) -> float:
+    try:
+        return float(text or "nan")
+    except ValueError:
+        return math.nan
+
+
+def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
+    """GPX 1.1: trkpt with lat, lon, ele, time."""
+    root, timed = read_xml(path, path.name), False
+    notes.append("heights are taken as ellipsoidal; GPX does not say which they are")
+    for point in root.iter():
+        if _strip(point) != "trkpt":
+            continue
+        inner = {_strip(child): child.text for child in point}
+        t = _parse_time(inner.get("time"))
+        timed |= not math.isnan(t)
+        lat, lon = _parse_number(point.get("lat")), _parse_number(point.get("lon"))
+        yield t, lat, lon, _parse_number(inner.get("ele"))
+    if not timed:
+        raise ConfigError(f"{path.name}: no <trkpt> with a <time>: a route without times is no motion")
+
+
+def _read_kml(path: Path, notes: list[str]) -> Iterator[Fix]:
+    """KML with gx:Track: a <when> and a <gx:coord> for each fix; a LineString has no times."""
+    root, found = read_xml(path, path.name), False
+    notes.append("heights are taken as ellipsoidal; KML has them above the sea")
+    for track in root.iter():
+        if _strip(track) != "Track":
+            continue
+        times = [_parse_time(child.text) for child in track if _strip(child) == "when"]
+        places = [(child.text or "").split() for child in track if _strip(child) == "coord"]
+        if len(times) != len(places):
+            raise ConfigError(
+                f"{path.name}: a <gx:Track> has {len(times)} <when> and {len(places)} <gx:coord>"
+            )
+        for t, place in zip(times, places, strict=True):
+            found = True
+            lon, lat, alt = (_parse_number(text) for text in (*place, "", "", "")[:3])
+            yield t, lat, lon, alt
+    if not found:
+        raise ConfigError(f"{path.name}: no <gx:Track>: a <LineString> has no times")
+
+
+def _read_lines(path: Path) -> Iterator[str]:
+    with path.open(encoding="latin-1") as file:
+        while line := file.readline(_LONGEST_LINE):
+            yield line.strip()
+
+
+def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
+    """NMEA 0183: GGA for time, place and height, with geoid separation; quality 0 is no fix.
+
+    A clock that goes back by more than half a day has passed midnight.
+    """
+    broken, day, last = 0, 0.0, -1.0
+    none = without = 0
+    for line in _read_lines(path):
+        start = line.find("$")
+        if start < 0 or line[start + 3 : start + 6] != "GGA":
+            continue
+        body, star, rest = line[start + 1 :].partition("*")
+        if not star or f"{reduce(xor, body.encode('latin-1'), 0):02X}" != rest[:2].upper():
+            broken += 1
+            continue
+        words = [*body.split(","), *[""] * 15]
+        if words[6] in ("", "0"):
+            none += 1
+            continue
+        clock = _parse_number(words[1])
+        if math.isnan(clock):
+            continue
+        t = clock // 10_000 * 3600 + clock // 100 % 100 * 60 + clock % 100
+        if t < last - _DAY / 2:
+            day += _DAY
+        last = t
+        lat, lon = (_parse_degrees(words[k], words[k + 1]) for k in (2, 4))
+        separation = _parse_number(words[11])
+        without += math.isnan(separation)
+        height = _parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
+        yield day + t, lat, lon, height
+    for count, what in (
+        (broken, "sentences with a wrong checksum were left out"),
+        (none, "sentences without a fix (quality 0) were left out"),
+        (without, "heights are above the sea: their sentences have no geoid separation"),
+    ):
+        if count:
+            notes.append(f"{count} {what}")
+
+
+def _parse_degrees(text: str, side: str) -> float:
+    """Return degrees of ddmm.mmmm and N, S, E or W."""
+    value = _parse_number(text)
+    if side not in ("N", "S", "E", "W"):
+        return math.nan
+    return (value // 100 + value % 100 / 60) * (-1.0 if side in "SW" else 1.0)
+
+
+def _read_igc(path: Path, notes: list[str]) -> Iterator[Fix]:
+    """IGC flight recorder: B records, time and place in fixed columns (FAI technical specification, A4.1).
+
+    The height of the GNSS is above the ellipsoid; without it, that of the pressure, above 1013.25 hPa.
+    """
+    rows: list[tuple[float, float, float, float, float]] = []
+    day, last, flat = 0.0, -1.0, 0
+    for line in _read_lines(path):
+        if not line.startswith("B") or len(line) < 35:
+            continue
+        digits = line[1:14] + line[15:23] + line[25:35].replace("-", "0")
+        if not digits.isdigit():
+            continue
+        t = int(line[1:3]) * 3600.0 + int(line[3:5]) * 60 + int(line[5:7])
+        if t < last - _DAY / 2:
+            day += _DAY
+        last = t
+        lat = (int(line[7:9]) + int(line[9:14]) / 60_000) * (-1 if line[14] == "S" else 1)
+        lon = (int(line[15:18]) + int(line[18:23]) / 60_000) * (-1 if line[23] == "W" else 1)
+        flat += line[24] != "A"
+        rows.append((day + t, lat, lon, float(line[25:30]), float(line[30:35])))
+    satellite = any(row[4] for row in rows)
+    if flat:
+        notes.append(f"{flat} fixes are marked as two-dimensional")
+    if not satellite:
+        notes.append("heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS")
+    for t, lat, lon, by_pressure, by_gnss in rows:
+        yield t, lat, lon, by_gnss if satellite else by_pressure
+
+
+READERS: dict[str, Callable[[Path, list[str]], Iterator[Fix]]] = {
+    ".gpx": _read_gpx,
+    ".kml": _read_kml,
+    ".nmea": _read_nmea,
+    ".igc": _read_igc,
+}
+"""Ending of a file -> what reads its fixes, and appends remarks."""

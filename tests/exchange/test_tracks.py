@@ -1,0 +1,280 @@
+"""Tracks of positions become truth: files of five formats, real ones, and flights known exactly."""
+
+from datetime import UTC, datetime, timedelta
+from functools import reduce
+from math import cos, degrees, pi, radians
+from operator import xor
+from pathlib import Path
+
+import numpy as np
+import pymap3d
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import cli, earth, rotation
+from bench.errors import ConfigError
+from bench.exchange.track_files import FixSeries, read_track
+from bench.exchange.track_fit import fit_track
+from bench.exchange.track_motion import make_motion
+from bench.exchange.trajectory import read_trajectory
+from bench.flight import fly
+from bench.flight.legs.level import Straight
+from bench.flight.legs.turns import STurns
+from bench.specs import TableSpec, TrackSpec
+from bench.store.truth_cache import join_pieces
+from tests.flight.inertial import replay
+from tests.flight.plans import plan
+
+REAL = Path(__file__).parent / "tracks"
+BEGIN = datetime(2026, 3, 1, 23, 58, 0, tzinfo=UTC)  # the clock passes midnight
+
+
+def write_gpx(rows):
+    points = "".join(
+        f'<trkpt lat="{lat:.8f}" lon="{lon:.8f}"><ele>{alt:.3f}</ele>'
+        f"<time>{(BEGIN + timedelta(seconds=t)).isoformat().replace('+00:00', 'Z')}</time></trkpt>"
+        for t, lat, lon, alt in rows
+    )
+    return f'<gpx xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>{points}</trkseg></trk></gpx>'
+
+
+def write_kml(rows):
+    when = "".join(f"<when>{(BEGIN + timedelta(seconds=t)).isoformat()}</when>" for t, *_ in rows)
+    coord = "".join(f"<gx:coord>{lon:.8f} {lat:.8f} {alt:.3f}</gx:coord>" for _, lat, lon, alt in rows)
+    spaces = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
+    return f"<kml {spaces}><Placemark><gx:Track>{when}{coord}</gx:Track></Placemark></kml>"
+
+
+def checked(body):
+    return f"${body}*{reduce(xor, body.encode(), 0):02X}"
+
+
+def write_nmea(rows):
+    lines = ["program startup"]
+    for t, lat, lon, alt in rows:
+        at = BEGIN + timedelta(seconds=t)
+        y, x = abs(lat), abs(lon)
+        north, east = "NS"[int(lat < 0)], "EW"[int(lon < 0)]
+        place = f"{int(y):02d}{y % 1 * 60:09.6f},{north},{int(x):03d}{x % 1 * 60:09.6f},{east}"
+        body = f"GPGGA,{at:%H%M%S}.{at.microsecond // 10000:02d},{place},1,08,0.9,{alt - 47.0:.3f},M,47.0,M,,"
+        lines.append(checked(body))
+    return "\n".join(lines)
+
+
+def write_igc(rows):
+    lines = ["AXXX001", "HFDTE010326"]
+    for t, lat, lon, alt in rows:
+        at, y, x = BEGIN + timedelta(seconds=t), abs(lat), abs(lon)
+        north, east = "NS"[int(lat < 0)], "EW"[int(lon < 0)]
+        place = f"{int(y):02d}{round(y % 1 * 60000):05d}{north}{int(x):03d}{round(x % 1 * 60000):05d}"
+        lines.append(f"B{at:%H%M%S}{place}{east}A{round(alt) - 100:05d}{round(alt):05d}")
+    return "\n".join(lines)
+
+
+def write_csv(rows):
+    return "t_s,lat_deg,lon_deg,alt_m\n" + "\n".join(",".join(f"{v:.9f}" for v in row) for row in rows)
+
+
+WRITERS = {".gpx": write_gpx, ".kml": write_kml, ".nmea": write_nmea, ".igc": write_igc, ".csv": write_csv}
+
+
+def circle(seconds=120.0, step=1.0, speed=25.0, radius=300.0, lat=-33.0, lon=-70.5, noise=0.0):
+    """Rows of a level circle by pymap3d; southern and western, so that signs matter."""
+    t = np.arange(0.0, seconds, step)
+    angle = speed / radius * t
+    rng = np.random.default_rng(3)
+    n, e, d = radius * np.sin(angle), radius * (1 - np.cos(angle)), 0 * t
+    n, e, d = (part + noise * rng.standard_normal(len(t)) for part in (n, e, d))
+    return np.column_stack([t, *pymap3d.ned2geodetic(n, e, d, lat, lon, 800.0)])
+
+
+@pytest.mark.parametrize(("ending", "off"), [(".gpx", 0.01), (".kml", 0.01), (".nmea", 0.01), (".igc", 1.5)])
+def test_every_format_gives_the_fixes_back(tmp_path, ending, off):
+    """IGC has thousandths of minutes, whole metres and whole seconds."""
+    rows = circle()
+    path = tmp_path / f"track{ending}"
+    path.write_text(WRITERS[ending](rows))
+    track = read_track(path)
+    assert_allclose(track.t, rows[:, 0], atol=1e-6)
+    true = np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]])
+    assert np.abs(earth.to_ecef(track.lla) - earth.to_ecef(true)).max() < off
+
+
+@pytest.mark.parametrize("ending", list(WRITERS))
+def test_a_profile_flies_any_of_them(tmp_path, ending):
+    """By the command's own way in: the circle is flown at the bank of a coordinated turn."""
+    (tmp_path / f"track{ending}").write_text(WRITERS[ending](circle(60.0)))
+    spec = TableSpec("track", tmp_path / f"track{ending}", 100.0, 40.0)
+    truth = join_pieces(list(read_trajectory(spec)))
+    roll, pitch, _ = rotation.to_euler(truth.q_nb)
+    middle = slice(1000, 3000)
+    bank = np.arctan(25.0**2 / 300.0 / 9.80665)
+    assert_allclose(np.degrees(roll[middle]), degrees(bank), atol=3.0 if ending == ".igc" else 0.2)
+    # the nose is up by the incidence, in the plane of the wings
+    assert_allclose(np.degrees(pitch[middle]), 3.0 * cos(bank), atol=1.0 if ending == ".igc" else 0.1)
+
+
+def thinned(truth, step, noise, seed):
+    rng = np.random.default_rng(seed)
+    at = np.arange(0.0, truth.t[-1], step)
+    rows = np.round(at / truth.t[1]).astype(int)
+    lla = truth.lla[rows].copy()
+    pos_n = noise * rng.standard_normal((len(rows), 3))
+    lla = np.array([earth.displace(place, off) for place, off in zip(lla, pos_n, strict=True)])
+    return np.column_stack([at, np.degrees(lla[:, :2]), lla[:, 2]])
+
+
+@pytest.fixture(scope="module")
+def swinging():
+    """A flight of s-turns of 60 deg to either side at 30 deg of bank."""
+    return fly(plan(Straight(10.0), STurns(radians(60.0), radians(30.0), 2), Straight(10.0)))
+
+
+@pytest.mark.parametrize("told", [1.0, None])
+def test_a_flight_at_1_hz_with_a_metre_of_noise_comes_back(swinging, told):
+    """Six draws: at most 0.8 m an axis and 3 deg of roll (rms) off the flight it was."""
+    offs, turned = [], []
+    for seed in range(6):
+        rows = thinned(swinging, 1.0, 1.0, seed)
+        track = FixSeries(rows[:, 0], np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]), ())
+        motion = make_motion(track, TrackSpec(noise=told, vertical_noise=told), "t")
+        k = np.round(motion.t / swinging.t[1]).astype(int)
+        offs.append(earth.difference_n(earth.to_geodetic(motion.pos_e), swinging.lla[k]))
+        q_en = rotation.from_matrix(earth.matrix_en(*swinging.lla[k, :2].T))
+        roll = rotation.to_euler(rotation.multiply(rotation.conjugate(q_en), motion.q_eb))[0]
+        turned.append(np.degrees(roll - rotation.to_euler(swinging.q_nb[k])[0]))
+    assert (np.sqrt(np.mean(np.concatenate(offs) ** 2, axis=0)) < 0.8).all()
+    assert np.sqrt(np.mean(np.concatenate(turned) ** 2)) < 3.0
+
+
+def test_a_track_that_does_not_resolve_its_turns_is_refused(tmp_path, swinging):
+    """Fixes 5 s apart, with or without noise that is told: the turns reverse within 12 s."""
+    (tmp_path / "t.csv").write_text(write_csv(thinned(swinging, 5.0, 1.0, 8)))
+    with pytest.raises(
+        ConfigError, match=r"t\.csv: .*(do not resolve its turns|no aircraft moves like that)"
+    ):
+        list(read_trajectory(TableSpec("t", tmp_path / "t.csv", 100.0, None)))
+
+
+def test_noise_is_estimated_where_it_is_not_told():
+    rng = np.random.default_rng(2)
+    t = np.arange(0.0, 600.0)
+    smooth = np.column_stack([25 * t, 60 * np.sin(2 * pi * t / 40)])
+    for noise in (0.3, 3.0):
+        fit = fit_track(t, smooth + noise * rng.standard_normal((600, 2)), np.ones(600), None)
+        assert_allclose(fit.noise, noise, rtol=0.1)
+        assert np.sqrt(((fit.spline(t) - smooth) ** 2).mean()) < 0.7 * noise
+
+
+def test_standing_still_stays_still():
+    """A car drives, stands for a minute in a metre of noise, and drives on."""
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 180.0)
+    gone = 10.0 * (np.minimum(t, 60) + np.maximum(t - 120, 0))
+    rows = np.column_stack([gone, 0 * t, 0 * t]) + 1.0 * rng.standard_normal((180, 3))
+    lla = np.column_stack(pymap3d.ned2geodetic(*rows.T, 47.0, 11.0, 500.0))
+    lla[:, :2] = np.radians(lla[:, :2])
+    motion = make_motion(FixSeries(t, lla, ()), TrackSpec(vehicle="ground"), "car")
+    standing = (motion.t > 75) & (motion.t < 105)
+    speed = np.linalg.norm(np.diff(motion.pos_e[standing], axis=0), axis=1) * 20.0
+    assert speed.max() < 0.01
+    assert any("stands 1 times" in note[3] for note in motion.notes)
+    roll, pitch, _ = rotation.to_euler(
+        rotation.multiply(
+            rotation.conjugate(rotation.from_matrix(earth.matrix_en(*lla[0, :2]))), motion.q_eb[standing]
+        )
+    )
+    assert np.degrees(np.abs([roll, pitch])).max() < 0.1
+
+
+def test_wind_turns_the_nose_into_it_and_not_the_track(tmp_path):
+    rows = np.column_stack(
+        [np.arange(60.0), 47 + 25 * np.arange(60.0) / 111_200, np.full(60, 11.0), np.full(60, 900.0)]
+    )
+    (tmp_path / "t.csv").write_text(write_csv(rows))
+    wind = TrackSpec(wind_from=radians(270.0), wind_speed=7.0)
+    truth = join_pieces(list(read_trajectory(TableSpec("t", tmp_path / "t.csv", 100.0, 50.0, track=wind))))
+    heading = np.degrees(rotation.to_euler(truth.q_nb)[2])
+    assert_allclose(heading[1000:4000] % 360, 360 - degrees(np.arctan2(7.0, 25.0)), atol=0.2)
+    assert_allclose(truth.vel_n[1000:4000, 1], 0.0, atol=0.05)
+
+
+# --- real ones, and damaged ones ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "track", "length", "fastest"),
+    [
+        ("car.nmea", TrackSpec(vehicle="ground"), 300.0, 30.0),
+        ("run.gpx", TrackSpec(vehicle="ground"), 809.0, 5.0),
+        ("glider.igc", TrackSpec(end=600.0), 597.0, 60.0),
+    ],
+)
+def test_a_real_track_becomes_a_truth_that_replays(name, track, length, fastest):
+    truth = join_pieces(list(read_trajectory(TableSpec("t", REAL / name, 100.0, 200.0, track=track))))
+    distance, _ = replay(truth, 100.0)
+    assert distance < 5e-3
+    assert np.linalg.norm(truth.vel_n, axis=1).max() < fastest
+    assert read_track(REAL / name).t[-1] >= length
+    said = [text for _, _, text in truth.events.select("table")]
+    assert any("smoothed" in text for text in said)
+
+
+def test_circles_of_a_glider_at_eight_seconds_are_refused():
+    with pytest.raises(ConfigError, match=r"glider\.igc: its fixes, \d+ s apart, do not resolve its turns"):
+        make_motion(read_track(REAL / "glider.igc"), TrackSpec(begin=1200.0, end=1500.0), "glider.igc")
+
+
+@pytest.mark.parametrize(
+    ("ending", "text", "says"),
+    [
+        (".gpx", "<gpx><trk><trkpt lat='1' lon='2'/></trk></gpx>", "no <trkpt> with a <time>"),
+        (".gpx", "<gpx><trk>", "not well-formed XML"),
+        (".kml", "<kml><LineString/></kml>", "a <LineString> has no times"),
+        (".nmea", "$GPGGA,nonsense*00\n", "0 fixes with time"),
+        (".igc", "B9999\n", "0 fixes with time"),
+    ],
+)
+def test_what_is_no_track_is_named_in_one_line(tmp_path, ending, text, says):
+    path = tmp_path / f"bad{ending}"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=says) as told:
+        read_track(path)
+    assert "\n" not in str(told.value)
+
+
+def test_broken_sentences_and_gaps_are_told(tmp_path):
+    lines = write_nmea(circle(100.0)).splitlines()
+    lines[20] = lines[20].replace("GPGGA", "GPGGB").replace("GGB", "GGA")[:-1] + "Z"
+    del lines[40:50]
+    path = tmp_path / "t.nmea"
+    path.write_text("\n".join(lines))
+    track = read_track(path)
+    assert "1 sentences with a wrong checksum were left out" in track.notes
+    motion = make_motion(track, TrackSpec(), "t")
+    assert any("1 gaps of up to 11 s bridged" in note[3] for note in motion.notes)
+    cut = make_motion(track, TrackSpec(bridge=5.0), "t")
+    assert cut.t[-1] == pytest.approx(track.t[-1] - 49.0, abs=1.1)
+    assert any("cut at 1 gaps" in note[3] for note in cut.notes)
+
+
+def test_a_table_with_an_attitude_wants_no_track(tmp_path):
+    rows = circle(30.0)
+    text = "t_s,lat_deg,lon_deg,alt_m,roll_deg,pitch_deg,heading_deg\n"
+    (tmp_path / "t.csv").write_text(
+        text + "\n".join(",".join(f"{v:.9f}" for v in (*row, 0, 0, 0)) for row in rows)
+    )
+    with pytest.raises(ConfigError, match="the table has an attitude"):
+        list(read_trajectory(TableSpec("t", tmp_path / "t.csv", 100.0, None, track=TrackSpec())))
+
+
+def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "walk.gpx").write_text(write_gpx(circle(60.0, noise=0.5)))
+    (tmp_path / "walk.toml").write_text(
+        'trajectory = "walk.gpx"\nrate_hz = 100\nevaluation = { from_s = 10.0 }\n'
+    )
+    assert cli.main(["fly", "walk.toml"]) == 0
+    out = capsys.readouterr().out
+    assert "smoothed" in out
+    assert "incidence of 3 deg" in " ".join(out.split())

@@ -1,0 +1,253 @@
+"""Turbulence: its discretization against the shaping filters of MIL-F-8785C, its draws, ground and wind."""
+
+from dataclasses import replace
+from math import cos, pi, radians, sin, sqrt
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench.config import load_profile
+from bench.flight import fly
+from bench.flight.dryden import GUSTS, RATES, GustFilters, scales_and_intensities, through_turbulence
+from bench.flight.executive import load_aircraft
+from bench.flight.jsbsim_units import FT
+from bench.flight.legs.level import Straight
+from bench.flight.trimming import TrimCondition, present_accelerations, trim_aircraft, wait
+from bench.specs import stream
+from tests.flight.plans import AEROSONDE, plan
+
+SPAN = 2.8956
+
+
+def shaping(name, omega, speed, span, figures):
+    """One-sided spectra over the angular frequency as the standard prints its filters, [unit^2 s/rad]."""
+    length_u, length_w, sigma_u, sigma_w = figures
+    s = 1j * omega
+    t_u, t_w = length_u / speed, length_w / speed
+    u = sigma_u * np.sqrt(2 * t_u / pi) / (1 + t_u * s)
+    v = sigma_u * np.sqrt(t_u / pi) * (1 + sqrt(3) * t_u * s) / (1 + t_u * s) ** 2
+    w = sigma_w * np.sqrt(t_w / pi) * (1 + sqrt(3) * t_w * s) / (1 + t_w * s) ** 2
+    p = sigma_w * np.sqrt(0.8 / speed) * (pi / (4 * span)) ** (1 / 6) / length_w ** (1 / 3)
+    filters = {
+        "u": u,
+        "v": v,
+        "w": w,
+        "p": p / (1 + 4 * span / (pi * speed) * s),
+        "q": s / speed / (1 + 4 * span / (pi * speed) * s) * w,
+        "r": s / speed / (1 + 3 * span / (pi * speed) * s) * v,
+    }
+    return np.abs(filters[name]) ** 2
+
+
+@pytest.mark.parametrize("height", [30.0, 76.0, 250.0, 1200.0])
+@pytest.mark.parametrize(("span", "speed"), [(2.8956, 25.0), (10.2, 55.0), (59.64, 80.0), (59.64, 240.0)])
+def test_the_discrete_response_is_that_of_the_shaping_filters(span, speed, height):
+    """At the step of a flight, from 0.02 to 10 Hz, each gust within 2 %.
+
+    Sampling folds what lies above 200 Hz down: a floor of 0.01 % of the highest density, which shows only
+    where a rate of turning has almost none of its own (0.02 Hz).
+    """
+    dt, figures = 1 / 400, scales_and_intensities(height, 4)
+    filters = GustFilters(span)
+    phi, noise = filters.make_step(figures[0], figures[1], speed * dt)
+    out = filters.gusts(np.eye(8), figures).T
+    omegas = 2 * pi * np.geomspace(0.02, 10.0, 25)
+    turns = np.exp(1j * omegas * dt)[:, None, None] * np.eye(8)
+    spectra = dt / pi * (np.abs(out @ np.linalg.solve(turns - phi, noise)) ** 2).sum(axis=2)
+    for k, name in enumerate(GUSTS):
+        expected = shaping(name, omegas, speed, span, figures)
+        assert_allclose(spectra[:, k], expected, rtol=0.02, atol=1e-4 * expected.max(), err_msg=name)
+
+
+def test_turbulence_turns_as_a_mass_of_air_does():
+    """q is -dw/dx and r is dv/dx: a gust that grows along the path, over the two metres before."""
+    filters = GustFilters(1.0)
+    rng = np.random.default_rng(1)
+    phi, noise = filters.make_step(100.0, 100.0, 0.05)
+    states = [np.zeros(8)]
+    for _ in range(4000):
+        states.append(phi @ states[-1] + noise @ rng.standard_normal(8))
+    _, v, w, _, q, r = filters.gusts(np.array(states), (100.0, 100.0, 1.0, 1.0)).T
+    for rate, gust, sign in ((q, w, -1), (r, v, 1)):
+        slope = (gust[40:] - gust[:-40]) / (40 * 0.05)
+        assert np.corrcoef(rate[30:-10], sign * slope)[0, 1] > 0.6
+
+
+# --- intensities against the table --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "wind_kt"), [("light", 15), ("moderate", 30), ("severe", 45)])
+def test_intensities_near_the_ground_are_a_tenth_of_the_wind_at_20_feet(name, wind_kt):
+    """Figures 10 and 11 of MIL-F-8785C: sigma_w = 0.1 W20 at all heights, at 1000 ft sigma_u equals it."""
+    severity = {"light": 3, "moderate": 4, "severe": 6}[name]
+    wind = wind_kt * 1852 / 3600
+    for feet in (20.0, 200.0, 1000.0):
+        length_u, length_w, sigma_u, sigma_w = scales_and_intensities(feet * FT, severity)
+        assert_allclose(sigma_w, 0.1 * wind, rtol=2e-3)
+        assert_allclose(sigma_u / sigma_w, (0.177 + 0.000823 * feet) ** -0.4, rtol=1e-12)
+        assert_allclose(
+            [length_w / FT, length_u / FT], [feet, feet / (0.177 + 0.000823 * feet) ** 1.2], rtol=1e-12
+        )
+
+
+def test_intensities_high_up_are_those_of_figure_7_and_join_without_a_step():
+    for severity, sigma in ((3, 6.7), (4, 10.1), (6, 23.6)):  # at 7500 ft, in ft/s
+        assert_allclose(
+            scales_and_intensities(7500 * FT, severity), np.array([1750, 1750, sigma, sigma]) * FT
+        )
+    heights = np.arange(900.0, 2200.0) * FT
+    for severity in range(1, 8):
+        figures = np.array([scales_and_intensities(h, severity) for h in heights])
+        assert (np.abs(np.diff(figures, axis=0)).max(axis=0) < [0.5, 0.5, 0.01, 0.01]).all()
+
+
+# --- the driver over ground and in wind ---------------------------------------------------------------
+
+
+class Still:
+    """As much of JSBSim as the driver reads: a flight at one height and airspeed, in one wind."""
+
+    def __init__(self, height, speed, wind_n, span=SPAN, heading=0.0):
+        air = np.array([speed * cos(heading), speed * sin(heading), 0.0])
+        ground = air + wind_n
+        self.values = {"metrics/bw-ft": span / FT, "position/h-agl-ft": height / FT}
+        for k, axis in enumerate(("north", "east", "down")):
+            self.values[f"velocities/v-{axis}-fps"] = ground[k] / FT
+            self.values[f"atmosphere/wind-{axis}-fps"] = wind_n[k] / FT
+            self.values[f"atmosphere/gust-{axis}-fps"] = 0.0
+        self.values |= dict.fromkeys(RATES, 0.0)
+        self.names = [f"atmosphere/gust-{axis}-fps" for axis in ("north", "east", "down")] + list(RATES)
+
+    def get_property_manager(self):
+        return self
+
+    def get_node(self, name):
+        values = self.values
+
+        class Node:
+            def get_double_value(self):
+                return values[name]
+
+            def set_double_value(self, value):
+                values[name] = value
+
+        return Node()
+
+    def __getitem__(self, name):
+        return self.values[name]
+
+    def __setitem__(self, name, value):
+        self.values[name] = value
+
+    def run(self):
+        return True
+
+    def gusts(self, seed, seconds, dt=0.01, severity=4):
+        """(T, 6) along north, east, down [m/s] and p, q, r [rad/s]."""
+        spec = plan(Straight(1.0), severity=severity, turbulence_seed=seed, heading=0.0)
+        step = through_turbulence(self, spec, dt)
+        rows = []
+        for _ in range(round(seconds / dt)):
+            step()
+            rows.append([self.values[name] for name in self.names])
+        return np.array(rows) * [FT, FT, FT, 1.0, 1.0, 1.0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("height", "speed"), [(60.0, 25.0), (60.0, 55.0), (1200.0, 100.0)])
+def test_twenty_draws_have_the_spectra_and_no_mean(height, speed):
+    """1,000 s each: third-octaves within 15 % from 0.1 Hz and 25 % below, the mean below 0.15 sigma."""
+    dt, settle, n = 0.01, 10_000, 100_000
+    figures = scales_and_intensities(height, 4)
+    filters = GustFilters(SPAN)
+    phi, noise = filters.make_step(figures[0], figures[1], speed * dt)
+    x, rng = np.zeros((20, 8)), np.random.default_rng(5)
+    states = np.empty((n, 20, 8))
+    for k in range(-settle, n):
+        x = x @ phi.T + rng.standard_normal((20, 8)) @ noise.T
+        states[k] = x
+    draws = np.stack([filters.gusts(states[:, k], figures) for k in range(20)])
+    assert (np.abs(draws.mean(axis=(0, 1)))[:3] < 0.15 * np.array([figures[2], figures[2], figures[3]])).all()
+    window = np.hanning(n)[:, None]
+    power = np.mean([np.abs(np.fft.rfft(window * draw, axis=0)) ** 2 for draw in draws], axis=0)
+    power *= dt / (pi * (window**2).sum())  # over the angular frequency
+    f = np.fft.rfftfreq(n, dt)
+    for centre in 0.05 * 2 ** (np.arange(22) / 3):
+        band = (f >= centre * 2 ** (-1 / 6)) & (f < centre * 2 ** (1 / 6))
+        expected = [shaping(name, 2 * pi * f[band], speed, SPAN, figures).mean() for name in GUSTS]
+        near = 0.15 if centre >= 0.1 else 0.25
+        assert_allclose(power[band].mean(axis=0), expected, rtol=near, err_msg=f"{centre} Hz")
+
+
+@pytest.mark.parametrize("wind_n", [(-5.0, 0.0, 0.0), (0.0, 5.0, 0.0)])
+def test_what_is_written_is_the_draw_of_the_filters_in_head_and_in_crosswind(wind_n):
+    """The flight northbound through the air writes u, v, w as north, east, down, whatever the wind."""
+    written = Still(60.0, 25.0, np.array(wind_n)).gusts(7, 1.0)
+    figures = scales_and_intensities(60.0, 4)
+    filters = GustFilters(SPAN)
+    phi, noise = filters.make_step(figures[0], figures[1], 0.25)
+    rng, x, states = stream(7, 0, "turbulence"), np.zeros(8), []
+    for row in rng.standard_normal((100, 8)):
+        x = phi @ x + noise @ row
+        states.append(x)
+    assert_allclose(written, filters.gusts(np.array(states), figures), atol=1e-9)
+
+
+def test_the_field_is_frozen_in_the_air_and_stands_when_the_aircraft_does():
+    still = Still(50.0, 0.0, np.zeros(3)).gusts(1, 2.0)
+    assert np.abs(np.diff(still, axis=0)).max() == 0.0
+    parked = Still(50.0, 0.0, np.array([-8.0, 0.0, 0.0]))
+    parked.values |= {f"velocities/v-{axis}-fps": 0.0 for axis in ("north", "east", "down")}
+    assert np.abs(parked.gusts(1, 2.0)[:, :3]).max() > 0.1  # the wind carries it past
+
+
+def test_u_is_along_the_path_through_the_air_whatever_the_wind():
+    """The same draw eastbound is that northbound, turned; a crosswind changes neither."""
+    north = Still(300.0, 40.0, np.zeros(3)).gusts(3, 20.0)
+    east = Still(300.0, 40.0, np.array([7.0, -3.0, 0.0]), heading=pi / 2).gusts(3, 20.0)
+    assert_allclose(east[:, 1], north[:, 0], atol=1e-9)
+    assert_allclose(east[:, 0], -north[:, 1], atol=1e-9)
+    assert_allclose(east[:, 2:], north[:, 2:], atol=1e-12)
+
+
+def flown(alt, ground, **changes):
+    """Straight for 20 s over the ground of a runway."""
+    runway = replace(load_profile("circuit").flight.runway, alt=ground)
+    values = {"severity": 4, "turbulence_seed": 4, "runway": runway, "alt": alt} | changes
+    return fly(plan(Straight(20.0), **values))
+
+
+def test_turbulence_follows_the_height_above_ground_not_above_the_sea():
+    """60 m above ground at sea level and at 900 m are the same air; 960 m above the sea is another."""
+    low, mountain, high = flown(60.0, 0.0), flown(960.0, 900.0), flown(960.0, 0.0)
+    gust, same, other = (truth.air.wind_n[:, 2] for truth in (low, mountain, high))
+    assert np.corrcoef(gust, same)[0, 1] > 0.99
+    assert np.corrcoef(gust, other)[0, 1] < 0.9
+    # much less height, much shorter waves: the gust changes faster for its size
+    quick = [np.diff(column).std() / column.std() for column in (gust, other)]
+    assert quick[0] > 1.5 * quick[1]
+
+
+@pytest.mark.parametrize(
+    ("profile", "alt", "speed"),
+    [("figure-eight", 200.0, 25.0), ("circuit-navion", 200.0, 53.0), ("climb-cruise-descend", 400.0, 85.0)],
+)
+def test_the_rates_of_the_air_turn_the_aircraft(profile, alt, speed):
+    """The air turns the aircraft with it, about each axis."""
+    aircraft = load_profile(profile).flight.aircraft
+    fdm = load_aircraft(aircraft, 0.0025)
+    trim_aircraft(fdm, TrimCondition(radians(47.0), radians(11.0), alt, 0.5, speed))
+    still = present_accelerations(fdm)[3:]
+    for axis, name in enumerate(RATES):
+        fdm[name] = 0.02
+        wait(fdm, 1)
+        turned = present_accelerations(fdm)[3:] - still
+        assert turned[axis] > 1e-4, name
+        fdm[name] = 0.0
+        wait(fdm, 1)
+
+
+def test_the_step_of_a_calm_flight_is_that_of_jsbsim():
+    fdm = load_aircraft(AEROSONDE, 0.0025)
+    assert through_turbulence(fdm, plan(Straight(1.0)), 0.0025) == fdm.run
