@@ -11,7 +11,7 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-from bench import disk_arrays, store
+from bench import closed_loop, disk_arrays, store
 from bench.compiled import read_compile_time, watch_compiling
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
@@ -25,9 +25,15 @@ from bench.stages import FLYING, Stages, Watcher
 
 
 def fly(
-    profile: Profile, *, cache: bool = True, progress: Callable[[float], None] | None = None
+    profile: Profile,
+    *,
+    cache: bool = True,
+    progress: Callable[[float], None] | None = None,
+    run: int = 0,
 ) -> Trajectory:
     """Return the truth of a profile, from the cache if it was flown before.
+
+    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown.
 
     Raises
     ------
@@ -36,6 +42,8 @@ def fly(
     bench.errors.ConfigError
         If a trajectory table cannot be used.
     """
+    if profile.guidance is not None:
+        return closed_loop.fly(profile, run, progress).truth
     if cache:
         return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress))
     return store.join_pieces(_fly_pieces(profile, progress))
@@ -47,6 +55,8 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     They are those of `bench.flight.Summary` and `bench.evaluation.replay`. Only one piece of the truth is in
     memory at a time. Errors as for :func:`fly`.
     """
+    if profile.guidance is not None:
+        return _summarize([closed_loop.fly(profile, 0, progress).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), _summarize, sources)
 
@@ -179,10 +189,19 @@ def _run(
     compiled_before = read_compile_time()
     clock = {"fly": _read_work_clock()}
     own_truth = truth is not None
-    if truth is None:
+    steered: NavSolution | None = None
+    tell = partial(_tell_flown, stages, profile.flight.duration)
+    if truth is None and profile.guidance is not None:
+        closed = closed_loop.fly(profile, run, tell)
+        truth, steered = closed.truth, closed.answers
+    elif truth is None:
         stages.begin("taking the flight from the cache")
-        truth = fly(profile, progress=partial(_tell_flown, stages, profile.flight.duration))
-    check_times(profile, float(truth.t[-1]))
+        truth = fly(profile, progress=tell)
+    elif profile.guidance is not None:
+        stages.begin("navigating the flight again")
+        steered = closed_loop.replay(profile, truth, run)
+    if profile.guidance is None:  # an estimate may end a flight before an outage or a fault
+        check_times(profile, float(truth.t[-1]))
     clock["sense"] = _read_work_clock()
     stages.begin("sensing")
     sensed = sense(profile, truth, run)
@@ -205,6 +224,8 @@ def _run(
         solutions[label] = solution
         used[label] = getattr(one, "cpu_s", _read_cpu_clock() - begun)
     check_starts(raised, len(built))
+    if steered is not None:
+        solutions[closed_loop.LABEL], unmodelled[closed_loop.LABEL] = steered, None
     clock["judge"] = _read_work_clock()
     stages.begin("judging")
     from bench.causes.explaining import DrawnRun, explain_run
@@ -225,8 +246,8 @@ def _run(
         }
         for label, solution in solutions.items()
     }
-    requirements = {label: list_requirements(profile.document, label) for label in built}
-    covered = {label: measure_coverage(solutions[label], sensed.data) for label in built}
+    requirements = {label: list_requirements(profile.document, label) for label in solutions}
+    covered = {label: measure_coverage(solutions[label], sensed.data) for label in solutions}
     verdicts = {
         label: add_verdict(label, values, covered[label], requirements[label])
         for label, values in metrics.items()
@@ -266,7 +287,7 @@ def _run(
             metrics[label]["bound"] = rows
     clock["end"] = _read_work_clock()
     hashes = {
-        "truth": None if own_truth else store.truth_key(profile.flight),
+        "truth": None if own_truth else find_truth_key(profile, run),
         "sensors": store.hash_spec(profile.sensors),
     }
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(clock)}
@@ -293,6 +314,15 @@ def _run(
             "printed": collect_printed(built),
         },
     )
+
+
+def find_truth_key(profile: Profile, run: int = 0) -> str:
+    """Return a hash of all that a truth follows from: the flight and, where one flies it, the estimate."""
+    guidance = profile.guidance
+    if guidance is None:
+        return store.truth_key(profile.flight)
+    parts = (store.hash_spec(guidance), store.hash_spec(profile.sensors), str(profile.seed), str(run))
+    return store.truth_key(profile.flight, parts)
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:

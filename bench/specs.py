@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -762,6 +762,17 @@ class EvaluationWindow:
 
 
 @dataclass(frozen=True, slots=True)
+class Guidance:
+    """Whose estimate guidance and legs read, and how it comes to them."""
+
+    navigation: EstimatorChoice
+    period: float  # between two answers [s], a multiple of 0.05
+    latency: float  # from the validity of an answer until guidance goes over to it [s], 0.05 or more
+    error: Literal["held", "state"]  # as `bench.flight.belief` says
+    look_back: float = 1.0  # longest time from a measurement to its arrival [s]
+
+
+@dataclass(frozen=True, slots=True)
 class Profile:
     """One experiment: flight, sensors, estimators and evaluation."""
 
@@ -773,6 +784,7 @@ class Profile:
     estimators: tuple[EstimatorChoice, ...]
     evaluation: EvaluationWindow
     document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
+    guidance: Guidance | None = None  # None: guidance reads the truth
 
     def __repr__(self) -> str:
         """Return name, seed, flight, sensors and estimators."""

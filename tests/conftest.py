@@ -7,7 +7,6 @@ import pickle
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.flight.truth import Stretch
+from bench.sensors import draws
 from bench.specs import FlightSpec, stream
 from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan
@@ -114,17 +114,16 @@ def sensed(request: pytest.FixtureRequest, truth: Trajectory) -> Sensed:
 
 @pytest.fixture
 def streams_drawn(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[str]]:
-    """Watch modules of sensors: the list it gives holds the name of every random stream they ask for."""
+    """Watch the sensors: the list it gives holds the name of every random stream they ask for."""
 
-    def watch(*modules: ModuleType) -> list[str]:
+    def watch() -> list[str]:
         names: list[str] = []
 
         def recorded(seed: int, run: int, name: str) -> np.random.Generator:
             names.append(name)
             return stream(seed, run, name)
 
-        for module in modules:
-            monkeypatch.setattr(module, "stream", recorded)
+        monkeypatch.setattr(draws, "stream", recorded)
         return names
 
     return watch

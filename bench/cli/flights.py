@@ -99,7 +99,7 @@ def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **opti
     write_findings(junit, result.name, judge_result(result.profile, result.metrics))
     if then_view:
         view_folder(folder, web=False, console=console)
-    return end_run(result.metrics)
+    return max(end_run(result.metrics), int(bool(result.events.select("crash"))))
 
 
 @commands.command(epilog=STATUS)

@@ -46,6 +46,7 @@ from bench.specs import (
     Flight,
     FlightSpec,
     Guard,
+    Guidance,
     Gust,
     Profile,
     Runway,
@@ -153,6 +154,7 @@ def load_profile(
     if wrong or flight is None:
         raise ConfigError(*wrong)
     choices = choose_estimators(shown, choices, estimators, allow_code, guard)
+    guidance = _make_guidance(table, shown, flight, guard, allow_code=allow_code)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -162,7 +164,40 @@ def load_profile(
         estimators=choices,
         evaluation=table.evaluation.window(),
         document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
+        guidance=guidance,
     )
+
+
+def _make_guidance(
+    table: ExperimentTable, shown: str, flight: Flight, guard: Guard, *, allow_code: bool
+) -> Guidance | None:
+    """Return whose estimate flies; None: the truth.
+
+    Raises
+    ------
+    ConfigError
+        If that is code and not allowed, there is no such estimator, or the aircraft has no guidance of ours.
+    """
+    own = getattr(table, "guidance", None)
+    if own is None:
+        return None
+    choice = make_choice(own.navigation, own.navigation, own.options)
+    place = f"{shown}: [guidance]"
+    if (
+        not isinstance(flight, FlightSpec)
+        or not flight.aircraft.guided
+        or flight.aircraft.foreign is not None
+    ):
+        raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
+    if not checks.is_known(choice.use) or choice.use.startswith(_OUTSIDE):
+        raise ConfigError(f"{place} navigation = {choice.use!r}: must be an estimator that runs in pieces")
+    if checks.is_code(choice.use) and not allow_code:
+        raise ConfigError(
+            f"{place} navigation = {choice.use!r} is code that would run on this machine; "
+            "--allow-code lets a file do so"
+        )
+    choice = _set_guard(choice, guard) if checks.is_guarded(choice.use) else choice
+    return Guidance(choice, own.period_s, own.latency_s, own.error)
 
 
 def _find_aircraft(

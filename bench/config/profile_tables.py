@@ -49,6 +49,12 @@ def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
     return value
 
 
+def _check_ticks(value: float) -> float:
+    if abs(value / 0.05 - round(value / 0.05)) > 1e-9:
+        raise PydanticCustomError("message", "must be a multiple of 0.05 s, the interval of the guidance")
+    return value
+
+
 _Sd = Annotated[float, between(1e-3, 1e4)]
 _Sd3 = Annotated[tuple[_Sd, _Sd, _Sd], ROWS]
 Seed = Annotated[int, between(0, 2**53)]
@@ -246,6 +252,21 @@ class AntennaTable(Table):
     """Below it."""
 
 
+class GuidanceTable(Table):
+    """The estimate that guidance and legs read instead of the truth."""
+
+    navigation: str
+    """The estimator that flies: a built-in name or module:Class that runs in pieces."""
+    options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
+    """A table of its options."""
+    period_s: Annotated[float, between(0.05, 10), AfterValidator(_check_ticks)] = 0.2
+    """Time between two of its answers, a multiple of 0.05."""
+    latency_s: Annotated[float, between(0.05, 5)] = 0.05
+    """Time from the validity of an answer until guidance goes over to it, within 0.05 s more."""
+    error: Literal["held", "state"] = "held"
+    """"held": truth plus the error of the last answer; "state": the last answer itself."""
+
+
 class ExperimentTable(Table):
     """The keys that all profiles share, whatever their truth is made of."""
 
@@ -283,6 +304,7 @@ class ProfileTable(ExperimentTable):
     wind: WindTable = Field(default_factory=WindTable)
     terrain: TerrainTable | None = None
     gust: Annotated[tuple[GustTable, ...], ROWS] = ()
+    guidance: GuidanceTable | None = None
     leg: tuple[DeclaredTable, ...]
 
 

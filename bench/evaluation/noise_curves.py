@@ -12,6 +12,7 @@ from scipy.special import gammaincinv
 from bench.arrays import FloatArray, IntArray
 from bench.data import AirData, Trajectory, no_controls, no_events
 from bench.sensors import imu
+from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import make_noise_terms
 from bench.signals import allan
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
@@ -84,7 +85,7 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
         name: [] for name, triad in triads.items() if make_noise_terms(triad)
     }
     for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
-        record, _ = imu.measure(_make_resting_truth(rate, length), resting, seed, 0)
+        record, _ = imu.measure(_make_resting_truth(rate, length), resting, SensorDraws(seed, 0))
         spans = allan.make_octaves(len(record), INDEPENDENT)
         spans = spans[(spans / rate >= first) & (spans / rate < last)]
         for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from bench.data import Trajectory
+from bench.flight.belief import Belief
 from bench.flight.summary import Summary, summarise
 from bench.moved import moved_from
 from bench.specs import FlightSpec, ScriptSpec
@@ -27,8 +28,12 @@ def fly_pieces(
     spec: FlightSpec | ScriptSpec,
     progress: Callable[[float], None] | None = None,
     seconds: float | None = None,
+    belief: Belief | None = None,
 ) -> Iterator[Trajectory]:
-    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds; None: `recorder.PIECE`."""
+    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds; None: `recorder.PIECE`.
+
+    With a ``belief`` guidance and legs of a plan go by that, which whoever takes the pieces changes.
+    """
     from bench.flight import recorder
     from bench.flight.child_process import fly_in_child
 
@@ -37,7 +42,7 @@ def fly_pieces(
         return fly_in_child(spec, f"script {spec.name}", progress, seconds)
     if spec.aircraft.foreign is not None:
         return fly_in_child(spec, f"aircraft {spec.aircraft.name}", progress, seconds)
-    return recorder.fly_pieces(spec, progress, seconds)
+    return recorder.fly_pieces(spec, progress, seconds, belief=belief)
 
 
 if not TYPE_CHECKING:

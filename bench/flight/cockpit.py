@@ -8,6 +8,7 @@ from typing import Any
 
 from bench.earth import matrix_en, to_ecef
 from bench.errors import FlightError
+from bench.flight.belief import Belief
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
@@ -21,9 +22,12 @@ _SPEED_CHANGE = 0.5
 
 
 class Cockpit:
-    """The controls and instruments of one flight."""
+    """The controls and instruments of one flight.
 
-    def __init__(self, fdm: Any, spec: FlightSpec) -> None:
+    Attitude, height, velocity and position are those that are believed; without a ``belief`` the true ones.
+    """
+
+    def __init__(self, fdm: Any, spec: FlightSpec, belief: Belief | None = None) -> None:
         def reader(name: str) -> Callable[[], float]:
             read: Callable[[], float] = find_property(fdm, name).get_double_value
             return read
@@ -42,12 +46,22 @@ class Cockpit:
                 raise FlightError(f"aircraft {spec.aircraft.name}: {what}")
             return value
 
-        self.reader, self.switch, self.gain = reader, switch, gain
+        def believed(name: str, what: str, factor: float = 1.0) -> Callable[[], float]:
+            return reader(name) if belief is None else belief.believe(what, reader(name), factor)
+
+        self.reader, self.switch, self.gain, self.belief = reader, switch, gain, belief
         self._alt_ft, self._agl_ft = reader("position/geod-alt-ft"), reader("position/h-agl-ft")
-        self._down_fps, self._speed_fps = reader("velocities/v-down-fps"), reader("velocities/vt-fps")
+        self._nav_alt_ft = believed("position/geod-alt-ft", "altitude-ft", FT)
+        self._down_fps = believed("velocities/v-down-fps", "down-fps", FT)
+        self._speed_fps = reader("velocities/vt-fps")
         self._wheels = reader("gear/wow")
-        self.heading, self.roll = reader("attitude/psi-rad"), reader("attitude/phi-rad")
-        self.pitch, self.roll_rate = reader("attitude/theta-rad"), reader("velocities/p-rad_sec")
+        self.true_roll = reader("attitude/phi-rad")
+        self.heading = believed("attitude/psi-rad", "heading-rad")
+        self.roll, self.pitch = (
+            believed("attitude/phi-rad", "roll-rad"),
+            believed("attitude/theta-rad", "pitch-rad"),
+        )
+        self.roll_rate = believed("velocities/p-rad_sec", "p-rad_sec")
         self.load_factor = reader("accelerations/Nz")  # one step late, which control does not mind
         self.bank_wanted = reader("guidance/bank-wanted-rad")
         self.pitch_wanted = reader("guidance/pitch-wanted-rad")
@@ -79,10 +93,20 @@ class Cockpit:
 
     def alt(self) -> float:
         """Ellipsoidal height [m]."""
+        return self._nav_alt_ft() * FT
+
+    def true_alt(self) -> float:
+        """Ellipsoidal height in truth [m]."""
         return self._alt_ft() * FT
 
     def alt_agl(self) -> float:
-        """Height above ground [m]."""
+        """Height above ground [m]: by a radar altimeter, if one is on board, when an estimate flies."""
+        if self.belief is None:
+            return self.true_alt_agl()
+        return self.belief.height(self.true_alt_agl(), self.alt() - self.true_alt())
+
+    def true_alt_agl(self) -> float:
+        """Height above ground in truth [m]."""
         return self._agl_ft() * FT
 
     def climb(self) -> float:
@@ -181,8 +205,12 @@ class Plane:
         C_en, origin = matrix_en(lat, lon), to_ecef([lat, lon, alt])
         self._north, self._east = (tuple(float(v) for v in C_en[:, k]) for k in (0, 1))
         self._origin = tuple(float(v) for v in origin)
-        self._pos = [cockpit.reader(f"position/ecef-{axis}-ft") for axis in "xyz"]
+        self._true_pos = self._pos = [cockpit.reader(f"position/ecef-{axis}-ft") for axis in "xyz"]
         self._vel = [cockpit.reader(f"velocities/ecef-{axis}-fps") for axis in "xyz"]
+        if cockpit.belief is not None:
+            believe, axes = cockpit.belief.believe, tuple(enumerate("xyz"))
+            self._pos = [believe(f"position/ecef-{a}-ft", self._true_pos[k], FT) for k, a in axes]
+            self._vel = [believe(f"velocities/ecef-{a}-fps", self._vel[k], FT) for k, a in axes]
 
     def _project(self, x: float, y: float, z: float) -> tuple[float, float]:
         n, e = self._north, self._east
@@ -191,6 +219,11 @@ class Plane:
     def position(self) -> tuple[float, float]:
         """Return where the aircraft is: north, east [m]."""
         x, y, z = (read() * FT - o for read, o in zip(self._pos, self._origin, strict=True))
+        return self._project(x, y, z)
+
+    def true_position(self) -> tuple[float, float]:
+        """Return where it is in truth: north, east [m]."""
+        x, y, z = (read() * FT - o for read, o in zip(self._true_pos, self._origin, strict=True))
         return self._project(x, y, z)
 
     def velocity(self) -> tuple[float, float]:

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from bench.data import Trajectory
+from bench.data import EventRow, Trajectory
 from bench.errors import FlightError
+from bench.flight.belief import Belief
 from bench.flight.dryden import through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.flight.jsbsim_units import FT
@@ -43,6 +44,7 @@ def fly_pieces(
     progress: Progress | None = None,
     seconds: float = PIECE,
     say: Say = keep_quiet,
+    belief: Belief | None = None,
 ) -> Iterator[Trajectory]:
     """Fly and yield the truth in pieces, so that a long flight needs no more memory than a short one.
 
@@ -58,6 +60,10 @@ def fly_pieces(
         Length of a piece [s].
     say : callable
         Called with what is done before and after the flight.
+    belief : Belief, optional
+        What guidance and legs believe, of a plan. Who takes a piece changes it before asking for the next;
+        each comes 50 ms after the instant at which it ends. A flight that fails then ends there, with an
+        event of kind "crash".
 
     Yields
     ------
@@ -73,36 +79,51 @@ def fly_pieces(
     if isinstance(spec, ScriptSpec):
         stretches = report_sanity(record_script(spec, progress, seconds, say), spec.category)
     else:
-        stretches = record_plan(spec, progress, seconds, say)
+        stretches = record_plan(spec, progress, seconds, say, belief)
         if not spec.aircraft.guided:
             stretches = report_sanity(stretches, spec.aircraft.category)
     return make_truth(stretches, spec.rate)
 
 
 def record_plan(
-    spec: FlightSpec, progress: Progress | None = None, seconds: float = PIECE, say: Say = keep_quiet
+    spec: FlightSpec,
+    progress: Progress | None = None,
+    seconds: float = PIECE,
+    say: Say = keep_quiet,
+    belief: Belief | None = None,
 ) -> Iterator[Stretch]:
     """Fly a plan and yield it in stretches; parameters and errors as for :func:`fly_pieces`."""
     _, dt = simulation_step(spec.rate)
-    fdm, cockpit = prepare(spec, dt, say)
+    fdm, cockpit = prepare(spec, dt, say, belief)
     craft = spec.aircraft
     log = StateLog(fdm, dt, f"aircraft {craft.name}", craft.imu_b, guided=craft.guided)
-    run, keep_state, steps = through_turbulence(fdm, spec, dt), log.keep_state, range(log.per_tick)
+    run, keep_state = through_turbulence(fdm, spec, dt), log.keep_state
+    shares = [k / log.per_tick for k in range(1, log.per_tick + 1)]
     flown: list[FlownLeg] = []
+    ended: list[EventRow] = []
     keep_state()
-    for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
-        log.keep_air()
-        for _ in steps:
-            run()
-            keep_state()
-        yield from log.cut(seconds)
-        if progress is not None and t % 1.0 == 0.0:
-            progress(t)
+    try:
+        for t in fly_legs(cockpit, spec, flown, Weather(fdm, spec)):
+            log.keep_air()
+            if belief is not None:
+                belief.begin_tick(t)
+            for share in shares:
+                if belief is not None:
+                    belief.step(share)
+                run()
+                keep_state()
+            yield from log.cut(seconds, kept=0 if belief else 1)
+            if progress is not None and t % 1.0 == 0.0:
+                progress(t)
+    except FlightError as error:
+        if belief is None or not flown or not flown[-1].end:
+            raise
+        ended = [(flown[-1].end, flown[-1].end, "crash", str(error))]
     log.keep_air()
     for _ in range(NEIGHBOURS):
         run()
         keep_state()
-    yield log.cut_rest([(leg.start, leg.end, "leg", leg.text) for leg in flown])
+    yield log.cut_rest([*((leg.start, leg.end, "leg", leg.text) for leg in flown), *ended])
 
 
 def record_script(
@@ -181,7 +202,9 @@ def simulation_step(rate: float) -> tuple[int, float]:
     return substeps, 1.0 / (rate * substeps)
 
 
-def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Cockpit]:
+def prepare(
+    spec: FlightSpec, dt: float, say: Say = keep_quiet, belief: Belief | None = None
+) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     say("loading")
     fdm, guided = load_aircraft(spec.aircraft, dt), spec.aircraft.guided
@@ -197,5 +220,5 @@ def prepare(spec: FlightSpec, dt: float, say: Say = keep_quiet) -> tuple[Any, Co
         trimmed = trim_aircraft(fdm, condition, guided=guided, say=say)
         say("settling")
         settle(fdm)
-    cockpit = engage(fdm, spec, trimmed)
+    cockpit = engage(fdm, spec, trimmed, belief)
     return fdm, cockpit

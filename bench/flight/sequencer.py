@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.errors import FlightError
+from bench.flight.belief import Belief
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.legs.keys import AtSpeed
 from bench.flight.shaping import GUIDANCE_RATE
@@ -37,7 +38,7 @@ class FlownLeg:
     text: str
 
 
-def engage(fdm: Any, spec: FlightSpec, trimmed: Trim) -> Cockpit:
+def engage(fdm: Any, spec: FlightSpec, trimmed: Trim, belief: Belief | None = None) -> Cockpit:
     """Switch guidance on in the trimmed and settled flight, without a jump of any command.
 
     On the ground only its trim is set: brakes are on and the surfaces centred until the take-off.
@@ -47,7 +48,9 @@ def engage(fdm: Any, spec: FlightSpec, trimmed: Trim) -> Cockpit:
     fdm["guidance/throttle-trim-norm"] = trimmed.throttle
     fdm["guidance/bank-trim-rad"] = trimmed.roll
     fdm["guidance/pitch-trim-rad"] = trimmed.pitch
-    cockpit = Cockpit(fdm, spec)
+    if belief is not None:
+        belief.board(fdm, spec.aircraft.imu_b)
+    cockpit = Cockpit(fdm, spec, belief)
     if spec.on_ground:
         cockpit.brake(1.0)
         for surface in SURFACES:
@@ -82,7 +85,7 @@ def fly_legs(
         _watch(cockpit, leg)
         cockpit.tick()
         if weather is not None:
-            weather.blow(tick / GUIDANCE_RATE, cockpit.alt())
+            weather.blow(tick / GUIDANCE_RATE, cockpit.true_alt())
         return tick / GUIDANCE_RATE
 
     for number, leg in enumerate(spec.legs, 1):
@@ -105,6 +108,9 @@ def fly_legs(
                 yield instant(leg)
                 tick += 1
         except FlightError as error:
+            flown.append(
+                FlownLeg(begun / GUIDANCE_RATE, tick / GUIDANCE_RATE, f"{text}; not flown to its end")
+            )
             raise FlightError(f"leg {text}: at {tick / GUIDANCE_RATE:.1f} s: {error}") from None
         flown.append(
             FlownLeg(begun / GUIDANCE_RATE, tick / GUIDANCE_RATE, f"{text}; {outcome}" if outcome else text)
@@ -124,7 +130,7 @@ def describe(number: int, leg: Leg) -> str:
 
 def _watch(cockpit: Cockpit, leg: Leg) -> None:
     """Raise FlightError when the flight has left the air or what guidance is tuned for."""
-    speed, agl, roll = cockpit.speed(), cockpit.alt_agl(), cockpit.roll()
+    speed, agl, roll = cockpit.speed(), cockpit.true_alt_agl(), cockpit.true_roll()
     low, high = 0.25 * cockpit.aircraft.min_speed, 2.0 * cockpit.aircraft.max_speed
     on_runway = leg.needs != "air"
     if not (math.isfinite(speed) and math.isfinite(agl) and math.isfinite(roll)):

@@ -156,10 +156,10 @@ class StateLog:
         del self._states[end * columns :], self._states[: first * self.per_tick * columns]
         del self._slow[((end - 1) // self.per_tick + 1) * slow :], self._slow[: first * slow]
 
-    def cut(self, seconds: float) -> Iterator[Stretch]:
-        """Hand out stretches of so many seconds, as long as more is left."""
-        ticks = max(1.0, seconds * GUIDANCE_RATE)
-        while self._left() >= (ticks + 1) * self.per_tick:
+    def cut(self, seconds: float, kept: int = 1) -> Iterator[Stretch]:
+        """Hand out stretches of so many seconds, as long as so many ticks more are left."""
+        ticks = max(1.0, round(seconds * GUIDANCE_RATE, 6))
+        while self._left() >= (ticks + kept) * self.per_tick:
             yield self._cut(math.floor(ticks))
 
     def cut_rest(self, events: list[EventRow]) -> Stretch:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import FloatArray
-from bench.data import Events, Sensed, SensorData, SensorTruth, Trajectory
+from bench.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
 from bench.instruments import INSTRUMENTS
 from bench.sensors import faults, gnss, imu, initial, sky
-from bench.sensors.timing import select_output_times
+from bench.sensors.draws import SensorDraws
+from bench.sensors.timing import check_duration, select_output_times
 from bench.specs import SensorsSpec
 
 
@@ -39,57 +42,81 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
         If a sensor is faster than the truth, a figure of the IMU is missing, there is no magnetic model for
         the date, or a sensor needs the air and the truth has no air data.
     """
+    for name, unit in {"gnss": spec.gnss, **{name: getattr(spec, name) for name in INSTRUMENTS}}.items():
+        if unit is not None:
+            check_duration(name, truth.t, unit.rate)
+    measured = sense_piece(truth, spec, SensorDraws(seed, run))
+    instants = select_output_times(truth.t, spec.output_rate, measured.outages)
+    events = [(start, end, "gnss_outage", "GNSS outage", "gnss") for start, end in measured.outages]
+    events += [(fault.start, fault.end, "fault", fault.text, fault.sensor) for fault in spec.faults]
+    return Sensed(
+        data=replace(measured.data, output_t=instants),
+        initial=measured.initial,
+        truth=measured.truth,
+        events=Events.from_rows(events),
+        sky=measured.above,
+    )
+
+
+class SensedPiece(NamedTuple):
+    """What the sensors measured over a piece of a flight."""
+
+    data: SensorData  # rows by their time of validity; no instants of answers
+    initial: InitialState  # at the start of the flight
+    truth: SensorTruth
+    above: SkyView | None
+    outages: tuple[tuple[float, float], ...]
+
+
+def sense_piece(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> SensedPiece:
+    """Simulate all sensors over the next piece of a flight; a flight in one piece has the same bits.
+
+    ``truth`` begins with the last instant of the piece before, and so do its air data. All but the last piece
+    end on the 20 Hz of the guidance. ``draws`` keeps what the sensors carry on. Errors as for :func:`sense`.
+    """
     outages = spec.gnss_outages if spec.gnss is not None else ()
     scripted = spec.faults
 
     def evaluate_faults(sensor: str, width: int) -> FloatArray:
         return faults.evaluate_steps(bias.t, faults.select_faults(scripted, sensor, f"{sensor}-step"), width)
 
-    imu_data, bias = imu.measure(truth, spec.imu, seed, run)
-    imu_data = faults.apply_to_imu(imu_data, spec.imu, scripted, seed, run)
+    start = draws.keep("start", lambda: initial.draw_initial_state(truth, spec, draws))
+    imu_data, bias = imu.measure(truth, spec.imu, draws)
+    imu_data = faults.apply_to_imu(imu_data, spec.imu, scripted, draws)
     fixes, observations, above = None, None, None
     if spec.gnss is not None and spec.gnss.sky is not None:
-        seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
+        seen = sky.measure(truth, spec.gnss, spec.antenna_b, outages, draws, scripted)
         fixes, observations, above = seen.fixes, seen.observations, seen.above
     elif spec.gnss is not None:
-        fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, seed, run, scripted)
+        fixes = gnss.measure(truth, spec.gnss, spec.antenna_b, outages, draws, scripted)
     records: dict[str, Any] = dict.fromkeys(INSTRUMENTS)
     drawn: dict[str, FloatArray] = {}
     for name, row in INSTRUMENTS.items():
         unit = getattr(spec, name)
         if unit is not None:
             disk_arrays.release()
-            model = import_module(f"bench.sensors.{row.model}")
-            record, error = model.report(truth, spec, seed, run)
-            drawn[name] = _interpolate_error(bias.t, record.t, error) + evaluate_faults(name, row.width)
+            model = draws.keep(name, partial(import_module, f"bench.sensors.{row.model}"), "model")
+            record, error = model.report(truth, spec, draws)
+            if len(record):
+                drawn[name] = _interpolate_error(bias.t, record.t, error) + evaluate_faults(name, row.width)
             resolution = unit.quantization if row.rounds else 0.0
-            record = faults.apply_to_instrument(record, name, row.value, resolution, scripted, seed, run)
+            record = faults.apply_to_instrument(record, name, row.value, resolution, scripted, draws)
             records[name] = model.limit_output(record, unit) if hasattr(model, "limit_output") else record
     data = SensorData(
         imu=imu_data,
         fixes=fixes,
         antenna_b=np.array(spec.antenna_b),
         specs=spec.assumed,
-        output_t=select_output_times(truth.t, spec.output_rate, outages),
+        output_t=np.empty(0),
         observations=observations,
         ground_alt=spec.ground_alt,
         **records,
         date=spec.date,
     )
-    events = [(start, end, "gnss_outage", "GNSS outage", "gnss") for start, end in outages]
-    events += [(fault.start, fault.end, "fault", fault.text, fault.sensor) for fault in scripted]
-    return Sensed(
-        data=data,
-        initial=initial.draw_initial_state(truth, spec, seed, run),
-        truth=SensorTruth(
-            bias.t,
-            bias.gyro_b + evaluate_faults("gyro", 3),
-            bias.accel_b + evaluate_faults("accel", 3),
-            drawn,
-        ),
-        events=Events.from_rows(events),
-        sky=above,
+    true = SensorTruth(
+        bias.t, bias.gyro_b + evaluate_faults("gyro", 3), bias.accel_b + evaluate_faults("accel", 3), drawn
     )
+    return SensedPiece(data, start, true, above, outages)
 
 
 def _interpolate_error(t: FloatArray, sampled: FloatArray, error: FloatArray) -> FloatArray:

@@ -9,19 +9,19 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import AirspeedData, AirspeedSpec
-from bench.sensors.processes import apply_lag
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
 from bench.specs import SensorsSpec
 
 
-def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:
+def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[AirspeedData, FloatArray]:
     """Simulate the airspeed sensor on board; return its record and its slowly varying error."""
     assert on_board.airspeed is not None  # otherwise `sense` does not call this
-    return measure(truth, on_board.airspeed, seed, run)
+    return measure(truth, on_board.airspeed, draws)
 
 
-def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple[AirspeedData, FloatArray]:
+def measure(truth: Trajectory, spec: AirspeedSpec, draws: SensorDraws) -> tuple[AirspeedData, FloatArray]:
     """Simulate an airspeed sensor; return its record and its slowly varying error.
 
     The parameters are those of `Sampler`, with the air of the flight at 20 Hz, interpolated linearly. Static
@@ -43,14 +43,14 @@ def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple
     """
     if not len(truth.air.t):
         raise ValueError("airspeed: the truth has no air data")
-    samples = Sampler("airspeed", truth, spec, seed, run)
+    samples = Sampler("airspeed", truth, spec, draws)
     t, around = samples.t, truth.air
     pressure, temperature, true = (
         np.interp(t, around.t, column)
         for column in (around.pressure, around.temperature, around.airspeed_true)
     )
     true_impact = air.impact_pressure(around.airspeed_true, around.pressure, around.temperature)
-    exact = np.interp(t, around.t, apply_lag(around.t, true_impact, true_impact[0], spec.lag))
+    exact = np.interp(t, around.t, samples.lag("impact", around.t, true_impact, spec.lag))
 
     zero = exact + samples.draw("pressure_bias", spec.pressure_bias_sd)
     scale = 1.0 + samples.draw("scale_factor", spec.scale_factor_sd)
@@ -59,13 +59,13 @@ def measure(truth: Trajectory, spec: AirspeedSpec, seed: int, run: int) -> tuple
     def compute_speed(impact: FloatArray) -> FloatArray:
         return scale * air.true_airspeed(np.maximum(impact, 0.0), pressure, temperature) + offset
 
-    impact = zero + samples.draw("pressure_white", spec.pressure_white_sd, len(t))
+    impact = zero + samples.draw_white("pressure_white", spec.pressure_white_sd)
     impact = round_to(impact, spec.quantization)
     clipped = np.zeros(len(t), bool)
     if spec.range > 0:
         clipped = np.abs(impact) > spec.range
         impact = np.clip(impact, -spec.range, spec.range)
-    measured = compute_speed(impact) + samples.draw("white", spec.white_sd, len(t))
+    measured = compute_speed(impact) + samples.draw_white("white", spec.white_sd)
     record = AirspeedData(
         t=t,
         t_arrival=t + spec.latency,

@@ -6,25 +6,26 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec
 from bench.sensors import static_pressure
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.specs import SensorsSpec
 
 
-def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:
+def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[BaroData, FloatArray]:
     """Simulate the barometer on board; return its record and its slowly varying error."""
     unit = on_board.baro
     assert unit is not None  # otherwise `sense` does not call this
     if unit.physical is None:
-        return measure(truth, unit, seed, run)
-    return static_pressure.measure(truth, unit, on_board.qnh, on_board.static_port_b, seed, run)
+        return measure(truth, unit, draws)
+    return static_pressure.measure(truth, unit, on_board.qnh, on_board.static_port_b, draws)
 
 
-def measure(truth: Trajectory, spec: BaroSpec, seed: int, run: int) -> tuple[BaroData, FloatArray]:
+def measure(truth: Trajectory, spec: BaroSpec, draws: SensorDraws) -> tuple[BaroData, FloatArray]:
     """Simulate a barometer; return its record and its bias (M,) [m]. Errors as for `Sampler`.
 
     The bias walks continuously in time, from ``bias_sd`` at the start of the truth: its sd grows by
     ``bias_walk sqrt(dt)``.
     """
-    samples = Sampler("baro", truth, spec, seed, run)
+    samples = Sampler("baro", truth, spec, draws)
     bias = samples.draw("bias", spec.bias_sd) + samples.draw_walk("walk", spec.bias_walk)
     return samples.report(truth.lla[samples.rows, 2] + bias), bias

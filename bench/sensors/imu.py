@@ -18,9 +18,9 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import ImuData, Trajectory
 from bench.sensors import imu_terms, vibration
-from bench.sensors.imu_terms import Draw
-from bench.sensors.processes import choose_bias_stages, simulate_gauss_markov
-from bench.specs import ImuSpec, TriadSpec, stream
+from bench.sensors.draws import SensorDraws
+from bench.sensors.processes import choose_bias_stages
+from bench.specs import ImuSpec, TriadSpec
 
 _BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
 _FAST = 1.0  # a bias stage with a shorter correlation time has a step at every sample [s]
@@ -77,8 +77,8 @@ def _measure_kernel(
             out[k, i] = value
 
 
-def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuData, ImuBias]:
-    """Simulate an IMU; return its record and its biases.
+def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuData, ImuBias]:
+    """Simulate an IMU over a piece of a flight; return its record and its biases.
 
     Parameters
     ----------
@@ -86,8 +86,8 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
         The motion at N instants, and the air for temperature and vibration.
     spec : ImuSpec
         The IMU; with all errors 0 the record equals the true increments.
-    seed, run : int
-        Select the draw of the errors.
+    draws : SensorDraws
+        The errors of the run, and what the IMU carries from the pieces before.
 
     Returns
     -------
@@ -101,29 +101,28 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
     ValueError
         If a figure requires another one that is missing, or a model is unknown.
     """
-    if wrong := imu_terms.check_imu(spec):
+    draws = draws.part("imu")
+    if wrong := draws.keep("checked", lambda: imu_terms.check_imu(spec)):
         raise ValueError("; ".join(wrong))
-
-    def make_draw(part: str) -> Draw:
-        return lambda term: stream(seed, run, f"imu.{part}.{term}")
-
     t = truth.t
     dt = disk_arrays.empty(len(t) - 1)
     np.subtract(t[1:], t[:-1], out=dt)
-    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, make_draw("vibration"))
+    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, draws.part("vibration"))
     force, N = dvel_b, None
     if spec.accel_cone > 0 or spec.accel_arms:
         N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
         arms = np.array(spec.accel_arms) if spec.accel_arms else None
-        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N)
+        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N, draws)
     slow_rows = _select_knots(t, _BIAS_STEP)
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
-        warmth = imu_terms.compute_temperature(t[slow_rows], truth.air, spec.thermal) - spec.thermal.reference
+        before = draws.keep("temperature", list[float])
+        warmth = imu_terms.compute_temperature(t[slow_rows], truth.air, spec.thermal, before)
+        warmth = warmth - spec.thermal.reference
     valid = np.ones(len(t) - 1, bool)
     measured, biases = [], []
     for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", force, spec.accel)):
-        increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, make_draw(part), valid)
+        increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, draws.part(part), valid)
         measured.append(increment)
         biases.append(bias)
     if N is not None and spec.accel_cone > 0:
@@ -135,62 +134,80 @@ def measure(truth: Trajectory, spec: ImuSpec, seed: int, run: int) -> tuple[ImuD
 
 def _measure_triad(
     t: FloatArray, motion: FloatArray, dvel_b: FloatArray, spec: TriadSpec,
-    slow_rows: IntArray, warmth: FloatArray, draw: Draw, valid: BoolArray,
+    slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws, valid: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
-    M = np.zeros((3, 3))
-    if spec.scale_factor_sd > 0:
-        np.fill_diagonal(M, spec.by_axis("scale_factor_sd") * draw("scale_factor").standard_normal(3))
-    if spec.misalignment_sd > 0:
-        M[~np.eye(3, dtype=bool)] = spec.misalignment_sd * draw("misalignment").standard_normal(6)
-    M += imu_terms.draw_cross_axis(spec, draw)
-    knots, bias = _draw_bias(t, spec, slow_rows, warmth, draw)
-    increment = imu_terms.apply_response(t, motion, spec)
-    motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draw)
-    out, rest = disk_arrays.empty(increment.shape), np.zeros(3)
-    noise = draw("white") if spec.random_walk > 0 else None
+    M = draws.keep("M", lambda: _draw_matrix(spec, draws))
+    knots, bias = _draw_bias(t, spec, slow_rows, warmth, draws)
+    increment = imu_terms.apply_response(t, motion, spec, draws)
+    motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draws)
+    out, rest = disk_arrays.empty(increment.shape), draws.keep("rest", lambda: np.zeros(3))
+    noise = draws.stream("white") if spec.random_walk > 0 else None
     memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))
+    random_walk = spec.by_axis("random_walk")
     for rows in disk_arrays.blocks(len(out)):
         white = memory[: rows.stop - rows.start]
         if noise is not None:
             noise.standard_normal(out=white)
         _measure_kernel(
-            t, rows.start, increment[rows], M, knots, bias, white, spec.by_axis("random_walk"),
+            t, rows.start, increment[rows], M, knots, bias, white, random_walk,
             spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
         )  # fmt: skip
     return out, bias if knots is slow_rows else bias[slow_rows]  # else a knot is at every row
 
 
+def _draw_matrix(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
+    """Draw the matrix M (3, 3) of scale factors and misalignments."""
+    M = np.zeros((3, 3))
+    if spec.scale_factor_sd > 0:
+        np.fill_diagonal(M, spec.by_axis("scale_factor_sd") * draws.constant("scale_factor", 3))
+    if spec.misalignment_sd > 0:
+        M[~np.eye(3, dtype=bool)] = spec.misalignment_sd * draws.constant("misalignment", 6)
+    return M + imu_terms.draw_cross_axis(spec, draws)
+
+
 def _draw_bias(
-    t: FloatArray, spec: TriadSpec, slow_rows: IntArray, warmth: FloatArray, draw: Draw
+    t: FloatArray, spec: TriadSpec, slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws
 ) -> tuple[IntArray, FloatArray]:
     """Draw the bias of a triad; return rows of t that include ``slow_rows``, and the bias (B, 3) there.
 
-    Rate random walk and temperature bias are computed at ``slow_rows`` and interpolated to faster rows.
+    Rate random walk and temperature bias are computed at ``slow_rows`` and interpolated to faster rows. Those
+    at the first row of a further piece are the last of the piece before.
     """
     knots = slow_rows
-    bias = np.zeros((len(knots), 3))
-    if spec.bias_instability > 0:
-        correlation, sd = choose_bias_stages(spec)
-        if correlation.min() < _FAST:
-            knots = np.arange(len(t))
-        bias = simulate_gauss_markov(np.diff(t[knots]), correlation, sd, draw("instability"))
+    last = draws.keep("last", list[FloatArray])
+    new = len(last) > 0  # rows that the piece before had, too
+    stages = draws.keep("stages", lambda: choose_bias_stages(spec) if spec.bias_instability > 0 else None)
+    if stages is not None and stages[0].min() < _FAST:
+        knots = np.arange(len(t))
+    bias = np.zeros((len(knots) - new, 3))
+    if stages is not None:
+        steps = np.diff(t[knots], prepend=t[0])[new:]
+        bias = draws.markov("instability", steps, *stages)
         bias *= spec.by_axis("bias_instability") / spec.bias_instability
     if spec.turn_on_bias_sd > 0:
-        bias += spec.by_axis("turn_on_bias_sd") * draw("turn_on").standard_normal(3)
+        bias += spec.by_axis("turn_on_bias_sd") * draws.constant("turn_on", 3)
     slow = np.zeros((len(slow_rows), 3))
     if spec.rate_random_walk > 0:
-        steps = np.sqrt(np.diff(t[slow_rows], prepend=t[0]))[:, None]
-        walk = draw("rate_walk").standard_normal((len(slow_rows), 3))
-        slow += spec.by_axis("rate_random_walk") * np.cumsum(steps * walk, axis=0)
+        root = np.sqrt(np.diff(t[slow_rows], prepend=t[0])[new:])[:, None]
+        walk = root * draws.stream("rate_walk").standard_normal((len(root), 3))
+        density, before = spec.by_axis("rate_random_walk"), last[1:2] if new else []
+        slow[new:] = density * draws.accumulate("rate_walk", walk)
+        slow[: len(before)] = before[0] if before else 0.0
+        walked = slow[-1].copy()
+    else:
+        walked = np.zeros(3)
     if spec.temperature_sd > 0:
-        slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draw("temperature").standard_normal(3))
+        slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draws.constant("temperature", 3))
     if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
         if len(knots) > len(slow_rows):
             for axis, column in enumerate(slow.T):
-                bias[:, axis] += np.interp(t[knots], t[slow_rows], column)
+                bias[:, axis] += np.interp(t[knots[new:]], t[slow_rows], column)
         else:
-            bias += slow
+            bias += slow[new:]
+    if new:
+        bias = np.concatenate([last[0][None], bias])
+    last[:] = [bias[-1].copy(), walked]
     return knots, bias
 
 
@@ -202,6 +219,5 @@ def choose_bias_step(spec: TriadSpec, interval: float) -> float:
 
 def _select_knots(t: FloatArray, step: float) -> IntArray:
     """Return rows of t about ``step`` seconds apart, with the first and the last."""
-    interval = (t[-1] - t[0]) / (len(t) - 1)
-    stride = max(1, round(step / interval))
+    stride = max(1, round(step / (t[1] - t[0])))
     return np.append(np.arange(0, len(t) - 1, stride), len(t) - 1)

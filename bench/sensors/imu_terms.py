@@ -8,19 +8,15 @@ acceleration term C_eps of A-5.1.8 is 0, its default in the register.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData
+from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import apply_lag
 from bench.specs import ImuSpec, ThermalSpec, TriadSpec
-
-Draw = Callable[[str], np.random.Generator]
-"""Name of a term -> its own random stream."""
 
 
 def check_imu(spec: ImuSpec) -> list[str]:
@@ -69,12 +65,17 @@ def cone_axes(half_angle: float) -> FloatArray:
 
 
 def resolve_along_axes(
-    dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray | None, N: FloatArray
+    dtheta_b: FloatArray,
+    dvel_b: FloatArray,
+    dt: FloatArray,
+    arms: FloatArray | None,
+    N: FloatArray,
+    draws: SensorDraws,
 ) -> FloatArray:
     """Return the increments (K, 3) [m/s] of three accelerometers along the rows of N, each at its own place.
 
-    ``f + dw/dt x r + w x (w x r)`` along each axis (B-0). The rate w is the mean over a sample and its
-    derivative a central difference; the error is of order dt^2.
+    ``f + dw/dt x r + w x (w x r)`` along each axis (B-0). The rate w is the mean over a sample; its
+    derivative is that of the parabola through this sample and the two before, with an error of order dt^2.
 
     Parameters
     ----------
@@ -84,9 +85,20 @@ def resolve_along_axes(
         Position of each accelerometer [m], b; None: all at the reference point.
     N : (3, 3) array
         Unit vectors of the sensing axes, b.
+    draws : SensorDraws
+        Keeps the last two samples for the next piece.
     """
     out = disk_arrays.empty(dvel_b.shape)
-    _along_kernel(dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, out)
+    before = draws.keep("samples before", lambda: np.empty((0, 4)))
+    lead = len(before)
+    if lead:
+        dtheta_b = np.concatenate([before[:, :3], dtheta_b])
+        dvel_b = np.concatenate([np.zeros((lead, 3)), dvel_b])
+        dt = np.concatenate([before[:, 3], dt])
+    _along_kernel(
+        dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, lead, np.empty((3, 3)), out
+    )
+    draws.put("samples before", np.column_stack([dtheta_b[-2:], dt[-2:]]))
     return out
 
 
@@ -107,16 +119,35 @@ def _rotate_rows_kernel(C: FloatArray, rows: FloatArray, out: FloatArray) -> Non
 
 @kernel
 def _along_kernel(
-    dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray, N: FloatArray, out: FloatArray
-) -> None:
-    last = dtheta_b.shape[0] - 1
-    for k in range(last + 1):
-        a, b = max(k - 1, 0), min(k + 1, last)
-        apart = 0.5 * dt[a] + 0.5 * dt[b] + (dt[k] if b - a == 2 else 0.0)
-        p, q, r = dtheta_b[k, 0] / dt[k], dtheta_b[k, 1] / dt[k], dtheta_b[k, 2] / dt[k]
-        dp = (dtheta_b[b, 0] / dt[b] - dtheta_b[a, 0] / dt[a]) / apart
-        dq = (dtheta_b[b, 1] / dt[b] - dtheta_b[a, 1] / dt[a]) / apart
-        dr = (dtheta_b[b, 2] / dt[b] - dtheta_b[a, 2] / dt[a]) / apart
+    dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray, N: FloatArray, lead: int,
+    w: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill out (K, 3) for the samples (lead + K, 3); the first ``lead`` are of the piece before.
+
+    ``w`` (3, 3) holds the rates of a sample and the two before it.
+    """
+    for k in range(lead, dtheta_b.shape[0]):
+        for j in range(3):
+            row = max(k - j, 0)
+            for i in range(3):
+                w[j, i] = dtheta_b[row, i] / dt[row]
+        p, q, r = w[0, 0], w[0, 1], w[0, 2]
+        here, one, two = 0.0, 0.0, 0.0  # weights of the three rates
+        if k > 1:
+            near = 0.5 * (dt[k] + dt[k - 1])
+            far = near + 0.5 * (dt[k - 1] + dt[k - 2])
+            here, one, two = 1.0 / near + 1.0 / far, -far / (near * (far - near)), near / (far * (far - near))
+        elif k == 1:
+            here = 2.0 / (dt[1] + dt[0])
+            one = -here
+        elif dtheta_b.shape[0] > 1:  # the first sample of all: the difference to the next
+            here = -2.0 / (dt[1] + dt[0])
+            one = -here
+            for i in range(3):
+                w[1, i] = dtheta_b[1, i] / dt[1]
+        dp = here * p + one * w[1, 0] + two * w[2, 0]
+        dq = here * q + one * w[1, 1] + two * w[2, 1]
+        dr = here * r + one * w[1, 2] + two * w[2, 2]
         for i in range(3):
             x, y, z = arms[i, 0], arms[i, 1], arms[i, 2]
             along = p * x + q * y + r * z  # w x (w x r) = w (w . r) - r w^2
@@ -124,7 +155,7 @@ def _along_kernel(
             fx = dq * z - dr * y + p * along - x * w2
             fy = dr * x - dp * z + q * along - y * w2
             fz = dp * y - dq * x + r * along - z * w2
-            out[k, i] = (
+            out[k - lead, i] = (
                 N[i, 0] * (dvel_b[k, 0] + dt[k] * fx)
                 + N[i, 1] * (dvel_b[k, 1] + dt[k] * fy)
                 + N[i, 2] * (dvel_b[k, 2] + dt[k] * fz)
@@ -134,8 +165,10 @@ def _along_kernel(
 # --- response to motion ----------------------------------------------------------------------
 
 
-def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> FloatArray:
+def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec, draws: SensorDraws) -> FloatArray:
     """Apply delay, bandwidth and dead zone to increments; return the same array if all are 0.
+
+    ``draws`` keeps the state of the filter, and what the delay holds back, for the next piece.
 
     Raises
     ------
@@ -144,14 +177,19 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec) -> Flo
     """
     if max(spec.delay, spec.bandwidth, spec.dead_zone) <= 0:
         return increment
-    interval = (t[-1] - t[0]) / (len(t) - 1)
+    interval = draws.keep("interval", lambda: float(t[1] - t[0]))
     if max(spec.delay, spec.bandwidth) > 0 and _largest_deviation(t, interval) > 1e-6 * interval:
         raise ValueError("bandwidth and delay need samples of equal length")
     cutoff = 2 * np.pi * spec.bandwidth
-    step = compute_oscillator_step(cutoff, np.sqrt(0.5), interval) if cutoff > 0 else np.zeros((2, 2))
+    step = np.zeros((2, 2))
+    if cutoff > 0:
+        step = draws.keep("response", lambda: compute_oscillator_step(cutoff, np.sqrt(0.5), interval))
     out = disk_arrays.empty(increment.shape)
-    width, hard = spec.dead_zone * interval, spec.dead_zone_kind == "hard"
-    _response_kernel(increment, spec.delay / interval, cutoff, step, interval, width, hard, out)
+    width, hard, delay = spec.dead_zone * interval, spec.dead_zone_kind == "hard", spec.delay / interval
+    state = draws.keep("filter", lambda: np.array([increment[0] / interval, np.zeros(3)]))
+    held = draws.keep("delayed", lambda: np.tile(increment[0], (int(delay) + 1, 1)))
+    _response_kernel(increment, delay, cutoff, step, interval, width, hard, held, state, out)
+    held[:] = np.concatenate([held, increment[-len(held) :]])[-len(held) :]
     return out
 
 
@@ -181,24 +219,27 @@ def compute_oscillator_step(w: float, damping: float, interval: float) -> FloatA
 @kernel
 def _response_kernel(
     increment: FloatArray, delay: float, cutoff: float, step: FloatArray, interval: float, width: float,
-    hard: bool, out: FloatArray,
+    hard: bool, held: FloatArray, state: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
     """Delay increments (K, 3) by a number of samples, filter them and apply the dead zone.
 
-    The rate is assumed constant within a sample and before the first one, so a fractional delay and the
-    filter are exact for any cutoff [rad/s]. The filter is the second-order Butterworth ``y'' = w^2 (u - y) -
-    sqrt(2) w y'`` with a delay of sqrt(2) / w at low frequencies. The integral of this equation over a sample
-    gives the increment.
+    The rate is assumed constant within a sample, so a fractional delay and the filter are exact for any
+    cutoff [rad/s]. The filter is the second-order Butterworth ``y'' = w^2 (u - y) - sqrt(2) w y'`` with a
+    delay of sqrt(2) / w at low frequencies. The integral of this equation over a sample gives the increment.
+    ``held`` (whole samples of the delay + 1, 3) are the increments before; ``state`` (2, 3) is y and y'
+    before them, then at the end.
     """
     whole = int(delay)
     part = delay - whole
+    before = held.shape[0]
     for axis in range(3):
-        y, dy = increment[0, axis] / interval, 0.0
+        y, dy = state[0, axis], state[1, axis]
         for k in range(increment.shape[0]):
-            new, old = max(k - whole, 0), max(k - whole - 1, 0)
-            x = increment[new, axis]
+            new, old = k - whole, k - whole - 1
+            x = increment[new, axis] if new >= 0 else held[before + new, axis]
             if part > 0.0:
-                x = (1.0 - part) * x + part * increment[old, axis]
+                late = increment[old, axis] if old >= 0 else held[before + old, axis]
+                x = (1.0 - part) * x + part * late
             if cutoff > 0.0:
                 u = x / interval
                 y0, dy0 = y - u, dy
@@ -210,12 +251,13 @@ def _response_kernel(
             elif not hard:
                 x -= np.copysign(width, x)
             out[k, axis] = x
+        state[0, axis], state[1, axis] = y, dy
 
 
 # --- errors that follow the motion -------------------------------------------------------------------------
 
 
-def draw_cross_axis(spec: TriadSpec, draw: Draw) -> FloatArray:
+def draw_cross_axis(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
     """Draw the contributions of non-orthogonality and alignment to M (3, 3).
 
     Non-orthogonality is symmetric: each axis of a pair takes half of the angle. Alignment is a rotation of
@@ -223,16 +265,16 @@ def draw_cross_axis(spec: TriadSpec, draw: Draw) -> FloatArray:
     """
     M = np.zeros((3, 3))
     if spec.nonorthogonality_sd > 0:
-        yz, zx, xy = 0.5 * spec.nonorthogonality_sd * draw("nonorthogonality").standard_normal(3)
+        yz, zx, xy = 0.5 * spec.nonorthogonality_sd * draws.constant("nonorthogonality", 3)
         M += [[0, xy, zx], [xy, 0, yz], [zx, yz, 0]]
     if spec.alignment_sd > 0:
-        x, y, z = spec.alignment_sd * draw("alignment").standard_normal(3)
+        x, y, z = spec.alignment_sd * draws.constant("alignment", 3)
         M += [[0, z, -y], [-z, 0, x], [y, -x, 0]]
     return M
 
 
 def draw_motion_errors(
-    t: FloatArray, increment: FloatArray, dvel_b: FloatArray, spec: TriadSpec, draw: Draw
+    t: FloatArray, increment: FloatArray, dvel_b: FloatArray, spec: TriadSpec, draws: SensorDraws
 ) -> FloatArray:
     """Return the errors that depend on the motion in other ways than M: (K, 3), or no rows if all are off.
 
@@ -245,6 +287,21 @@ def draw_motion_errors(
     straight line is 0 and its largest deviation 1. Quadratic: q x^2. Gyros also: ``G f + H f^2`` (C_a of
     A-5.1.8, and a square term).
     """
+    figures = draws.keep("motion errors", lambda: _draw_figures(spec, draws))
+    if figures is None:
+        return np.empty((0, 3))
+    out = disk_arrays.empty(increment.shape)
+    full = spec.range if spec.nonlinearity_sd > 0 else 1.0
+    for rows in disk_arrays.blocks(len(out)):
+        instants = t[rows.start : rows.stop + 1]
+        _motion_errors_kernel(instants, increment[rows], dvel_b[rows], *figures, full, out[rows])
+    return out
+
+
+def _draw_figures(
+    spec: TriadSpec, draws: SensorDraws
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray] | None:
+    """Draw the figures of the errors that depend on the motion; None if all are off."""
     terms: dict[str, tuple[FloatArray, tuple[int, ...]]] = {
         "asymmetry": (spec.by_axis("scale_asymmetry_sd"), (3,)),
         "nonlinearity": (spec.by_axis("nonlinearity_sd"), (3,)),
@@ -253,17 +310,12 @@ def draw_motion_errors(
         "g2_sensitivity": (spec.by_axis("g2_sensitivity_sd"), (3, 3)),
     }
     if not any(sd.any() for sd, _ in terms.values()):
-        return np.empty((0, 3))
+        return None
     a, n, q, G, H = (
-        sd * draw(name).standard_normal(shape) if sd.any() else np.zeros(shape)
+        sd * draws.constant(name, *shape) if sd.any() else np.zeros(shape)
         for name, (sd, shape) in terms.items()
     )
-    out = disk_arrays.empty(increment.shape)
-    full = spec.range if spec.nonlinearity_sd > 0 else 1.0
-    for rows in disk_arrays.blocks(len(out)):
-        instants = t[rows.start : rows.stop + 1]
-        _motion_errors_kernel(instants, increment[rows], dvel_b[rows], a, n, q, G, H, full, out[rows])
-    return out
+    return a, n, q, G, H
 
 
 @kernel
@@ -292,11 +344,18 @@ def _motion_errors_kernel(
 # --- temperature -------------------------------------------------------------------------------------------
 
 
-def compute_temperature(t: FloatArray, air: AirData, spec: ThermalSpec) -> FloatArray:
+def compute_temperature(
+    t: FloatArray, air: AirData, spec: ThermalSpec, before: list[float] | None = None
+) -> FloatArray:
     """Return the temperature of an IMU (B,) at instants t (B,) [K].
 
     It is switched on at t[0] at the temperature of the air, and approaches air plus self-heating with its
-    time constant (0: immediately).
+    time constant (0: immediately). ``before`` holds its temperature at t[0], if it is on already, and then
+    the last one.
     """
     final = np.interp(t, air.t, air.temperature) + spec.self_heating
-    return apply_lag(t, final, final[0] - spec.self_heating, spec.time_constant)
+    start = before[0] if before else final[0] - spec.self_heating
+    found = apply_lag(t, final, start, spec.time_constant)
+    if before is not None:
+        before[:] = [float(found[-1])]
+    return found

@@ -6,17 +6,18 @@ import numpy as np
 
 from bench import earth, rotation
 from bench.data import InitialState, Trajectory
-from bench.specs import SensorsSpec, stream
+from bench.sensors.draws import SensorDraws
+from bench.specs import SensorsSpec
 
 
-def draw_initial_state(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> InitialState:
+def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> InitialState:
     """Draw the state at the first instant of one run: estimate = truth + error, as in ``InitialState.cov``.
 
     The ``alignment`` of the spec selects the values that are given; the others are NaN of infinite variance.
     """
     attitude_sd = (spec.initial_tilt_sd, spec.initial_tilt_sd, spec.initial_heading_sd)
     sd = np.array([*spec.initial_pos_sd, *spec.initial_vel_sd, *attitude_sd])
-    error = sd * stream(seed, run, "initial").standard_normal(9)
+    error = sd * draws.constant("initial", 9)
     q_nb = rotation.multiply(rotation.from_rotvec(error[6:]), truth.q_nb[0])
     given = {"given": 9, "level": 3, "course": 0}[spec.alignment]  # first states of the nine
     sd[given:] = np.inf

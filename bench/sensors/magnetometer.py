@@ -10,24 +10,25 @@ from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import MagData, MagSpec
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.signals.magnetic import field_n
 from bench.specs import SensorsSpec
 
 
-def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[MagData, FloatArray]:
+def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[MagData, FloatArray]:
     """Simulate the magnetometer on board; return its record and its slowly varying error."""
     assert on_board.mag is not None  # otherwise `sense` does not call this
-    mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, seed, run)
+    mag, hard_iron_b = measure(truth, on_board.mag, on_board.date, draws)
     return mag, np.tile(hard_iron_b, (len(mag), 1))
 
 
-def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) -> tuple[MagData, FloatArray]:
+def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -> tuple[MagData, FloatArray]:
     """Simulate a magnetometer at the IMU, along its axes except for ``misalignment_sd``.
 
     Parameters
     ----------
-    truth, spec, seed, run
+    truth, spec, draws
         As for `Sampler`; the magnetometer as mounted.
     date : float
         Decimal year of the flight.
@@ -45,7 +46,7 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, seed: int, run: int) 
     ValueError
         If the rate is above that of the truth, or there is no field model for the date.
     """
-    samples = Sampler("mag", truth, spec, seed, run)
+    samples = Sampler("mag", truth, spec, draws)
     rows = samples.rows
     true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
     distortion, hard_iron_b = _draw_calibration(samples, spec)

@@ -6,21 +6,22 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import OdometerData, OdometerSpec
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.specs import SensorsSpec
 
 _CLEAR = 0.3  # height of the IMU above its height at rest at which the wheel leaves the ground [m]
 
 
-def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[OdometerData, FloatArray]:
+def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[OdometerData, FloatArray]:
     """Simulate the odometer on board; return its record and its slowly varying error."""
     assert on_board.odometer is not None  # otherwise `sense` does not call this
     highest = on_board.ground_alt + on_board.rest_height + _CLEAR
-    return measure(truth, on_board.odometer, highest, seed, run)
+    return measure(truth, on_board.odometer, highest, draws)
 
 
 def measure(
-    truth: Trajectory, spec: OdometerSpec, highest: float, seed: int, run: int
+    truth: Trajectory, spec: OdometerSpec, highest: float, draws: SensorDraws
 ) -> tuple[OdometerData, FloatArray]:
     """Simulate an odometer; return its record and the error of its scale factor (M,) [m/s].
 
@@ -32,7 +33,7 @@ def measure(
     highest : float
         Ellipsoidal height of the IMU up to which the wheel is on the ground [m].
     """
-    samples = Sampler("odometer", truth, spec, seed, run)
+    samples = Sampler("odometer", truth, spec, draws)
     rows = samples.rows
     forward = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), truth.vel_n[rows])[:, 0]
     error = float(samples.draw("scale_factor", spec.scale_factor_sd)) * forward

@@ -34,22 +34,32 @@ def _gauss_markov_kernel(
 
 
 def simulate_gauss_markov(
-    dt: FloatArray, correlation: FloatArray, sd: FloatArray, generator: np.random.Generator
+    dt: FloatArray,
+    correlation: FloatArray,
+    sd: FloatArray,
+    generator: np.random.Generator,
+    before: FloatArray | None = None,
+    after: FloatArray | None = None,
 ) -> FloatArray:
     """Simulate the sum (B, 3) of first-order Gauss-Markov stages, stationary from the first instant.
 
     ``dt`` (B - 1,) are the intervals between the instants, ``correlation`` (K,) the correlation times of the
     stages in the same unit, ``sd`` (K,) their standard deviations. ``generator`` draws the noise in order of
-    time. The discretization is exact for any interval.
+    time. The discretization is exact for any interval. With the stages ``before`` (K, 3) they go on from
+    there, and dt (B,) has the interval before each instant; ``after`` (K, 3) becomes those at the last.
     """
-    out = disk_arrays.zeros((len(dt) + 1, 3))
-    state = np.zeros((len(sd), 3))
+    goes_on = before is not None
+    out = disk_arrays.zeros((len(dt) + 1 - goes_on, 3))
+    state = np.zeros((len(sd), 3)) if before is None else before.copy()
     for rows in disk_arrays.blocks(len(out)):
-        decay = np.exp(-dt[max(rows.start - 1, 0) : rows.stop - 1, None] / correlation)
-        if not rows.start:
+        first = rows.start - 1 + goes_on
+        decay = np.exp(-dt[max(first, 0) : first + rows.stop - rows.start, None] / correlation)
+        if first < 0:
             decay = np.concatenate([np.zeros((1, len(sd))), decay])
         noise = generator.standard_normal((len(decay), len(sd), 3))
         _gauss_markov_kernel(decay, sd, noise, state, out[rows])
+    if after is not None:
+        after[:] = state
     return out
 
 

@@ -8,18 +8,19 @@ from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import RadarData, RadarSpec
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.specs import SensorsSpec
 
 
-def report(truth: Trajectory, on_board: SensorsSpec, seed: int, run: int) -> tuple[RadarData, FloatArray]:
+def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[RadarData, FloatArray]:
     """Simulate the radar altimeter on board; return its record and its slowly varying error."""
     assert on_board.radar is not None  # otherwise `sense` does not call this
-    return measure(truth, on_board.radar, on_board.ground_alt, seed, run)
+    return measure(truth, on_board.radar, on_board.ground_alt, draws)
 
 
 def measure(
-    truth: Trajectory, spec: RadarSpec, ground_alt: float, seed: int, run: int
+    truth: Trajectory, spec: RadarSpec, ground_alt: float, draws: SensorDraws
 ) -> tuple[RadarData, FloatArray]:
     """Simulate a radar altimeter at the IMU; return its record and its bias (M,) [m].
 
@@ -31,7 +32,7 @@ def measure(
     ground_alt : float
         Ellipsoidal height of the flat ground [m].
     """
-    samples = Sampler("radar", truth, spec, seed, run)
+    samples = Sampler("radar", truth, spec, draws)
     height = truth.lla[samples.rows, 2] - ground_alt
     bias = samples.draw("bias", spec.bias_sd) + np.zeros(len(height))
     down_n = rotation.rotate(truth.q_nb[samples.rows], np.array([0.0, 0.0, 1.0]))

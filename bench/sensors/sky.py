@@ -9,7 +9,7 @@ clock error is in the pseudoranges.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,12 +18,13 @@ from bench.compiled import kernel
 from bench.data import GLONASS, GnssFixes, GnssObservations, SkyView, Trajectory
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
-from bench.sensors.timing import find_epoch_rows, find_outage_rows
+from bench.sensors.draws import SensorDraws
+from bench.sensors.timing import find_outage_rows
 from bench.sensors.view import View, compute_view
 from bench.signals import orbits, receiver
 from bench.signals.delays import mapping_kernel, obliquity_kernel
 from bench.signals.orbits import L1, C
-from bench.specs import Fault, GnssSpec, SkySpec, stream
+from bench.specs import Fault, GnssSpec, SkySpec
 
 _CHIP = (C / 1.023e6, C / 0.511e6)  # length of a chip of the civil code, GPS and GLONASS [m], their ICDs
 _DECIBEL = np.log(10.0) / 10.0
@@ -41,31 +42,26 @@ class ReceiverOutput(NamedTuple):
 
 
 @kernel
-def _correlate_kernel(decay: FloatArray, noise: FloatArray) -> None:
-    """Turn unit white noise (M, S) into stationary Gauss-Markov processes of unit sd, in place."""
+def _correlate_kernel(decay: float, noise: FloatArray) -> None:
+    """Turn unit white noise (M, S) into Gauss-Markov processes of unit sd that begin with row 0, in place."""
+    fresh = np.sqrt(1.0 - decay * decay)
     for m in range(1, noise.shape[0]):
-        w = decay[m - 1]
-        fresh = np.sqrt(1.0 - w * w)
         for s in range(noise.shape[1]):
-            noise[m, s] = w * noise[m - 1, s] + fresh * noise[m, s]
+            noise[m, s] = decay * noise[m - 1, s] + fresh * noise[m, s]
 
 
 @kernel
 def _interpolate_kernel(
-    t: FloatArray, knots: IntArray, values: FloatArray, epoch: IntArray, which: IntArray, out: FloatArray
+    first: int, stride: int, values: FloatArray, epoch: IntArray, which: IntArray, out: FloatArray
 ) -> None:
-    """Interpolate values (B, S) from epochs ``knots`` (B,) to epochs and satellites: fill out (K,)."""
-    j = 0
+    """Interpolate values (B, S), one every ``stride`` epochs, to epochs and satellites: fill out (K,).
+
+    ``first`` is the number of epochs from the first of the values to the epoch 0.
+    """
     for k in range(out.shape[0]):
-        m = epoch[k]
-        while j + 2 < knots.shape[0] and knots[j + 1] <= m:
-            j += 1
-        if knots.shape[0] == 1:
-            out[k] = values[0, which[k]]
-        else:
-            a, b = t[knots[j]], t[knots[j + 1]]
-            f = (t[m] - a) / (b - a)
-            out[k] = values[j, which[k]] + f * (values[j + 1, which[k]] - values[j, which[k]])
+        j, rest = divmod(first + epoch[k], stride)
+        before = values[j, which[k]]
+        out[k] = before + rest / stride * (values[j + 1, which[k]] - before)
 
 
 @kernel
@@ -111,8 +107,7 @@ def measure(
     spec: GnssSpec,
     antenna_b: tuple[float, float, float],
     outages: tuple[tuple[float, float], ...],
-    seed: int,
-    run: int,
+    draws: SensorDraws,
     scripted: Sequence[Fault] = (),
 ) -> ReceiverOutput:
     """Simulate the observations and fixes of a receiver, without epochs inside an outage.
@@ -128,19 +123,20 @@ def measure(
     sky = spec.sky
     if sky is None:
         raise ValueError(f"gnss {spec.name!r} is a position-level receiver: it has no [sky]")
-    rows = find_epoch_rows("gnss", truth.t, spec.rate)
+    root, draws = draws, draws.part("gnss.sky")
+    rows, steps = draws.epochs("gnss", truth.t, spec.rate)
     t = truth.t[rows]
+    clock, drift = simulate_receiver_clock(truth, rows, steps, sky, draws.part("clock"))
 
     def loss(system: IntArray, sat: IntArray) -> FloatArray:
         return faults.compute_loss(t, system, sat, scripted)
 
-    everything = compute_view(truth, rows, sky, antenna_b, loss)
-    offset = faults.compute_spoofing(t, scripted)
-    spoofed: BoolArray = np.asarray(np.concatenate(offset, axis=1).any(axis=1))
-    if spoofed.any():  # signals as received at the spoofed position
-        everything = everything.replace_epochs(
-            compute_view(truth, rows, sky, antenna_b, loss, offset), spoofed
-        )
+    everything = compute_view(truth, rows, sky, antenna_b, loss, draws.part("view"))
+    if any(faults.select_faults(scripted, "gnss", "spoofing")):  # signals as received at the spoofed position
+        offset = faults.compute_spoofing(t, scripted)
+        spoofed: BoolArray = np.asarray(np.concatenate(offset, axis=1).any(axis=1))
+        there = compute_view(truth, rows, sky, antenna_b, loss, draws.part("spoofed"), offset)
+        everything = everything.replace_epochs(there, spoofed)
     v = everything.select_received()
     start = np.searchsorted(v.epoch, np.arange(len(t) + 1))
     seen = receiver.compute_look(
@@ -151,15 +147,28 @@ def measure(
         frequency=orbits.carrier_frequencies(v.system[v.which], v.channel[v.which])[:, 0].copy(),
         klobuchar=np.array(sky.klobuchar),
     )
-    clock, drift = simulate_receiver_clock(truth, rows, sky, seed, run)
     clock = clock + faults.compute_clock_offset(t, scripted)
-    errors = _Errors(t, v.epoch, v.which, len(v.sat), seed, run)
+    errors = _Errors(t, v.epoch, v.which, len(v.sat), spec.rate, root)
     observations = _make_observations(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)
-    out = faults.find_reported_rows(t, scripted, "gnss", seed, run)
-    out = out.keep((np.diff(start) > 0)[out.content] & ~find_outage_rows(truth.t, rows, outages)[out.tag])
+    held = draws.keep("gnss", faults.HeldRows, "held")
+    out, frozen = faults.find_reported_rows(t, scripted, "gnss", root, held)
+    out = out.keep(_hears(out.content, start, held) & ~find_outage_rows(truth.t, rows, outages)[out.tag])
     content, tag, late = out
+    own = observations, seen
+
+    def take(epoch: int) -> tuple[GnssObservations, receiver.Look]:
+        if epoch < 0:
+            found: tuple[GnssObservations, receiver.Look] = held.rows[epoch]
+            return found
+        at = np.array([epoch])
+        return _select_epochs(*own, at, t[at], t[at])
+
     if not np.array_equal(content, np.arange(len(t))) or late.any():
-        observations, seen = _select_epochs(observations, seen, content, t[tag], t[tag] + spec.latency + late)
+        before = len(held.rows) if (content < 0).any() else 0
+        joined = _join_epochs([*held.rows[:before], own])
+        observations, seen = _select_epochs(*joined, content + before, t[tag], t[tag] + spec.latency + late)
+    if frozen or any(faults.select_faults(scripted, "gnss", "frozen")):
+        held.go_on(frozen, len(t), take)
     # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
     solution = receiver.solve_fixes(observations, make_processing(sky), near=seen)
     solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
@@ -169,7 +178,8 @@ def measure(
     fixes = GnssFixes(**columns)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
     used = np.zeros(len(v.epoch), bool)
-    used[_select_rows(start, content)[now & solution.used]] = True
+    here = content == tag
+    used[_select_rows(start, content[here])] = solution.used[now]
     reported = np.zeros(len(t), bool)
     reported[tag] = True
     return ReceiverOutput(observations, fixes, solution, _make_sky_view(t, everything, reported, used))
@@ -204,47 +214,52 @@ class _Errors:
     """Random errors of one run: drawn for all satellites at all epochs, returned for the received rows."""
 
     def __init__(
-        self, t: FloatArray, epoch: IntArray, which: IntArray, satellites: int, seed: int, run: int
+        self, t: FloatArray, epoch: IntArray, which: IntArray, satellites: int, rate: float, root: SensorDraws
     ) -> None:
         self._t, self._epoch, self._which, self._satellites = t, epoch, which, satellites
         self._flat = epoch * satellites + which
-        self._seed, self._run = seed, run
-
-    def _stream(self, name: str) -> np.random.Generator:
-        return stream(self._seed, self._run, f"gnss.sky.{name}")
+        self._rate, self._root, self._draws = rate, root, root.part("gnss.sky")
+        counted = self._draws.keep("epochs before", lambda: [0])
+        self._first = counted[0]  # number of the first epoch of this piece
+        counted[0] += len(t)
 
     def draw_constant(self, name: str) -> float:
         """Draw a standard normal number."""
-        return float(self._stream(name).standard_normal())
+        return float(self._draws.constant(name))
 
     def draw_white(self, name: str) -> FloatArray:
         """Draw unit white noise (K,)."""
-        noise = self._stream(name).standard_normal(len(self._t) * self._satellites)
+        noise = self._draws.stream(name).standard_normal(len(self._t) * self._satellites)
         rows: FloatArray = noise[self._flat]
         return rows
 
     def draw_bursts(self, scripted: Sequence[Fault], part: str) -> FloatArray | None:
         """Draw noise bursts (K,) as multiples of the white noise; None if there is no burst."""
-        noise = faults.draw_bursts(self._t, scripted, "gnss", part, self._satellites, self._seed, self._run)
+        noise = faults.draw_bursts(self._t, scripted, "gnss", part, self._satellites, self._root)
         return None if noise is None else noise[self._epoch, self._which]
 
     def draw_markov(self, name: str, correlation: float, *, common: bool = False) -> FloatArray:
         """Draw unit Gauss-Markov processes (K,), one for each satellite or one for all.
 
         The step is a fortieth of the correlation time but not below the epochs, with linear interpolation,
-        which lowers the sd by at most 0.6 %.
+        which lowers the sd by at most 0.6 %. The step that an epoch is in is drawn to its end.
         """
-        t = self._t
-        pace = (t[-1] - t[0]) / max(len(t) - 1, 1)
-        stride = max(1, int(correlation / 40.0 / pace)) if pace > 0 else 1
-        knots = np.append(np.arange(0, len(t) - 1, stride), len(t) - 1)
+        stride = max(1, int(correlation / 40.0 * self._rate))
         columns = 1 if common else self._satellites
-        noise = self._stream(name).standard_normal((len(knots), columns))
-        _correlate_kernel(np.exp(-np.diff(t[knots]) / correlation), noise)
         out = np.empty(len(self._epoch))
-        _interpolate_kernel(
-            t, knots, noise, self._epoch, np.zeros_like(self._which) if common else self._which, out
-        )
+        if not len(self._t):
+            return out
+        noise = self._draws.stream(name)
+        kept: list[Any] = self._draws.keep(name, lambda: [0, noise.standard_normal((1, columns))], "knots")
+        begin, values = kept
+        last = self._first + len(self._t) - 1  # epoch
+        fresh = noise.standard_normal((last // stride + 2 - begin - len(values), columns))
+        fresh = np.concatenate([values[-1:], fresh])
+        _correlate_kernel(float(np.exp(-stride / (self._rate * correlation))), fresh)
+        values = np.concatenate([values, fresh[1:]])
+        which = np.zeros_like(self._which) if common else self._which
+        _interpolate_kernel(self._first - begin * stride, stride, values, self._epoch, which, out)
+        kept[:] = [last // stride, values[last // stride - begin :]]
         return out
 
 
@@ -336,6 +351,32 @@ def _make_observations(
         klobuchar=np.array(sky.klobuchar),
         gps_t0=sky.gps_t0,
     )
+
+
+def _hears(content: IntArray, start: IntArray, held: faults.HeldRows) -> BoolArray:
+    """Return a mask of the epochs ``content`` (M,), of this piece or held, that have a satellite."""
+    older = [len(observations.t) > 0 for observations, _ in held.rows]
+    known = np.concatenate([np.array(older, bool), np.diff(start) > 0])
+    heard: BoolArray = known[content + len(older)]
+    return heard
+
+
+def _join_epochs(
+    parts: Sequence[tuple[GnssObservations, receiver.Look]],
+) -> tuple[GnssObservations, receiver.Look]:
+    """Return the observations and looks of several parts as one."""
+    if len(parts) == 1:
+        return parts[0]
+    observations, looks = zip(*parts, strict=True)
+    whole = ("epoch_start", "klobuchar", "gps_t0")
+    columns: dict[str, Any] = {name: getattr(observations[-1], name) for name in GnssObservations.__slots__}
+    for name in columns:
+        if name not in whole:
+            columns[name] = np.concatenate([getattr(one, name) for one in observations])
+    counts = np.concatenate([np.diff(one.epoch_start) for one in observations])
+    columns["epoch_start"] = np.concatenate([[0], np.cumsum(counts)])
+    joined = (np.concatenate(column) for column in zip(*looks, strict=True))
+    return GnssObservations(**columns), receiver.Look(*joined)
 
 
 def _select_epochs(

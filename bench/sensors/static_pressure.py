@@ -8,7 +8,7 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
-from bench.sensors.processes import apply_lag
+from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
 from bench.units import STANDARD_GRAVITY
@@ -21,14 +21,13 @@ def measure(
     spec: BaroSpec,
     qnh: float,
     static_port_b: tuple[float, float, float],
-    seed: int,
-    run: int,
+    draws: SensorDraws,
 ) -> tuple[BaroData, FloatArray]:
     """Simulate a barometer with a ``physical`` part; return its record and its error without noise.
 
     Parameters
     ----------
-    truth, spec, seed, run
+    truth, spec, draws
         As for `Sampler`, with the air of the flight at 20 Hz, interpolated linearly; the reported ``sd`` is
         the ``white_sd`` of the spec.
     qnh : float
@@ -54,18 +53,19 @@ def measure(
         raise ValueError(f"baro {spec.name!r} has no physical part")
     if not len(truth.air.t):
         raise ValueError("baro: the truth has no air data")
-    samples = Sampler("baro", truth, spec, seed, run)
+    samples = Sampler("baro", truth, spec, draws)
     t, draw = samples.t, samples.draw
     warmer = unit.isa_deviation + float(draw("isa_deviation", unit.isa_deviation_sd))
     outside = compute_port_pressure(truth, unit, warmer, static_port_b)
-    pressure = np.interp(t, truth.air.t, apply_lag(truth.air.t, outside, outside[0], unit.lag))
+    pressure = np.interp(t, truth.air.t, samples.lag("port", truth.air.t, outside, unit.lag))
     pressure += draw("pressure_bias", unit.pressure_bias_sd)
     warmth = np.interp(t, truth.air.t, truth.air.temperature) + warmer - _REFERENCE
     pressure += draw("temperature", unit.temperature_sd) * warmth
     sea_level = draw("qnh", unit.qnh_sd) + samples.draw_walk("qnh_walk", unit.qnh_walk)
     pressure *= 1.0 + sea_level / air.SEA_LEVEL_PRESSURE  # the pressure at all heights changes in proportion
     bias = air.pressure_altitude(pressure, qnh) - truth.lla[samples.rows, 2]
-    pressure = round_to(pressure + draw("pressure_white", unit.pressure_white_sd, len(t)), unit.quantization)
+    pressure += samples.draw_white("pressure_white", unit.pressure_white_sd)
+    pressure = round_to(pressure, unit.quantization)
     baro = BaroData(
         t=t,
         t_arrival=t + spec.latency,

@@ -9,23 +9,39 @@ from bench.units import SAME_INSTANT
 
 
 def find_epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
-    """Return the rows of t (N,) [s] nearest to t[0] + k / rate [Hz], k = 1, 2, ...; ``name`` is for messages.
+    """Return the rows of t (N,) [s] at t[0] + k / rate [Hz], k = 1, 2, ..., as `find_rows` does.
 
     Raises
     ------
     ValueError
         If two epochs fall on the same sample instant, or no epoch is within the truth.
     """
+    count = check_duration(name, t, rate)
+    return find_rows(name, t, t[0] + np.arange(1, count + 1) / rate)
+
+
+def check_duration(name: str, t: FloatArray, rate: float) -> int:
+    """Return how many epochs at a rate [Hz] are within t (N,) [s]; raise ValueError if there is none."""
     duration = t[-1] - t[0]
     count = int((duration + SAME_INSTANT) * rate)
     if count == 0:
         raise ValueError(f"{name}: no epoch at {rate:g} Hz within {duration:g} s of truth")
-    wanted = t[0] + np.arange(1, count + 1) / rate
-    after = np.clip(np.searchsorted(t, wanted), 1, len(t) - 1)
-    nearer_before = wanted - t[after - 1] < t[after] - wanted
-    rows: IntArray = np.where(nearer_before, after - 1, after)
+    return count
+
+
+def find_rows(name: str, t: FloatArray, wanted: FloatArray) -> IntArray:
+    """Return the first row of t (N,) at or after each instant wanted (M,) [s]; ``name`` is for messages.
+
+    A row that lies before an epoch could not be told from the samples until then.
+
+    Raises
+    ------
+    ValueError
+        If two of them fall on the same sample instant.
+    """
+    rows: IntArray = np.searchsorted(t, wanted - SAME_INSTANT)
     if not (np.diff(rows) > 0).all():
-        truth_rate = (len(t) - 1) / duration
+        rate, truth_rate = 1.0 / (wanted[1] - wanted[0]), (len(t) - 1) / (t[-1] - t[0])
         raise ValueError(f"{name}: rate {rate:g} Hz is above the {truth_rate:g} Hz of the truth")
     return rows
 

@@ -12,13 +12,14 @@ from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData, Trajectory
-from bench.sensors.imu_terms import Draw, compute_oscillator_step
+from bench.sensors.draws import SensorDraws
+from bench.sensors.imu_terms import compute_oscillator_step
 from bench.specs import VibrationSpec
 
 _WINDOW = 10.0  # a gust is the deviation of the wind from its mean over this time [s]
 
 
-def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArray, FloatArray]:
+def shake(truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> tuple[FloatArray, FloatArray]:
     """Add vibration to the true increments; return dtheta_b (K, 3) [rad] and dvel_b (K, 3) [m/s], b.
 
     Parameters
@@ -27,15 +28,15 @@ def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArra
         For increments, engine speed and wind. Its own increments are returned if there is no vibration.
     spec : VibrationSpec
         Sources of vibration.
-    draw : Draw
-        Gives the streams "engine", "shape" and "gust".
+    draws : SensorDraws
+        Has the streams "engine", "shape" and "gust".
 
     Notes
     -----
     Engine: a sine at ``engine_order`` times the engine speed, with its own phase for each axis and an
     amplitude proportional to the square of the speed (unbalance), integrated exactly over each sample. Gusts:
     one structural mode, a band-pass process at ``mode_frequency``, along a direction drawn once, in
-    proportion to the rms of the gusts within 10 s.
+    proportion to the rms of the gusts of the last 10 s.
     """
     engine = np.array([spec.engine_gyro, spec.engine_accel])
     gusts = np.array([spec.gust_gyro, spec.gust_accel])
@@ -45,17 +46,18 @@ def shake(truth: Trajectory, spec: VibrationSpec, draw: Draw) -> tuple[FloatArra
     c, s, angle, displacement, strength = (disk_arrays.zeros(len(t)) for _ in range(5))
     cosines, sines, shape = np.zeros((3, 2, 3))
     if engine.any():
-        phases = draw("engine").uniform(0.0, 2 * np.pi, (2, 3))
+        phases = draws.keep("phases", lambda: draws.stream("engine").uniform(0.0, 2 * np.pi, (2, 3)))
         size = np.sqrt(2) * engine / (spec.engine_order * spec.engine_reference) ** 2
         cosines, sines = -size[:, None] * np.cos(phases), size[:, None] * np.sin(phases)
-        _engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, angle)
+        turned = draws.keep("angle", lambda: np.zeros(1))
+        _engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, turned, angle)
         np.cos(angle, out=c)
         np.sin(angle, out=s)
     if gusts.any():
-        shape = draw("shape").standard_normal((2, 3))
-        shape *= gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
-        _interpolate_kernel(t, air.t, compute_gust_rms(air), strength)
-        _simulate_mode(t, spec, draw("gust"), displacement)
+        shape = draws.constant("shape", 2, 3)
+        shape = shape * gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
+        _interpolate_kernel(t, air.t, compute_gust_rms(air, draws), strength)
+        _simulate_mode(t, spec, draws, displacement)
     shaken = disk_arrays.empty(truth.dtheta_b.shape), disk_arrays.empty(truth.dvel_b.shape)
     for triad, (true, out) in enumerate(zip((truth.dtheta_b, truth.dvel_b), shaken, strict=True)):
         for rows in disk_arrays.blocks(len(out)):
@@ -90,57 +92,67 @@ def _interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: 
     """Fill out (N,) with values (A,) at times ``at`` (A,), interpolated to t (N,) and held at both ends."""
     j = 0
     for k in range(len(t)):
-        while j < len(at) - 2 and at[j + 1] <= t[k]:
+        while j < len(at) - 1 and at[j + 1] <= t[k]:
             j += 1
-        fraction = (t[k] - at[j]) / (at[j + 1] - at[j]) if len(at) > 1 else 0.0
+        fraction = (t[k] - at[j]) / (at[j + 1] - at[j]) if j < len(at) - 1 else 0.0
         fraction = min(max(fraction, 0.0), 1.0)
         out[k] = values[j] + fraction * (values[min(j + 1, len(at) - 1)] - values[j])
 
 
 @kernel
-def _engine_angle_kernel(t: FloatArray, at: FloatArray, speed: FloatArray, angles: FloatArray) -> None:
-    """Fill angles (N,) since t[0] from the speed (A,) at times ``at`` (A,), linear in between; trapezoids."""
+def _engine_angle_kernel(
+    t: FloatArray, at: FloatArray, speed: FloatArray, turned: FloatArray, angles: FloatArray
+) -> None:
+    """Fill angles (N,) from the speed (A,) at times ``at`` (A,), linear in between; trapezoids.
+
+    ``turned`` (1,) is the angle at t[0], and becomes that at the end.
+    """
     _interpolate_kernel(t, at, speed, angles)
-    before, angle = angles[0], 0.0
-    angles[0] = 0.0
+    before, angle = angles[0], turned[0]
+    angles[0] = angle
     for k in range(1, len(t)):
         angle += 0.5 * (before + angles[k]) * (t[k] - t[k - 1])
         before, angles[k] = angles[k], angle
+    turned[0] = angle
 
 
-def compute_gust_rms(air: AirData) -> FloatArray:
-    """Return the rms of the gusts per axis (A,) in the 10 s around each instant of the air data [m/s]."""
+def compute_gust_rms(air: AirData, draws: SensorDraws) -> FloatArray:
+    """Return the rms of the gusts per axis (A,) in the 10 s before each instant of the air data [m/s].
+
+    ``draws`` keeps what the next piece needs, which begins with the last instant of this one.
+    """
+    begun = draws.keep("wind", lambda: [air.wind_n[0], np.zeros((1, 6)), 0.0])
+    origin, sums, last = begun
+    repeated = len(sums) > 1  # the first row was in the piece before
     interval = (air.t[-1] - air.t[0]) / max(len(air.t) - 1, 1)
-    half = max(1, round(0.5 * _WINDOW / interval)) if interval > 0 else 1
-    wind = air.wind_n - air.wind_n.mean(axis=0)
-    sums = np.vstack([np.zeros(6), np.cumsum(np.hstack([wind, wind**2]), axis=0)])
-    rows = np.arange(len(wind))
-    first, stop = np.maximum(rows - half, 0), np.minimum(rows + half + 1, len(wind))
+    rows = max(2, round(_WINDOW / interval)) if interval > 0 else 2
+    wind = air.wind_n[repeated:] - origin
+    added = np.concatenate([sums[-1:], np.hstack([wind, wind**2])])
+    sums = np.concatenate([sums[:-1], np.cumsum(added, axis=0)])
+    stop = np.arange(len(sums) - len(wind), len(sums))
+    first = np.maximum(stop - rows, 0)
     mean = (sums[stop] - sums[first]) / (stop - first)[:, None]
-    rms: FloatArray = np.sqrt(np.maximum(mean[:, 3:] - mean[:, :3] ** 2, 0.0).mean(axis=1))
-    return rms
+    rms = np.sqrt(np.maximum(mean[:, 3:] - mean[:, :3] ** 2, 0.0).mean(axis=1))
+    begun[1:] = [sums[-rows - 1 :], rms[-1] if len(rms) else last]
+    return np.concatenate([[last], rms]) if repeated else rms
 
 
-def _simulate_mode(
-    t: FloatArray, spec: VibrationSpec, generator: np.random.Generator, displacement: FloatArray
-) -> None:
+def _simulate_mode(t: FloatArray, spec: VibrationSpec, draws: SensorDraws, displacement: FloatArray) -> None:
     """Fill the displacement (N,) of a stationary mode with a rate of rms 1."""
     w = 2 * np.pi * spec.mode_frequency
-    step = compute_oscillator_step(w, spec.mode_damping, (t[-1] - t[0]) / (len(t) - 1))
+    interval = draws.keep("interval", lambda: float(t[1] - t[0]))
+    step = compute_oscillator_step(w, spec.mode_damping, interval)
     spread = np.diag([1 / w**2, 1.0])  # of displacement and rate
     added = spread - step @ spread @ step.T
     root = np.zeros((2, 2))  # of ``added``, lower triangular
     root[0, 0] = np.sqrt(added[0, 0])
     root[1, 0] = added[1, 0] / root[0, 0]
     root[1, 1] = np.sqrt(added[1, 1] - root[1, 0] ** 2)
-    state = np.zeros(2)
-    for rows in disk_arrays.blocks(len(t)):
-        noise, out = generator.standard_normal((rows.stop - rows.start, 2)), displacement[rows]
-        if not rows.start:
-            state[:] = noise[0] * [1 / w, 1.0]
-            out[0] = state[0]
-            noise, out = noise[1:], out[1:]
-        _mode_kernel(step, root, noise, state, out)
+    state = draws.keep("mode", lambda: draws.stream("gust").standard_normal(2) * [1 / w, 1.0])
+    displacement[0] = state[0]
+    for rows in disk_arrays.blocks(len(t) - 1):
+        noise = draws.stream("gust").standard_normal((rows.stop - rows.start, 2))
+        _mode_kernel(step, root, noise, state, displacement[rows.start + 1 : rows.stop + 1])
 
 
 @kernel

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GLONASS, GPS, Trajectory
 from bench.orbit_sets import GlonassSets
+from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
@@ -21,6 +22,7 @@ from bench.specs import SkySpec
 _GEOMETRIC = 1e-3  # lowest elevation for which delays are computed [rad]
 _RISE = 4e-4  # upper limit of the rate of elevation [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
 _SETTLED = 5e-3  # a range that changes by less between two iterations is accurate to 1e-8 m [m]
+_AHEAD = 14_400.0  # orbits are fitted for so long at a time [s]
 _COLUMNS = 14  # number of columns of the geometry kernel
 
 Offset = tuple[FloatArray, FloatArray]
@@ -70,8 +72,8 @@ def geometry_kernel(
     t: FloatArray, pos_e: FloatArray, vel_e: FloatArray, C_en: FloatArray, down_n: FloatArray,
     t_0: float, step: float, coefficients: FloatArray, gps_t0: float,
     sin_mask: float, sin_antenna: float, zenith: float, horizon: float, threshold: float, wait: float,
-    loss: FloatArray, since: FloatArray, asleep: FloatArray, travel: FloatArray, state: FloatArray,
-    epoch: IntArray, sat: IntArray, received: BoolArray, out: FloatArray,
+    loss: FloatArray, begun: bool, since: FloatArray, asleep: FloatArray, travel: FloatArray,
+    state: FloatArray, epoch: IntArray, sat: IntArray, received: BoolArray, out: FloatArray,
 ) -> int:  # fmt: skip
     """Fill a row for each satellite above the elevation mask, received or not; return the number of rows.
 
@@ -79,7 +81,7 @@ def geometry_kernel(
     the elevation, direction north and east; only the last four if it is not received. ``loss`` (M, S) of C/N0
     may have no rows. ``since`` (S,) is the time at which a satellite came into view (NaN if it is not in
     view), ``asleep`` (S,) the time until which it cannot rise, ``travel`` (S,) the travel time of its last
-    signal.
+    signal. Unless the receiver has ``begun``, it has had all satellites in view for long.
     """
     k = 0
     for m in range(t.shape[0]):
@@ -116,7 +118,7 @@ def geometry_kernel(
             if sin_body < sin_antenna or cn0 < threshold:
                 since[s] = np.nan
             elif np.isnan(since[s]):
-                since[s] = t[m] if m > 0 else -1e300
+                since[s] = t[m] if m > 0 or begun else -1e300
             epoch[k], sat[k] = m, s
             out[k, 10], out[k, 11], out[k, 12], out[k, 13] = cn0, sin_el, n, e
             received[k] = t[m] - since[s] >= wait  # False for NaN
@@ -143,6 +145,7 @@ def compute_view(
     sky: SkySpec,
     antenna_b: tuple[float, float, float],
     loss: ComputeLoss,
+    draws: SensorDraws,
     offset: Offset | None = None,
 ) -> View:
     """Compute which satellites are above the mask and received at some instants of the truth.
@@ -156,27 +159,32 @@ def compute_view(
         Satellites, masks and reception.
     loss : callable
         Returns the loss of C/N0 [dB], (M, S) or (0, S), of the satellites ``(system, sat)``.
+    draws : SensorDraws
+        Keeps what is known of the satellites for the next piece; its names are those of this view.
     offset : (M, 3) arrays or None
         Added to position [m] and velocity [m/s] of the antenna, n.
     """
     t = truth.t[rows]
-    lla, vel_n = compute_antenna_motion(truth, rows, antenna_b)
+    lla, vel_n = compute_antenna_motion(truth, rows, antenna_b, draws)
     if offset is not None:
         lla, vel_n = earth.displace(lla, offset[0]), vel_n + offset[1]
     pos_e = earth.to_ecef(lla)
     C_en = np.ascontiguousarray(earth.matrix_en(lla[:, 0], lla[:, 1]))
     vel_e = np.einsum("mij,mj->mi", C_en, vel_n)
     down_n = rotation.rotate(truth.q_nb[rows], np.array([0.0, 0.0, 1.0]))
-    sat, system, channel, track = track_constellation(sky, t)
+    sat, system, channel, track = find_track(sky, truth.t, draws)
     S = len(sat)
     size = len(t) * S
     epoch, which, received = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.bool_)
     columns = np.empty((size, _COLUMNS))
     sines = float(np.sin(max(sky.elevation_mask, _GEOMETRIC))), float(np.sin(sky.antenna_mask))
-    since, asleep, travel = np.full(S, np.nan), np.full(S, -np.inf), np.full(S, 0.075)
+    states = draws.keep("satellites", lambda: (np.full(S, np.nan), np.full(S, -np.inf), np.full(S, 0.075)))
+    begun = bool(draws.keep("begun", list[bool]))
+    if len(t):
+        draws.put("begun", [True])
     count = geometry_kernel(
         t, pos_e, vel_e, C_en, down_n, *track, sky.gps_t0, *sines, sky.cn0_zenith, sky.cn0_horizon,
-        sky.cn0_threshold, sky.reacquisition, loss(system, sat), since, asleep, travel, np.empty(8),
+        sky.cn0_threshold, sky.reacquisition, loss(system, sat), begun, *states, np.empty(8),
         epoch, which, received, columns,
     )  # fmt: skip
     names = ("clock", "clock_rate", "distance", "rate", "cn0", "sin_el")
@@ -193,6 +201,19 @@ def compute_view(
         azimuth=np.arctan2(columns[:count, 13], columns[:count, 12]),
         **{name: columns[:count, 6 + k] for k, name in enumerate(names)},
     )
+
+
+def find_track(
+    sky: SkySpec, t: FloatArray, draws: SensorDraws
+) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
+    """Return :func:`track_constellation` over times t and some more, from the first piece on."""
+    kept = draws.keep("track", list[Any])
+    if not kept or t[-1] > kept[1]:
+        begin = kept[0] if kept else float(t[0])
+        end = begin + _AHEAD * (1 + int((t[-1] - begin) / _AHEAD))
+        kept[:] = [begin, end, track_constellation(sky, np.array([begin, end]))]
+    found: tuple[IntArray, IntArray, IntArray, orbits.Track] = kept[2]
+    return found
 
 
 def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:

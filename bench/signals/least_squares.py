@@ -151,6 +151,7 @@ def _position_kernel(
         if not np.isnan(start[m, 0]):
             for i in range(3):
                 x[i] = start[m, i]
+            x[3:] = 0.0  # no bit of a fix depends on the epochs before it
         while True:
             count, first, second = count_kernel(a, b, system, used, one_clock)
             n = 3 + first + second

@@ -56,6 +56,10 @@ _SOURCES = (
 """Files of the package that truth depends on."""
 
 
+_LOOP = ("closed_loop.py", "instruments.py", "navigation", "sensors", "signals")
+"""The same where an estimate flies."""
+
+
 def cached_truth(spec: Flight, fly: Callable[[], Iterable[Trajectory]]) -> Trajectory:
     """Return the truth of a flight from the cache; fly and store it first if it is not there.
 
@@ -140,9 +144,15 @@ def cached_summary(
     return summary
 
 
-def truth_key(spec: Flight) -> str:
-    """Return a hash of everything a truth depends on: the flight, the files it names, the software."""
+def truth_key(spec: Flight, flown_by: Sequence[str] = ()) -> str:
+    """Return a hash of everything a truth depends on: the flight, the files it names, the software.
+
+    ``flown_by`` is what else it depends on where an estimate flies; then the code of the filters counts, too.
+    """
     values, files = _list_inputs(spec)
+    if flown_by:
+        values["flown_by"] = list(flown_by)
+        files += [PACKAGE / name for name in _LOOP]
     digest = hashlib.sha256()
     digest.update(json.dumps({**values, "versions": list_versions()}, sort_keys=True).encode())
     for root in (*files, *(PACKAGE / name for name in _SOURCES)):

@@ -77,6 +77,8 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
     result_table.print_bound(console, result.metrics)
     if "log" not in result.more:
         show.print_sanity(console, result.events.select("sanity"))
+        for start, _, text in result.events.select("crash"):
+            console.print(f"The flight ended at {start:.1f} s: {text}", style="red")
 
 
 def print_end(console: Console, folder: Path, begun: float | None = None, *, table: bool = True) -> None:

@@ -16,6 +16,7 @@ from bench.config.figure_table import tabulate_figures
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.sensors import imu
+from bench.sensors.draws import SensorDraws
 from bench.specs import ThermalSpec
 from tests.synthetic import still
 
@@ -232,7 +233,7 @@ def test_the_matched_units_have_only_errors_a_15_state_filter_models():
 
 @pytest.mark.parametrize("path", sorted((CATALOG / "imu").glob("*.toml")), ids=lambda path: path.stem)
 def test_every_imu_measures(path):
-    record, bias = imu.measure(still(1.0, 100.0), read_imu(path, path.name), 1, 0)
+    record, bias = imu.measure(still(1.0, 100.0), read_imu(path, path.name), SensorDraws(1, 0))
     assert np.isfinite(record.dtheta_b).all()
     assert np.isfinite(record.dvel_b).all()
     assert bias.gyro_b.any()

@@ -7,13 +7,14 @@ from numpy.testing import assert_allclose
 
 from bench.instruments import AirspeedSpec, BaroSpec, StaticPressureSpec
 from bench.sensors import airspeed, static_pressure
+from bench.sensors.draws import SensorDraws
 from bench.signals import air
 
 
 def test_a_barometer_without_errors_reads_the_geopotential_height_of_the_flight(short_truth):
     """Climb and turn included; the constants of the two atmospheres differ by 4e-6 of the pressure, 4 cm."""
     spec = BaroSpec("none", 10.0, 0.1, 5.0, 0.03, physical=StaticPressureSpec())
-    record, bias = static_pressure.measure(short_truth, spec, 101325.0, (0.0, 0.0, 0.0), 1, 0)
+    record, bias = static_pressure.measure(short_truth, spec, 101325.0, (0.0, 0.0, 0.0), SensorDraws(1, 0))
     rows = np.searchsorted(short_truth.t, record.t - 1e-6)
     assert_allclose(record.alt_baro, air.to_geopotential(short_truth.lla[rows, 2]), rtol=0, atol=0.06)
     assert_allclose(bias, record.alt_baro - short_truth.lla[rows, 2], rtol=0, atol=1e-9)
@@ -35,7 +36,7 @@ def test_a_port_that_minds_incidence_errs_more_in_the_turn(short_truth):
 
 def test_an_airspeed_unit_without_errors_reads_ground_velocity_less_wind(short_truth):
     truth = short_truth
-    record = airspeed.measure(truth, AirspeedSpec("none", 10.0), 1, 0)[0]
+    record = airspeed.measure(truth, AirspeedSpec("none", 10.0), SensorDraws(1, 0))[0]
     rows = np.searchsorted(truth.t, record.t - 1e-6)
     wind_n = np.column_stack([np.interp(record.t, truth.air.t, column) for column in truth.air.wind_n.T])
     assert np.linalg.norm(wind_n, axis=1).min() > 4.0

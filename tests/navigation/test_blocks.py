@@ -20,6 +20,7 @@ from bench.navigation.error_state_filter.state_blocks import index_of, state_mod
 from bench.navigation.error_state_filter.state_processes import CUBE, STEADY, WARMTH, Block, States
 from bench.navigation.models.loose_tight import Loose
 from bench.sensors import imu
+from bench.sensors.draws import SensorDraws
 from bench.specs import ImuSpec, TriadSpec, stream
 from tests.builders import first_rows
 from tests.navigation.test_error_state import plain
@@ -133,7 +134,7 @@ def test_an_error_of_the_datasheet_is_taken_off_as_the_sensor_adds_it(figure_eig
     truth = first_rows(figure_eight_truth, 5001)
     spec = ImuSpec("one", TriadSpec(range=2.0), TriadSpec(range=30.0))
     spec = replace(spec, **{triad: replace(getattr(spec, triad), **{figure: sd})})
-    record, _ = imu.measure(truth, spec, 5, 0)
+    record, _ = imu.measure(truth, spec, SensorDraws(5, 0))
     shape = (3, 3) if figure.startswith("g2") else (3,)
     term = figure.removesuffix("_sd").removeprefix("scale_")
     drawn = sd * stream(5, 0, f"imu.{triad}.{term}").standard_normal(shape)

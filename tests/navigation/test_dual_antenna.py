@@ -16,6 +16,7 @@ from bench.evaluation.error_series import error_series
 from bench.instruments import HeadingSpec
 from bench.navigation.built_in import load
 from bench.sensors import dual_antenna
+from bench.sensors.draws import SensorDraws
 from tests.builders import ensemble, put
 from tests.synthetic import still, turning
 from tests.weaving import DEG, units, weaving
@@ -38,7 +39,7 @@ def on_board(spec=ANTENNAS, assumed=ANTENNAS, **more):
 
 def test_without_errors_it_reads_the_direction_of_the_nose():
     turn = turning(100.0, 100.0)
-    record, parts = dual_antenna.measure(turn, EXACT, 1, 0)
+    record, parts = dual_antenna.measure(turn, EXACT, SensorDraws(1, 0))
     rows = np.searchsorted(turn.t, record.t - 1e-6)
     off = record.heading - rotation.to_euler(turn.q_nb[rows])[2]
     assert_allclose(np.arctan2(np.sin(off), np.cos(off)), 0.0, atol=1e-12)
@@ -52,7 +53,7 @@ def test_a_steep_line_is_flagged_and_readings_are_late():
     turn = turning(20.0, 100.0)
     pitch = np.linspace(0.0, 1.4, len(turn.t))
     steep = replace(turn, q_nb=rotation.from_euler(np.zeros_like(pitch), pitch, np.ones_like(pitch)))
-    record, _ = dual_antenna.measure(steep, replace(EXACT, max_slope=1.0, latency=0.1), 1, 0)
+    record, _ = dual_antenna.measure(steep, replace(EXACT, max_slope=1.0, latency=0.1), SensorDraws(1, 0))
     rows = np.searchsorted(turn.t, record.t - 1e-6)
     assert_array_equal(record.valid, pitch[rows] <= 1.0)
     assert 0.6 < record.valid.mean() < 0.8
@@ -63,15 +64,17 @@ def test_its_errors_have_the_sizes_and_the_correlation_of_the_datasheet():
     """Bands of 99.9 %, 3.29 standard errors: of a mean of squares, and of a correlation e^-1."""
     turn = turning(30.0, 20.0)
     bias_only = replace(EXACT, bias_sd=0.01)
-    drawn = np.array([dual_antenna.measure(turn, bias_only, 1, run)[1][:, 0] for run in range(400)])
+    drawn = np.array(
+        [dual_antenna.measure(turn, bias_only, SensorDraws(1, run))[1][:, 0] for run in range(400)]
+    )
     assert not np.ptp(drawn, axis=1).any()
     assert abs(np.mean(drawn[:, 0] ** 2) / 1e-4 - 1.0) < 3.29 * np.sqrt(2 / 400)
     wander = replace(EXACT, wander_sd=0.01, wander_time=5.0)
-    drawn = np.array([dual_antenna.measure(turn, wander, 1, run)[1][:, 1] for run in range(400)])
+    drawn = np.array([dual_antenna.measure(turn, wander, SensorDraws(1, run))[1][:, 1] for run in range(400)])
     first, later = drawn[:, 0], drawn[:, 50]  # one correlation time apart
     assert abs(np.mean(later**2) / 1e-4 - 1.0) < 3.29 * np.sqrt(2 / 400)
     assert abs(np.mean(first * later) / 1e-4 - np.exp(-1.0)) < 3.29 * np.sqrt((1 + np.exp(-2.0)) / 400)
-    record, parts = dual_antenna.measure(turn, replace(EXACT, white_sd=0.02), 1, 0)
+    record, parts = dual_antenna.measure(turn, replace(EXACT, white_sd=0.02), SensorDraws(1, 0))
     off = record.heading - rotation.to_euler(turn.q_nb[np.searchsorted(turn.t, record.t - 1e-6)])[2]
     white = np.arctan2(np.sin(off), np.cos(off)) - parts.sum(axis=1)
     assert abs(np.mean(white**2) / 4e-4 - 1.0) < 3.29 * np.sqrt(2 / len(white))

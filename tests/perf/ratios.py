@@ -142,6 +142,7 @@ def turning(name: str) -> FlightSpec:
 
 def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
     from bench.sensors import imu
+    from bench.sensors.draws import SensorDraws
 
     n = len(truth) - 1
     draw = np.random.default_rng(1)
@@ -149,8 +150,8 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
     def unit() -> None:
         draw.standard_normal((n, 6))
 
-    cost = ratio(lambda: imu.measure(truth, profile.sensors.imu, 1, 0), unit, 31)
-    whole = ratio(lambda: imu.measure(truth, every_imu_term(), 1, 0), unit, 31)
+    cost = ratio(lambda: imu.measure(truth, profile.sensors.imu, SensorDraws(1, 0)), unit, 31)
+    whole = ratio(lambda: imu.measure(truth, every_imu_term(), SensorDraws(1, 0)), unit, 31)
     return [
         Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units"),
         Figure("IMU record with every error term / the same", whole, 6.0, "units"),
@@ -161,9 +162,10 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
 def sky_cost(profile: Profile, truth: Trajectory, unit: Callable[[], object]) -> float:
     """Return the cost of the measurement level, both systems, 1 Hz over the whole flight."""
     from bench.sensors import sky
+    from bench.sensors.draws import SensorDraws
 
     spec = config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}).sensors
-    return ratio(lambda: sky.measure(truth, spec.gnss, spec.antenna_b, (), 1, 0), unit, 31)
+    return ratio(lambda: sky.measure(truth, spec.gnss, spec.antenna_b, (), SensorDraws(1, 0)), unit, 31)
 
 
 def every_imu_term() -> ImuSpec:

@@ -13,7 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.data import no_air
 from bench.instruments import AirspeedSpec
-from bench.sensors import airspeed, sampling
+from bench.sensors import airspeed
+from bench.sensors.draws import SensorDraws
 from bench.signals import air
 from tests.builders import band
 from tests.synthetic import still
@@ -34,7 +35,7 @@ def steady():
 
 
 def error(truth, spec, run=0):
-    record = airspeed.measure(truth, spec, 1, run)[0]
+    record = airspeed.measure(truth, spec, SensorDraws(1, run))[0]
     return record.airspeed_true - np.interp(record.t, truth.air.t, truth.air.airspeed_true)
 
 
@@ -49,7 +50,7 @@ def test_without_errors_it_reads_the_true_airspeed():
 def test_pressure_noise_is_speed_noise_over_density_and_speed(speed):
     """sd(V) = sd(p) / (rho V), a fifth less at Mach 0.72; the record claims it. Twice the noise fails."""
     truth = flown(lambda t: speed + 0 * t)
-    record = airspeed.measure(truth, replace(OFF, pressure_white_sd=2.0), 1, 0)[0]
+    record = airspeed.measure(truth, replace(OFF, pressure_white_sd=2.0), SensorDraws(1, 0))[0]
     density = 87700.0 / (287.05287 * 280.0)
     expected = 2.0 / (density * speed)
     if speed > 100:
@@ -92,7 +93,7 @@ def test_constant_errors_have_the_sd_of_their_figure(figure, expected):
     low, high = band(len(found))
     assert 0.98 * low < np.mean(found**2) / expected**2 < 1.02 * high
     assert not low < np.mean(found**2) / (2 * expected) ** 2 < high
-    assert_allclose(airspeed.measure(truth, spec, 1, 3)[1], found[3], atol=1e-9)
+    assert_allclose(airspeed.measure(truth, spec, SensorDraws(1, 3))[1], found[3], atol=1e-9)
 
 
 def test_a_lag_follows_a_ramp_of_pressure_behind_by_its_time():
@@ -102,7 +103,7 @@ def test_a_lag_follows_a_ramp_of_pressure_behind_by_its_time():
     speed = air.true_airspeed(ramp, 87700.0, 280.0)
     truth = replace(rest, air=replace(rest.air, airspeed_true=speed))
     for lag in (0.5, 1.0):
-        record = airspeed.measure(truth, replace(OFF, lag=lag), 1, 0)[0]
+        record = airspeed.measure(truth, replace(OFF, lag=lag), SensorDraws(1, 0))[0]
         felt = air.impact_pressure(record.airspeed_true, 87700.0, 280.0)
         late = record.t > 20.0
         assert_allclose(felt[late], 100.0 + 5.0 * (record.t[late] - lag), rtol=1e-7)
@@ -111,10 +112,10 @@ def test_a_lag_follows_a_ramp_of_pressure_behind_by_its_time():
 def test_range_least_bit_and_lowest_speed():
     truth = flown(lambda t: 0.1 * t)
     full_scale = float(air.impact_pressure(20.0, 87700.0, 280.0))
-    record = airspeed.measure(truth, replace(OFF, range=full_scale, min_speed=5.0), 1, 0)[0]
+    record = airspeed.measure(truth, replace(OFF, range=full_scale, min_speed=5.0), SensorDraws(1, 0))[0]
     assert_array_equal(record.valid, (record.t * 0.1 >= 5.0 - 1e-9) & (record.t * 0.1 <= 20.0 + 1e-9))
     assert_allclose(record.airspeed_true.max(), 20.0, rtol=1e-9)
-    coarse = airspeed.measure(truth, replace(OFF, quantization=10.0), 1, 0)[0]
+    coarse = airspeed.measure(truth, replace(OFF, quantization=10.0), SensorDraws(1, 0))[0]
     steps = air.impact_pressure(coarse.airspeed_true, 87700.0, 280.0) / 10.0
     assert_allclose(steps, np.rint(steps), atol=1e-6)
     assert np.abs(error(truth, replace(OFF, quantization=10.0))).max() > 1.0  # at low speed
@@ -122,24 +123,24 @@ def test_range_least_bit_and_lowest_speed():
 
 def test_a_pressure_below_zero_reads_no_speed():
     truth = flown(lambda t: 0 * t)
-    record = airspeed.measure(truth, replace(OFF, pressure_white_sd=2.0), 1, 0)[0]
+    record = airspeed.measure(truth, replace(OFF, pressure_white_sd=2.0), SensorDraws(1, 0))[0]
     assert record.airspeed_true.min() == 0.0
     assert 0.4 < np.mean(record.airspeed_true == 0.0) < 0.6
     assert np.isfinite(record.sd).all()
 
 
 def test_rate_and_latency_and_a_truth_without_air(steady):
-    record = airspeed.measure(steady, replace(FULL, rate=10.0, latency=0.1), 1, 0)[0]
+    record = airspeed.measure(steady, replace(FULL, rate=10.0, latency=0.1), SensorDraws(1, 0))[0]
     assert len(record.t) == 3000
     assert_allclose(record.t_arrival - record.t, 0.1, atol=1e-12)
     with pytest.raises(ValueError, match="has no air data"):
-        airspeed.measure(replace(steady, air=no_air()), FULL, 1, 0)
+        airspeed.measure(replace(steady, air=no_air()), FULL, SensorDraws(1, 0))
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(steady, streams_drawn):
-    drawn = streams_drawn(sampling)
-    airspeed.measure(steady, OFF, 1, 0)
+    drawn = streams_drawn()
+    airspeed.measure(steady, OFF, SensorDraws(1, 0))
     assert drawn == []
-    airspeed.measure(steady, FULL, 1, 0)
+    airspeed.measure(steady, FULL, SensorDraws(1, 0))
     names = ("bias", "pressure_bias", "pressure_white", "scale_factor", "white")
     assert sorted(drawn) == [f"airspeed.{name}" for name in names]

@@ -24,6 +24,7 @@ from bench.config.tables import check_table
 from bench.errors import ConfigError
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.sensors import faults, sense
+from bench.sensors.draws import SensorDraws
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -311,7 +312,9 @@ def test_a_bias_step_is_in_every_sample_to_the_least_bit(turn, plain):
 def test_beyond_its_range_a_sample_is_clipped_and_flagged(turn):
     imu = replace(IMU, gyro=replace(TRIAD, range=1.0))
     record = sensed(turn, POSITION).data.imu
-    faulty = faults.apply_to_imu(record, imu, [script("gyro-step", step_deg_h=[5e5, 0.0, 0.0])], 1, 0)
+    faulty = faults.apply_to_imu(
+        record, imu, [script("gyro-step", step_deg_h=[5e5, 0.0, 0.0])], SensorDraws(1, 0)
+    )
     rows = inside(record)
     assert not faulty.valid[rows].any()
     assert faulty.valid[~rows].all()

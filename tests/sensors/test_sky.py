@@ -18,6 +18,7 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
 from bench.sensors import clock, gnss, sky
+from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
 from bench.specs import EvaluationWindow, SkySpec
@@ -49,13 +50,18 @@ def rest():
 
 
 def measure(truth, what, antenna_b=LEVER, outages=(), seed=1, run=0, rate=1.0):
-    return sky.measure(truth, replace(SPEC, sky=what, rate=rate), antenna_b, outages, seed, run)
+    return sky.measure(truth, replace(SPEC, sky=what, rate=rate), antenna_b, outages, SensorDraws(seed, run))
+
+
+def simulate_clock(truth, rows, what, run=0):
+    steps = np.diff(truth.t[rows], prepend=truth.t[0])
+    return clock.simulate_receiver_clock(truth, rows, steps, what, SensorDraws(1, run).part("gnss.sky.clock"))
 
 
 def exact(truth, fixes, antenna_b=LEVER):
     """Position and velocity error of fixes [m, m/s], n."""
     rows = np.searchsorted(truth.t, fixes.t - 1e-6)
-    lla, vel_n = gnss.compute_antenna_motion(truth, rows, antenna_b)
+    lla, vel_n = gnss.compute_antenna_motion(truth, rows, antenna_b, SensorDraws(1, 0))
     return earth.difference_n(fixes.lla, lla), fixes.vel_n - vel_n
 
 
@@ -85,7 +91,7 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
     """Range by an iteration that turns vectors, delays by their public functions (B-12)."""
     o = measure(turn, QUIET).observations
     rows = np.searchsorted(turn.t, o.t - 1e-6)
-    lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER)
+    lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER, SensorDraws(1, 0))
     here = earth.to_ecef(lla)
     sets = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
     for k in range(0, len(o), 37):
@@ -135,7 +141,7 @@ def test_a_bank_loses_the_satellites_geometry_says():
     kept, lost = [], []
     seen, left = (measure(truth, what).observations for truth in (level, banked))
     final = seen.t == seen.t[-1]
-    here = earth.to_ecef(gnss.compute_antenna_motion(level, np.array([20]), LEVER)[0][0])
+    here = earth.to_ecef(gnss.compute_antenna_motion(level, np.array([20]), LEVER, SensorDraws(1, 0))[0][0])
     for system, sat, pos in zip(seen.system[final], seen.sat[final], seen.sat_pos_e[final], strict=True):
         _, e, d = earth.matrix_en(*ORIGIN[:2]).T @ (pos - here)
         above = e * np.sin(np.deg2rad(45.0)) - d * np.cos(np.deg2rad(45.0))  # along the antenna's axis
@@ -266,17 +272,14 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
     rows = np.arange(1, 20001)
     for h_0, h_m2, tau in ((2e-19, 0.0, 1), (2e-19, 0.0, 16), (0.0, 2e-20, 4), (0.0, 2e-20, 16)):
         what = replace(QUIET, clock_h_0=h_0, clock_h_m2=h_m2)
-        offset, _ = clock.simulate_receiver_clock(truth, rows, what, 1, 0)
+        offset, _ = simulate_clock(truth, rows, what)
         x = offset / orbits.C
         second = x[2 * tau :: tau] - 2 * x[tau:-tau:tau] + x[: -2 * tau : tau]
         variance = np.mean(second**2) / (2 * tau**2)
         expected = h_0 / (2 * tau) + 2 * np.pi**2 / 3 * h_m2 * tau
         spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbours of second differences are correlated
         assert abs(variance / expected - 1) < spread
-    one, two = (
-        clock.simulate_receiver_clock(truth, rows, replace(QUIET, clock_h_0=h), 1, 0)[0]
-        for h in (2e-19, 8e-20)
-    )
+    one, two = (simulate_clock(truth, rows, replace(QUIET, clock_h_0=h))[0] for h in (2e-19, 8e-20))
     assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
 
 
@@ -290,7 +293,7 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
 
     h_m1, truth, rows = 7e-21, still(20000.0, 1.0, attitude=(0.0, 0.0, 0.0)), np.arange(1, 20001)
     what = replace(QUIET, clock_h_m1=h_m1)
-    runs = [clock.simulate_receiver_clock(truth, rows, what, 1, run) for run in range(24)]
+    runs = [simulate_clock(truth, rows, what, run) for run in range(24)]
     taus = np.geomspace(0.1, 1e4, 41)
     stages = zip(fit_flat_deviation(clock._STAGES, *clock._FLAT), clock._STAGES, strict=True)
     flat = np.sqrt(sum(allan.gauss_markov_deviation(taus, sd, c) ** 2 for sd, c in stages))
@@ -316,9 +319,7 @@ def test_the_flicker_does_not_depend_on_the_step():
     h_m1 = 7e-21
     for rate, count in ((1.0, 20000), (10.0, 200000)):
         truth = still(20000.0, rate, attitude=(0.0, 0.0, 0.0))
-        offset, _ = clock.simulate_receiver_clock(
-            truth, np.arange(1, count + 1), replace(QUIET, clock_h_m1=h_m1), 1, 0
-        )
+        offset, _ = simulate_clock(truth, np.arange(1, count + 1), replace(QUIET, clock_h_m1=h_m1))
         x = offset[:: int(rate)] / orbits.C
         variance = np.mean(np.diff(x, n=2) ** 2) / 2
         assert abs(variance / (2 * np.log(2) * h_m1) - 1) < 3.29 * np.sqrt(3.0 / len(x)) + 0.04
@@ -328,7 +329,7 @@ def test_specific_force_bends_the_clock(turn):
     """0.5 ppb/g in a turn of 1.26 g along down: drift c y, and the offset is its integral."""
     what = replace(QUIET, clock_g=0.5e-9 / 9.80665)
     rows = np.arange(0, 2401, 20)[1:]
-    offset, drift = clock.simulate_receiver_clock(turn, rows, what, 1, 0)
+    offset, drift = simulate_clock(turn, rows, what)
     f_down = turn.dvel_b[0, 2] * 20.0
     assert f_down < -9.9
     assert_allclose(drift, orbits.C * what.clock_g * f_down, rtol=1e-9)
@@ -336,7 +337,7 @@ def test_specific_force_bends_the_clock(turn):
 
 
 def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
-    drawn = streams_drawn(sky, clock)
+    drawn = streams_drawn()
     measure(turn, QUIET)
     assert drawn == []
     measure(turn, replace(FULL, bands=2, clock_h_m1=7e-21))
@@ -411,11 +412,11 @@ def test_systems_and_the_best_set(turn):
 
 
 def test_latency_and_a_receiver_without_sky(turn):
-    late = sky.measure(turn, replace(SPEC, latency=0.2), LEVER, (), 1, 0)
+    late = sky.measure(turn, replace(SPEC, latency=0.2), LEVER, (), SensorDraws(1, 0))
     assert_allclose(late.fixes.t_arrival - late.fixes.t, 0.2)
     assert_allclose(late.observations.t_arrival - late.observations.t, 0.2)
     with pytest.raises(ValueError, match="'x' is a position-level receiver"):
-        sky.measure(turn, replace(SPEC, name="x", sky=None), LEVER, (), 1, 0)
+        sky.measure(turn, replace(SPEC, name="x", sky=None), LEVER, (), SensorDraws(1, 0))
 
 
 def test_real_satellites_fly_too(turn, tmp_path):
@@ -432,7 +433,7 @@ def test_real_satellites_fly_too(turn, tmp_path):
     for name, sheet in sheets.items():
         (tmp_path / f"{name}.toml").write_text(sheet, encoding="utf-8")
         spec = read_gnss(tmp_path / f"{name}.toml", f"{name}.toml")
-        found = sky.measure(turn, replace(spec, sky=replace(spec.sky, **OFF)), LEVER, (), 1, 0)
+        found = sky.measure(turn, replace(spec, sky=replace(spec.sky, **OFF)), LEVER, (), SensorDraws(1, 0))
         pos, vel = exact(turn, found.fixes)
         assert np.abs(pos).max() < 3e-4
         assert np.abs(vel).max() < 1e-6

@@ -14,7 +14,8 @@ from numpy.testing import assert_allclose
 from bench import rotation
 from bench.data import no_air
 from bench.instruments import BaroSpec, StaticPressureSpec
-from bench.sensors import sampling, static_pressure
+from bench.sensors import static_pressure
+from bench.sensors.draws import SensorDraws
 from bench.signals import air
 from tests.builders import band
 from tests.synthetic import still
@@ -42,7 +43,7 @@ def flown(height, duration=60.0, rate=100.0, **columns):
 
 def read(truth, unit=NONE, qnh=STANDARD, port=(0.0, 0.0, 0.0), run=0, **fields):
     spec = BaroSpec("physical", 10.0, 0.1, 5.0, 0.03, physical=unit)
-    return static_pressure.measure(truth, replace(spec, **fields), qnh, port, 1, run)[0]
+    return static_pressure.measure(truth, replace(spec, **fields), qnh, port, SensorDraws(1, run))[0]
 
 
 def level(height=1000.0, **columns):
@@ -54,7 +55,7 @@ def test_in_standard_air_it_reads_the_geopotential_height(height):
     """16 m below the ellipsoidal one at 10 km; that is the bias told."""
     truth = level(height)
     spec = BaroSpec("physical", 10.0, 0.1, 5.0, 0.03, physical=NONE)
-    record, bias = static_pressure.measure(truth, spec, STANDARD, (0.0, 0.0, 0.0), 1, 0)
+    record, bias = static_pressure.measure(truth, spec, STANDARD, (0.0, 0.0, 0.0), SensorDraws(1, 0))
     geopotential = 6356766.0 * height / (6356766.0 + height)
     assert_allclose(record.alt_baro, geopotential, rtol=0, atol=1e-6)
     assert_allclose(bias, geopotential - height, rtol=0, atol=1e-6)
@@ -185,7 +186,7 @@ def test_without_air_or_without_a_physical_part_it_is_refused():
 
 
 def test_every_error_has_a_stream_and_none_is_drawn_for_nothing(streams_drawn):
-    drawn = streams_drawn(sampling)
+    drawn = streams_drawn()
     read(level())
     assert drawn == []
     read(level(), FULL)

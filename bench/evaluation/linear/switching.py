@@ -8,6 +8,7 @@ from typing import Any
 from bench import sensors
 from bench.data import Sensed, Trajectory
 from bench.evaluation.linear.terms import INITIAL, Source, list_sources
+from bench.sensors.draws import SensorDraws
 from bench.sensors.initial import draw_initial_state
 from bench.specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 
@@ -18,7 +19,7 @@ def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int,
     The estimator gets the covariance at the start of all errors.
     """
     sensed = sensors.sense(truth, keep_source(spec, source), seed, run)
-    whole = draw_initial_state(truth, spec, seed, run)
+    whole = draw_initial_state(truth, spec, SensorDraws(seed, run))
     return replace(sensed, initial=replace(sensed.initial, cov=whole.cov))
 
 

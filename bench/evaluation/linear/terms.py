@@ -23,10 +23,11 @@ from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
 from bench.sensors import imu as imu_model
 from bench.sensors import static_pressure, vibration
+from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import find_constellation_changes
 from bench.sensors.processes import choose_bias_stages
 from bench.sensors.timing import find_epoch_rows
-from bench.specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
+from bench.specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 IMU = -1
 """What a process acts on, beside the sensors of `measurement_rows`: gyros or accelerometers."""
@@ -302,7 +303,7 @@ def _sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constan
     dt = np.diff(truth.t)[:, None]
 
     def signal(unit: ImuSpec) -> FloatArray:
-        made, _ = imu_model.measure(truth, unit, seed, 0)
+        made, _ = imu_model.measure(truth, unit, SensorDraws(seed, 0))
         return np.hstack([made.dtheta_b - truth.dtheta_b, made.dvel_b - truth.dvel_b]) / dt
 
     nothing = ImuSpec(imu.name, TriadSpec(), TriadSpec(), still)
@@ -319,13 +320,9 @@ def _sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constan
         yield Constant("distance between the accelerometers", signal=signal(alone), stochastic=False)
     if imu.vibration != VibrationSpec():
         for run in range(SAMPLES):
-            shaken = vibration.shake(truth, imu.vibration, partial(_vibration_stream, seed, run))
+            shaken = vibration.shake(truth, imu.vibration, SensorDraws(seed, run).part("imu.vibration"))
             error = np.hstack([shaken[0] - truth.dtheta_b, shaken[1] - truth.dvel_b]) / dt
             yield Constant("vibration", signal=error / np.sqrt(SAMPLES))
-
-
-def _vibration_stream(seed: int, run: int, term: str) -> np.random.Generator:
-    return stream(seed, run, f"imu.vibration.{term}")
 
 
 def _sampled_baro(truth: Trajectory, spec: SensorsSpec, seed: int) -> Iterator[Constant]:
@@ -333,6 +330,8 @@ def _sampled_baro(truth: Trajectory, spec: SensorsSpec, seed: int) -> Iterator[C
     assert spec.baro is not None
     rows = find_epoch_rows("baro", truth.t, spec.baro.rate)
     for run in range(SAMPLES):
-        record, _ = static_pressure.measure(truth, spec.baro, spec.qnh, spec.static_port_b, seed, run)
+        record, _ = static_pressure.measure(
+            truth, spec.baro, spec.qnh, spec.static_port_b, SensorDraws(seed, run)
+        )
         error = record.alt_baro - truth.lla[rows, 2]
         yield Constant(PHYSICAL, height=error / np.sqrt(SAMPLES))

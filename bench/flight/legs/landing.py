@@ -13,7 +13,7 @@ from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp
 from bench.flight.legs.keys import Key, format_deg, side_of
 from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, check_runway, find_runway
-from bench.flight.paths import Follower
+from bench.flight.paths import Follower, SegmentPath
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.specs import SECONDS, Leg, LegStart
 
@@ -112,8 +112,7 @@ class Flare(Leg):
         looked = list(smooth(1.0))
         for k in ticks(_FLARE_TIME):
             if cockpit.on_wheels():
-                along, off, _ = line.segments[0].relative(plane.position())
-                return f"touch-down at {sink:.2f} m/s, {_place(along, off)}"
+                return f"touch-down at {sink:.2f} m/s, {_place(line, plane)}"
             sink = -cockpit.climb()
             # the height when the vertical speed that is asked for now has come
             ahead = looked[min(k, len(looked) - 1)] * cockpit.climb_lag
@@ -179,8 +178,15 @@ class LandingRoll(Leg):
             cockpit.brake(_BRAKE + share * (1 - _BRAKE))
             yield
         yield from wait(self.hold)
-        return f"stands {_place(centre.along, centre.off)}"
+        return f"stands {_place(centreline(runway), Plane(cockpit, runway.lat, runway.lon, runway.alt))}"
 
 
-def _place(along: float, off: float) -> str:
-    return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centreline"
+def _place(line: SegmentPath, plane: Plane) -> str:
+    """Return where the aircraft is on the runway in words: as believed, and in truth if that differs."""
+
+    def say(point: tuple[float, float]) -> str:
+        along, off, _ = line.segments[0].relative(point)
+        return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centreline"
+
+    believed, true = plane.position(), plane.true_position()
+    return say(true) if believed == true else f"believed {say(believed)}, in truth {say(true)}"

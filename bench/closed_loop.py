@@ -1,0 +1,202 @@
+"""The navigation filter flies: a flight whose guidance reads an estimate, and what the estimate was.
+
+The flight gives its truth piece by piece. Of each the sensors measure it, the filter takes what has arrived,
+and its answer becomes what guidance believes (`bench.flight.belief`). Sensors and filter are those that a
+recorded flight has: `replay` gives the same answers from the truth that was flown, bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bench.data import AirData, EventRow, Events, NavSolution, SensorData, Trajectory
+from bench.errors import BenchError, ConfigError
+from bench.exchange.loading import load_estimators
+from bench.flight.belief import Belief, NavEstimate
+from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
+from bench.navigation.engine.piecewise import join_solutions
+from bench.navigation.engine.record_cuts import aiding_records, arrivals
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.open_filters import PieceFilter
+from bench.sensors import SensedPiece, sense_piece
+from bench.sensors.draws import SensorDraws
+from bench.specs import FlightSpec, Guidance, Profile
+from bench.store import join_pieces
+from bench.wording import one_line
+
+LABEL = "in-flight"
+"""Name of the answers that steered, beside the solutions of the estimators."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedFlight:
+    """What a flight by an estimate gave."""
+
+    truth: Trajectory
+    answers: NavSolution  # that steered, in real time: by what had arrived
+
+
+class Deliveries:
+    """Rows of sensors on their way: measured, and not yet arrived."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, Any] = {}
+
+    def take(self, measured: SensorData, until: float) -> SensorData:
+        """Return a piece as a filter takes it: samples, and all that has arrived until an instant [s]."""
+        come: dict[str, Any] = {}
+        for name, record in aiding_records(measured).items():
+            before = self._waiting.pop(name, None)
+            rows = record if before is None else join_rows(before, record)
+            there = ~(arrivals(rows) > until + TIME_TOLERANCE)
+            if there.all():
+                come[name] = rows
+                continue
+            take = take_observations if name == "observations" else take_rows
+            come[name], self._waiting[name] = take(rows, there), take(rows, ~there)
+        return replace(measured, **come)
+
+
+class Pilot:
+    """Feeds a filter with the pieces of a flight and asks it where the aircraft is.
+
+    Parameters
+    ----------
+    guidance : Guidance
+        The filter and its options.
+    """
+
+    def __init__(self, guidance: Guidance) -> None:
+        self._choice, self._look_back = guidance.navigation, guidance.look_back
+        (self._built,) = load_estimators([guidance.navigation])
+        self._filter: PieceFilter | None = None
+        self._deliveries = Deliveries()
+        self.answers: list[NavSolution] = []
+        self.events: list[EventRow] = []
+        self._died: float | None = None
+        self.t = 0.0
+
+    def answer(self, measured: SensedPiece, end: float) -> NavSolution | None:
+        """Take the next piece and return the answer at its end [s]; None if the filter has none."""
+        self.t = end
+        if self._filter is None:
+            use, options = self._choice.use, dict(self._choice.options)
+            self._filter = PieceFilter(use, options, self._built, measured.initial, self._look_back)
+        data = self._deliveries.take(measured.data, end)
+        if self._died is not None:
+            return None
+        try:
+            self._filter.feed(data)
+            found = self._filter.answer()
+        except Exception as error:  # a filter that dies leaves the aircraft to what it said last
+            self._died = end
+            why = str(error) if isinstance(error, BenchError) else repr(error)
+            self.events.append(
+                (end, end, "failed", f"the filter that flies has failed: {one_line(why)[:300]}")
+            )
+            return None
+        if not len(found):
+            return None
+        self.answers.append(found)
+        known = np.isfinite(found.lla[0]).all() and np.isfinite(found.vel_n[0]).all()
+        return found if known and np.isfinite(found.q_nb[0]).all() else None
+
+    def collect(self) -> NavSolution:
+        """Return all answers as one solution.
+
+        Raises
+        ------
+        ConfigError
+            If there is none.
+        """
+        if not self.answers:
+            why = self.events[0][3] if self.events else "it never answered"
+            raise ConfigError(f"[guidance] navigation = {self._choice.use!r}: {why}")
+        known = [one for one in self.answers if one.extra_names] or self.answers
+        joined = join_solutions([one for one in self.answers if one.extra_names == known[0].extra_names])
+        return replace(joined, events=Events.from_rows(self.events))
+
+
+def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None = None) -> ClosedFlight:
+    """Fly a profile whose guidance reads an estimate, with noise draw ``run``.
+
+    Raises
+    ------
+    bench.errors.FlightError
+        If the aircraft cannot be loaded or trimmed. What happens later is an event "crash" of the truth.
+    bench.errors.EstimatorError, bench.errors.ConfigError
+        If the filter cannot be built, or has never answered.
+    """
+    from bench import flight
+
+    guidance = profile.guidance
+    assert guidance is not None
+    assert isinstance(profile.flight, FlightSpec)
+    belief = Belief(guidance.error, guidance.latency)
+    pieces = flight.fly_pieces(profile.flight, progress, guidance.period, belief)
+    flown = list[Trajectory]()
+    pilot = _follow(profile, run, _keep(pieces, flown), belief)
+    return ClosedFlight(join_pieces(flown), pilot.collect())
+
+
+def replay(profile: Profile, truth: Trajectory, run: int = 0) -> NavSolution:
+    """Return the answers that steered, from the truth that they flew."""
+    assert profile.guidance is not None
+    return _follow(profile, run, cut_truth(truth, profile.guidance.period), None).collect()
+
+
+def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory]) -> Iterator[Trajectory]:
+    for piece in pieces:
+        flown.append(piece)
+        yield piece
+
+
+def _follow(profile: Profile, run: int, pieces: Iterable[Trajectory], belief: Belief | None) -> Pilot:
+    """Sense and navigate the pieces of a flight; tell ``belief`` what comes of it."""
+    guidance, draws = profile.guidance, SensorDraws(profile.seed, run)
+    assert guidance is not None
+    pilot, radar = Pilot(guidance), profile.sensors.radar is not None
+    last_air: AirData | None = None
+    for piece in pieces:
+        whole = piece
+        if last_air is not None and len(last_air.t):
+            whole = replace(piece, air=join_rows(last_air, piece.air))
+        last_air = take_rows(whole.air, slice(-1, None))
+        measured = sense_piece(whole, profile.sensors, draws)
+        end = float(piece.t[-1])
+        found = pilot.answer(measured, end)
+        if belief is not None and found is not None:
+            belief.take(NavEstimate(end, piece, found, measured.truth.gyro_bias_b[-1]))
+        if belief is not None and radar:
+            _tell_height(belief, measured.data, piece, profile.sensors.ground_alt)
+    return pilot
+
+
+def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, ground_alt: float) -> None:
+    """Tell what the radar altimeter has measured last, as an error of the height above ground."""
+    radar = data.radar
+    if radar is None or not len(radar.t):
+        return
+    if not radar.valid[-1]:
+        belief.take_radar(None)
+        return
+    row = int(np.searchsorted(piece.t, radar.t[-1] - TIME_TOLERANCE))
+    belief.take_radar(float(radar.height[-1] - (piece.lla[row, 2] - ground_alt)))
+
+
+def cut_truth(truth: Trajectory, seconds: float) -> Iterator[Trajectory]:
+    """Yield a truth in pieces of so many seconds, as the flight gave it."""
+    rate = round(1.0 / (truth.t[1] - truth.t[0]))
+    step, begun = round(seconds * rate), 0
+    for first in range(0, len(truth.t) - 1, step):
+        last = min(first + step, len(truth.t) - 1)
+        end = int(np.searchsorted(truth.air.t, truth.t[last] + TIME_TOLERANCE))
+        shared = {name: getattr(truth, name)[first : last + 1] for name in ("t", "lla", "vel_n", "q_nb")}
+        steps = {name: getattr(truth, name)[first:last] for name in ("dtheta_b", "dvel_b")}
+        parts = {part: take_rows(getattr(truth, part), slice(begun, end)) for part in ("air", "controls")}
+        begun = end
+        yield Trajectory(**shared, **steps, **parts, events=Events.from_rows([]))

@@ -1,0 +1,139 @@
+"""A flight that is sensed in pieces has the bits of the whole: every unit of the catalog, every fault.
+
+The pieces are of 50 ms to 1 s and end on the 20 Hz of the guidance, as those of a closed loop do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+import bench
+from bench.config.datasheets import SENSORS
+from bench.data import AirData, SensorData, Trajectory
+from bench.sensors import sense, sense_piece
+from bench.sensors.draws import SensorDraws
+from bench.specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from tests.sensors.test_faults import CASES, RECEIVERS, script
+
+CATALOG = Path(bench.__file__).parent / "catalog"
+UNITS = sorted(path for path in CATALOG.glob("*/*.toml") if path.parent.name in SENSORS)
+TRIAD = TriadSpec(
+    random_walk=4e-5, bias_instability=1e-5, bias_correlation=10.0, turn_on_bias_sd=1e-4,
+    rate_random_walk=1e-6, scale_factor_sd=5e-4, misalignment_sd=1e-3, nonorthogonality_sd=1e-3,
+    quantization=1e-7, range=5.0, temperature_sd=1e-6, nonlinearity_sd=1e-4, quadratic_sd=1e-5,
+    bandwidth=20.0, delay=0.0137, dead_zone=1e-5,
+)  # fmt: skip
+EVERY_TERM = ImuSpec(
+    "every-term",
+    replace(TRIAD, g_sensitivity_sd=1e-6, g2_sensitivity_sd=1e-7),
+    replace(TRIAD, random_walk=1e-3, range=100.0),
+    ThermalSpec(self_heating=15.0, time_constant=20.0),
+    VibrationSpec(
+        engine_gyro=0.01, engine_accel=1.0, engine_reference=500.0, gust_gyro=0.01, gust_accel=0.5,
+        mode_frequency=12.0, mode_damping=0.05,
+    ),
+    accel_cone=0.6,
+    accel_arms=((0.02, 0.0, 0.0), (0.0, 0.02, 0.0), (0.0, 0.0, 0.02)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def gusty(short_truth):
+    """The short flight in wind that moves."""
+    air = short_truth.air
+    wind_n = air.wind_n + np.random.default_rng(3).normal(size=air.wind_n.shape)
+    return replace(short_truth, air=replace(air, wind_n=wind_n))
+
+
+def on_board(imu=EVERY_TERM, gnss=None, scripted=(), **others):
+    assumed = AssumedSpecs(imu, gnss, **others)
+    return SensorsSpec(
+        imu=imu, gnss=gnss, assumed=assumed, antenna_b=(0.5, 0.1, -0.3), gnss_outages=((12.0, 15.0),),
+        initial_pos_sd=(3.0, 4.0, 5.0), initial_vel_sd=(0.1, 0.2, 0.3), initial_tilt_sd=0.01,
+        initial_heading_sd=0.05, output_rate=10.0, faults=tuple(scripted), static_port_b=(0.3, 0.0, 0.1),
+        **others,
+    )  # fmt: skip
+
+
+def cut(truth: Trajectory, ticks: list[int]) -> list[Trajectory]:
+    """Pieces of so many ticks of 50 ms each; the air of the first instant of a piece is that before."""
+    rate, begin, pieces = round((len(truth.t) - 1) / truth.t[-1]), 0, []
+    for end in [*np.cumsum(ticks), round(truth.t[-1] * 20)]:
+        first, last = begin * rate // 20, end * rate // 20
+        instants = {name: getattr(truth, name)[first : last + 1] for name in ("t", "lla", "vel_n", "q_nb")}
+        steps = {name: getattr(truth, name)[first:last] for name in ("dtheta_b", "dvel_b")}
+        air = {f.name: getattr(truth.air, f.name)[begin : end + 1] for f in fields(AirData)}
+        pieces.append(replace(truth, air=AirData(**air), **instants, **steps))
+        begin = end
+    return pieces
+
+
+def join(parts: list[SensorData], name: str) -> dict[str, np.ndarray]:
+    """The columns of a record in pieces, put together."""
+    records = [getattr(part, name) for part in parts]
+    columns = {}
+    for f in fields(records[0]):
+        found = [getattr(one, f.name) for one in records]
+        if f.name == "epoch_start":
+            found = [np.diff(column) for column in found]
+        columns[f.name] = found[0] if f.name in ("klobuchar", "gps_t0") else np.concatenate(found)
+    return columns
+
+
+def assert_same_bits(truth, spec, ticks):
+    whole = sense(truth, spec, 7, 2)
+    draws = SensorDraws(7, 2)
+    pieces = [sense_piece(piece, spec, draws) for piece in cut(truth, ticks)]
+    names = [f.name for f in fields(SensorData) if hasattr(getattr(whole.data, f.name), "t")]
+    assert "imu" in names
+    for name in names:
+        expected = getattr(whole.data, name)
+        for column, values in join([piece.data for piece in pieces], name).items():
+            wanted = getattr(expected, column)
+            wanted = np.diff(wanted) if column == "epoch_start" else wanted
+            assert_array_equal(values, wanted, err_msg=f"{name}.{column}", strict=True)
+    first, *rest = [piece.truth for piece in pieces]
+    for column in ("t", "gyro_b", "accel_b"):
+        column = {"gyro_b": "gyro_bias_b", "accel_b": "accel_bias_b"}.get(column, column)
+        values = np.concatenate([getattr(first, column), *(getattr(one, column)[1:] for one in rest)])
+        assert_array_equal(values, getattr(whole.truth, column), err_msg=column)
+    assert_array_equal(pieces[-1].initial.q_nb, whole.initial.q_nb)
+
+
+TICKS = [1, 1, 1, 3, 20, 1, 7, 2, 2, 11, 1, 4] * 20
+TICKS = TICKS[: int(np.searchsorted(np.cumsum(TICKS), 1180))]
+
+
+@pytest.mark.parametrize("kind", sorted({path.parent.name for path in UNITS}))
+def test_every_unit_of_the_catalog_draws_in_order_of_time(gusty, kind):
+    for path in UNITS:
+        if path.parent.name == kind:
+            unit = SENSORS[kind](path, path.name)
+            spec = on_board(unit) if kind == "imu" else on_board(**{kind: unit})
+            assert_same_bits(gusty, spec, TICKS)
+
+
+@pytest.mark.parametrize("ticks", [[1] * 1199, TICKS], ids=["50 ms", "mixed"])
+def test_a_unit_with_every_error_term_draws_in_order_of_time(gusty, ticks):
+    assert_same_bits(gusty, on_board(), ticks)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("level", "kind", "keys"), CASES)
+def test_faults_act_across_the_pieces(gusty, level, kind, keys):
+    names = {"baro": "bmp388", "mag": "rm3100", "airspeed": "ms4525do"}
+    units = {name: SENSORS[name](CATALOG / name / f"{unit}.toml", unit) for name, unit in names.items()}
+    spec = on_board(gnss=RECEIVERS[level], scripted=[script(kind, **keys)], **units)
+    assert_same_bits(gusty, spec, TICKS)
+
+
+def test_a_frozen_output_of_two_faults_repeats_the_row_before_each(gusty):
+    first, second = script("frozen", sensor="gnss"), script("frozen", sensor="gnss")
+    second = replace(second, start=25.0, end=40.0)
+    for gnss in RECEIVERS.values():
+        assert_same_bits(gusty, on_board(gnss=gnss, scripted=[first, second]), TICKS)

@@ -1,0 +1,171 @@
+"""The filter flies: without error no bit changes, a recorded flight repeats its answers, a crash counts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from bench import closed_loop, config, pipeline, store
+from bench.cli import main
+from bench.config.listing import list_profiles
+from bench.data import NavSolution
+from bench.errors import ConfigError
+from bench.flight import fly_pieces
+from bench.flight.belief import Belief, NavEstimate
+from bench.flight.legs.level import Straight
+from bench.specs import FlightSpec
+from tests.flight.plans import plan, short_plan
+
+PROFILE = """
+title = "A minute that an estimate flies"
+aircraft = "aerosonde"
+rate_hz = 100
+seed = 4
+
+[start]
+lat_deg = 47.26
+lon_deg = 11.34
+alt_m = 1200.0
+heading_deg = 85.0
+speed_mps = 25.0
+
+[[leg]]
+kind = "straight"
+duration_s = 10.0
+
+[[leg]]
+kind = "turn"
+by_deg = 90.0
+bank_deg = 25.0
+
+[[leg]]
+kind = "straight"
+duration_s = 15.0
+
+[sensors]
+imu = "adis16475"
+gnss = "zed-f9p"
+baro = "bmp388"
+mag = "rm3100"
+
+[evaluation]
+from_s = 10.0
+
+[guidance]
+navigation = "loose-15"
+
+[[estimator]]
+use = "loose-15"
+"""
+COLUMNS = ("t", "lla", "vel_n", "q_nb", "dtheta_b", "dvel_b")
+
+
+@pytest.fixture
+def profile(tmp_path):
+    path = tmp_path / "closed.toml"
+    path.write_text(PROFILE)
+    return path
+
+
+def same_bits(one, other, names=COLUMNS):
+    for name in names:
+        assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def perfect(piece):
+    """An estimate without error at the end of a piece."""
+    nothing = np.zeros((1, 9, 9))
+    solution = NavSolution(
+        piece.t[-1:], piece.lla[-1:], piece.vel_n[-1:], piece.q_nb[-1:], np.zeros((1, 3)), np.zeros((1, 3)),
+        nothing, (), np.zeros((1, 0)), np.zeros((1, 0)),
+    )  # fmt: skip
+    return NavEstimate(float(piece.t[-1]), piece, solution, np.zeros(3))
+
+
+def fly_by_truth(spec, mode="held", seconds=0.05, latency=0.05):
+    belief, flown = Belief(mode, latency), []
+    for piece in fly_pieces(spec, None, seconds, belief):
+        flown.append(piece)
+        belief.take(perfect(piece))
+    return store.join_pieces(flown)
+
+
+def test_an_estimate_without_error_flies_the_same_bits():
+    same_bits(fly_by_truth(short_plan()), store.join_pieces(fly_pieces(short_plan())))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [one.name for one in list_profiles()])
+def test_an_estimate_without_error_flies_the_same_bits_on_every_profile(name):
+    spec = config.load_profile(name).flight
+    assert isinstance(spec, FlightSpec)
+    same_bits(fly_by_truth(spec, seconds=1.0), store.join_pieces(fly_pieces(spec)))
+
+
+def test_the_last_estimate_itself_is_late_and_flies_all_the_same():
+    """In a turn a heading that is 0.25 s late is behind: another flight, which ends on the same heading."""
+    exact, late = store.join_pieces(fly_pieces(short_plan())), fly_by_truth(short_plan(), "state", 0.2)
+    assert np.abs(late.lla - exact.lla)[-1, :2].max() > 1e-8
+    assert_allclose(late.q_nb[-1], exact.q_nb[-1], atol=0.02)
+
+
+def test_a_recorded_flight_gives_the_answers_that_flew_it(profile):
+    """Sensed and navigated again: the same bits; `navigate` on the whole record ends on the last of them."""
+    loaded = config.load_profile(profile)
+    flown = closed_loop.fly(loaded, run=2)
+    again = closed_loop.replay(loaded, flown.truth, run=2)
+    same_bits(again, flown.answers, ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov"))
+    assert len(again) == np.ceil(flown.truth.t[-1] / 0.2)
+    sensed = pipeline.sense(loaded, flown.truth, 2)
+    final = pipeline.navigate(loaded.estimators[0], sensed.data, sensed.initial)
+    same_bits(closed_loop.fly(loaded, run=2).truth, flown.truth)
+    assert_array_equal(final.lla[-1], flown.answers.lla[-1])
+    other = closed_loop.fly(loaded, run=3).truth
+    assert not np.array_equal(other.lla[-1], flown.truth.lla[-1])
+
+
+def test_what_is_believed_moves_the_flight():
+    """Believing to be 40 m higher than it is, it flies 40 m lower; a crash ends the truth, and is told."""
+    spec = plan(Straight(40.0))
+
+    def flown(alt_error):
+        belief, pieces = Belief("held", 0.05), []
+        for piece in fly_pieces(spec, None, 0.2, belief):
+            pieces.append(piece)
+            estimate = perfect(piece)
+            lla = piece.lla[-1:] + np.array([0.0, 0.0, alt_error])
+            belief.take(replace(estimate, solution=replace(estimate.solution, lla=lla)))
+        return store.join_pieces(pieces)
+
+    lower = flown(40.0)
+    assert_allclose(lower.lla[-1, 2], 1200.0 - 40.0, atol=1.0)
+    crashed = flown(1300.0)
+    (t, _, text) = crashed.events.select("crash")[0]
+    assert "flew into the ground" in text
+    assert 0 < crashed.lla[-1, 2] < 20.0
+    assert_allclose(crashed.t[-1], t, atol=1e-9)
+    assert crashed.events.select("leg")[-1][2].endswith("not flown to its end")
+
+
+def test_run_shows_the_answers_that_steered(profile, tmp_path, capsys):
+    assert main(["run", str(profile), "-o", str(tmp_path / "out"), "--no-rrd", "--no-report"]) in (0, 1)
+    assert "in-flight" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"guidance.navigation": "smoother"}, "cannot run in pieces"),
+        ({"guidance.navigation": "loos-15"}, "must be an estimator that runs in pieces"),
+        ({"guidance.period_s": 0.12}, "must be a multiple of 0.05 s"),
+        ({"guidance.latency_s": 0.01}, "latency_s"),
+        ({"guidance.navigation": "mine:Mine"}, "is code that would run on this machine"),
+    ],
+)
+def test_what_cannot_fly_is_refused_in_a_line(profile, change, message):
+    with pytest.raises(Exception, match=message) as caught:
+        closed_loop.fly(config.load_profile(profile, change))
+    assert isinstance(caught.value, ConfigError) or "pieces" in str(caught.value)
