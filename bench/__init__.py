@@ -68,9 +68,9 @@ if TYPE_CHECKING:
         run as run,
         score_solution as score_solution,
         sense as sense,
-        solve_rinex as solve_rinex,
         stream_run as stream_run,
     )
+    from bench.exchange.receiver_settings import solve_rinex as solve_rinex
     from bench.baselines.checking import check as check, record_baselines as record_baselines
     from bench.baselines.comparing import compare_results as compare_results
     from bench.campaigns.card import (
@@ -159,7 +159,7 @@ _PUBLIC = {
     "save_filter": "bench.store.filter_state",
     "score_solution": "bench.api",
     "sense": "bench.api",
-    "solve_rinex": "bench.api",
+    "solve_rinex": "bench.exchange.receiver_settings",
     "stream_run": "bench.api",
     "study": "bench.studies.conducting",
     "take_piece": "bench.navigation.engine.record_cuts",

@@ -12,9 +12,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from math import radians
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,12 +28,9 @@ from bench.stages import Watcher
 
 if TYPE_CHECKING:
     from bench.evaluation.noise_curves import AllanResult
-    from bench.exchange.rinex_fixes import RinexFixes
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
     from bench.navigation.open_filters import PieceFilter
-    from bench.signals.delays import Troposphere
-    from bench.signals.receiver import Ionosphere, Systems
 
 
 def run(
@@ -267,54 +263,6 @@ def measure_allan(
     return measured
 
 
-def solve_rinex(
-    observations: str | Path,
-    navigation: str | Path | Sequence[str | Path],
-    *,
-    systems: Systems = "both",
-    ionosphere: Ionosphere = "klobuchar",
-    troposphere: Troposphere = "saastamoinen",
-    mask_deg: float = 10.0,
-    without: Sequence[str] = (),
-) -> RinexFixes:
-    """Compute the fixes of a GNSS receiver from its RINEX 2 or 3 files, epoch by epoch.
-
-    Parameters
-    ----------
-    systems : str
-        "gps", "glonass", "both", or "auto": at each epoch those with the least PDOP times standard deviation.
-    ionosphere : str
-        "klobuchar": the broadcast model on the first carrier; "free": the combination of two carriers.
-    troposphere : str
-        Model of the vertical delay: "saastamoinen" or "b-10".
-    mask_deg : float
-        Lowest elevation used [deg].
-    without : sequence of str
-        Corrections to leave out, of `bench.signals.receiver.CORRECTIONS`.
-
-    Returns
-    -------
-    solved : RinexFixes
-        ``fixes`` of the antenna [rad, rad, m; m/s, n], ``figures()`` of their errors, ``write_csv(path)``.
-    """
-    from bench.exchange import rinex_fixes
-    from bench.signals import delays, receiver
-
-    _check_choice("systems", [systems], get_args(receiver.Systems))
-    _check_choice("ionosphere", [ionosphere], get_args(receiver.Ionosphere))
-    _check_choice("troposphere", [troposphere], get_args(delays.Troposphere))
-    _check_choice("without", without, receiver.CORRECTIONS)
-    files = [navigation] if isinstance(navigation, str | Path) else navigation
-    processing = receiver.Processing(
-        systems=systems,
-        ionosphere=ionosphere,
-        troposphere=troposphere,
-        mask=radians(mask_deg),
-        without=frozenset(without),
-    )
-    return rinex_fixes.solve_rinex(Path(observations), [Path(file) for file in files], processing)
-
-
 def list_exports() -> list[CatalogEntry]:
     """Return every format that `export_run` writes."""
     from bench.exchange import exports
@@ -423,13 +371,6 @@ def score_solution(
             store.copy_results(folder, partial)
             store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
     return score
-
-
-def _check_choice(name: str, values: Sequence[str], known: Sequence[str]) -> None:
-    """Raise ConfigError if a value is not one of the known ones."""
-    for value in values:
-        if value not in known:
-            raise ConfigError(f"{name} = {value!r} must be one of {', '.join(known)}")
 
 
 def _read_profile(

@@ -220,6 +220,11 @@ def inner(function: _Function) -> _Function:
     return cast(_Function, Kernel(function, no_cpython_wrapper=True))
 
 
+def on_arrays(formula: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the formula of a kernel without branches, for arrays and by numpy: nothing is compiled."""
+    return cast(Kernel, formula).py_func
+
+
 class _CompileClock:
     """CPU time that compiling took so far, without what was read from the cache, and who is told of it."""
 

@@ -176,10 +176,6 @@ class GnssFixes(Record):
         return GnssFixes(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
 
 
-GPS, GLONASS = 0, 1
-"""Codes of ``GnssObservations.system``."""
-
-
 @declared
 class GnssObservations(Record):
     """Measurements of a receiver with the computed satellite states, a row per satellite and epoch."""
@@ -187,7 +183,7 @@ class GnssObservations(Record):
     t: FloatArray = column("t_s")  # (K,) validity of the epoch [s]
     t_arrival: FloatArray = column("t_arrival_s")  # (K,) [s]
     sat: IntArray = column("sat", kind=int)  # (K,) number within its system
-    system: IntArray = column("system", kind=int)  # (K,) GPS or GLONASS
+    system: IntArray = column("system", kind=int)  # (K,) code of `bench.orbit_sets`
     frequency: FloatArray = column(shape=(None,))  # (K, bands) carrier [Hz]
     pseudorange: FloatArray = column(shape=(None,))  # (K, bands) [m]; NaN where a band is missing
     range_rate: FloatArray = column(shape=(None,))  # (K, bands) [m/s]
@@ -197,7 +193,7 @@ class GnssObservations(Record):
     sat_vel_e: FloatArray = vector("sat_vel", "mps", "e at transmission")  # (K, 3) [m/s], e at transmission
     sat_clock: FloatArray = column("sat_clock_m")  # (K,) with relativity; add it to a pseudorange [m]
     sat_clock_rate: FloatArray = column("sat_clock_rate_mps")  # (K,) add it to a range rate [m/s]
-    # (K,) of the first band; subtract it from its pseudorange [m]
+    # (K,) of the range in use, of one carrier or of two combined; subtract it [m]
     group_delay: FloatArray = column("group_delay_m")
     sd_pseudorange: FloatArray = column("sd_pseudorange_m")  # (K,) assumed, of the corrected pseudorange [m]
     sd_range_rate: FloatArray = column("sd_range_rate_mps")  # (K,) assumed [m/s]
@@ -300,7 +296,7 @@ class SkyView(Record):
     """
 
     t: FloatArray = column("t_s")  # (K,) [s]
-    system: IntArray = column("system", kind=int)  # (K,) GPS or GLONASS
+    system: IntArray = column("system", kind=int)  # (K,) code of `bench.orbit_sets`
     sat: IntArray = column("sat", kind=int)  # (K,) number within its system
     azimuth: FloatArray = column("azimuth_rad", frame="n")  # (K,) [rad]
     elevation: FloatArray = column("elevation_rad", frame="n")  # (K,) [rad]

@@ -9,29 +9,40 @@ from dataclasses import dataclass
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 
+GPS, GLONASS, GALILEO, BEIDOU = 0, 1, 2, 3
+"""Codes of satellite systems; also the order of the clocks of a receiver."""
+
+LETTERS = "GREC"
+"""Letter of each system in RINEX."""
+
+SYSTEM_NAMES = ("GPS", "GLONASS", "Galileo", "BeiDou")
+
 KEPLER = (
     "t_oe", "t_oe_week", "t_oc", "sqrt_a", "e", "i_0", "i_rate", "node_0", "node_rate", "perigee",
     "mean_anomaly", "delta_n", "c_uc", "c_us", "c_rc", "c_rs", "c_ic", "c_is", "af_0", "af_1", "af_2",
-    "group_delay",
+    "group_delay", "group_delay_2", "accuracy",
 )  # fmt: skip
 """Columns of ``KeplerSets.elements``: IS-GPS-200 table 20-III in SI and radians.
 
-``t_oe`` and ``t_oc`` count from the origin, ``t_oe_week`` from the start of the GPS week; ``group_delay``
-is T_GD [s]. Elements that a YUMA almanac does not have are 0.
+``t_oe`` and ``t_oc`` count from the origin, ``t_oe_week`` from the start of the week of the system. Delays
+[s]: T_GD of GPS; BGD E5a/E1 and BGD E5b/E1 of Galileo; T_GD1 (B1I) and T_GD2 (B2I) of BeiDou. ``accuracy`` is
+the URA or SISA of the message [m], 0 if it has none. Elements that a YUMA almanac does not have are 0.
 """
 
-GLONASS = ("t_b", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "clock", "clock_rate")
+STATE = ("t_b", "x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az", "clock", "clock_rate")
 """Columns of ``GlonassSets.state``: reference time, state [m, m/s], luni-solar acceleration [m/s^2],
 -tau_n [s], gamma_n [1]; PZ-90 axes."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeplerSets:
-    """Keplerian ephemerides of GPS, or of any satellite on an elliptic orbit."""
+    """Keplerian ephemerides of GPS, Galileo or BeiDou, or of any satellite on an elliptic orbit."""
 
     sat: IntArray  # (E,) number within the system
     healthy: BoolArray  # (E,)
     elements: FloatArray  # (E, len(KEPLER))
+    system: int = GPS  # whose gravity, rotation of the Earth and geostationary frame apply
+    message: str = ""  # "I/NAV" or "F/NAV" of Galileo: the pair of carriers that the clocks refer to
 
     def __len__(self) -> int:
         return len(self.sat)
@@ -41,11 +52,15 @@ class KeplerSets:
         """Reference time of each set [s]."""
         return self.elements[:, 0]
 
+    def get(self, name: str) -> FloatArray:
+        """Return the column (E,) of an element by its name in ``KEPLER``."""
+        return self.elements[:, KEPLER.index(name)]
+
     def shift_origin(self, origin: float) -> KeplerSets:
         """Return the same sets with times since ``origin`` [s]."""
         elements = self.elements.copy()
         elements[:, [0, 2]] -= origin
-        return KeplerSets(self.sat, self.healthy, elements)
+        return KeplerSets(self.sat, self.healthy, elements, self.system, self.message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +70,7 @@ class GlonassSets:
     sat: IntArray  # (E,) slot
     healthy: BoolArray  # (E,)
     channel: IntArray  # (E,) frequency number, -7 to 6
-    state: FloatArray  # (E, len(GLONASS))
+    state: FloatArray  # (E, len(STATE))
 
     def __len__(self) -> int:
         return len(self.sat)
@@ -70,3 +85,14 @@ class GlonassSets:
         state = self.state.copy()
         state[:, 0] -= origin
         return GlonassSets(self.sat, self.healthy, self.channel, state)
+
+
+def name_satellite(system: int, sat: int) -> str:
+    """Return the RINEX name of a satellite.
+
+    Examples
+    --------
+    >>> name_satellite(GPS, 5), name_satellite(BEIDOU, 20)
+    ('G05', 'C20')
+    """
+    return f"{LETTERS[system]}{sat:02d}"

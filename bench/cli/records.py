@@ -11,7 +11,6 @@ from bench.cli import completion
 from bench.cli.group import (
     FILE,
     STATUS,
-    FiniteRange,
     code_option,
     commands,
     end_run,
@@ -115,64 +114,6 @@ def show(folder: Path | None) -> int:
 
     show_results(folder, console=new_console())
     return DONE
-
-
-@commands.command(epilog=STATUS)
-@click.argument("observations", type=FILE)
-@click.argument("navigation", nargs=-1, required=True, type=FILE, metavar="NAVIGATION...")
-@click.option(
-    "--systems",
-    type=click.Choice(["gps", "glonass", "both", "auto"]),
-    default="both",
-    help="satellites to use; auto takes those with the least PDOP times sd at each epoch",
-)
-@click.option(
-    "--ionosphere",
-    type=click.Choice(["klobuchar", "free"]),
-    default="klobuchar",
-    help="broadcast model on the first carrier, or the combination of two",
-)
-@click.option(
-    "--troposphere",
-    type=click.Choice(["saastamoinen", "b-10"]),
-    default="saastamoinen",
-    help="vertical delay",
-)
-@click.option("--mask-deg", type=FiniteRange(0, 60), default=10.0, help="lowest elevation used")
-@click.option(
-    "--without",
-    multiple=True,
-    type=click.Choice(["sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks"]),
-    help="leave a correction out; clocks: one clock for both systems; repeat for more",
-)
-@click.option(
-    "--datum",
-    type=click.Choice(["WGS-84", "PZ-90.11", "SK-42"]),
-    default="WGS-84",
-    help="datum of the positions in --out",
-)
-@out_option("file for the fixes", "FILE.csv")
-@click.option("--report", type=FILE, metavar="FILE.html", help="write a page with the fixes and their errors")
-@force_option("file")
-@json_option("the figures")
-def fixes(observations: Path, navigation: tuple[Path, ...], as_json: bool, **options: Any) -> int:
-    """Compute the fixes of a GNSS receiver from its observations.
-
-    OBSERVATIONS is a RINEX 2 or 3 observation file, NAVIGATION one or more navigation
-    files of GPS and GLONASS. Position is from the code, velocity from the Doppler if the
-    file has it. Errors are relative to the position in the header of the file.
-
-    \b
-    Example:
-      bench fixes site.rnx brdc.rnx -o fixes.csv
-    """
-    from bench.store import to_json
-    from bench.workbench.record_verbs import solve_fixes
-
-    figures = solve_fixes(observations, navigation, console=new_console(stderr=as_json), **options)
-    if as_json:
-        click.echo(to_json(figures), nl=False)
-    return DONE if figures["fixes"] else NEGATIVE
 
 
 @commands.command(epilog=STATUS)

@@ -11,9 +11,9 @@ from pydantic import AfterValidator, Field, TypeAdapter, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between
-from bench.data import GLONASS, GPS
 from bench.fields import figures_of
 from bench.instruments import INSTRUMENTS
+from bench.orbit_sets import GLONASS, GPS
 from bench.specs import Fault, GnssSpec, ImuSpec
 from bench.units import to_si
 from bench.wording import quantity

@@ -116,7 +116,7 @@ def _read_satellites(
     )
     if files.lost:
         raise ConfigError(*files.reasons)
-    gps, glonass = files.kepler.shift_origin(midnight), files.glonass.shift_origin(midnight)
+    gps, glonass = files.gps.shift_origin(midnight), files.glonass.shift_origin(midnight)
     for system, name, t, oldest in (
         ("gps", "GPS", gps.t, _GPS_STALE),
         ("glonass", "GLONASS", glonass.t, _GLONASS_STALE),

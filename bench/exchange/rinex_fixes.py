@@ -1,35 +1,48 @@
-"""Fixes from RINEX files: position from the code, velocity from the Doppler."""
+"""Fixes from the files of a receiver: position from the code, velocity from the Doppler."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bench import durable, earth
-from bench.arrays import BoolArray, FloatArray
-from bench.data import GLONASS, GPS, GnssFixes, GnssObservations
+from bench.arrays import FloatArray, IntArray
+from bench.data import GnssFixes, GnssObservations
 from bench.errors import ConfigError
+from bench.exchange import lost_epochs
+from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.exchange.rinex.observations import ObservationFile, read_observations
+from bench.orbit_sets import SYSTEM_NAMES, name_satellite
 from bench.signals import dilution, receiver
 from bench.signals.orbits import DAY
+from bench.signals.processing import Processing
 
 _EPOCH = datetime(1980, 1, 6)
 _HEADER = (
     "gps_time,valid,lat_deg,lon_deg,alt_m,vel_n_mps,vel_e_mps,vel_d_mps,sd_n_m,sd_e_m,sd_d_m,"
     "satellites,hdop,vdop"
 )
-
-
 _MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is a few cm/s; assumed [m/s]
 _MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
+_HONEST = (0.5, 1.6)  # mean NEES over 3 of a day whose claim fits; the errors of a day hang together; assumed
+
+
+class SatelliteUse(NamedTuple):
+    """A satellite over all epochs with a fix."""
+
+    name: str
+    epochs: int  # where it was used
+    excluded: int  # epochs where it was left out
+    residual_rms: float  # [m]
+    residual_max: float  # [m]
+    cn0: float  # mean [dB-Hz]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +54,12 @@ class RinexFixes:
     """
 
     observations: ObservationFile
+    seen: GnssObservations
     solution: receiver.ReceiverSolution
     dop: dilution.Dop
+    reasons: tuple[str, ...]  # of epochs without a fix
+    reason: IntArray  # (M,) which of them an epoch has; -1: it has a fix
+    truth: Truth | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -73,15 +90,24 @@ class RinexFixes:
         far = np.linalg.norm(pos_e - np.median(pos_e, axis=0), axis=1)
         return bool(np.percentile(far, 95) > _MOVING_SPREAD)
 
+    @property
+    def compared(self) -> bool:
+        """Whether it is known where the antenna was: by a truth, or by the header if the receiver rests."""
+        approximate = self.observations.approximate_e
+        known = approximate is not None and bool(approximate.any())
+        return self.truth is not None or (known and not self.moving)
+
     def errors(self) -> FloatArray:
-        """Return fix minus antenna position (header position plus antenna offset) (M, 3) [m], n.
+        """Return fix minus antenna (M, 3) [m], n: the truth, else header position plus antenna offset.
 
         Raises
         ------
         ValueError
-            If the header gives no position.
+            If there is no truth, and the header gives no position.
         """
         raw = self.observations
+        if self.truth is not None:
+            return earth.difference_n(self.fixes.lla, self.truth.at(raw.origin, raw.t))
         if raw.approximate_e is None:
             raise ValueError(f"{raw.shown}: gives no position in its header")
         height, east, north = raw.antenna_hen
@@ -91,31 +117,95 @@ class RinexFixes:
     def figures(self) -> dict[str, Any]:
         """Return counts, medians and 95 % quantiles; names end in the unit.
 
-        Errors are relative to the position in the header of the file; there are none if the receiver moves.
+        Errors are relative to the truth, or to the position in the header of the file; there are none if the
+        receiver moves and no truth is given.
         """
         raw, fixes, good = self.observations, self.fixes, self.fixes.valid
         figures: dict[str, Any] = {"epochs": len(fixes), "fixes": int(good.sum())}
         if raw.lost:
             figures["epochs_left_out"] = raw.lost
+        if raw.recounted:
+            figures["epochs_with_a_wrong_count"] = raw.recounted
         if not good.any():
             return figures
         figures["satellites_median"] = float(np.median(fixes.satellites[good]))
         figures["hdop_median"] = float(np.median(self.dop.h[good]))
         figures["vdop_median"] = float(np.median(self.dop.v[good]))
-        if raw.approximate_e is not None and raw.approximate_e.any() and not self.moving:
-            error = self.errors()[good]
-            horizontal, vertical = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
-            for name, values in (("horizontal", horizontal), ("vertical", vertical)):
-                figures[f"{name}_median_m"] = float(np.median(values))
-                figures[f"{name}_95_m"] = float(np.percentile(values, 95))
+        excluded = self.solution.wanted & ~self.solution.used & np.isin(self.seen.epoch, np.flatnonzero(good))
+        figures["epochs_with_exclusions"] = len(np.unique(self.seen.epoch[excluded]))
+        if self.compared:
+            figures |= self._judge()
         speed = np.linalg.norm(fixes.vel_n[good], axis=1)
         if np.isfinite(speed).any():
             figures["speed_median_mps"] = float(np.nanmedian(speed))
-        both = np.isfinite(self.solution.clock).all(axis=1) & good
-        if both.any():
-            offset = self.solution.clock[both, 1] - self.solution.clock[both, 0]
-            figures["glonass_minus_gps_clock_m"] = float(np.median(offset))
+        for k, name in enumerate(SYSTEM_NAMES[1:], 1):
+            offset = (self.solution.clock[:, k] - self.solution.clock[:, 0])[good]
+            if np.isfinite(offset).any():
+                figures[f"{name.lower()}_minus_gps_clock_m"] = float(np.nanmedian(offset))
         return figures
+
+    def _judge(self) -> dict[str, float]:
+        good = self.fixes.valid.copy()
+        error = self.errors()
+        good &= np.isfinite(error).all(axis=1)
+        if not good.any():
+            return {}
+        error, cov = error[good], self.fixes.cov_pos_n[good]
+        horizontal, vertical = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+        figures = {}
+        for name, values in (
+            ("horizontal", horizontal), ("vertical", vertical), ("3d", np.hypot(horizontal, vertical))
+        ):  # fmt: skip
+            figures[f"{name}_median_m"] = float(np.median(values))
+            figures[f"{name}_95_m"] = float(np.percentile(values, 95))
+        figures["nees_3"] = float(np.mean(_square(error, cov)) / 3)
+        figures["nees_horizontal_2"] = float(np.mean(_square(error[:, :2], cov[:, :2, :2])) / 2)
+        return figures
+
+    def verdict(self) -> str:
+        """Return in a sentence whether the errors fit what the covariances claim; empty if nothing tells."""
+        figures = self.figures()
+        if "nees_3" not in figures:
+            return ""
+        ratio = figures["nees_3"]
+        word = "fit" if _HONEST[0] <= ratio <= _HONEST[1] else "are larger" if ratio > 1 else "are smaller"
+        than = "" if word == "fit" else " than"
+        return (
+            f"the errors {word}{than} what the covariances claim: NEES/3 is {ratio:.2f} "
+            f"(1 is right, {_HONEST[0]:g} to {_HONEST[1]:g} fit: the errors of a day hang together)"
+        )
+
+    def count_lost(self) -> dict[str, int]:
+        """Return how many epochs have no fix for each reason."""
+        return {reason: int((self.reason == k).sum()) for k, reason in enumerate(self.reasons)}
+
+    def list_satellites(self) -> list[SatelliteUse]:
+        """Return how each satellite was used at epochs with a fix."""
+        seen, solution = self.seen, self.solution
+        good = self.fixes.valid[seen.epoch] & (solution.used | solution.wanted)
+        names, which = np.unique(1000 * seen.system[good] + seen.sat[good], return_inverse=True)
+        used = solution.used[good]
+        residual = np.where(used, np.abs(solution.residual[good]), 0.0)
+        cn0 = seen.cn0[good, 0]
+        heard = np.isfinite(cn0)
+        n = np.bincount(which, used)
+        left = np.bincount(which, ~used)
+        rms = np.sqrt(np.bincount(which, residual**2) / np.where(n > 0, n, np.nan))
+        most = np.zeros(len(names))
+        np.maximum.at(most, which, residual)
+        count = np.bincount(which, heard)
+        strength = np.bincount(which, np.where(heard, cn0, 0.0)) / np.where(count > 0, count, np.nan)
+        return [
+            SatelliteUse(
+                name_satellite(*divmod(int(name), 1000)),
+                int(n[k]),
+                int(left[k]),
+                rms[k],
+                most[k],
+                strength[k],
+            )
+            for k, name in enumerate(names)
+        ]
 
     def write_csv(self, path: Path, datum: str = "WGS-84") -> None:
         """Write one row per epoch as CSV; times in GPS time, positions in one of `bench.earth.DATUMS`.
@@ -144,34 +234,39 @@ class RinexFixes:
                 )
 
 
-def solve_rinex(
-    observations: Path, navigation: Sequence[Path], processing: receiver.Processing
+def _square(error: FloatArray, cov: FloatArray) -> FloatArray:
+    """Return the squared errors (M,) over their covariances (M, n, n)."""
+    return np.asarray(np.einsum("mi,mi->m", error, np.linalg.solve(cov, error[..., None])[..., 0]))
+
+
+def solve_files(
+    observations: Sequence[Path],
+    navigation: Sequence[Path],
+    processing: Processing,
+    *,
+    truth: Truth | None = None,
 ) -> RinexFixes:
-    """Solve an observation file epoch by epoch with the ephemerides of navigation files.
+    """Solve observation files of one receiver epoch by epoch with the ephemerides of navigation files.
 
     Raises
     ------
     ConfigError
         If a file is wrong, or no ephemeris fits the observations.
     """
-    raw = read_observations(observations, str(observations))
+    raw = merge_observations([read_observations(path, str(path)) for path in observations])
     nav = merge_navigation([read_navigation(path, str(path)) for path in navigation])
-    model = nav.klobuchar
-    if model is None and processing.ionosphere == "klobuchar" and "ionosphere" not in processing.without:
-        raise ConfigError(
-            f"{nav.shown}: gives no ionosphere parameters; use --ionosphere free or --without ionosphere"
-        )
+    processing, notes = _choose_ionosphere(raw, nav, processing)
     seen = receiver.make_observations(
         t=raw.t,
         epoch_start=raw.epoch_start,
         sat=raw.sat,
         system=raw.system,
+        band=raw.band,
         pseudorange=raw.pseudorange,
         doppler=raw.doppler,
         cn0=raw.cn0,
-        kepler=nav.kepler.shift_origin(raw.origin),
-        glonass=nav.glonass.shift_origin(raw.origin),
-        klobuchar=model,
+        sets={k: [one.shift_origin(raw.origin) for one in sets] for k, sets in nav.list_sets().items()},
+        klobuchar=nav.klobuchar,
         processing=processing,
     )
     if not np.isfinite(seen.sat_clock).any():
@@ -181,13 +276,72 @@ def solve_rinex(
         )
     solution = receiver.solve_fixes(seen, processing)
     dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
-    solved = RinexFixes(raw, solution, dop)
-    notes = [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris")]
-    if not solved.fixes.valid.any():
-        notes.append(f"no fix: {_explain_no_fix(seen, processing)}")
-    elif solved.moving and raw.approximate_e is not None:
+    reasons, reason = lost_epochs.explain(seen, solution, processing)
+    solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)
+    notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris")]
+    if raw.recounted:
+        notes.append(f"{raw.recounted} epochs have another number of satellites than they say: kept")
+    if raw.others:
+        notes.append(f"not used: {', '.join(raw.others)}")
+    notes += _describe_unsolved(solved)
+    if truth is None and solved.moving and raw.approximate_e is not None and solved.fixes.valid.any():
         notes.append("the receiver moves: its fixes are not compared with the position in the header")
     return replace(solved, notes=tuple(notes))
+
+
+def _choose_ionosphere(
+    raw: ObservationFile, nav: NavigationFile, processing: Processing
+) -> tuple[Processing, list[str]]:
+    """Return the processing with what the model of the ionosphere needs, and what is to be told."""
+    when = _EPOCH + timedelta(seconds=raw.origin + float(raw.t[0]))
+    level = None if nav.level is None else (float(nav.level[0]), float(nav.level[1]), float(nav.level[2]))
+    processing = replace(processing, level=level, day=float(when.timetuple().tm_yday))
+    if "ionosphere" in processing.without or processing.ionosphere in ("free", "none"):
+        return processing, []
+    others = "use --ionosphere free or none"
+    if processing.ionosphere == "ntcm-g" and level is None:
+        raise ConfigError(f"{nav.shown}: gives no ionosphere parameters of Galileo; {others}")
+    if processing.ionosphere == "klobuchar" and nav.klobuchar is None:
+        if level is None:
+            raise ConfigError(f"{nav.shown}: gives no ionosphere parameters; {others}")
+        note = f"{nav.shown}: has the ionosphere parameters of Galileo only: --ionosphere ntcm-g is used"
+        return replace(processing, ionosphere="ntcm-g"), [note]
+    return processing, []
+
+
+def merge_observations(files: Sequence[ObservationFile]) -> ObservationFile:
+    """Return files of one receiver as one, in the order of their times.
+
+    Raises
+    ------
+    ConfigError
+        If their times overlap.
+    """
+    if len(files) == 1:
+        return files[0]
+    files = sorted(files, key=lambda file: file.origin + file.t[0])
+    first = files[0]
+    t = np.concatenate([file.t + (file.origin - first.origin) for file in files])
+    if (np.diff(t) <= 0).any():
+        raise ConfigError(f"{', '.join(file.shown for file in files)}: their times overlap")
+    names = ("sat", "system", "pseudorange", "doppler", "cn0", "band", "phase", "slipped")
+    rows: dict[str, Any] = {name: np.concatenate([getattr(file, name) for file in files]) for name in names}
+    counts = np.concatenate([np.diff(file.epoch_start) for file in files])
+    others: Mapping[str, int] = {}
+    for file in files:
+        others = {**file.others, **others}
+    return replace(
+        first,
+        shown=", ".join(file.shown for file in files),
+        t=t,
+        epoch_start=np.concatenate([[0], np.cumsum(counts)]),
+        moving=any(file.moving for file in files),
+        lost=sum(file.lost for file in files),
+        reasons=tuple(reason for file in files for reason in file.reasons),
+        recounted=sum(file.recounted for file in files),
+        others=others,
+        **rows,
+    )
 
 
 def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:
@@ -197,42 +351,26 @@ def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[st
     return [*lines, f"{part} left out: {more} more"] if more else lines
 
 
-def _explain_no_fix(seen: GnssObservations, processing: receiver.Processing) -> str:
-    """Return why no epoch has a fix: the first condition that leaves too few satellites."""
-
-    def count_most(rows: ArrayLike) -> int:
-        total = np.concatenate([[0], np.cumsum(rows)])
-        return int((total[seen.epoch_start[1:]] - total[seen.epoch_start[:-1]]).max())
-
-    rows = np.isfinite(seen.pseudorange).any(axis=1)
-    chosen = rows & np.isfinite(seen.sat_clock)
-    wanted: BoolArray = np.full(len(seen), True)
-    if processing.systems in ("gps", "glonass"):
-        wanted = seen.system == (GPS if processing.systems == "gps" else GLONASS)
-    ranges = receiver.correct_pseudoranges(seen, processing)
-    free = processing.ionosphere == "free"
-    carriers = "two carriers (--ionosphere klobuchar needs one)" if free else "the first carrier"
-    needed = 3 + len(np.unique(seen.system[rows & wanted])) if (rows & wanted).any() else 4
-    for kept, condition in (
-        (rows, "a pseudorange"),
-        (rows & wanted, f"a pseudorange of --systems {processing.systems}"),
-        (chosen & wanted, "a healthy ephemeris of the hour"),
-        (chosen & wanted & np.isfinite(ranges), f"a pseudorange on {carriers}"),
-    ):
-        if (most := count_most(kept)) < needed:
-            return f"no epoch has {needed} satellites with {condition}; the most are {most}"
-    low = receiver.solve_fixes(seen, replace(processing, mask=-np.pi / 2))
-    most = count_most(low.used & (-low.los_n[:, 2] > np.sin(processing.mask)))
-    if low.fixes.valid.any() and most < needed:
-        mask = f"{np.rad2deg(processing.mask):g} deg"
-        return f"no epoch has {needed} satellites above the mask, {mask}; the most are {most}"
-    return "the measurements of no epoch agree with one position"
+def _describe_unsolved(solved: RinexFixes) -> list[str]:
+    """Return a line for each reason why epochs have no fix."""
+    if not solved.fixes.valid.any():
+        worst = max(solved.count_lost().items(), key=lambda item: item[1], default=("it has no epoch", 0))
+        return [f"no fix: {worst[0]}"]
+    raw, lines = solved.observations, []
+    for k, (reason, count) in enumerate(solved.count_lost().items()):
+        first = _format_time(raw.origin + raw.t[np.argmax(solved.reason == k)])
+        lines.append(f"no fix at {count} of {len(raw.t)} epochs, the first at {first}: {reason}")
+    return lines
 
 
 def _format_days(nav: NavigationFile) -> str:
-    t = np.concatenate([nav.kepler.t, nav.glonass.t])
+    t = np.concatenate([one.t for sets in nav.list_sets().values() for one in sets])
     return f"{_format_day(float(t.min()))} to {_format_day(float(t.max()))}"
 
 
 def _format_day(seconds: float) -> str:
     return str((_EPOCH + timedelta(days=seconds // DAY)).date())
+
+
+def _format_time(seconds: float) -> str:
+    return (_EPOCH + timedelta(seconds=seconds)).isoformat(sep=" ", timespec="seconds")

@@ -12,9 +12,10 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.findings.series import thin
+from bench.orbit_sets import name_satellite
 from bench.palette import Colour
 from bench.plots.content import Content
-from bench.plots.tabs.satellites import USED, find_epochs, name_of
+from bench.plots.tabs.satellites import USED, find_epochs
 from bench.recording.drawing import TIMELINE
 
 SKY = "/sky"
@@ -55,7 +56,9 @@ def send(stream: Any, content: Content) -> None:
         rr.Points2D.columns(
             positions=_place(sky.elevation[shown], sky.azimuth[shown]),
             colors=np.array([LOST, RECEIVED, USED], np.uint8)[state],
-            labels=[name_of(int(s), int(n)) for s, n in zip(sky.system[shown], sky.sat[shown], strict=True)],
+            labels=[
+                name_satellite(int(s), int(n)) for s, n in zip(sky.system[shown], sky.sat[shown], strict=True)
+            ],
             radii=np.full(len(shown), 0.02),
         ).partition(counts),
     )

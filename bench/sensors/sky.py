@@ -9,13 +9,15 @@ clock error is in the pseudoranges.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
-from bench.data import GLONASS, GnssFixes, GnssObservations, SkyView, Trajectory
+from bench.data import GnssFixes, GnssObservations, SkyView, Trajectory
+from bench.orbit_sets import GLONASS
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
@@ -23,7 +25,9 @@ from bench.sensors.timing import find_outage_rows
 from bench.sensors.view import View, compute_view
 from bench.signals import orbits, receiver
 from bench.signals.delays import mapping_kernel, obliquity_kernel
+from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.signals.orbits import L1, C
+from bench.signals.processing import ErrorBudget, Processing
 from bench.specs import Fault, GnssSpec, SkySpec
 
 _CHIP = (C / 1.023e6, C / 0.511e6)  # length of a chip of the civil code, GPS and GLONASS [m], their ICDs
@@ -139,13 +143,14 @@ def measure(
         everything = everything.replace_epochs(there, spoofed)
     v = everything.select_received()
     start = np.searchsorted(v.epoch, np.arange(len(t) + 1))
-    seen = receiver.compute_look(
+    seen = compute_look(
         v.pos_e,
         epoch_start=start,
         t=t[v.epoch] + sky.gps_t0,
         sat_pos_e=np.ascontiguousarray(v.sat_pos_e),
         frequency=orbits.carrier_frequencies(v.system[v.which], v.channel[v.which])[:, 0].copy(),
         klobuchar=np.array(sky.klobuchar),
+        processing=replace(make_processing(sky), ionosphere="klobuchar"),  # there with two carriers, too
     )
     clock = clock + faults.compute_clock_offset(t, scripted)
     errors = _Errors(t, v.epoch, v.which, len(v.sat), spec.rate, root)
@@ -156,9 +161,9 @@ def measure(
     content, tag, late = out
     own = observations, seen
 
-    def take(epoch: int) -> tuple[GnssObservations, receiver.Look]:
+    def take(epoch: int) -> tuple[GnssObservations, Look]:
         if epoch < 0:
-            found: tuple[GnssObservations, receiver.Look] = held.rows[epoch]
+            found: tuple[GnssObservations, Look] = held.rows[epoch]
             return found
         at = np.array([epoch])
         return _select_epochs(*own, at, t[at], t[at])
@@ -200,10 +205,19 @@ def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray)
     )
 
 
-def make_processing(sky: SkySpec) -> receiver.Processing:
-    """Return the settings by which the receiver computes its fixes."""
-    return receiver.Processing(
-        systems=sky.systems,  # type: ignore[arg-type]
+def make_processing(sky: SkySpec) -> Processing:
+    """Return the settings by which the receiver computes its fixes: it knows how large its errors are."""
+    return Processing(
+        budget=ErrorBudget(
+            zenith_ionosphere=sky.ionosphere_sd,
+            ionosphere_share=0.0,
+            ionosphere_decay=0.0,
+            zenith_troposphere=sky.troposphere_sd,
+            multipath_zenith=sky.multipath_zenith_sd,
+            multipath_horizon=sky.multipath_horizon_sd,
+            second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
+        ),
+        systems=sky.systems,
         ionosphere="free" if sky.bands == 2 else "klobuchar",
         mask=sky.elevation_mask,
         false_alarm=sky.false_alarm,
@@ -264,7 +278,7 @@ class _Errors:
 
 
 def _make_observations(
-    t: FloatArray, start: IntArray, latency: float, sky: SkySpec, seen: receiver.Look,
+    t: FloatArray, start: IntArray, latency: float, sky: SkySpec, seen: Look,
     clock: FloatArray, drift: FloatArray, v: View, errors: _Errors, scripted: Sequence[Fault],
 ) -> GnssObservations:  # fmt: skip
     """Return the observations of the received satellites, with their errors."""
@@ -319,18 +333,11 @@ def _make_observations(
             tracking[:] = noise, doppler
     # the receiver computes the time of transmission from its pseudorange, with the errors of that
     late = (pseudorange[:, 0] - geometric - clock[epoch] + v.clock) / C
-    budget = receiver.ErrorBudget(
-        signal_in_space=sky.gps_space_sd,
-        signal_in_space_glonass=sky.glonass_space_sd,
-        zenith_ionosphere=sky.ionosphere_sd,
-        zenith_troposphere=sky.troposphere_sd,
-        multipath_zenith=sky.multipath_zenith_sd,
-        multipath_horizon=sky.multipath_horizon_sd,
-        glonass=1.0,  # the code noise is given for each row
-        second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
-    )
-    mode = make_processing(sky).ionosphere
-    assumed = receiver.pseudorange_sd(el, row_system, frequency[:, 0].copy(), tracking[0], budget, mode)
+    processing = make_processing(sky)
+    of_system = np.array([sky.gps_space_sd, sky.glonass_space_sd])[row_system]
+    own = estimate_range_sd(el, frequency, tracking[0], of_system, processing.budget, bands == 2)
+    shared = share_errors(seen, frequency[:, 0], processing)
+    assumed = np.sqrt(own**2 + shared.ionosphere**2 + shared.troposphere**2)
     return GnssObservations(
         t=t[epoch],
         t_arrival=t[epoch] + latency,
@@ -362,8 +369,8 @@ def _hears(content: IntArray, start: IntArray, held: faults.HeldRows) -> BoolArr
 
 
 def _join_epochs(
-    parts: Sequence[tuple[GnssObservations, receiver.Look]],
-) -> tuple[GnssObservations, receiver.Look]:
+    parts: Sequence[tuple[GnssObservations, Look]],
+) -> tuple[GnssObservations, Look]:
     """Return the observations and looks of several parts as one."""
     if len(parts) == 1:
         return parts[0]
@@ -376,12 +383,12 @@ def _join_epochs(
     counts = np.concatenate([np.diff(one.epoch_start) for one in observations])
     columns["epoch_start"] = np.concatenate([[0], np.cumsum(counts)])
     joined = (np.concatenate(column) for column in zip(*looks, strict=True))
-    return GnssObservations(**columns), receiver.Look(*joined)
+    return GnssObservations(**columns), Look(*joined)
 
 
 def _select_epochs(
-    o: GnssObservations, seen: receiver.Look, content: IntArray, t: FloatArray, t_arrival: FloatArray
-) -> tuple[GnssObservations, receiver.Look]:
+    o: GnssObservations, seen: Look, content: IntArray, t: FloatArray, t_arrival: FloatArray
+) -> tuple[GnssObservations, Look]:
     """Return the epochs ``content`` (M,) of observations and look, with new times (M,)."""
     counts = np.diff(o.epoch_start)[content]
     rows = _select_rows(o.epoch_start, content)
@@ -390,7 +397,7 @@ def _select_epochs(
     columns |= {name: column[rows] for name, column in columns.items() if name not in whole}
     columns["epoch_start"] = np.concatenate([[0], np.cumsum(counts)])
     columns |= {"t": np.repeat(t, counts), "t_arrival": np.repeat(t_arrival, counts)}
-    left = receiver.Look(seen.pos_e[content], seen.lla[content], *(column[rows] for column in seen[2:]))
+    left = Look(seen.pos_e[content], seen.lla[content], *(column[rows] for column in seen[2:]))
     return GnssObservations(**columns), left
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
-from bench.data import GLONASS, GPS, Trajectory
-from bench.orbit_sets import GlonassSets
+from bench.data import Trajectory
+from bench.orbit_sets import GLONASS, GPS, GlonassSets
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits

@@ -2,21 +2,52 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.compiled import kernel
-from bench.signals.orbits import C
+from bench.signals.orbits import L1, C
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
 TROPOSPHERE_SCALE = 7500.0  # scale height [m], B-10
-_HUMIDITY = 0.5  # relative humidity at every height [1]; assumed
 _TOP = 11000.0  # end of the temperature gradient; greater heights count as this [m]
 
-Troposphere = Literal["saastamoinen", "b-10"]
+_NTCM_RADIUS, _NTCM_SHELL = 6371.0, 6371.0 + 450.0  # of the Earth and of the shell of NTCM-G [km]
+_TECU = 40.3e16 / L1**2  # delay on L1 of 1e16 electrons per m^2 [m]
+_GRAVITY, _GAS = 9.80665, 8314.34 / 28.9644  # of UNB3m [m/s^2, J/(kg K)]
+_UNB_LATITUDES = (15.0, 30.0, 45.0, 60.0, 75.0)  # [deg]
+_UNB_MEAN = (
+    (1013.25, 1017.25, 1015.75, 1011.75, 1013.00),  # pressure [hPa]
+    (299.65, 294.15, 283.15, 272.15, 263.65),  # temperature [K]
+    (75.0, 80.0, 76.0, 77.5, 82.5),  # relative humidity [%]
+    (6.30, 6.05, 5.58, 5.39, 4.53),  # fall of the temperature [K/km]
+    (2.77, 3.15, 2.57, 1.81, 1.55),  # how the vapour falls with the pressure [1]
+)
+_UNB_SWING = (
+    (0.00, -3.75, -2.25, -1.75, -0.50),
+    (0.00, 7.00, 11.00, 15.00, 14.50),
+    (0.0, 0.0, -1.0, -2.5, 2.5),
+    (0.00, 0.25, 0.32, 0.81, 0.62),
+    (0.00, 0.33, 0.46, 0.74, 0.30),
+)
+"""The same, amplitude over the year."""
+
+Troposphere = Literal["saastamoinen", "unb3m", "b-10"]
+Mapping = Literal["do-229", "cosecant"]
+
+
+class SurfaceAir(NamedTuple):
+    """The air at sea level; the standard atmosphere takes it to other heights, with the same humidity."""
+
+    pressure: float = 101325.0  # [Pa]
+    temperature: float = 288.15  # [K]
+    humidity: float = 0.5  # relative [1]; assumed
+
+
+STANDARD = SurfaceAir()
 
 
 @kernel
@@ -87,22 +118,75 @@ def klobuchar_kernel(
     """
     semi_lat, semi_lon, semi_el = lat / np.pi, lon / np.pi, el / np.pi
     psi = 0.0137 / (semi_el + 0.11) - 0.022
-    phi = min(max(semi_lat + psi * cos_az, -0.416), 0.416)
+    phi = np.minimum(np.maximum(semi_lat + psi * cos_az, -0.416), 0.416)
     lam = semi_lon + psi * sin_az / np.cos(phi * np.pi)
     m = phi + 0.064 * np.cos((lam - 1.617) * np.pi)
     local = 43200.0 * lam + t
-    local -= 86400.0 * np.floor(local / 86400.0)
-    amplitude = max(model[0] + m * (model[1] + m * (model[2] + m * model[3])), 0.0)
-    period = max(model[4] + m * (model[5] + m * (model[6] + m * model[7])), 72000.0)
-    x = 2.0 * np.pi * (local - 50400.0) / period
-    night = 5e-9
-    if abs(x) < 1.57:
-        x2 = x * x
-        night += amplitude * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
-    return C * obliquity_kernel(el) * night
+    local = local - 86400.0 * np.floor(local / 86400.0)
+    amplitude = np.maximum(model[0] + m * (model[1] + m * (model[2] + m * model[3])), 0.0)
+    period = np.maximum(model[4] + m * (model[5] + m * (model[6] + m * model[7])), 72000.0)
+    x2 = (2.0 * np.pi * (local - 50400.0) / period) ** 2
+    day = (x2 < 1.57 * 1.57) * amplitude * (1.0 - x2 / 2.0 + x2 * x2 / 24.0)
+    away = 0.53 - semi_el
+    delay: float = C * (1.0 + 16.0 * away * away * away) * (5e-9 + day)
+    return delay
 
 
-def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saastamoinen") -> FloatArray:
+def compute_ntcm(
+    lat: FloatArray, lon: FloatArray, el: FloatArray, azimuth: FloatArray, hour: FloatArray, day: float,
+    level: ArrayLike,
+) -> FloatArray:  # fmt: skip
+    """Return the delay of the ionosphere on GPS L1 (K,) [m] by NTCM-G, the model of Galileo without tables.
+
+    European GNSS (Galileo) Open Service, NTCM-G Ionospheric Model Description, issue 1.0 (2022).
+
+    Parameters
+    ----------
+    lat, lon, el, azimuth : (K,) arrays
+        Receiver, and direction to the satellite [rad].
+    hour : (K,) array
+        Universal time of day [h].
+    day : float
+        Day of the year.
+    level : (3,) array
+        Broadcast effective ionisation level a_i0, a_i1, a_i2 [sfu, sfu/deg, sfu/deg^2].
+    """
+    away = np.pi / 2 - el - np.arcsin(np.clip(_NTCM_RADIUS * np.cos(el) / _NTCM_SHELL, -1.0, 1.0))
+    phi = np.arcsin(np.sin(lat) * np.cos(away) + np.cos(lat) * np.sin(away) * np.cos(azimuth))
+    lam = lon + np.arcsin(np.clip(np.sin(away) * np.sin(azimuth) / np.cos(phi), -1.0, 1.0))
+    turn = 2 * np.pi / 24 * (hour + np.rad2deg(lam) / 15)  # local time as an angle
+    sun = np.deg2rad(23.44 * np.sin(np.deg2rad(0.9856 * (day - 80.7))))
+    height = np.cos(phi - sun)
+    wave = (
+        0.92519 * np.cos(turn - 2 * np.pi * 14 / 24)
+        + 0.16951 * np.cos(2 * turn) + 0.00443 * np.sin(2 * turn)
+        + 0.06626 * np.cos(3 * turn) + 0.00899 * np.sin(3 * turn)
+    )  # fmt: skip
+    of_day = height + 0.4 + (height - 2 / np.pi * phi * np.sin(sun)) * wave
+    year = 2 * np.pi / 365.25
+    of_year = 1 + 0.21289 * np.cos(year * (day - 18)) - 0.15414 * np.cos(2 * year * (day - 6))
+    north, east = np.deg2rad(79.74), np.deg2rad(-71.78)  # geomagnetic pole
+    magnetic = np.arcsin(np.sin(phi) * np.sin(north) + np.cos(phi) * np.cos(north) * np.cos(lam - east))
+    crests = (
+        1
+        + 1.14023 * np.exp(-((np.rad2deg(magnetic) - 16) ** 2) / (2 * 12**2))
+        + 1.20556 * np.exp(-((np.rad2deg(magnetic) + 10) ** 2) / (2 * 13**2))
+    )
+    a, b, c = np.asarray(level, float)
+    azpar = np.sqrt(a * a + 1633.33 * b * b + 4802000 * c * c + 3266.67 * a * c)
+    vertical = of_day * of_year * (1 - 0.38439 * np.cos(magnetic)) * crests * (1.41808 + 0.13985 * azpar)
+    slant = 1 / np.sqrt(1 - (_NTCM_RADIUS / _NTCM_SHELL * np.sin(0.9782 * (np.pi / 2 - el))) ** 2)
+    delay: FloatArray = _TECU * vertical * slant
+    return delay
+
+
+def zenith_troposphere(
+    lat: ArrayLike,
+    alt: ArrayLike,
+    model: Troposphere = "saastamoinen",
+    weather: SurfaceAir = STANDARD,
+    day: float = 28.0,
+) -> FloatArray:
     """Return the vertical delay of the troposphere [m].
 
     Parameters
@@ -110,30 +194,66 @@ def zenith_troposphere(lat: ArrayLike, alt: ArrayLike, model: Troposphere = "saa
     lat, alt : float or (M,) array
         Receiver [rad, m]; below the ellipsoid the height counts as 0.
     model : str
-        "saastamoinen": Saastamoinen (1972) in the standard atmosphere at 50 % humidity, hydrostatic part as
-        in Davis et al., Radio Science 20 (1985). "b-10": 2.638 m at sea level, falling by 1/e over 7500 m
-        (B-10); 0.25 m more than Saastamoinen at sea level.
+        "saastamoinen": Saastamoinen (1972) in the standard atmosphere at 50 % humidity or in another
+        ``weather``, hydrostatic part as in Davis et al., Radio Science 20 (1985). "unb3m": pressure,
+        temperature and humidity from a table by latitude and day; Leandro, Santos, Langley, UNB Neutral
+        Atmosphere Models: Development and Performance, ION NTM 2006. "b-10": 2.638 m at sea level, falling by
+        1/e over 7500 m (B-10); 0.25 m more than Saastamoinen at sea level.
+    weather : SurfaceAir
+        At sea level, of "saastamoinen".
+    day : float
+        Of the year, for "unb3m".
 
     Examples
     --------
-    >>> for model in ("saastamoinen", "b-10"):
+    >>> for model in ("saastamoinen", "unb3m", "b-10"):
     ...     print(f"{zenith_troposphere(0.8, 0.0, model):.3f} {zenith_troposphere(0.8, 3000.0, model):.3f}")
     2.393 1.621
+    2.376 1.591
     2.638 1.768
     """
     lat, h = np.asarray(lat, float), np.maximum(np.asarray(alt, float), 0.0)
     if model == "b-10":
         return np.asarray(ZENITH_TROPOSPHERE * np.exp(-h / TROPOSPHERE_SCALE) + 0.0 * lat)
+    if model == "unb3m":
+        return _compute_unb3m(lat, h, day)
     if model != "saastamoinen":
-        raise ValueError(f"model must be 'saastamoinen' or 'b-10'; got {model!r}")
+        raise ValueError(f"model must be one of {', '.join(get_args(Troposphere))}; got {model!r}")
     h = np.minimum(h, _TOP)
-    pressure = 1013.25 * (1 - 2.2557e-5 * h) ** 5.2568  # [hPa], ICAO standard atmosphere
-    kelvin = 288.15 - 6.5e-3 * h
+    pressure = weather.pressure / 100.0 * (1 - 2.2557e-5 * h) ** 5.2568  # [hPa], ICAO standard atmosphere
+    kelvin = weather.temperature - 6.5e-3 * h
     # [hPa], saturation by Magnus
-    vapour = 6.108 * _HUMIDITY * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
+    vapour = 6.108 * weather.humidity * np.exp((17.15 * kelvin - 4684.0) / (kelvin - 38.45))
     dry = 0.0022768 * pressure / (1 - 0.00266 * np.cos(2 * lat) - 0.28e-6 * h)
     wet = 0.002277 * (1255.0 / kelvin + 0.05) * vapour
     return np.asarray(dry + wet)
+
+
+def _compute_unb3m(lat: FloatArray, h: FloatArray, day: float) -> FloatArray:
+    """Return the vertical delay [m] at lat [rad] and h [m] on a day of the year."""
+    degrees = np.abs(np.rad2deg(lat))
+    season = np.cos((day - 28.0 + 182.625 * (lat < 0)) * 2 * np.pi / 365.25)
+    pressure, kelvin, humidity, lapse, shape = (
+        np.interp(degrees, _UNB_LATITUDES, mean) - np.interp(degrees, _UNB_LATITUDES, swing) * season
+        for mean, swing in zip(_UNB_MEAN, _UNB_SWING, strict=True)
+    )
+    lapse = lapse / 1000.0
+    saturated = 0.01 * np.exp(
+        1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 3.393711047e1 - 6.3431645e3 / kelvin
+    )
+    vapour = humidity / 100 * saturated * (1.00062 + 3.14e-6 * pressure + 5.6e-7 * (kelvin - 273.15) ** 2)
+    power = _GRAVITY / _GAS / lapse
+    there = kelvin - lapse * np.minimum(h, _TOP)
+    pressure, vapour = (
+        pressure * (there / kelvin) ** power,
+        vapour * (there / kelvin) ** (power * (shape + 1)),
+    )
+    flat = np.arctan((1 - 6.6943799901413e-3) * np.tan(lat))
+    pull = 1 - 2.66e-3 * np.cos(2 * flat) - 2.8e-7 * h
+    mean = (shape + 1) * 9.784 * pull
+    inside = there * (1 - lapse * _GAS / mean)  # mean temperature of the water vapour
+    wet = 1e-6 * (64.79 - 77.604 * 18.0152 / 28.9644 + 3.776e5 / inside) * _GAS * vapour / mean
+    return np.asarray(2.2768e-3 / pull * pressure + wet)
 
 
 def ionosphere_free(range_1: ArrayLike, range_2: ArrayLike, f_1: ArrayLike, f_2: ArrayLike) -> FloatArray:

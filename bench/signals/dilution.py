@@ -7,8 +7,10 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.signals.least_squares import count_kernel, inverse_kernel
+from bench.orbit_sets import LETTERS
+from bench.signals.least_squares import invert
+
+_SYSTEMS = len(LETTERS)
 
 
 class Dop(NamedTuple):
@@ -19,37 +21,6 @@ class Dop(NamedTuple):
     p: FloatArray  # position
     t: FloatArray  # time
     g: FloatArray  # geometric
-
-
-@kernel
-def _dop_kernel(
-    epoch_start: IntArray, los_n: FloatArray, system: IntArray, used: BoolArray, N: FloatArray,
-    inverse: FloatArray, out: FloatArray, h: FloatArray,
-) -> None:  # fmt: skip
-    for m in range(epoch_start.shape[0] - 1):
-        N[:] = 0.0
-        count, first, second = count_kernel(epoch_start[m], epoch_start[m + 1], system, used, False)
-        n = 3 + first + second
-        if count < n:
-            continue
-        for k in range(epoch_start[m], epoch_start[m + 1]):
-            if not used[k]:
-                continue
-            for i in range(3):
-                h[i] = -los_n[k, i]
-            h[3], h[4] = 0.0, 0.0
-            h[4 if first and system[k] != 0 else 3] = 1.0
-            for i in range(n):
-                for j in range(i + 1):
-                    N[i, j] += h[i] * h[j]
-        if not inverse_kernel(N, n, inverse):
-            continue
-        horizontal, vertical = inverse[0, 0] + inverse[1, 1], inverse[2, 2]
-        position, clocks = horizontal + vertical, 0.0
-        for i in range(3, n):
-            clocks += inverse[i, i]
-        out[m, 0], out[m, 1], out[m, 2] = np.sqrt(horizontal), np.sqrt(vertical), np.sqrt(position)
-        out[m, 3], out[m, 4] = np.sqrt(inverse[3, 3]), np.sqrt(position + clocks)
 
 
 def compute_dop(
@@ -64,22 +35,38 @@ def compute_dop(
     los_n : (K, 3) array
         Unit vectors receiver to satellite, n.
     system : (K,) array of int
-        0 GPS, 1 GLONASS: a clock offset for each system present; TDOP is that of the first.
+        Code of `bench.orbit_sets`: a clock offset for each system present; TDOP is that of the first.
     use : (K,) array of bool or None
         Rows to use; None: all.
     """
-    out = np.full((len(epoch_start) - 1, 5), np.nan)
-    used = np.ones(len(los_n), bool) if use is None else np.ascontiguousarray(use)
-    epochs, systems = (np.ascontiguousarray(a, np.int64) for a in (epoch_start, system))
-    N, inverse = np.empty((5, 5)), np.empty((5, 5))
-    _dop_kernel(epochs, np.ascontiguousarray(los_n), systems, used, N, inverse, out, np.zeros(5))
-    return Dop(*out.T)
+    M, n = len(epoch_start) - 1, 3 + _SYSTEMS
+    used = np.isfinite(los_n[:, 0]) if use is None else use & np.isfinite(los_n[:, 0])
+    epoch = np.repeat(np.arange(M), np.diff(epoch_start))[used]
+    G = np.zeros((len(epoch), n))
+    G[:, :3] = -los_n[used]
+    G[np.arange(len(epoch)), 3 + system[used]] = 1.0
+    N = np.zeros((M, n, n))
+    for i in range(n):
+        for j in range(i + 1 if i < 3 else 3):
+            N[:, i, j] = N[:, j, i] = np.bincount(epoch, G[:, i] * G[:, j], M)
+    seen = np.stack([np.bincount(epoch, G[:, 3 + k], M) for k in range(_SYSTEMS)], axis=-1)
+    clocks = np.arange(3, n)
+    N[:, clocks, clocks] = np.maximum(seen, 1.0)  # a system without satellites takes no part
+    enough = seen.sum(axis=1) >= 3 + (seen > 0).sum(axis=1)
+    inverse, regular = invert(N)
+    spread = np.einsum("mii->mi", inverse).copy()
+    spread[~(enough & regular)] = np.nan
+    h, p = spread[:, 0] + spread[:, 1], spread[:, :3].sum(axis=1)
+    of_clocks = np.where(seen > 0, spread[:, 3:], 0.0)
+    first = np.take_along_axis(of_clocks, (seen > 0).argmax(axis=1)[:, None], axis=1)[:, 0]
+    first[np.isnan(p)] = np.nan
+    return Dop(*(np.sqrt(one) for one in (h, spread[:, 2], p, first, p + of_clocks.sum(axis=1))))
 
 
 def choose_satellites(
     epoch_start: IntArray, los_n: FloatArray, system: IntArray, sd: FloatArray, use: BoolArray
 ) -> tuple[BoolArray, IntArray]:
-    """Choose GPS, GLONASS or both for every epoch: smallest PDOP times RMS of the sds (equations #28).
+    """Choose one system or all for every epoch: smallest PDOP times RMS of the sds (equations #28).
 
     Parameters
     ----------
@@ -93,17 +80,19 @@ def choose_satellites(
     use : (K,) array of bool
         Rows of the chosen set.
     chosen : (M,) array of int
-        0 GPS, 1 GLONASS, 2 both, -1 if no set gives a position.
+        Code of the system, 4 all, -1 if no set gives a position.
     """
     M = len(epoch_start) - 1
     epoch = np.repeat(np.arange(M), np.diff(epoch_start))
-    sets = [use & (system == 0), use & (system == 1), use]
-    figure = np.full((3, M), np.inf)
+    sets = [*(use & (system == k) for k in range(_SYSTEMS)), use]
+    figure = np.full((len(sets), M), np.inf)
     for k, rows in enumerate(sets):
+        if not rows.any():
+            continue
         squares = np.bincount(epoch[rows], sd[rows] ** 2, M)
         count = np.maximum(np.bincount(epoch[rows], minlength=M), 1)
         p = compute_dop(epoch_start, los_n, system, rows).p
         figure[k] = np.where(np.isnan(p), np.inf, p * np.sqrt(squares / count))
     chosen = np.where(np.isfinite(figure).any(axis=0), np.argmin(figure, axis=0), -1)
     of_row = chosen[epoch]
-    return use & ((of_row == 2) | (of_row == system)), chosen
+    return use & ((of_row == _SYSTEMS) | (of_row == system)), chosen

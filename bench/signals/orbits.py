@@ -11,24 +11,36 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
-from bench.orbit_sets import KEPLER, GlonassSets, KeplerSets
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 
 C = 299792458.0  # speed of light [m/s], exact
 WEEK, DAY = 604800.0, 86400.0  # [s]
 GPS_EARTH_RATE = 7.2921151467e-5  # rotation rate of the Earth [rad/s], IS-GPS-200, table 20-IV
-_GM_GPS = 3.986005e14  # [m^3/s^2], IS-GPS-200, table 20-IV
-_RELATIVITY = -4.442807633e-10  # F of the eccentric clock term [s/sqrt(m)], IS-GPS-200, 20.3.3.3.3.1
 _GM_PZ = 3.986004418e14  # [m^3/s^2], PZ-90.11 reference document, 2014
 _A_PZ = 6378136.0  # [m], the same
 _J2_PZ = 1.08262575e-3  # [1], the same
 _RATE_PZ = 7.292115e-5  # [rad/s], the same
 _STEP_PZ = 60.0  # longest Runge-Kutta step [s]; error below 1 mm after 15 min
+_GRAVITY = {GPS: 3.986005e14, GALILEO: 3.986004418e14, BEIDOU: 3.986004418e14, GLONASS: _GM_PZ}
+"""[m^3/s^2]: IS-GPS-200, table 20-IV; Galileo OS SIS ICD 2.0, table 67; BDS-SIS-ICD-B1I-3.0, 5.2.4.12."""
+_RATES = {GPS: GPS_EARTH_RATE, GALILEO: GPS_EARTH_RATE, BEIDOU: 7.292115e-5, GLONASS: _RATE_PZ}
+"""Rotation of the Earth [rad/s], the same sources."""
+_INCLINED = float(np.deg2rad(-5.0))  # of the frame of geostationary orbits [rad], BDS-SIS-ICD-B1I-3.0
 
 L1, L2 = 1575.42e6, 1227.60e6  # GPS [Hz], IS-GPS-200
-_G1, _G1_STEP = 1602.0e6, 562.5e3  # GLONASS L1 and its channel spacing [Hz], GLONASS ICD
-_G2, _G2_STEP = 1246.0e6, 437.5e3  # GLONASS L2 [Hz]
+_CARRIERS = np.full((4, 10), np.nan)
+"""Carrier [Hz] by system and RINEX band digit: RINEX 3.05, tables 11 to 17; GLONASS at channel 0."""
+for _system, _bands in (
+    (GPS, {1: L1, 2: L2, 5: 1176.45e6}),
+    (GLONASS, {1: 1602.0e6, 2: 1246.0e6, 3: 1202.025e6, 4: 1600.995e6, 6: 1248.06e6}),
+    (GALILEO, {1: L1, 5: 1176.45e6, 6: 1278.75e6, 7: 1207.14e6, 8: 1191.795e6}),
+    (BEIDOU, {1: L1, 2: 1561.098e6, 5: 1176.45e6, 6: 1268.52e6, 7: 1207.14e6, 8: 1191.795e6}),
+):
+    _CARRIERS[_system, list(_bands)] = list(_bands.values())
+_STEPS = np.zeros((4, 10))
+_STEPS[GLONASS, [1, 2]] = 562.5e3, 437.5e3  # channel spacing of G1 and G2 [Hz], GLONASS ICD
 
 
 class SatelliteStates(NamedTuple):
@@ -41,8 +53,22 @@ class SatelliteStates(NamedTuple):
     relativity: FloatArray  # (K,) eccentric term of the clock [s]
 
 
+def find_frequency(system: IntArray, band: IntArray, channel: IntArray) -> FloatArray:
+    """Return the carrier [Hz] of a system, a RINEX band digit and, for GLONASS, a channel; NaN if none.
+
+    Examples
+    --------
+    >>> find_frequency(np.array([0, 1, 3]), np.array([1, 1, 2]), np.array([0, -7, 0])).tolist()
+    [1575420000.0, 1598062500.0, 1561098000.0]
+    """
+    found: FloatArray = _CARRIERS[system, band] + _STEPS[system, band] * channel
+    return found
+
+
 def carrier_frequencies(system: IntArray, channel: IntArray) -> FloatArray:
-    """Return the frequencies of both carriers (K, 2) [Hz] of GPS (0) and GLONASS (1) satellites.
+    """Return the frequencies (K, 2) [Hz] of the two carriers that a receiver of two bands uses.
+
+    GPS L1 and L2, GLONASS G1 and G2, Galileo E1 and E5a, BeiDou B1I and B3I.
 
     Examples
     --------
@@ -50,110 +76,132 @@ def carrier_frequencies(system: IntArray, channel: IntArray) -> FloatArray:
     array([[1.5754200e+09, 1.2276000e+09],
            [1.5980625e+09, 1.2429375e+09]])
     """
-    first = np.where(system == 0, L1, _G1 + _G1_STEP * channel)
-    second = np.where(system == 0, L2, _G2 + _G2_STEP * channel)
-    return np.column_stack([first, second])
+    pair = np.array([(1, 2), (1, 2), (1, 5), (2, 6)])[system]
+    return np.column_stack([find_frequency(system, pair[:, k], channel) for k in range(2)])
 
 
-@kernel
-def _kepler_kernel(
-    elements: FloatArray, rows: IntArray, t: FloatArray,
-    pos: FloatArray, vel: FloatArray, clock: FloatArray, clock_rate: FloatArray, relativity: FloatArray,
-) -> None:  # fmt: skip
-    """Fill the states (K, ...) of sets ``rows`` (K,) at ``t`` (K,); IS-GPS-200, tables 20-IV and 30-II."""
-    for k in range(t.shape[0]):
-        q = elements[rows[k]]
-        dt = t[k] - q[0]
-        a = q[3] * q[3]
-        e = q[4]
-        n = np.sqrt(_GM_GPS / a) / a + q[11]
-        mean = q[10] + n * dt
-        anomaly = mean
-        for _ in range(20):
-            step = (mean - anomaly + e * np.sin(anomaly)) / (1.0 - e * np.cos(anomaly))
-            anomaly += step
-            if abs(step) < 1e-14:
-                break
-        sin_a, cos_a = np.sin(anomaly), np.cos(anomaly)
-        p = 1.0 - e * cos_a
-        anomaly_rate = n / p
-        root = np.sqrt(1.0 - e * e)
-        phi = np.arctan2(root * sin_a, cos_a - e) + q[9]
-        phi_rate = root * anomaly_rate / p
-        s2, c2 = np.sin(2.0 * phi), np.cos(2.0 * phi)
-        u = phi + q[13] * s2 + q[12] * c2
-        r = a * p + q[15] * s2 + q[14] * c2
-        incl = q[5] + q[17] * s2 + q[16] * c2 + q[6] * dt
-        u_rate = phi_rate * (1.0 + 2.0 * (q[13] * c2 - q[12] * s2))
-        r_rate = a * e * sin_a * anomaly_rate + 2.0 * phi_rate * (q[15] * c2 - q[14] * s2)
-        incl_rate = q[6] + 2.0 * phi_rate * (q[17] * c2 - q[16] * s2)
-        node_rate = q[8] - GPS_EARTH_RATE
-        node = q[7] + node_rate * dt - GPS_EARTH_RATE * q[1]
-        su, cu, si, ci, sn, cn = np.sin(u), np.cos(u), np.sin(incl), np.cos(incl), np.sin(node), np.cos(node)
-        x, y = r * cu, r * su
-        vx, vy = r_rate * cu - y * u_rate, r_rate * su + x * u_rate
-        pos[k, 0] = x * cn - y * ci * sn
-        pos[k, 1] = x * sn + y * ci * cn
-        pos[k, 2] = y * si
-        across = vy * ci - y * si * incl_rate
-        vel[k, 0] = vx * cn - across * sn - pos[k, 1] * node_rate
-        vel[k, 1] = vx * sn + across * cn + pos[k, 0] * node_rate
-        vel[k, 2] = vy * si + y * ci * incl_rate
-        since = t[k] - q[2]
-        clock[k] = q[18] + since * (q[19] + since * q[20])
-        relativity[k] = _RELATIVITY * e * q[3] * sin_a
-        clock_rate[k] = q[19] + 2.0 * since * q[20] + _RELATIVITY * e * q[3] * cos_a * anomaly_rate
+def is_geostationary(sets: KeplerSets) -> BoolArray:
+    """Return which sets (E,) are of geostationary satellites of BeiDou: C01 to C05, C59 and above.
+
+    BDS-SIS-ICD-B1I-3.0 (2019), 5.2.4.12, has other formulas for these; the numbers are those of RTKLIB.
+    """
+    return (sets.system == BEIDOU) & ((sets.sat <= 5) | (sets.sat >= 59))
 
 
-@kernel
-def _acceleration_kernel(s: FloatArray, sun_moon: FloatArray, out: FloatArray) -> None:
-    """Fill out (6,) with the rate of the Earth-fixed state s (6,): GLONASS ICD 5.1, A.3.1.2."""
+def _compute_kepler(sets: KeplerSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
+    """Return the states (K, ...) of sets ``rows`` (K,) at ``t`` (K,); IS-GPS-200, tables 20-IV and 30-II."""
+    q = dict(zip(KEPLER, sets.elements[rows].T, strict=True))
+    gm, rate = _GRAVITY[sets.system], _RATES[sets.system]
+    relativity = -2.0 * np.sqrt(gm) / C**2  # F of IS-GPS-200, 20.3.3.3.3.1 [s/sqrt(m)]
+    dt, a, e = t - q["t_oe"], q["sqrt_a"] ** 2, q["e"]
+    n = np.sqrt(gm / a) / a + q["delta_n"]
+    mean = q["mean_anomaly"] + n * dt
+    anomaly, going = mean, np.ones(len(t), bool)
+    for _ in range(20):  # no bit depends on the other instants
+        step = np.where(going, (mean - anomaly + e * np.sin(anomaly)) / (1.0 - e * np.cos(anomaly)), 0.0)
+        anomaly = anomaly + step
+        going = np.abs(step) >= 1e-14
+        if not going.any():
+            break
+    sin_a, cos_a = np.sin(anomaly), np.cos(anomaly)
+    p = 1.0 - e * cos_a
+    anomaly_rate = n / p
+    root = np.sqrt(1.0 - e * e)
+    phi = np.arctan2(root * sin_a, cos_a - e) + q["perigee"]
+    phi_rate = root * anomaly_rate / p
+    s2, c2 = np.sin(2.0 * phi), np.cos(2.0 * phi)
+    u = phi + q["c_us"] * s2 + q["c_uc"] * c2
+    r = a * p + q["c_rs"] * s2 + q["c_rc"] * c2
+    incl = q["i_0"] + q["c_is"] * s2 + q["c_ic"] * c2 + q["i_rate"] * dt
+    u_rate = phi_rate * (1.0 + 2.0 * (q["c_us"] * c2 - q["c_uc"] * s2))
+    r_rate = a * e * sin_a * anomaly_rate + 2.0 * phi_rate * (q["c_rs"] * c2 - q["c_rc"] * s2)
+    incl_rate = q["i_rate"] + 2.0 * phi_rate * (q["c_is"] * c2 - q["c_ic"] * s2)
+    fixed = is_geostationary(sets)[rows]
+    node_rate = q["node_rate"] - np.where(fixed, 0.0, rate)
+    node = q["node_0"] + node_rate * dt - rate * q["t_oe_week"]
+    su, cu, si, ci, sn, cn = np.sin(u), np.cos(u), np.sin(incl), np.cos(incl), np.sin(node), np.cos(node)
+    x, y = r * cu, r * su
+    vx, vy = r_rate * cu - y * u_rate, r_rate * su + x * u_rate
+    pos = np.column_stack([x * cn - y * ci * sn, x * sn + y * ci * cn, y * si])
+    across = vy * ci - y * si * incl_rate
+    vel = np.column_stack(
+        [
+            vx * cn - across * sn - pos[:, 1] * node_rate,
+            vx * sn + across * cn + pos[:, 0] * node_rate,
+            vy * si + y * ci * incl_rate,
+        ]
+    )
+    if fixed.any():
+        pos[fixed], vel[fixed] = _turn_geostationary(pos[fixed], vel[fixed], rate, dt[fixed])
+    since = t - q["t_oc"]
+    return SatelliteStates(
+        pos_e=pos,
+        vel_e=vel,
+        clock=q["af_0"] + since * (q["af_1"] + since * q["af_2"]),
+        clock_rate=q["af_1"] + 2.0 * since * q["af_2"] + relativity * e * q["sqrt_a"] * cos_a * anomaly_rate,
+        relativity=relativity * e * q["sqrt_a"] * sin_a,
+    )
+
+
+def _turn_geostationary(
+    pos: FloatArray, vel: FloatArray, rate: float, dt: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return states (K, 3) of geostationary BeiDou satellites, Earth-fixed: R_z(rate dt) R_x(-5 deg).
+
+    BDS-SIS-ICD-B1I-3.0 (2019), 5.2.4.12: their orbits are given in a frame that is inclined by 5 deg.
+    """
+    s, c = np.sin(_INCLINED), np.cos(_INCLINED)
+    R = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
+    (px, py, pz), (vx, vy, vz) = R @ pos.T, R @ vel.T
+    s, c = np.sin(rate * dt), np.cos(rate * dt)
+    x, y = c * px + s * py, -s * px + c * py
+    return (
+        np.column_stack([x, y, pz]),
+        np.column_stack([c * vx + s * vy + rate * y, -s * vx + c * vy - rate * x, vz]),
+    )
+
+
+def _accelerate(s: FloatArray, sun_moon: FloatArray) -> FloatArray:
+    """Return the rate (6, K) of Earth-fixed states s (6, K): GLONASS ICD 5.1, A.3.1.2."""
     r2 = s[0] * s[0] + s[1] * s[1] + s[2] * s[2]
     central = -_GM_PZ / (r2 * np.sqrt(r2))
     flat = 1.5 * _J2_PZ * _A_PZ * _A_PZ / r2
     z2 = 5.0 * s[2] * s[2] / r2
     across = central * (1.0 + flat * (1.0 - z2)) + _RATE_PZ * _RATE_PZ
-    out[0], out[1], out[2] = s[3], s[4], s[5]
+    out = np.empty_like(s)
+    out[:3] = s[3:]
     out[3] = across * s[0] + 2.0 * _RATE_PZ * s[4] + sun_moon[0]
     out[4] = across * s[1] - 2.0 * _RATE_PZ * s[3] + sun_moon[1]
     out[5] = central * (1.0 + flat * (3.0 - z2)) * s[2] + sun_moon[2]
+    return out
 
 
-@kernel
-def _move_kernel(s: FloatArray, h: float, rate: FloatArray, out: FloatArray) -> None:
-    """Fill out (6,) with s (6,) moved by a rate (6,) for h [s]."""
-    for i in range(6):
-        out[i] = s[i] + h * rate[i]
-
-
-@kernel
-def _glonass_kernel(
-    state: FloatArray, rows: IntArray, t: FloatArray, longest: float, work: FloatArray,
-    pos: FloatArray, vel: FloatArray, clock: FloatArray, clock_rate: FloatArray,
-) -> None:  # fmt: skip
-    """Integrate sets ``rows`` (K,) to ``t`` (K,) with fourth-order Runge-Kutta; work (6, 6)."""
-    s, probe = work[0], work[1]
-    for k in range(t.shape[0]):
-        q = state[rows[k]]
-        span = t[k] - q[0]
-        for i in range(6):
-            s[i] = q[1 + i]
-        steps = int(np.ceil(abs(span) / longest))
-        h = span / steps if steps > 0 else 0.0
-        for _ in range(steps):
-            _acceleration_kernel(s, q[7:10], work[2])
-            _move_kernel(s, 0.5 * h, work[2], probe)
-            _acceleration_kernel(probe, q[7:10], work[3])
-            _move_kernel(s, 0.5 * h, work[3], probe)
-            _acceleration_kernel(probe, q[7:10], work[4])
-            _move_kernel(s, h, work[4], probe)
-            _acceleration_kernel(probe, q[7:10], work[5])
-            for i in range(6):
-                s[i] += h / 6.0 * (work[2, i] + 2.0 * work[3, i] + 2.0 * work[4, i] + work[5, i])
-        for i in range(3):
-            pos[k, i], vel[k, i] = s[i], s[3 + i]
-        clock[k] = q[10] + q[11] * span
-        clock_rate[k] = q[11]
+def _compute_glonass(sets: GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
+    """Integrate sets ``rows`` (K,) to ``t`` (K,) with fourth-order Runge-Kutta."""
+    q = np.ascontiguousarray(sets.state[rows].T)
+    span = t - q[0]
+    steps = np.ceil(np.abs(span) / _STEP_PZ)
+    h = span / np.maximum(steps, 1.0)
+    s = q[1:7].copy()
+    order = np.argsort(-steps, kind="stable")  # what needs most steps comes first, and the rest drops off
+    s, sun_moon, h, steps = s[:, order], q[7:10, order], h[order], steps[order]
+    for step in range(int(steps.max(initial=0.0))):
+        now = int(np.searchsorted(-steps, -step, side="left"))
+        x, light, d = s[:, :now], sun_moon[:, :now], h[:now]
+        k_1 = _accelerate(x, light)
+        k_2 = _accelerate(x + 0.5 * d * k_1, light)
+        k_3 = _accelerate(x + 0.5 * d * k_2, light)
+        k_4 = _accelerate(x + d * k_3, light)
+        x += d / 6.0 * (k_1 + 2.0 * k_2 + 2.0 * k_3 + k_4)
+    state = np.empty_like(s)
+    state[:, order] = s
+    return SatelliteStates(
+        pos_e=np.ascontiguousarray(state[:3].T),
+        vel_e=np.ascontiguousarray(state[3:].T),
+        clock=q[10] + q[11] * span,
+        clock_rate=q[11],
+        relativity=np.zeros(len(t)),
+    )
 
 
 def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
@@ -170,20 +218,15 @@ def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray
 
     Notes
     -----
-    Kepler sets: IS-GPS-200, table 20-IV, velocity by its derivative. GLONASS: Earth-fixed equations of motion
+    Kepler sets: IS-GPS-200, table 20-IV, velocity by its derivative; Galileo OS SIS ICD and BDS-SIS-ICD-B1I
+    have the same formulas with their own constants. GLONASS: Earth-fixed equations of motion
     with J2 and the broadcast luni-solar acceleration, Runge-Kutta of fourth order with steps up to 60 s;
     PZ-90.11 and WGS 84 agree to centimetres, so its axes are taken for e.
     """
-    t = np.ascontiguousarray(t, float)
-    rows = np.ascontiguousarray(rows, np.int64)
-    count = len(t)
-    pos, vel = np.empty((count, 3)), np.empty((count, 3))
-    clock, rate, relativity = np.empty(count), np.empty(count), np.zeros(count)
+    t, rows = np.asarray(t, float), np.asarray(rows, np.int64)
     if isinstance(sets, KeplerSets):
-        _kepler_kernel(sets.elements, rows, t, pos, vel, clock, rate, relativity)
-    else:
-        _glonass_kernel(sets.state, rows, t, _STEP_PZ, np.empty((6, 6)), pos, vel, clock, rate)
-    return SatelliteStates(pos, vel, clock, rate, relativity)
+        return _compute_kepler(sets, rows, t)
+    return _compute_glonass(sets, rows, t)
 
 
 def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
@@ -222,9 +265,11 @@ def find_transmission(
         [m]; ``t - pseudorange / c`` is the reading of the satellite's clock, for any error of the receiver's.
     """
     shown = t - pseudorange / C
-    first = compute_states(sets, rows, shown)
-    t_sent = shown - (first.clock + first.relativity)
-    return t_sent, compute_states(sets, rows, t_sent)
+    found = compute_states(sets, rows, shown)
+    late = found.clock + found.relativity  # below 1 ms: what curves in it moves the satellite by 1e-6 m
+    return shown - late, found._replace(
+        pos_e=found.pos_e - found.vel_e * late[:, None], clock=found.clock - found.clock_rate * late
+    )
 
 
 def make_walker(

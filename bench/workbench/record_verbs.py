@@ -1,4 +1,4 @@
-"""The verbs navigate, fixes, record, report, allan, export, score and stream."""
+"""The verbs navigate, record, report, allan, export, score and stream."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from bench import api, config, durable, log_pipeline, store
+from bench import api, config, log_pipeline, store
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
-from bench.findings import FindingTable
 from bench.run_result import RunResult
 from bench.saving import save
 from bench.specs import TriadSpec
@@ -25,7 +24,6 @@ from bench.workbench import result_table
 from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end, print_result, show_stages
 from bench.workbench.new_log import new_log
-from bench.workbench.printing import print_findings
 
 
 def navigate_log(
@@ -187,41 +185,6 @@ def write_figures(folder: Path, out: Path | None, form: str, *, console: Console
     out = out or folder.with_name(f"{folder.resolve().name}-figures")
     written = writing.write_figures(folder, out, form, **look)
     console.print(f"Wrote {len(written)} figures into {out}.", soft_wrap=True)
-
-
-def solve_fixes(
-    observations: Path,
-    navigation: Sequence[Path],
-    *,
-    console: Console,
-    datum: str,
-    out: Path | None,
-    report: Path | None,
-    force: bool,
-    **options: Any,
-) -> dict[str, Any]:
-    """Solve RINEX files, print and return the figures, and write the fixes and their report.
-
-    ``options`` are those of `bench.api.solve_rinex`; ``datum`` is that of the positions in ``out``.
-    """
-    if out is not None:
-        store.check_file(out, force=force)
-    if report is not None:
-        from bench.report import fixes_page, page
-
-        page.check_page(report, force=force)
-    solved = api.solve_rinex(observations, navigation, **options)
-    figures = solved.figures()
-    title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"
-    table = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
-    print_findings(console, solved.notes, [table])
-    if out is not None:
-        solved.write_csv(out, datum)
-        console.print(f"fixes in {datum}: {out}")
-    if report is not None:
-        durable.write(report, fixes_page.make_page(solved))
-        console.print(f"Report: {report}", soft_wrap=True)
-    return figures
 
 
 def measure_allan(

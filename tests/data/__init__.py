@@ -19,3 +19,8 @@ def gnss_file(name: str) -> Path:
     path = Path(_unpacked().name) / name
     path.write_bytes(gzip.decompress((HERE / "gnss" / f"{name}.gz").read_bytes()))
     return path
+
+
+def stored_gnss_file(name: str) -> Path:
+    """Return the path of a file as it lies in the repository, packed or not."""
+    return HERE / "gnss" / name

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench import config, earth, rotation, sensors
-from bench.data import GLONASS, GPS, GnssObservations
+from bench.data import GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation.built_in import load
@@ -23,6 +23,7 @@ from bench.navigation.error_state_filter.propagation import FilterState, Pending
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, index_of
 from bench.navigation.models.loose_tight import Loose, Tight
+from bench.orbit_sets import GLONASS, GPS
 from bench.specs import EvaluationWindow, Fault
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain

@@ -21,6 +21,7 @@ from bench.sensors import clock, gnss, sky
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
+from bench.signals.processing import Processing
 from bench.specs import EvaluationWindow, SkySpec
 from tests.builders import band
 from tests.data import gnss_file
@@ -124,7 +125,7 @@ def test_two_carriers_see_the_ionosphere(turn):
     """Their difference is the ionosphere's, (f1/f2)^2 - 1 of it; combined it is gone below 1e-6 m (B-11)."""
     o = measure(turn, replace(QUIET, bands=2, second_band_loss=0.0)).observations
     no = measure(turn, replace(QUIET, bands=2, klobuchar=(0.0,) * 8)).observations
-    free = receiver.Processing(ionosphere="free")
+    free = Processing(ionosphere="free")
     assert np.abs(o.pseudorange - no.pseudorange).min() > 0.01
     assert (
         np.abs(receiver.correct_pseudoranges(o, free) - receiver.correct_pseudoranges(no, free)).max() < 1e-6

@@ -66,7 +66,7 @@ def test_troposphere_of_the_register():
     high = delays.zenith_troposphere(0.9, np.array([0.0, 3000.0, 9000.0]))
     pressure = np.array([1013.25, 701.1, 307.4])  # ICAO standard atmosphere, tabulated
     assert_allclose(high / high[0], pressure / pressure[0], atol=0.02)
-    with pytest.raises(ValueError, match="must be 'saastamoinen' or 'b-10'; got 'none'"):
+    with pytest.raises(ValueError, match="must be one of saastamoinen, unb3m, b-10; got 'none'"):
         delays.zenith_troposphere(0.9, 0.0, "none")
 
 

@@ -12,6 +12,8 @@ from typing import TextIO
 import numpy as np
 
 from bench.errors import ConfigError
+from bench.exchange.rinex.compact import CompactText
+from bench.exchange.rinex.unpacking import DAMAGED, open_text
 from bench.files import check_file
 from bench.signals.orbits import DAY
 
@@ -19,6 +21,7 @@ LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fi
 _MOST_REASONS = 20
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
+BEIDOU_LATE = 14.0  # GPS time minus BeiDou time [s], RINEX 3.05, 4.1.4
 _EPOCH = date(1980, 1, 6)
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
 
@@ -35,7 +38,7 @@ _LEAPS = tuple(
 class Lines:
     """The lines of a file; errors name the number of the current line."""
 
-    def __init__(self, file: TextIO, shown: str) -> None:
+    def __init__(self, file: TextIO | CompactText, shown: str) -> None:
         self._file, self.shown = file, shown
         self._again: str | None = None
         self.number = 0
@@ -43,6 +46,27 @@ class Lines:
         """Number of parts of the file that are left out."""
         self.reasons: list[str] = []
         """Why the first of them are left out."""
+
+    def peek(self) -> bytes:
+        """Return the first bytes of the file, and go back to its beginning."""
+        if isinstance(self._file, CompactText):
+            return b""
+        first = self._file.read(512).encode("latin-1")
+        self._file.seek(0)
+        return first
+
+    def read_packed(self) -> str | None:
+        """Return the first line; what follows is restored if it says that the file is Compact RINEX."""
+        line = self.read_line()
+        if line is not None and line[60:72] == "CRINEX VERS " and not isinstance(self._file, CompactText):
+            self._file = CompactText(self._file, self.shown, line)
+            line = self.read_line()
+        return line
+
+    @property
+    def beyond(self) -> list[str]:
+        """Parts of a Compact RINEX file that cannot be restored."""
+        return self._file.damaged if isinstance(self._file, CompactText) else []
 
     def read_line(self) -> str | None:
         """Return the next line without its end, None at the end of the file."""
@@ -59,7 +83,7 @@ class Lines:
                 line = self._file.readline(LONGEST)
             raise self.error(f"is longer than {LONGEST} characters: not a RINEX file")
         if "\0" in line:
-            raise self.error("has a zero byte: not a text file (unpack compressed files first)")
+            raise self.error("has a zero byte: not a text file")
         return line.rstrip("\r\n")
 
     def read_line_of(self, content: str) -> str:
@@ -137,14 +161,39 @@ def open_lines(path: Path, shown: str) -> Iterator[Lines]:
     """Open a text file and provide its lines; raise ConfigError if it cannot be opened, or is too large."""
     try:
         check_file(path, shown, MOST_BYTES)
-        with path.open(encoding="latin-1", newline="") as file:
+        with open_text(path, shown) as file:
             yield Lines(file, shown)
+    except DAMAGED as error:
+        raise ConfigError(f"{shown}: is damaged: {error}") from None
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except IsADirectoryError:
         raise ConfigError(f"{shown}: is a folder, not a file") from None
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror}") from None
+
+
+def find_kind(path: Path, shown: str) -> str:
+    """Return what a file holds: "observations", "navigation", "orbits" (SP3) or "ubx".
+
+    Raises
+    ------
+    ConfigError
+        If it is none of these, or cannot be read.
+    """
+    with open_lines(path, shown) as lines:
+        first = lines.peek()
+        if first.startswith(b"\xb5b") or b"\xb5b" in first:
+            return "ubx"
+        if first[:1] == b"#" and first[1:2] in b"abcd":
+            return "orbits"
+        if (line := lines.read_packed()) is None:
+            raise ConfigError(f"{shown}: is empty")
+        kinds = {"O": "observations", "N": "navigation", "G": "navigation", "L": "navigation"}
+        kind = kinds.get(line[20:21].upper()) if line[60:80].strip() == "RINEX VERSION / TYPE" else None
+        if kind is None:
+            raise ConfigError(f"{shown}: is no RINEX file of observations or navigation, no SP3 and no UBX")
+        return kind
 
 
 def leap_seconds(day: date) -> int:
@@ -168,24 +217,22 @@ def to_date(seconds: float) -> date:
     return date.fromordinal(_EPOCH.toordinal() + int(seconds // DAY))
 
 
-def check_version(lines: Lines, wanted: str) -> tuple[int, str]:
-    """Check the first line; return the main version, and the letters of file type and system."""
-    first = lines.read_line()
+def check_version(lines: Lines, wanted: str) -> tuple[float, str]:
+    """Check the first line; return the version, and the letters of file type and system."""
+    first = lines.read_packed()
     if first is None:
         raise ConfigError(f"{lines.shown}: is empty")
     label = first[60:80].strip()
-    if label.startswith("CRINEX"):
-        raise lines.error("Hatanaka compression; unpack the file with crx2rnx first")
     if label != "RINEX VERSION / TYPE":
         raise lines.error("'RINEX VERSION / TYPE' is not in columns 61-80: not a RINEX file")
     version = lines.parse_number(first, 0, 9, "the version")
-    if int(version) not in (2, 3):
-        raise lines.error(f"version {version:g} must be 2 or 3")
+    if int(version) not in (2, 3, 4):
+        raise lines.error(f"version {version:g} must be 2, 3 or 4")
     kind = first[20:21].upper()
-    kinds = {"O": "an observation file", "N": "a navigation file", "G": "a navigation file"}
+    kinds = {"O": "an observation file"} | dict.fromkeys("NGL", "a navigation file")
     if kinds.get(kind) != wanted:
         raise lines.error(f"is {kinds.get(kind, f'of type {kind!r}')}, not {wanted}")
-    return int(version), kind + first[40:41].upper()
+    return version, kind + first[40:41].upper()
 
 
 def read_calendar(

@@ -1,7 +1,6 @@
-"""Read RINEX observation files: code, Doppler and C/N0 of GPS and GLONASS.
+"""Read RINEX observation files: code, Doppler, C/N0 and phase of GPS, GLONASS, Galileo and BeiDou.
 
-An epoch that is damaged, or whose time does not fit between those around it, is left out and reported with
-its line number. The code of each carrier is chosen for each satellite and epoch.
+A damaged epoch is left out and reported with its line number.
 """
 
 from __future__ import annotations
@@ -9,16 +8,18 @@ from __future__ import annotations
 import re
 from array import array
 from bisect import bisect_left
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GLONASS, GPS
 from bench.errors import ConfigError
+from bench.exchange.rinex.codes import OTHERS, SYSTEMS, Signal, Signals, find_signals
 from bench.exchange.rinex.lines import (
+    BEIDOU_LATE,
     LONGEST,
     Lines,
     check_version,
@@ -29,23 +30,15 @@ from bench.exchange.rinex.lines import (
 )
 
 _MOST_SATELLITES = 200
-_SYSTEMS = {"G": GPS, " ": GPS, "R": GLONASS}
-
-_CODES = {
-    GPS: (("C1C", "C1W", "C1P", "C1L", "C1X", "C1S"), ("C2W", "C2P", "C2L", "C2X", "C2S", "C2C")),
-    GLONASS: (("C1C", "C1P"), ("C2C", "C2P")),
-}
-_CODES_2 = (("C1", "P1"), ("P2", "C2"))
-"""Pseudoranges of the first and second carrier; the first one that a satellite has at an epoch is used."""
-
 _HEADS = {
     2: re.compile(r" [ \d]\d( [ \d]\d){4}[ \d]{2}\d\.[ \d]{7}  \d[ \d]{2}\d| {28}[2-5][ \d]{2}\d"),
     3: re.compile(">"),
 }
 """Version -> how the first line of an epoch, or of an event, begins."""
-
-Places = tuple[int | None, int | None, int | None]
-"""Indices of code, Doppler and C/N0 among the observables; None if missing."""
+_SATELLITE = re.compile(r"[A-Z ].*\S")
+_MORE_SATELLITES = re.compile(r" {32}([A-Z ][ \d]\d)+\s*$")
+_WIDTH = 8  # values of a row: code, Doppler, C/N0, phase of two carriers
+_NONE = (np.nan,) * 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,22 +60,29 @@ class ObservationFile:
     moving: bool  # an event in the file says that the antenna begins to move
     lost: int  # number of epochs that are left out
     reasons: tuple[str, ...]  # why the first of them are, with line numbers
+    band: IntArray  # (K, 2) RINEX digit of each carrier; 0 where missing
+    phase: FloatArray  # (K, 2) [cycles]; NaN where missing or not asked for
+    slipped: BoolArray  # (K, 2) the receiver says that it lost count of the cycles
+    recounted: int = 0  # number of epochs with another number of satellites than they say
+    others: Mapping[str, int] = field(default_factory=dict)  # name of a system that is left out -> its rows
 
 
 class _Header:
     """The values in use from the header of an observation file."""
 
-    def __init__(self) -> None:
+    def __init__(self, version: float) -> None:
+        self.version = version
         self.marker = ""
         self.approximate_e: FloatArray | None = None
         self.antenna_hen = np.zeros(3)
         self.types: dict[str, list[str]] = {}
+        self.scales: dict[tuple[str, str], float] = {}
         self.time_system = ""
         self.leap: int | None = None
         self.moving = False
-        self._places: dict[str, list[list[Places]]] | None = None
+        self._signals: dict[str, Signals] | None = None
 
-    def read(self, lines: Lines, line: str, version: int) -> None:
+    def read(self, lines: Lines, line: str) -> None:
         """Read one header line."""
         label = line[60:80].strip()
         if label == "MARKER NAME":
@@ -98,18 +98,37 @@ class _Header:
         elif label == "LEAP SECONDS":
             self.leap = lines.parse_whole(line, 0, 6, "the number of leap seconds")
         elif label == "SYS / SCALE FACTOR":
-            raise lines.error("observations with a scale factor are not supported")
-        elif label == "SYS / # / OBS TYPES" and version == 3:
+            self._read_scale(lines, line)
+        elif label == "SYS / # / OBS TYPES" and self.version >= 3:
             self._types(lines, line, line[0], 3, 6, 7, 13)
-        elif label == "# / TYPES OF OBSERV" and version == 2:
+        elif label == "# / TYPES OF OBSERV" and self.version < 3:
             self._types(lines, line, " ", 0, 6, 6, 9)
 
-    def find_places(self) -> Mapping[str, Sequence[Sequence[Places]]]:
+    def find_signals(self) -> Mapping[str, Signals]:
         """Return, for each system, the signals of both carriers that the file has, in order of preference."""
-        if self._places is None:
-            codes = {"G": _CODES[GPS], "R": _CODES[GLONASS], " ": _CODES_2}
-            self._places = {s: _find_places(types, codes[s]) for s, types in self.types.items() if s in codes}
-        return self._places
+        if self._signals is None:
+            types = dict.fromkeys(SYSTEMS, self.types.get(" ", [])) if self.version < 3 else self.types
+            self._signals = {s: find_signals(s, types[s], self.version) for s in SYSTEMS if s in types}
+        return self._signals
+
+    def find_scales(self, letter: str) -> list[float] | None:
+        """Return the factor of each observable of a system; None if all are 1."""
+        if not self.scales:
+            return None
+        types = self.types.get(letter, [])
+        return [self.scales.get((letter, one), self.scales.get((letter, ""), 1.0)) for one in types]
+
+    def _read_scale(self, lines: Lines, line: str) -> None:
+        """Take by what the observables of a system are multiplied (RINEX 3.05, table A2)."""
+        system, names = line[0], line[10:58].split()
+        scale = float(lines.parse_whole(line, 2, 6, "the scale factor"))
+        if scale not in (1.0, 10.0, 100.0, 1000.0):
+            raise lines.error(f"the scale factor {scale:g} must be 1, 10, 100 or 1000")
+        count = lines.parse_whole(line, 8, 10, "the number of observables") if line[8:10].strip() else 0
+        while len(names) < count:
+            names += lines.read_line_of("the observables with a scale factor")[10:58].split()
+        for name in names or [""]:
+            self.scales[system, name] = scale
 
     def _types(
         self, lines: Lines, line: str, system: str, first: int, last: int, start: int, most: int
@@ -125,18 +144,20 @@ class _Header:
             found += more[start:60].split()
         if len(found) > count:
             raise lines.error(f"lists {len(found)} observables where {count} are announced")
-        self.types[system], self._places = found, None
+        self.types[system], self._signals = found, None
 
 
-def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
-    """Read code, Doppler and C/N0 of GPS and GLONASS from a RINEX 2 or 3 observation file.
+def read_observations(path: Path, shown: str | None = None, *, phase: bool = False) -> ObservationFile:
+    """Read code, Doppler and C/N0 of four systems from a RINEX 2, 3 or 4 observation file, packed or not.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The file: as it is, Compact RINEX, gzip, or .Z.
     shown : str or None
         Name of the file in messages; default its file name.
+    phase : bool
+        Read carrier phases, too.
 
     Raises
     ------
@@ -146,17 +167,18 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
     shown = path.name if shown is None else shown
     with open_lines(path, shown) as lines:
         version, _ = check_version(lines, "an observation file")
-        header = _Header()
+        header = _Header(version)
         while (line := lines.read_line_of("END OF HEADER"))[60:80].strip() != "END OF HEADER":
-            header.read(lines, line, version)
+            header.read(lines, line)
         if not header.types:
             raise lines.error("the header lists no observables")
-        rows = _EpochRows()
-        _read_epochs(lines, header, version, rows)
+        rows = _EpochRows(header, phase)
+        _read_epochs(lines, header, rows)
     if not rows.start:
         raise lines.describe_nothing("epoch")
     if not rows.sat:
-        raise ConfigError(f"{shown}: has no observation of GPS or GLONASS in it")
+        others = f" (only {', '.join(rows.others)})" if rows.others else ""
+        raise ConfigError(f"{shown}: has no observation of GPS, GLONASS, Galileo or BeiDou in it{others}")
     kept = rows.find_increasing()
     for k in np.flatnonzero(~kept):
         lines.report(
@@ -170,7 +192,9 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
     t = midnight - origin + np.array(rows.second)[kept]
     if header.time_system == "GLO":  # UTC
         t += leap_seconds(to_date(origin)) if header.leap is None else header.leap
-    values = np.array(rows.values).reshape(-1, 3, 2)[of_kept]
+    elif header.time_system == "BDT":
+        t += BEIDOU_LATE
+    values = np.array(rows.values).reshape(-1, 2, 4)[of_kept]
     return ObservationFile(
         shown=shown,
         marker=header.marker,
@@ -179,37 +203,32 @@ def read_observations(path: Path, shown: str | None = None) -> ObservationFile:
         epoch_start=np.concatenate([[0], np.cumsum(count[kept])]),
         sat=np.array(rows.sat, np.int64)[of_kept],
         system=np.array(rows.system, np.int64)[of_kept],
-        pseudorange=np.ascontiguousarray(values[:, 0]),
-        doppler=np.ascontiguousarray(values[:, 1]),
-        cn0=np.ascontiguousarray(values[:, 2]),
+        pseudorange=np.ascontiguousarray(values[..., 0]),
+        doppler=np.ascontiguousarray(values[..., 1]),
+        cn0=np.ascontiguousarray(values[..., 2]),
         approximate_e=header.approximate_e,
         antenna_hen=header.antenna_hen,
         moving=header.moving,
-        lost=lines.lost,
-        reasons=tuple(lines.reasons),
+        lost=lines.lost + len(lines.beyond),
+        reasons=tuple(lines.reasons + lines.beyond[:1]),
+        band=np.array(rows.band, np.int64).reshape(-1, 2)[of_kept],
+        phase=np.ascontiguousarray(values[..., 3]),
+        slipped=np.array(rows.slipped, np.bool_).reshape(-1, 2)[of_kept],
+        recounted=rows.recounted,
+        others=rows.others,
     )
-
-
-def _find_places(types: Sequence[str], codes: Sequence[Sequence[str]]) -> list[list[Places]]:
-    """Return the signals among the observables, for each carrier."""
-
-    def find(letter: str, code: str, band: int) -> int | None:
-        name = letter + (code[1:] if len(code) == 3 else str(band))
-        return types.index(name) if name in types else None
-
-    return [
-        [(types.index(code), find("D", code, band), find("S", code, band)) for code in each if code in types]
-        for band, each in enumerate(codes, 1)
-    ]
 
 
 class _EpochRows:
     """The epochs and observations read so far, in compact arrays."""
 
-    def __init__(self) -> None:
+    def __init__(self, header: _Header, phase: bool) -> None:
+        self._header, self._phase = header, phase
         self.midnight, self.second, self.values = array("d"), array("d"), array("d")
         self.start, self.number = array("q"), array("q")
-        self.sat, self.system = array("h"), array("b")
+        self.sat, self.system, self.band, self.slipped = array("h"), array("b"), array("b"), array("b")
+        self.recounted = 0
+        self.others: Counter[str] = Counter()
 
     def begin(self, lines: Lines, time: tuple[float, float]) -> None:
         self.midnight.append(time[0])
@@ -217,10 +236,59 @@ class _EpochRows:
         self.start.append(len(self.sat))
         self.number.append(lines.number)
 
-    def add(self, sat: int, system: int, values: Sequence[float]) -> None:
-        self.sat.append(sat)
+    def add(self, lines: Lines, name: str, line: str, start: int) -> None:
+        """Take the observables of a satellite, which begin in a column of a line."""
+        letter = name[:1].strip() or "G"
+        system = SYSTEMS.get(letter)
+        if system is None:
+            self.others[OTHERS.get(letter, f"system {letter!r}")] += 1
+            return
+        signals = self._header.find_signals().get(letter)
+        if signals is None:
+            raise lines.error(f"the header lists no observables of system {letter!r}")
+        number = name[1:3]
+        if not number.strip().isdecimal():
+            raise lines.error(f"the number of a satellite must be a whole number; got {number!r}")
+        scales = self._header.find_scales(letter)
+        for of_carrier in signals:
+            values, band, slipped = self._choose(lines, line, start, of_carrier, scales)
+            self.values.extend(values)
+            self.band.append(band)
+            self.slipped.append(slipped)
+        self.sat.append(int(number))
         self.system.append(system)
-        self.values.extend(values)
+
+    def _choose(
+        self, lines: Lines, line: str, start: int, signals: Sequence[Signal], scales: list[float] | None
+    ) -> tuple[Sequence[float], int, bool]:
+        """Return code, Doppler, C/N0 and phase of the first signal with a code, its band, and a lost count.
+
+        A Doppler or C/N0 that it does not have is that of another signal of the carrier.
+        """
+        for chosen in signals:
+            code = _read_field(lines, line, start + 16 * chosen.code)
+            if code == code:
+                break
+        else:
+            return _NONE, 0, False
+        values = [code, np.nan, np.nan, np.nan]
+        places = [chosen.code, -1, -1, -1]
+        for one in (chosen, *signals):
+            if one.band != chosen.band:
+                continue
+            for k, place in ((1, one.doppler), (2, one.cn0)):
+                if place >= 0 and values[k] != values[k]:
+                    values[k], places[k] = _read_field(lines, line, start + 16 * place), place
+            if values[1] == values[1] and values[2] == values[2]:
+                break
+        slipped = False
+        if self._phase and chosen.phase >= 0:
+            a = start + 16 * chosen.phase
+            values[3], places[3] = _read_field(lines, line, a), chosen.phase
+            slipped = line[a + 14 : a + 15] in tuple("1357")  # bit 0 of the indicator
+        if scales is not None:
+            values = [v / scales[p] if p >= 0 else v for v, p in zip(values, places, strict=True)]
+        return values, chosen.band, slipped
 
     def keep_first(self, epochs: int) -> None:
         """Remove the epochs after the first ones."""
@@ -228,7 +296,8 @@ class _EpochRows:
             rows = self.start[epochs]
             for column in (self.midnight, self.second, self.start, self.number):
                 del column[epochs:]
-            del self.sat[rows:], self.system[rows:], self.values[6 * rows :]
+            del self.sat[rows:], self.system[rows:], self.values[_WIDTH * rows :]
+            del self.band[2 * rows :], self.slipped[2 * rows :]
 
     def find_increasing(self) -> BoolArray:
         """Mark a longest sequence of epochs (M,) whose times increase; of equal times, the first."""
@@ -255,10 +324,10 @@ class _EpochRows:
         return kept
 
 
-def _read_epochs(lines: Lines, header: _Header, version: int, rows: _EpochRows) -> None:
+def _read_epochs(lines: Lines, header: _Header, rows: _EpochRows) -> None:
     """Read every epoch; report a damaged one and go on at the next."""
-    head = _HEADS[version]
-    read = {2: _read_epoch_2, 3: _read_epoch_3}[version]
+    old = header.version < 3
+    head, read = _HEADS[2 if old else 3], _read_epoch_2 if old else _read_epoch_3
     while True:
         epochs = len(rows.start)
         try:
@@ -280,19 +349,19 @@ def _read_epochs(lines: Lines, header: _Header, version: int, rows: _EpochRows) 
             lines.skip_to(head)
 
 
-def _read_body(lines: Lines, version: int, k: int, count: int, content: str) -> str:
+def _read_body(lines: Lines, head: re.Pattern[str], k: int, count: int, content: str) -> str:
     """Return the next line of an epoch; raise ConfigError if the next epoch or the end comes first."""
     line = lines.read_line_of(f"{content} {k + 1} of {count} of the epoch")
-    if _HEADS[version].match(line):
+    if head.match(line):
         lines.put_back(line)
         raise lines.error(f"the epoch above has {k} of {count} {content}s", lines.number + 1)
     return line
 
 
-def _read_event(lines: Lines, header: _Header, version: int, flag: int, count: int) -> None:
+def _read_event(lines: Lines, header: _Header, head: re.Pattern[str], flag: int, count: int) -> None:
     header.moving |= flag == 2
     for k in range(count):
-        header.read(lines, _read_body(lines, version, k, count, "line"), version)
+        header.read(lines, _read_body(lines, head, k, count, "line"))
 
 
 def _read_epoch_3(lines: Lines, line: str, header: _Header, rows: _EpochRows) -> None:
@@ -300,19 +369,20 @@ def _read_epoch_3(lines: Lines, line: str, header: _Header, rows: _EpochRows) ->
     flag = lines.parse_whole(line, 31, 32, "the epoch flag")
     count = lines.parse_whole(line, 32, 35, "the number of satellites")
     if flag > 1:
-        _read_event(lines, header, 3, flag, count)
+        _read_event(lines, header, _HEADS[3], flag, count)
         return
     _check_count(lines, count)
     rows.begin(lines, read_calendar(lines, line, columns, False))
-    places = header.find_places()
-    for k in range(count):
-        line = _read_body(lines, 3, k, count, "satellite")
-        system = _SYSTEMS.get(line[:1].strip() or "-")
-        if system is None:
-            continue
-        if line[0] not in places:
-            raise lines.error(f"the header lists no observables of system {line[0]!r}")
-        rows.add(_read_number(lines, line[1:3]), system, _read_values(lines, line, places[line[0]], 3))
+    found = 0
+    while (body := lines.read_line()) is not None:
+        if not _SATELLITE.match(body):
+            lines.put_back(body)
+            break
+        found += 1
+        rows.add(lines, body[:3], body, 3)
+    if body is None and found < count:  # its last line may be cut off, too
+        raise lines.error(f"the file ends before satellite {found + 1} of {count} of the epoch")
+    rows.recounted += found != count  # its lines are sound: the epoch is kept
 
 
 def _read_epoch_2(lines: Lines, line: str, header: _Header, rows: _EpochRows) -> None:
@@ -320,22 +390,26 @@ def _read_epoch_2(lines: Lines, line: str, header: _Header, rows: _EpochRows) ->
     flag = lines.parse_whole(line, 28, 29, "the epoch flag")
     count = lines.parse_whole(line, 29, 32, "the number of satellites")
     if 2 <= flag <= 5:
-        _read_event(lines, header, 2, flag, count)
+        _read_event(lines, header, _HEADS[2], flag, count)
         return
     _check_count(lines, count)
     if flag < 2:
         rows.begin(lines, read_calendar(lines, line, columns, True))
-    names, more = line[32:68].ljust(36), (count - 1) // 12
-    for k in range(more):
-        names += _read_body(lines, 2, k, more, "further line")[32:68].ljust(36)
-    places = header.find_places()[" "]
+    listed = line[32:68].ljust(36)
+    more = lines.read_line()
+    while more is not None and _MORE_SATELLITES.match(more):
+        listed += more[32:68].ljust(36)
+        more = lines.read_line()
+    if more is not None:
+        lines.put_back(more)
+    names = [listed[k : k + 3] for k in range(0, len(listed), 3)]
+    names = [name for name in names if name.strip()]
+    rows.recounted += len(names) != count
     width = (len(header.types[" "]) + 4) // 5
-    for k in range(count):
-        name = names[3 * k : 3 * k + 3]
-        parts = [_read_body(lines, 2, k, count, "satellite")[:80].ljust(80) for _ in range(width)]
-        if flag < 2 and name[:1] in _SYSTEMS:
-            values = _read_values(lines, "".join(parts), places, 0)
-            rows.add(_read_number(lines, name[1:]), _SYSTEMS[name[0]], values)
+    for k, name in enumerate(names):
+        parts = [_read_body(lines, _HEADS[2], k, len(names), "satellite")[:80] for _ in range(width)]
+        if flag < 2:
+            rows.add(lines, name, "".join(part.ljust(80) for part in parts), 0)
 
 
 def _check_count(lines: Lines, count: int) -> None:
@@ -343,29 +417,14 @@ def _check_count(lines: Lines, count: int) -> None:
         raise lines.error(f"{count} satellites in one epoch are outside 0 to {_MOST_SATELLITES}")
 
 
-def _read_number(lines: Lines, text: str) -> int:
-    if not re.fullmatch(r" *\d+ *", text):
-        raise lines.error(f"the number of a satellite must be a whole number; got {text!r}")
-    return int(text)
-
-
-def _read_values(lines: Lines, line: str, bands: Sequence[Sequence[Places]], start: int) -> list[float]:
-    """Return code, Doppler and C/N0, each of both carriers, by the first code that the satellite has."""
-    chosen = []
-    for signals in bands:
-        read = [[_read_field(lines, line, place, start) for place in places] for places in signals]
-        read.sort(key=lambda values: np.isnan(values[0]))  # a stable sort: those with a code first
-        chosen.append([next((v for v in one if not np.isnan(v)), np.nan) for one in zip(*read, strict=True)])
-    first, second = (values or [np.nan] * 3 for values in chosen)
-    return [value for both in zip(first, second, strict=True) for value in both]
-
-
-def _read_field(lines: Lines, line: str, place: int | None, start: int) -> float:
-    if place is None:
-        return np.nan
-    a = start + 16 * place
+def _read_field(lines: Lines, line: str, a: int) -> float:
+    """Return the observation in a column; NaN where it is missing: blank or 0.0."""
     text = line[a : a + 14]
+    try:
+        if "_" not in text and abs(value := float(text)) < np.inf:
+            return value or np.nan
+    except ValueError:
+        pass
     if not text.strip():
         return np.nan
-    value = lines.parse_number(line, a, a + 14, "an observation")
-    return value if value != 0.0 else np.nan  # a missing value is blank or 0.0
+    return lines.parse_number(line, a, a + 14, "an observation") or np.nan

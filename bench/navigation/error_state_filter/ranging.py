@@ -19,7 +19,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import find_address, inner, types_of
-from bench.data import GLONASS, GPS, GnssObservations
+from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.engine.session import Growing, Kept, SessionState, require
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
@@ -33,6 +33,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
 from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, Index
+from bench.orbit_sets import GLONASS, GPS
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -43,6 +44,7 @@ from bench.signals.delays import (
     zenith_troposphere,
 )
 from bench.signals.orbits import GPS_EARTH_RATE, L1
+from bench.signals.processing import Processing
 from bench.specs import GnssSpec, SkySpec
 
 _E2 = WGS84.e2
@@ -104,7 +106,7 @@ def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[Fl
     With two bands assumed the range is the ionosphere-free combination (B-11).
     """
     free = spec is not None and spec.sky is not None and spec.sky.bands == 2
-    processing = receiver.Processing(ionosphere="free" if free else "klobuchar")
+    processing = Processing(ionosphere="free" if free else "klobuchar")
     values = np.column_stack(
         [receiver.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
     )

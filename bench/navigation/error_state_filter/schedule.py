@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
-from bench.data import GLONASS, GPS, EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
+from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import Rows, check_rows, give_slots, join_rows, take_rows
@@ -25,6 +25,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
 from bench.navigation.error_state_filter.state_blocks import assumed
 from bench.navigation.options import FixAccuracy
+from bench.orbit_sets import GLONASS, GPS
 from bench.specs import GnssSpec, ImuSpec
 
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)

@@ -21,7 +21,7 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import GLONASS, EventRow, InitialState, NavSolution, SensorData
+from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import long_records
 from bench.navigation.engine.gate import new_trust
@@ -73,6 +73,7 @@ from bench.navigation.start.steady_course import (
     has_large_bias,
 )
 from bench.navigation.start.turn_on import FromTurnOn
+from bench.orbit_sets import GLONASS
 from bench.specs import AssumedSpecs, ImuSpec
 
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]

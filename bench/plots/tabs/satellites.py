@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import GPS, SkyView
+from bench.data import SkyView
 from bench.findings.series import (
     AXIS_COLOURS,
     SLOW,
@@ -17,6 +17,7 @@ from bench.findings.series import (
     Series,
     draw_line,
 )
+from bench.orbit_sets import SYSTEM_NAMES, name_satellite
 from bench.palette import Colour
 from bench.plots.content import Content, Tab
 from bench.signals import dilution
@@ -38,7 +39,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     dop = dilution.compute_dop(start, _toward_n(sky), sky.system, sky.used)
     strength = [
         Plot(("satellites", "cn0", name), f"C/N0 of {name} satellites [dB-Hz]", series)
-        for name, code in (("GPS", GPS), ("GLONASS", 1 - GPS))
+        for code, name in enumerate(SYSTEM_NAMES)
         if (series := _strengths(sky, code, t))
     ]
     counts = (
@@ -51,17 +52,6 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     lines = Series("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS, (1.5,) * 3, most=SLOW)
     geometry = Plot(("satellites", "dop"), "Dilution of precision", (lines,))
     return {"": [[plot] for plot in (*strength, numbers, geometry)]}
-
-
-def name_of(system: int, sat: int) -> str:
-    """Return the RINEX name of a satellite.
-
-    Examples
-    --------
-    >>> name_of(0, 5)
-    'G05'
-    """
-    return f"{'GR'[system]}{sat:02d}"
 
 
 def find_epochs(sky: SkyView) -> tuple[IntArray, FloatArray]:
@@ -82,7 +72,7 @@ def _strengths(sky: SkyView, system: int, t: FloatArray) -> tuple[Series, ...]:
         mine = (sky.system == system) & (sky.sat == sat)
         values = np.full(len(t), np.nan)
         values[np.searchsorted(t, sky.t[mine])] = sky.cn0[mine]
-        name = name_of(system, int(sat))
+        name = name_satellite(system, int(sat))
         hue = colorsys.hsv_to_rgb(0.618 * float(sat) % 1.0, 0.7, 0.95)  # neighbours far apart
         colour = (int(255 * hue[0]), int(255 * hue[1]), int(255 * hue[2]))
         series.append(draw_line(name, t, values, name, colour))

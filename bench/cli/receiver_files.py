@@ -1,0 +1,99 @@
+"""The verb of the files of a GNSS receiver: fixes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.cli.group import (
+    FILE,
+    STATUS,
+    FiniteRange,
+    commands,
+    force_option,
+    json_option,
+    new_console,
+    out_option,
+)
+from bench.errors import DONE, NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("files", nargs=-1, required=True, type=FILE, metavar="OBSERVATIONS... NAVIGATION...")
+@click.option(
+    "--truth",
+    metavar="LAT,LON,H|FILE.csv",
+    help="where the antenna was, in deg and m (WGS 84), or its track as --out writes it  "
+    "[default: the header]",
+)
+@click.option(
+    "--systems",
+    default="all",
+    show_default=True,
+    metavar="NAME,...",
+    help="gps, glonass, galileo, beidou; both: GPS and GLONASS; auto: at each epoch one or all, those with "
+    "the least PDOP times sd",
+)
+@click.option(
+    "--ionosphere",
+    type=click.Choice(["klobuchar", "ntcm-g", "free", "none"]),
+    default="klobuchar",
+    help="broadcast model of GPS or of Galileo on the first carrier, the combination of two, or no delay",
+)
+@click.option(
+    "--troposphere",
+    type=click.Choice(["saastamoinen", "unb3m", "b-10"]),
+    default="saastamoinen",
+    help="vertical delay",
+)
+@click.option(
+    "--mapping",
+    type=click.Choice(["do-229", "cosecant"]),
+    default="do-229",
+    help="slant over vertical delay of the troposphere",
+)
+@click.option(
+    "--pressure-hpa", type=FiniteRange(800, 1100), default=1013.25, help="at sea level, for saastamoinen"
+)
+@click.option("--temperature-c", type=FiniteRange(-60, 60), default=15.0, help="the same")
+@click.option("--humidity-pct", type=FiniteRange(0, 100), default=50.0, help="the same; relative")
+@click.option("--mask-deg", type=FiniteRange(0, 60), default=10.0, help="lowest elevation used")
+@click.option("--robust", is_flag=True, help="less weight for ranges with large residuals: for cities")
+@click.option(
+    "--without",
+    multiple=True,
+    type=click.Choice(["sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks"]),
+    help="leave a correction out; clocks: one clock for all systems; repeat for more",
+)
+@click.option(
+    "--datum",
+    type=click.Choice(["WGS-84", "PZ-90.11", "SK-42"]),
+    default="WGS-84",
+    help="datum of the positions in --out",
+)
+@out_option("file for the fixes", "FILE.csv")
+@click.option("--report", type=FILE, metavar="FILE.html", help="write a page with the fixes and their errors")
+@force_option("file")
+@json_option("the figures")
+def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
+    """Compute the fixes of a GNSS receiver from its observations.
+
+    The files are those of one receiver and the navigation files of its day: RINEX 2, 3
+    or 4, as they are or as .gz, .Z or Compact RINEX, in any order. Position is from the
+    code, velocity from the Doppler if the file has it. Errors are relative to --truth,
+    else to the position in the header of the file.
+
+    \b
+    Example:
+      bench fixes site.crx.gz brdc.rnx.gz -o fixes.csv
+    """
+    from bench.workbench.fixes_verb import solve_fixes
+
+    figures = solve_fixes(files, console=new_console(stderr=as_json), **options)
+    if as_json:
+        from bench.store import to_json
+
+        click.echo(to_json(figures), nl=False)
+    return DONE if figures["fixes"] else NEGATIVE

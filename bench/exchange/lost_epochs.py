@@ -1,0 +1,65 @@
+"""Why a receiver has no fix: the first condition that leaves too few satellites of an epoch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from bench.arrays import BoolArray, IntArray
+from bench.data import GnssObservations
+from bench.orbit_sets import LETTERS
+from bench.signals import receiver
+from bench.signals.processing import Processing, parse_systems
+from bench.signals.receiver import ReceiverSolution
+
+
+def explain(
+    seen: GnssObservations, solution: ReceiverSolution, processing: Processing
+) -> tuple[list[str], IntArray]:
+    """Return reasons, and which of them (M,) each epoch without a fix has; -1: it has a fix."""
+    reasons: list[str] = []
+    found = np.full(len(seen.epoch_start) - 1, -1)
+    open_ = ~solution.fixes.valid
+    for words, rows in _list_conditions(seen, solution, processing):
+        few = open_ & (found < 0) & _are_few(seen, rows)
+        if few.any():
+            found[few] = len(reasons)
+            reasons.append(f"too few satellites with {words}")
+    rest = open_ & (found < 0)
+    if rest.any():
+        found[rest] = len(reasons)
+        reasons.append("the ranges do not agree with one position, and no satellite explains it")
+    return reasons, found
+
+
+def _are_few(seen: GnssObservations, rows: BoolArray) -> BoolArray:
+    """Return which epochs (M,) have fewer rows than unknowns: a position, and a clock for each system."""
+    M = len(seen.epoch_start) - 1
+    epoch = seen.epoch[rows]
+    system = seen.system[rows]
+    clocks = sum((np.bincount(epoch[system == k], minlength=M) > 0).astype(int) for k in range(len(LETTERS)))
+    few: BoolArray = np.bincount(epoch, minlength=M) < 3 + np.maximum(clocks, 1)
+    return few
+
+
+def _list_conditions(
+    seen: GnssObservations, solution: ReceiverSolution, processing: Processing
+) -> Iterator[tuple[str, BoolArray]]:
+    """Yield what a satellite must have to be used, and the rows (K,) that have it and all before."""
+    rows: BoolArray = np.asarray(np.isfinite(seen.pseudorange).any(axis=1))
+    yield "a pseudorange", rows
+    rows = rows & np.isin(seen.system, list(parse_systems(processing.systems)))
+    yield f"a pseudorange of --systems {processing.systems}", rows
+    rows = rows & np.isfinite(seen.sat_clock)
+    yield "a healthy ephemeris of the hour", rows
+    free = processing.ionosphere == "free"
+    carriers = "two carriers (--ionosphere klobuchar needs one)" if free else "the first carrier"
+    rows = rows & np.isfinite(receiver.correct_pseudoranges(seen, processing))
+    yield f"a pseudorange on {carriers}", rows
+    every = replace(processing, mask=-np.pi / 2, false_alarm=0.0, robust=False)
+    low = solution if (solution.wanted == rows).all() else receiver.solve_fixes(seen, every)
+    above = -low.los_n[:, 2] > np.sin(processing.mask)
+    solved = np.isfinite(low.los_n[:, 0])
+    yield f"an elevation above the mask, {np.rad2deg(processing.mask):g} deg", rows & (above | ~solved)

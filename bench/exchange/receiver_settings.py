@@ -1,0 +1,98 @@
+"""Solve the files of a receiver by options in the units of a user: degrees, hPa, Celsius, percent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import radians
+from pathlib import Path
+from typing import get_args
+
+from bench.errors import ConfigError
+from bench.exchange.fix_truth import read_truth
+from bench.exchange.rinex_fixes import RinexFixes, solve_files
+from bench.signals import delays
+from bench.signals.processing import CORRECTIONS, Ionosphere, Processing, parse_systems
+
+
+def solve_rinex(
+    observations: str | Path | Sequence[str | Path],
+    navigation: str | Path | Sequence[str | Path],
+    *,
+    systems: str = "all",
+    ionosphere: Ionosphere = "klobuchar",
+    troposphere: delays.Troposphere = "saastamoinen",
+    mapping: delays.Mapping = "do-229",
+    pressure_hpa: float = 1013.25,
+    temperature_c: float = 15.0,
+    humidity_pct: float = 50.0,
+    mask_deg: float = 10.0,
+    robust: bool = False,
+    without: Sequence[str] = (),
+    truth: str | Path | None = None,
+) -> RinexFixes:
+    """Compute the fixes of a GNSS receiver from its RINEX 2, 3 or 4 files, packed or not, epoch by epoch.
+
+    Parameters
+    ----------
+    systems : str
+        "gps", "glonass", "galileo", "beidou" or some of them with commas between; "both" GPS and GLONASS,
+        "all", or "auto": at each epoch those with the least PDOP times standard deviation.
+    ionosphere : str
+        Of the first carrier, by the broadcast parameters of GPS ("klobuchar") or of Galileo ("ntcm-g"), or
+        "none"; "free": the combination of two carriers.
+    troposphere : str
+        Model of the vertical delay: "saastamoinen", "unb3m" (a table by latitude and day) or "b-10".
+    mapping : str
+        Ratio of slant to vertical delay: "do-229", or "cosecant" of the elevation.
+    pressure_hpa, temperature_c, humidity_pct : float
+        SurfaceAir at sea level for "saastamoinen".
+    mask_deg : float
+        Lowest elevation used [deg].
+    robust : bool
+        Give large residuals less weight (IGG III), for places with reflections.
+    without : sequence of str
+        Corrections to leave out, of `bench.signals.processing.CORRECTIONS`.
+    truth : str, Path or None
+        Where the antenna was: "LAT,LON,H" [deg, deg, m] or a CSV file as ``write_csv`` writes it.
+
+    Returns
+    -------
+    solved : RinexFixes
+        ``fixes`` of the antenna [rad, rad, m; m/s, n], ``figures()`` of their errors, ``write_csv(path)``.
+
+    Raises
+    ------
+    ConfigError
+        If an option or a file is wrong.
+    """
+    try:
+        parse_systems(systems)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    _check_choice("ionosphere", [ionosphere], get_args(Ionosphere))
+    _check_choice("troposphere", [troposphere], get_args(delays.Troposphere))
+    _check_choice("mapping", [mapping], get_args(delays.Mapping))
+    _check_choice("without", without, CORRECTIONS)
+    weather = delays.SurfaceAir(100.0 * pressure_hpa, 273.15 + temperature_c, humidity_pct / 100.0)
+    processing = Processing(
+        systems=systems,
+        ionosphere=ionosphere,
+        troposphere=troposphere,
+        mapping=mapping,
+        weather=weather,
+        mask=radians(mask_deg),
+        robust=robust,
+        without=frozenset(without),
+    )
+    known = None if truth is None else read_truth(str(truth))
+    return solve_files(_list(observations), _list(navigation), processing, truth=known)
+
+
+def _list(files: str | Path | Sequence[str | Path]) -> list[Path]:
+    return [Path(file) for file in ([files] if isinstance(files, str | Path) else files)]
+
+
+def _check_choice(name: str, given: Sequence[str], choices: Sequence[str]) -> None:
+    for one in given:
+        if one not in choices:
+            raise ConfigError(f"{name} = {one!r} must be one of {', '.join(choices)}")

@@ -1,0 +1,75 @@
+"""The verb fixes: solve the files of a receiver, print what was found, and write the fixes and their report.
+
+It imports little: a day of a station is solved in less time than the rest of bench takes to load.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.errors import ConfigError
+from bench.exchange import rinex_fixes
+from bench.exchange.receiver_settings import solve_rinex
+from bench.exchange.rinex.lines import find_kind
+from bench.findings import FindingTable, make_table
+from bench.store.folders import check_file
+from bench.workbench.printing import print_findings
+
+_COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")
+_MOST = 8  # satellites on the screen; all are in the report
+
+
+def solve_fixes(
+    files: Sequence[Path],
+    *,
+    console: Console,
+    datum: str,
+    out: Path | None,
+    report: Path | None,
+    force: bool,
+    **options: Any,
+) -> dict[str, Any]:
+    """Solve receiver files, print and return the figures, and write the fixes and their report.
+
+    ``options`` are those of `bench.solve_rinex`; ``datum`` is that of the positions in ``out``.
+    """
+    if out is not None:
+        check_file(out, force=force)
+    if report is not None:
+        from bench.report import fixes_page, page
+
+        page.check_page(report, force=force)
+    kinds = {file: find_kind(file, str(file)) for file in files}
+    observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx")]
+    navigation = [file for file, kind in kinds.items() if file not in observations]
+    for found, words in ((observations, "observations"), (navigation, "navigation or orbits")):
+        if not found:
+            raise ConfigError(f"{', '.join(map(str, files))}: no file of {words} is among them")
+    solved = solve_rinex(observations, navigation, **options)
+    figures = solved.figures()
+    title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"
+    summary = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
+    tables = [_tabulate_satellites(solved), summary]
+    verdict = solved.verdict()
+    print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables)
+    if out is not None:
+        solved.write_csv(out, datum)
+        console.print(f"fixes in {datum}: {out}")
+    if report is not None:
+        from bench import durable
+
+        durable.write(report, fixes_page.make_page(solved))
+        console.print(f"Report: {report}", soft_wrap=True)
+    return figures | {"no_fix": solved.count_lost(), "verdict": verdict}
+
+
+def _tabulate_satellites(solved: rinex_fixes.RinexFixes) -> FindingTable:
+    """Return how often the satellites with the largest residuals were used and left out."""
+    all_of_them = solved.list_satellites()
+    worst = sorted(all_of_them, key=lambda one: (-one.excluded, -one.residual_rms))[:_MOST]
+    title = f"The {len(worst)} of {len(all_of_them)} satellites left out most often or with most residual"
+    return make_table("satellites", title, _COLUMNS, worst)

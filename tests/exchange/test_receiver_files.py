@@ -1,0 +1,355 @@
+"""Four systems, packed files and RINEX 4: stations of others are solved as well as they should be.
+
+Oracles: known positions of stations, the files that CRX2RNX 4.1 and compress 4.0 were given, the vectors of
+the NTCM-G model description, and another port of UNB3M.m.
+"""
+
+from __future__ import annotations
+
+import gzip
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import earth
+from bench.cli import main
+from bench.errors import ConfigError
+from bench.exchange.rinex import ephemerides, observations
+from bench.orbit_sets import BEIDOU, GALILEO, GPS
+from bench.signals import orbits
+from bench.signals.delays import compute_ntcm, zenith_troposphere
+from tests.data import gnss_file, stored_gnss_file
+
+ESBC = ("ESBC00DNK_2020177_GREC_1800s.rnx.gz", "ESBC00DNK_2020177_GREC_MN.rnx.gz")
+KMS3 = ("KMS300DNK_R_20221591000_01H_30S_MO.crx", "KMS300DNK_R_20221591000_01H_MN.rnx.gz")
+OPEC = ("OPEC00NOR_S_20220010000_04H_600S_MO.rnx.gz", "OPEC00NOR_S_20220010000_04H_MN.rnx.gz")
+SEPT = ("SEPT_2021078_1200_15M_30S_MO.rnx.gz", "SEPT_2021078_1200_15M_MN.rnx.gz")
+SURVEYED = "{:.10f},{:.10f},{:.4f}".format(
+    *np.rad2deg((there := earth.to_geodetic(np.array([-3962108.6617, 3381309.5232, 3668678.6410])))[:2]),
+    there[2],
+)
+
+
+@cache
+def solved(files, **options):
+    return bench.solve_rinex(stored_gnss_file(files[0]), stored_gnss_file(files[1]), **options)
+
+
+@pytest.mark.parametrize(
+    ("systems", "median", "most", "nees"),
+    [
+        ("gps", 1.6, 3.65, (0.5, 1.6)),
+        ("galileo", 1.25, 2.5, (0.3, 1.6)),
+        ("gps,galileo", 1.25, 2.46, (0.5, 1.6)),
+        ("beidou", 1.75, 4.5, (0.3, 1.6)),
+        ("both", 1.6, 3.65, (0.5, 1.6)),
+        ("all", 1.25, 2.46, (0.5, 1.6)),
+    ],
+)
+def test_every_choice_of_systems_reaches_what_the_station_allows(systems, median, most, nees):
+    """3D against the header of ESBC; medians of another open solver: 1.53 G, 1.35 E, 1.37 G + E."""
+    figures = solved(ESBC, systems=systems).figures()
+    assert figures["fixes"] == figures["epochs"] == 48
+    assert figures["epochs_with_exclusions"] <= 1
+    assert figures["3d_median_m"] < median
+    assert figures["3d_95_m"] < most
+    assert nees[0] < figures["nees_3"] < nees[1]
+
+
+@pytest.mark.parametrize(
+    ("files", "options", "median"),
+    [
+        (KMS3, {}, 1.7),
+        (OPEC, {}, 2.4),
+        (SEPT, {"truth": SURVEYED}, 1.9),
+        (ESBC, {"ionosphere": "ntcm-g"}, 2.0),
+        (ESBC, {"troposphere": "unb3m"}, 1.3),
+        (ESBC, {"robust": True}, 1.3),
+        (ESBC, {"ionosphere": "free", "systems": "gps,galileo"}, 1.6),
+        (OPEC, {"ionosphere": "free", "systems": "beidou"}, 4.0),
+    ],
+)
+def test_other_stations_and_models(files, options, median):
+    figures = solved(files, **options).figures()
+    assert figures["fixes"] == figures["epochs"]
+    assert figures["3d_median_m"] < median
+
+
+@pytest.mark.parametrize("systems", ["galileo", "beidou"])
+def test_group_delays_of_galileo_and_beidou_count(systems):
+    """Left out, the residuals of the satellites grow by more than a half."""
+    left = {
+        without: solved(ESBC, systems=systems, without=without).solution.residual
+        for without in ((), ("group-delay",))
+    }
+    right, wrong = (np.sqrt(np.nanmean(residual**2)) for residual in left.values())
+    assert wrong > 1.5 * right
+
+
+def test_the_two_messages_of_galileo_agree():
+    """Broadcast clocks of I/NAV and F/NAV differ by the two group delays: within 0.3 m of range."""
+    nav = ephemerides.read_navigation(stored_gnss_file(ESBC[1]))
+    inav, fnav = nav.galileo
+    assert (inav.message, fnav.message) == ("I/NAV", "F/NAV")
+    assert inav.system == fnav.system == GALILEO
+    apart, alone = [], []
+    for k in np.flatnonzero(inav.healthy):
+        same = np.flatnonzero((fnav.sat == inav.sat[k]) & (fnav.t == inav.t[k]) & fnav.healthy)
+        if len(same):
+            clocks = [
+                one.get("af_0")[j] - one.get(name)[j]
+                for one, j, name in ((inav, k, "group_delay_2"), (fnav, same[0], "group_delay"))
+            ]
+            apart.append(orbits.C * (clocks[0] - clocks[1]))
+            alone.append(orbits.C * (inav.get("af_0")[k] - fnav.get("af_0")[same[0]]))
+    assert len(apart) > 100
+    assert np.abs(apart).max() < 0.3
+    assert np.abs(alone).max() > 2 * np.abs(apart).max()
+
+
+def test_geostationary_satellites_of_beidou_stand_still():
+    """C05 over 58.75 deg east, 42 164 km from the centre; its velocity is the derivative of its position."""
+    nav = ephemerides.read_navigation(stored_gnss_file(ESBC[1]))
+    rows = np.flatnonzero(nav.beidou.sat == 5)[[0, 5, 10]]
+    t = nav.beidou.t[rows] + 1200.0
+    found = orbits.compute_states(nav.beidou, rows, t)
+    lla = earth.to_geodetic(found.pos_e)
+    assert_allclose(np.rad2deg(lla[:, 1]), 58.75, atol=1.5)
+    assert np.abs(np.rad2deg(lla[:, 0])).max() < 3.0
+    assert_allclose(np.linalg.norm(found.pos_e, axis=1), 42164e3, atol=60e3)
+    assert np.linalg.norm(found.vel_e, axis=1).max() < 200.0
+    ends = [orbits.compute_states(nav.beidou, rows, t + h).pos_e for h in (-0.5, 0.5)]
+    assert_allclose(found.vel_e, ends[1] - ends[0], atol=1e-4)
+    others = np.flatnonzero(nav.beidou.sat > 18)[:5]
+    moving = [orbits.compute_states(nav.beidou, others, nav.beidou.t[others] + h) for h in (-0.5, 0.0, 0.5)]
+    assert_allclose(moving[1].vel_e, moving[2].pos_e - moving[0].pos_e, atol=1e-4)
+
+
+def test_beidou_angles_in_semicircles_are_refused(capsys):
+    """As published: delta-n, M0 and the rest in semicircles; C05, where i0 does not tell, goes with them."""
+    files = [
+        str(stored_gnss_file(OPEC[0])),
+        str(stored_gnss_file("OPEC00NOR_CN_angles_in_semicircles.rnx.gz")),
+    ]
+    assert main(["fixes", *files, "--systems", "beidou"]) == 2
+    said = capsys.readouterr().err
+    assert "has no ephemeris of GPS, GLONASS, Galileo or BeiDou that can be read" in said
+    assert "not a BeiDou orbit; its angles may be in semicircles" in said
+
+
+# --- the files ---------------------------------------------------------------------------------------------
+
+
+def test_a_z_file_is_what_compress_was_given():
+    packed = observations.read_observations(stored_gnss_file("07590920.05o.Z"))
+    plain = observations.read_observations(gnss_file("07590920.05o"))
+    assert_allclose(packed.pseudorange, plain.pseudorange)
+    assert packed.t.tolist() == plain.t.tolist()
+
+
+def test_damaged_packed_files_get_one_line(tmp_path):
+    packed = bytearray(stored_gnss_file("07590920.05o.Z").read_bytes())
+    packed[2] = 0x07
+    (tmp_path / "a.Z").write_bytes(packed)
+    (tmp_path / "b.gz").write_bytes(stored_gnss_file(ESBC[0]).read_bytes()[:20000])
+    (tmp_path / "c.zip").write_bytes(b"PK\x03\x04" + bytes(100))
+    for name, said in (
+        ("a.Z", "a.Z: is not a .Z file that compress writes"),
+        ("b.gz", "b.gz: is damaged: Compressed file ended"),
+        ("c.zip", "c.zip: is a ZIP archive; unpack the file first"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            observations.read_observations(tmp_path / name)
+
+
+COMPACT = """\
+3.0                 COMPACT RINEX FORMAT                    CRINEX VERS   / TYPE
+RNX2CRX ver.4.1.0                       24-Nov-26 14:01     CRINEX PROG / DATE
+     3.05           OBSERVATION DATA    M                   RINEX VERSION / TYPE
+G    3 C1C L1C S1C                                          SYS / # / OBS TYPES
+C    2 C2I S2I                                              SYS / # / OBS TYPES
+  2020     6    25     0     0    0.0000000     GPS         TIME OF FIRST OBS
+                                                            END OF HEADER
+> 2020 06 25 00 00 00.0000000  0  2      G05C20
+
+3&20005000000 3&105026250000 3&40000 &7&8&&
+3&20020000000 3&30000 &5&&
+                 1                3         G07C20
+
+320800  250    &
+3&20007320800 3&105038434200 3&40250 &7&8&&
+320800 125
+> 2020 06 25 00 01 30.0000000  4  1
+a new antenna                                               COMMENT
+> 2020 06 25 00 02 00.0000000  0  2      G07C20
+
+3&20007657000  3&40500 &7&&&&
+3&20020657000 3&30250 &5&&
+                 3                3      C20G05G07
+
+351600 125
+3&20006008600 3&105031545150 3&40750 &7&8&&
+351600 3&105042045150 250    8
+                 4                2      G05  7&&&
+
+367000  250    &
+15400 1926750 0
+                 5                1         &&&
+
+15400 3&105035479500 0    8
+                 6
+
+0 2088450 0
+"""
+"""What RNX2CRX 4.1 made of the ranges 20 000 + n + 0.3131 k + 0.0077 k^2 km of satellite n at minute k."""
+
+
+def test_compact_rinex_is_restored(tmp_path):
+    """Values, arcs that begin and end, an event among the epochs."""
+    path = tmp_path / "file.crx"
+    path.write_text(COMPACT)
+    raw = observations.read_observations(path, phase=True)
+    minute = np.repeat(raw.t / 60.0, np.diff(raw.epoch_start))
+    numbers = [[5, 20], [5, 7, 20], [7, 20], [20, 5, 7], [5, 7], [5], [5]]
+    assert raw.sat.tolist() == [n for epoch in numbers for n in epoch]
+    expected = 20e6 + 1000.0 * raw.sat + 313.1 * minute + 7.7 * minute**2
+    assert_allclose(raw.pseudorange[:, 0], expected, atol=1e-3)
+    strength = np.where(raw.system == GPS, 40 + minute / 4, 30 + minute / 8)
+    assert_allclose(raw.cn0[:, 0], strength, atol=1e-9)
+    there = (raw.system == GPS) & ((minute + raw.sat) % 3 != 0)
+    assert_allclose(raw.phase[there, 0], 5.25 * expected[there], atol=2e-3)
+    assert np.isnan(raw.phase[~there, 0]).all()
+
+
+def test_a_damaged_line_of_compact_rinex_loses_epochs_until_it_begins_anew(tmp_path):
+    path = tmp_path / "file.crx"
+    path.write_text(COMPACT.replace("320800  250    &", "320x00  250    &", 1))
+    raw = observations.read_observations(path)
+    assert (raw.t / 60.0).tolist() == [0, 2, 3, 4, 5, 6]
+    assert raw.lost == 1
+    assert "the epoch cannot be restored" in raw.reasons[0]
+
+
+HEAD = """\
+{:9.2f}           OBSERVATION DATA    M                   RINEX VERSION / TYPE
+C    2 {} S2I                                              SYS / # / OBS TYPES
+{}                                                            END OF HEADER
+> 2020 06 25 00 00 00.0000000  0  1
+C20  20947300.931 8        41.000
+"""
+
+
+@pytest.mark.parametrize(
+    ("version", "code", "band"),
+    [(3.02, "C1I", 2), (3.02, "C1X", 2), (3.04, "C2I", 2), (3.05, "C1P", None), (4.01, "C1X", None)],
+)
+def test_b1i_of_beidou_by_version(tmp_path, version, code, band):
+    """1I is B1I; 1X too in 3.02 alone, B1C later on; B1C is not used, it has no group delay in D1."""
+    path = tmp_path / "file.rnx"
+    path.write_text(HEAD.format(version, code, ""))
+    raw = observations.read_observations(path)
+    assert raw.system.tolist() == [BEIDOU]
+    assert raw.band[0, 0] == (band or 0)
+    assert np.isfinite(raw.pseudorange[0, 0]) == (band is not None)
+
+
+def test_scale_factors(tmp_path):
+    path = tmp_path / "file.rnx"
+    path.write_text(HEAD.format(3.05, "C2I", f"{'C   10  1 C2I':60}SYS / SCALE FACTOR\n"))
+    raw = observations.read_observations(path)
+    assert_allclose(raw.pseudorange[0, 0], 2094730.0931)
+    assert raw.cn0[0, 0] == 41.0
+
+
+def test_rinex_4_messages():
+    nav = ephemerides.read_navigation(stored_gnss_file(KMS3[1]))
+    assert len(nav.gps) == 30  # and one of QZSS
+    assert len(nav.glonass) == 24
+    assert [len(one) for one in nav.galileo] == [55, 53]
+    assert len(nav.beidou) == 36
+    assert_allclose(nav.klobuchar[[0, 4]], [1.024454832077e-08, 9.6256e4])
+    assert_allclose(nav.level, [78.5, 0.5390625, 0.02713012695312])
+    assert nav.lost == 0
+
+
+# --- what the user sees ------------------------------------------------------------------------------------
+
+
+def test_truth_and_files_in_any_order(tmp_path, capsys):
+    track = tmp_path / "track.csv"
+    files = [str(stored_gnss_file(name)) for name in reversed(SEPT)]
+    assert main(["fixes", *files, "--truth", SURVEYED, "-o", str(track)]) == 0
+    said = capsys.readouterr().out
+    assert "not used: QZSS" in said
+    assert "what the covariances claim: NEES/3 is" in said
+    against = bench.solve_rinex(*(stored_gnss_file(n) for n in SEPT), truth=track).figures()
+    assert against["3d_95_m"] < 2e-3  # its own fixes
+    assert main(["fixes", *files, "--truth", "91,0,0"]) == 2
+    assert "is no place on Earth" in capsys.readouterr().err
+    assert main(["fixes", files[0]]) == 2
+    assert "no file of observations is among them" in capsys.readouterr().err
+
+
+def test_each_lost_epoch_has_a_reason(tmp_path):
+    """Satellites taken from some epochs: those and no others are lost, and the summary says where and why."""
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    head, *epochs = text.split("\n>")
+    lines = epochs[7].split("\n")
+    epochs[7] = "\n".join([lines[0].replace(" 23", "  3"), *lines[1:4]])
+    path = tmp_path / "cut.rnx"
+    path.write_text("\n>".join([head, *epochs]))
+    found = bench.solve_rinex(path, stored_gnss_file(SEPT[1]), truth=SURVEYED)
+    assert found.fixes.valid.tolist() == [k != 7 for k in range(30)]
+    assert found.count_lost() == {"too few satellites with a pseudorange": 1}
+    assert any("no fix at 1 of 30 epochs, the first at 2021-03-19 12:03:30" in note for note in found.notes)
+
+
+# --- models ------------------------------------------------------------------------------------------------
+
+NTCM = {
+    (236.831641, -0.39362878, 0.00402826613): [
+        (0, -62.34, 82.49, 78.11, 8.23, 54.29, 20281546.18, 33.7567),
+        (8, -62.34, 82.49, 78.11, 84.26, 54.68, 20305726.79, 33.8241),
+        (0, -52.81, 5.25, -25.76, -89.48, -29.05, 20081457.33, 125.2377),
+        (20, -52.81, 5.25, -25.76, 10.94, 44.72, 20450566.19, 252.0204),
+    ],
+    (121.129893, 0.351254133, 0.0134635348): [
+        (0, 40.19, -3.00, -23.32, 76.65, -41.43, 20157673.93, 28.3208),
+        (8, 40.19, -3.00, -23.32, 89.22, -40.56, 20055109.63, 149.9891),
+        (12, 115.89, -31.80, 12.78, 133.47, -24.87, 19975574.41, 21.5454),
+        (20, 115.89, -31.80, 12.78, 50.87, -50.69, 20186511.77, 12.4908),
+    ],
+    (2.580271, 0.127628236, 0.0252748384): [
+        (0, 141.13, 39.14, 117.00, 165.14, -13.93, 20181976.50, 51.5270),
+        (16, 141.13, 39.14, 117.00, 161.97, 13.35, 20265041.53, 10.1019),
+        (0, -155.46, 19.80, 3754.69, 179.32, 9.92, 20274303.54, 41.9874),
+        (20, -155.46, 19.80, 3754.69, -82.52, 20.64, 19937791.48, 67.4750),
+    ],
+}
+"""Level -> UT [h], receiver and satellite (longitude, latitude [deg], height [m]), STEC [TECU], day 105."""
+
+
+@pytest.mark.parametrize("level", NTCM)
+def test_ntcm_g_against_its_official_vectors(level):
+    """Tables of the NTCM-G model description 1.0, to the last digit given."""
+    for hour, *place, expected in NTCM[level]:
+        there, sat = (
+            np.array([np.deg2rad(lat), np.deg2rad(lon), alt]) for lon, lat, alt in (place[:3], place[3:])
+        )
+        los = earth.to_ecef(sat) - earth.to_ecef(there)
+        north, east, down = (los / np.linalg.norm(los)) @ earth.matrix_en(there[0], there[1])
+        el, azimuth = np.arcsin(-down), np.arctan2(east, north)
+        delay = compute_ntcm(*(np.array([v]) for v in (*there[:2], el, azimuth, hour)), 105.0, level)
+        assert abs(delay[0] / (40.3e16 / orbits.L1**2) - expected) < 1e-4 + 5e-6 * expected
+
+
+@pytest.mark.parametrize(
+    ("lat", "alt", "day", "expected"),
+    [(50, 100, 28, 2.3314), (50, 100, 210.6, 2.4385), (-34, 500, 28, 2.3706), (5, 0, 100, 2.5862),
+     (80, 1200, 300, 1.9979)],
+)  # fmt: skip
+def test_unb3m_against_another_port(lat, alt, day, expected):
+    assert abs(zenith_troposphere(np.deg2rad(lat), alt, "unb3m", day=day) - expected) < 1e-4
