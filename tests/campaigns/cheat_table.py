@@ -16,6 +16,7 @@ from bench.campaigns import card, running
 from bench.campaigns.card_suite import LATE, QUICK
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.specs import Guard
+from tests.measured import stamp, write_measured
 
 _PLAIN = "s-turns-matched"
 
@@ -88,6 +89,7 @@ def main() -> None:
     print("| who | what the card says |\n|---|---|")
     for who, said in make_rows():
         print(f"| {who} | {said} |", flush=True)
+    print(f"\n{write_measured([stamp()])}")
 
 
 if __name__ == "__main__":

@@ -16,6 +16,8 @@ from bench.campaigns.worker import hash_answers
 from bench.cli import main
 from bench.config import load_profile
 from bench.specs import Guard
+from bench.workbench import guide
+from tests.campaigns.cheat_table import CHEATS
 from tests.campaigns.test_campaign import PROFILE
 
 DRAWS = 3
@@ -237,3 +239,11 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     Path("need.toml").write_text("[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 1.0\nflight = 'moon'\n")
     assert main([*own, "--require", "need.toml"]) == 2
     assert "need.toml: [[requirement]] 1: no flight 'moon'; there are plain" in capsys.readouterr().err
+
+
+def test_the_guide_has_a_row_for_each_cheat_of_its_table():
+    page = (guide.FOLDER / "card.md").read_text(encoding="utf-8")
+    table = page.partition("| who | what the card says |\n|---|---|\n")[2].partition("\n\n")[0]
+    assert [row.split(" | ")[0].removeprefix("| ") for row in table.splitlines()] == [
+        one.words for one in CHEATS
+    ]
