@@ -45,7 +45,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Skip the tests of an estimator of gtsam where that is not installed."""
     chosen = getattr(getattr(item, "callspec", None), "params", {}).values()
-    if {"invariant-ekf", "graph-smoother"} & {one for one in chosen if isinstance(one, str)}:
+    if "graph-smoother" in [one for one in chosen if isinstance(one, str)]:
         pytest.importorskip("gtsam", reason="the extra 'graph' is not installed")
 
 

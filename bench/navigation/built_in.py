@@ -112,7 +112,7 @@ def _import_least_squares() -> type[Estimator]:
 
 
 def _import_invariant_ekf() -> type[Estimator]:
-    from bench.navigation.models.graph.invariant_ekf import InvariantEkf
+    from bench.navigation.models.invariant_ekf import InvariantEkf
 
     return InvariantEkf
 
@@ -217,11 +217,10 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         _NO_FORM,
     ),
     "invariant-ekf": BuiltIn(
-        "invariant EKF of gtsam on SE2(3), nine states; IMU biases act as noise; slow (extra 'graph')",
+        "loose-15 as an invariant EKF on SE2(3): errors in body axes; fixes only; slow",
         _import_invariant_ekf,
         lambda: _options().InvariantOptions,
         {},
-        package="gtsam",
     ),
     "graph-smoother": BuiltIn(
         "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow (extra 'graph')",

@@ -348,10 +348,8 @@ class LeastSquaresOptions(ClassicOptions):
 class InvariantOptions(GateOptions):
     """Options of the invariant filter."""
 
-    bias_time: NotNegative = 10.0
-    """How long an error of the IMU lasts that acts as noise [s]; 0: the IMU has none."""
     flat: bool = False
-    """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
+    """Take the Earth as flat and at rest: no Earth rate, no change of gravity."""
 
 
 class GraphOptions(GateOptions):

@@ -1,6 +1,6 @@
 """Print how often tuning finds four wrong noises, and how often its intervals hold the right ones.
 
-``python -m tests.campaigns.tune_power`` takes half an hour of CPU: 100 tunings of `loose-15`, whose model is
+``python -m tests.campaigns.tune_power`` takes two hours of CPU: 100 tunings of `loose-15`, whose model is
 right but for the sizes of four noises, each on 8 draws of its own of a short flight.
 """
 

@@ -203,8 +203,6 @@ def assert_bits_of_the_whole(use, cuts, asked):
 @pytest.mark.parametrize("use", OTHERS)
 def test_the_filters_that_are_not_compiled_end_with_the_bits_of_the_whole_too(use, tmp_path):
     """Cut anywhere, asked between, saved and gone on with; the first piece has one sample, others none."""
-    if use == "invariant-ekf":
-        pytest.importorskip("gtsam")
     draw = np.random.default_rng(len(use))
     filter_, data = opened(use)
     found = []

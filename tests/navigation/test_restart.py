@@ -184,8 +184,6 @@ def test_without_fixes_after_the_gap_it_does_not_start_again(truth, draws):
 @pytest.mark.parametrize("name", ["loose-22", "loose-mems", "classic-22", "ukf", "smoother", "invariant-ekf"])
 def test_every_filter_with_fixes_starts_again(truth, draws, name):
     """One draw, five seconds without IMU in a turn, then a minute."""
-    if name == "invariant-ekf":  # has no states of the biases to go on with
-        pytest.importorskip("gtsam")
     drawn = draws[0]
     data = with_gap(drawn.data, 22.0, 5.0)
     data = replace(data, imu=take(data.imu, data.imu.t < 80.0), output_t=data.output_t[data.output_t < 79.5])

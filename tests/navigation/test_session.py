@@ -81,8 +81,6 @@ def undeclared(before: dict[int, tuple[SessionState, dict[str, Any]]], whole: Se
 @pytest.mark.parametrize("use", EVERY)
 def test_no_filter_changes_what_it_does_not_declare_and_all_it_declares_is_carried(use):
     """Fed in pieces nothing else changes; what it saves half way lets another go on with the same bits."""
-    if use == "invariant-ekf":
-        pytest.importorskip("gtsam")
     initial, data = record(use)
     head, estimator = take_head(data), loaded(use)
     filter_ = estimator.in_pieces(head, initial, [])

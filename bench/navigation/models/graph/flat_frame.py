@@ -88,10 +88,15 @@ class FlatFrame:
     def begin(self, initial: InitialState) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return attitude, position, velocity of a start and P (9, 9), as :meth:`answer` takes them."""
         p_t, C_tn = self.locate(initial.lla)
-        C_nb = rotation.matrix(initial.q_nb)
+        J = self.turn_errors(initial)
+        return C_tn @ rotation.matrix(initial.q_nb), p_t, C_tn @ initial.vel_n, J @ initial.cov @ J.T
+
+    @staticmethod
+    def turn_errors(initial: InitialState) -> FloatArray:
+        """Return J (9, 9): errors as gtsam has them are J times those of a start."""
         J = np.zeros((9, 9))
-        J[3:6, 0:3] = J[6:9, 3:6] = J[0:3, 6:9] = -C_nb.T
-        return C_tn @ C_nb, p_t, C_tn @ initial.vel_n, J @ initial.cov @ J.T
+        J[3:6, 0:3] = J[6:9, 3:6] = J[0:3, 6:9] = -rotation.matrix(initial.q_nb).T
+        return J
 
 
 def schedule_fixes(first: SensorData, initial: InitialState, events: list[EventRow]) -> Schedule:
