@@ -366,7 +366,7 @@ def describe_suite(card: Card) -> str:
     return f"suite {card.suite}, {card.suite_hash}, {card.draws} draws of each flight; 95 % intervals"
 
 
-def read_card(path: Path) -> Card:
+def read_card(path: str | Path) -> Card:
     """Read a card from a file.
 
     Raises
@@ -374,7 +374,7 @@ def read_card(path: Path) -> Card:
     ConfigError
         If the file is not a card.
     """
-    card = check_table(Card, read_json(path), str(path))
+    card = check_table(Card, read_json(Path(path)), str(path))
     if not any(line.topic == "convergence" for line in card.lines):
         raise ConfigError(f"{path}: no card: none of its lines has the topic 'convergence'")
     return card

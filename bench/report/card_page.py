@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from statistics import median
 
 from bench import durable
 from bench.campaigns.card import Card, describe_suite
 from bench.campaigns.card_lines import CONVENTIONS, Line
 from bench.findings.looks import find_look
 from bench.report import page
+from bench.report.forest import RatioRow, draw_ratios
 from bench.wording import format_number
 
 _TITLES = {
@@ -30,6 +33,16 @@ _TITLES = {
     "speed": "How fast is it?",
 }
 """Topic -> its heading, in the order of the page."""
+
+_DRAWN = {
+    "accuracy": "Horizontal error over that of {}",
+    "heading": "Heading error over that of {}",
+    "honesty": "NEES over its expectation",
+}
+"""Topics that have a picture -> what it shows."""
+
+_UNITS = {"accuracy": "m", "height": "m", "velocity": "m/s", "tilt": "deg", "heading": "deg"}
+"""Topics whose draws are errors -> their unit."""
 
 
 def write_card(path: Path, card: Card) -> None:
@@ -53,16 +66,40 @@ def write_card(path: Path, card: Card) -> None:
         title=f"Card of {card.estimator}",
         card=card,
         suite=describe_suite(card),
+        pictures=list(_draw(card)),
         topics=[(title, rows) for title, rows in topics if rows],
     )
     durable.write(path, text)
 
 
-def _make_row(line: Line) -> tuple[str, str, str, str, str, str]:
-    """Return flight, figure, value, interval, class and sentence of a line."""
+def _draw(card: Card) -> Iterator[tuple[str, str]]:
+    """Yield title and drawing of the topics that have a picture."""
+    for topic, title in _DRAWN.items():
+        rows = [
+            RatioRow(line.flight, line.value, line.low, line.high, _find_kind(line))
+            for line in card.lines
+            if line.topic == topic
+        ]
+        if rows:
+            title = title.format(card.against)
+            yield title, draw_ratios(title, rows)
+
+
+def _find_kind(line: Line) -> str:
+    return find_look(line.word).kind if line.topic == "honesty" else ""
+
+
+def _describe_size(line: Line) -> str:
+    """Return the median error of the draws; empty for what is none."""
+    draws = [value for value in line.by_draw if value is not None]
+    unit = _UNITS.get(line.topic)
+    return f"{format_number(median(draws), 3)} {unit}" if unit and draws else ""
+
+
+def _make_row(line: Line) -> tuple[str, str, str, str, str, str, str]:
+    """Return flight, figure, value, interval, size, class and sentence of a line."""
     ends = " to ".join("open" if end is None else format_number(end) for end in (line.low, line.high))
-    kind = find_look(line.word)[0] if line.topic == "honesty" else ""
     text = line.sentence.removeprefix(f"{line.flight}: ").removeprefix(f"{line.topic}: ")
     never = "never" if line.topic in ("convergence", "coverage") else "-"
     value = never if line.value is None else format_number(line.value)
-    return line.flight, line.figure, value, ends, kind, text
+    return line.flight, line.figure, value, ends, _describe_size(line), _find_kind(line), text

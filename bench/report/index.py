@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench import durable, store
 from bench.errors import ConfigError
-from bench.findings.looks import find_look
+from bench.evaluation.headline import make_headline
 from bench.report import page
 from bench.wording import format_number
 
@@ -28,6 +30,8 @@ class _IndexRow(NamedTuple):
     kind: str  # class of the verdict
     error: str  # horizontal [m]
     claimed: str  # [m]
+    unit: str  # the IMU
+    written: str  # day, local time
 
 
 def find_folders(root: Path) -> list[Path]:
@@ -61,8 +65,12 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
 
 
 def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_IndexRow]:
-    name = folder.relative_to(root).as_posix()
-    title = str(summary["profile"].get("title", ""))
+    name = Path(os.path.relpath(folder, root)).as_posix()
+    profile = summary["profile"]
+    title = str(profile.get("title", ""))
+    on_board = profile.get("sensors") or profile.get("assumed") or {}
+    written = datetime.fromtimestamp((folder / store.RESULT).stat().st_mtime)
+    heads = {label: make_headline(label, values) for label, values in summary["metrics"].items()}
     return [
         _IndexRow(
             name,
@@ -71,10 +79,12 @@ def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_Index
             int(summary["seed"]),
             int(summary["run"]),
             label,
-            str(values.get("verdict", "")),
-            find_look(str(values.get("verdict", "")))[0],
+            heads[label].word,
+            heads[label].look.kind,
             format_number(values.get("pos_rmse_h_m")),
             format_number(values.get("pos_claimed_h_m")),
+            str(on_board.get("imu") or ""),
+            f"{written:%Y-%m-%d %H:%M}",
         )
         for label, values in summary["metrics"].items()
     ]

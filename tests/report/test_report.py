@@ -20,6 +20,7 @@ from bench.evaluation.key_figures import list_key_figures
 from bench.evaluation.metric_words import format_metric
 from bench.findings.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
+from bench.report.forest import RatioRow, draw_ratios
 from tests.test_api import SHORT
 
 HOSTILE = "<script>alert(1)</script>\u202e\x1b[2J"
@@ -243,3 +244,26 @@ def test_a_legend_covers_neither_lines_nor_titles(result, tab, width):
             across = min(legend.x1, other.x1) - max(legend.x0, other.x0)
             up = min(legend.y1, other.y1) - max(legend.y0, other.y0)
             assert min(across, up) <= 1.0  # [pixel] of 300 an inch
+
+
+def test_an_index_written_elsewhere_names_the_folders_relative_to_itself(result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bench.save(result, "runs/short")
+    (tmp_path / "pages").mkdir()
+    assert main(["report", "runs", "-o", str(tmp_path / "pages" / "index.html")]) == 0
+    text = (tmp_path / "pages" / "index.html").read_text(encoding="utf-8")
+    assert "../runs/short" in text
+    assert f"<td>{result.profile['sensors']['imu']}</td>" in text
+
+
+def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
+    rows = [("one", 1.0, 0.5, 2.0), ("open", 10.0, 5.0, None), ("none", None, None, None)]
+    drawn = draw_ratios("error", [RatioRow(*row) for row in rows])
+    unit = float(re.search(r'class="unit" d="M([\d.]+) ', drawn)[1])
+    dots = [float(x) for x in re.findall(r'<circle cx="([\d.]+)"', drawn)]
+    bars = [tuple(map(float, one)) for one in re.findall(r'<path d="M([\d.]+) [\d.]+H([\d.]+)"/>', drawn)]
+    assert dots[0] == unit
+    assert bars[0][0] < dots[0] < bars[0][1]
+    assert bars[0][1] - dots[0] == pytest.approx(dots[0] - bars[0][0], abs=0.2)  # a logarithmic axis
+    assert len(dots) == 2
+    assert bars[1][1] > max(dots)
