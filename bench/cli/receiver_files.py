@@ -62,6 +62,14 @@ from bench.errors import DONE, NEGATIVE
 @click.option("--mask-deg", type=FiniteRange(0, 60), default=10.0, help="lowest elevation used")
 @click.option("--robust", is_flag=True, help="less weight for ranges with large residuals: for cities")
 @click.option(
+    "--smooth-s",
+    type=FiniteRange(0, 600),
+    default=0.0,
+    metavar="S",
+    help="smooth ranges with their carrier phase over S seconds, for data every few seconds  "
+    "[default: 0, off]",
+)
+@click.option(
     "--without",
     multiple=True,
     type=click.Choice(["sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks"]),
@@ -81,7 +89,7 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute the fixes of a GNSS receiver from its observations.
 
     The files are those of one receiver and the navigation files of its day: RINEX 2, 3
-    or 4, as they are or as .gz, .Z or Compact RINEX, in any order. Position is from the
+    or 4, as they are or as .gz, .Z or Compact RINEX, or u-blox UBX, in any order. Position is from the
     code, velocity from the Doppler if the file has it. Errors are relative to --truth,
     else to the position in the header of the file.
 

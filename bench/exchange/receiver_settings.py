@@ -27,6 +27,7 @@ def solve_rinex(
     humidity_pct: float = 50.0,
     mask_deg: float = 10.0,
     robust: bool = False,
+    smooth_s: float = 0.0,
     without: Sequence[str] = (),
     truth: str | Path | None = None,
 ) -> RinexFixes:
@@ -50,6 +51,8 @@ def solve_rinex(
         Lowest elevation used [deg].
     robust : bool
         Give large residuals less weight (IGG III), for places with reflections.
+    smooth_s : float
+        Smooth ranges with their carrier phase over as long as this [s] (Hatch); 0: not.
     without : sequence of str
         Corrections to leave out, of `bench.signals.processing.CORRECTIONS`.
     truth : str, Path or None
@@ -85,7 +88,7 @@ def solve_rinex(
         without=frozenset(without),
     )
     known = None if truth is None else read_truth(str(truth))
-    return solve_files(_list(observations), _list(navigation), processing, truth=known)
+    return solve_files(_list(observations), _list(navigation), processing, truth=known, window=smooth_s)
 
 
 def _list(files: str | Path | Sequence[str | Path]) -> list[Path]:

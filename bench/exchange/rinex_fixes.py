@@ -18,9 +18,11 @@ from bench.errors import ConfigError
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
+from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations
-from bench.orbit_sets import SYSTEM_NAMES, name_satellite
-from bench.signals import dilution, receiver
+from bench.exchange.ubx import read_ubx
+from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
+from bench.signals import dilution, orbits, receiver, smoothing
 from bench.signals.orbits import DAY
 from bench.signals.processing import Processing
 
@@ -245,6 +247,7 @@ def solve_files(
     processing: Processing,
     *,
     truth: Truth | None = None,
+    window: float = 0.0,
 ) -> RinexFixes:
     """Solve observation files of one receiver epoch by epoch with the ephemerides of navigation files.
 
@@ -253,16 +256,22 @@ def solve_files(
     ConfigError
         If a file is wrong, or no ephemeris fits the observations.
     """
-    raw = merge_observations([read_observations(path, str(path)) for path in observations])
+    raw = merge_observations([_read(path, window > 0) for path in observations])
     nav = merge_navigation([read_navigation(path, str(path)) for path in navigation])
     processing, notes = _choose_ionosphere(raw, nav, processing)
+    pseudorange, noise = raw.pseudorange, None
+    if window > 0:
+        pseudorange, noise = _smooth(raw, nav, window)
+        if not np.isfinite(raw.phase).any():
+            raise ConfigError(f"{raw.shown}: has no carrier phase to smooth its ranges with")
     seen = receiver.make_observations(
+        noise=noise,
         t=raw.t,
         epoch_start=raw.epoch_start,
         sat=raw.sat,
         system=raw.system,
         band=raw.band,
-        pseudorange=raw.pseudorange,
+        pseudorange=pseudorange,
         doppler=raw.doppler,
         cn0=raw.cn0,
         sets={k: [one.shift_origin(raw.origin) for one in sets] for k, sets in nav.list_sets().items()},
@@ -287,6 +296,29 @@ def solve_files(
     if truth is None and solved.moving and raw.approximate_e is not None and solved.fixes.valid.any():
         notes.append("the receiver moves: its fixes are not compared with the position in the header")
     return replace(solved, notes=tuple(notes))
+
+
+def _read(path: Path, phase: bool) -> ObservationFile:
+    if find_kind(path, str(path)) == "ubx":
+        return read_ubx(path, str(path))
+    return read_observations(path, str(path), phase=phase)
+
+
+def _smooth(raw: ObservationFile, nav: NavigationFile, window: float) -> tuple[FloatArray, FloatArray]:
+    """Return smoothed ranges (K, 2), and the noise (K,) of the first carrier's over that of the code."""
+    t = np.repeat(raw.t, np.diff(raw.epoch_start))
+    channels = np.zeros(256, np.int64)
+    channels[nav.glonass.sat] = nav.glonass.channel
+    channel = np.where(raw.system == GLONASS, channels[raw.sat.clip(0, 255)], 0)
+    ranges, noise = raw.pseudorange.copy(), np.ones(len(t))
+    for k in range(2):
+        found = smoothing.smooth_ranges(
+            t, 1000 * raw.system + raw.sat, raw.pseudorange[:, k], raw.phase[:, k], raw.doppler[:, k],
+            raw.slipped[:, k], orbits.find_frequency(raw.system, raw.band[:, k], channel), window,
+        )  # fmt: skip
+        ranges[:, k] = found.pseudorange
+        noise = found.noise if k == 0 else noise
+    return ranges, noise
 
 
 def _choose_ionosphere(

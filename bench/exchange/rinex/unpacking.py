@@ -39,6 +39,20 @@ def open_text(path: Path, shown: str) -> TextIO:
     return path.open(encoding="latin-1", newline="")
 
 
+def open_bytes(path: Path, shown: str) -> bytes:
+    """Return the content of a file, packed with gzip or not; errors as for :func:`open_text`."""
+    with path.open("rb") as file:
+        packed = file.read(2) == _GZIP
+    try:
+        with gzip.open(path) if packed else path.open("rb") as file:
+            content: bytes = file.read(MOST_UNPACKED + 1)
+    except DAMAGED as error:
+        raise ConfigError(f"{shown}: is damaged: {error}") from None
+    if len(content) > MOST_UNPACKED:
+        raise ConfigError(f"{shown}: unpacks to more than {MOST_UNPACKED / 1e9:g} GB")
+    return content
+
+
 DAMAGED = (EOFError, gzip.BadGzipFile, zlib.error)
 """What reading a damaged gzip file raises."""
 
