@@ -30,15 +30,25 @@ def make_page(solved: RinexFixes) -> str:
         "fixes.html.jinja",
         title=f"Fixes of {solved.name}",
         facts=[f"{solved.day}, GPS time", f"{len(fixes)} epochs", f"{int(good.sum())} fixes"],
-        notes=solved.notes,
+        notes=[*filter(None, [solved.verdict()]), *solved.notes],
+        satellites=[
+            (one.name, one.epochs, one.excluded, *(format_number(v) for v in one[3:]))
+            for one in solved.list_satellites()
+        ],
         figures=[
             (name, format_number(value) if isinstance(value, float) else str(value))
             for name, value in figures.items()
         ],
-        against="the position in the header of the file" if compared else "the median of the fixes",
+        against=_name_reference(solved, compared),
         track=svg.draw_track([], error[good, :2]) if good.any() else "",
         plots=[page.make_figure(plot, window, ()) for plot in plots],
     )
+
+
+def _name_reference(solved: RinexFixes, compared: bool) -> str:
+    if not compared:
+        return "the median of the fixes"
+    return "the position in the header of the file" if solved.truth is None else "the truth"
 
 
 def _find_errors(solved: RinexFixes, compared: bool) -> FloatArray:
