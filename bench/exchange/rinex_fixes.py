@@ -33,6 +33,7 @@ _HEADER = (
 )
 _MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is a few cm/s; assumed [m/s]
 _MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
+_MOST_LINES = 6  # of parts that are left out; a file of another kind has hundreds
 _HONEST = (0.5, 1.6)  # mean NEES over 3 of a day whose claim fits; the errors of a day hang together; assumed
 
 
@@ -377,9 +378,9 @@ def merge_observations(files: Sequence[ObservationFile]) -> ObservationFile:
 
 
 def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:
-    """Return a line for each part of a file that is left out, and one that counts those not listed."""
-    more = file.lost - len(file.reasons)
-    lines = [f"{part} left out: {reason}" for reason in file.reasons]
+    """Return a line for the first parts of a file that are left out, and one that counts the others."""
+    lines = [f"{part} left out: {reason}" for reason in file.reasons[:_MOST_LINES]]
+    more = file.lost - len(lines)
     return [*lines, f"{part} left out: {more} more"] if more else lines
 
 
