@@ -11,6 +11,8 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
+import numpy as np
+
 from bench import closed_loop, disk_arrays, store
 from bench.compiled import read_compile_time, watch_compiling
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
@@ -22,6 +24,7 @@ from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 from bench.stages import FLYING, Stages, Watcher
+from bench.units import SAME_INSTANT
 
 
 def fly(
@@ -113,12 +116,20 @@ def judge(
     solution: NavSolution,
     drawn: SensorTruth | None = None,
     data: SensorData | None = None,
+    *,
+    flew: bool = False,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics; those of biases if the true ones are given.
 
-    The sensor ``data`` may excuse a silence.
+    The sensor ``data`` may excuse a silence. A solution that ``flew`` the aircraft is held against its path.
     """
     from bench.evaluation import metrics
+    from bench.flight.desired_path import measure_off_path
+
+    path = None
+    if flew and isinstance(profile.flight, FlightSpec):
+        rows = np.searchsorted(truth.t, solution.t - SAME_INSTANT)
+        path = measure_off_path(profile.flight, truth, rows)
 
     return metrics.judge(
         truth,
@@ -129,6 +140,7 @@ def judge(
         assumed=profile.sensors.assumed,
         drawn=drawn,
         data=data,
+        path=path,
     )
 
 
@@ -236,7 +248,8 @@ def _run(
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
     for label, solution in solutions.items():
-        judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data)
+        flew = label == closed_loop.LABEL
+        judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data, flew=flew)
         disk_arrays.release()
     metrics = {
         label: {

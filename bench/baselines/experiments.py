@@ -130,19 +130,21 @@ class FlightDraws:
         self.truth_digest = ""
         pipeline.build_estimators(self.profile)
         self.labels = [choice.label for choice in self.profile.estimators]
-        self._truth_key = store.truth_key(self.profile.flight)
+        self._truth_key = pipeline.find_truth_key(self.profile)
 
     def prepare(self) -> None:
         """Fly the truth into the cache, where the workers find it."""
         if not self.truth_digest:
             truth = pipeline.fly(self.profile)
-            pipeline.check_times(self.profile, float(truth.t[-1]))
+            if self.profile.guidance is None:
+                pipeline.check_times(self.profile, float(truth.t[-1]))
             self.truth_digest = digest_record(truth)
 
     def measure(self, draw: int) -> Draw:
         """Sense, navigate and judge one draw."""
         try:
-            truth = get_truth(self._truth_key, self.profile)
+            closed = self.profile.guidance is not None  # then each draw flies its own
+            truth = None if closed else get_truth(self._truth_key, self.profile)
             result = pipeline.run(self.profile, run=draw, truth=truth)
         except Exception as error:
             return lose_draw(self, describe_error(error))

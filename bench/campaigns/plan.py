@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from bench import store
+from bench import pipeline, store
 from bench.campaigns.campaign_file import (
     CampaignSpec,
     Values,
@@ -57,7 +57,7 @@ class Cell:
     @cached_property
     def truth_key(self) -> str:
         """Hash of all that the truth depends on."""
-        return store.truth_key(self.profile.flight)
+        return pipeline.find_truth_key(self.profile)
 
     @cached_property
     def key(self) -> str:

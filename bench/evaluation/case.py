@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
+from bench.flight.desired_path import OffPath
 from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, split_unit
 
@@ -77,6 +79,7 @@ class Case:
     poses: Poses | None  # None if a position is not finite
     start: NavSolution  # first epoch of the whole run
     assumed: AssumedSpecs | None  # the datasheets to expect drift from
+    path: OffPath | None  # of a flight that this solution flew: the truth against the desired path
 
 
 def find_outage_rows(case: Case) -> dict[str, tuple[int, int]]:
@@ -134,6 +137,7 @@ def build_case(
     poses: Poses | None = None,
     silent: BoolArray | None = None,
     coverage: Coverage | None = None,
+    path: OffPath | None = None,
 ) -> Case:
     """Collect what the metrics need of a whole run.
 
@@ -157,6 +161,8 @@ def build_case(
         Epochs without an answer that nothing excuses; None: none.
     coverage : Coverage or None
         Of the solution.
+    path : OffPath or None
+        Of the flight, if this solution flew it; it has all instants of the solution.
     """
     nis = nis_by_sensor(solution.innovations)
     with np.errstate(invalid="ignore"):
@@ -193,7 +199,12 @@ def build_case(
         poses=None if poses is None else poses.select(slice(None)),
         start=select_epochs(solution, slice(0, 1)),
         assumed=assumed,
+        path=None if path is None else _select_path(path, np.searchsorted(path.t, errors.t - 1e-6)),
     )
+
+
+def _select_path(path: OffPath, rows: Any) -> OffPath:
+    return OffPath(path.t[rows], path.right[rows], path.above[rows], path.course[rows])
 
 
 def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO_TIMES) -> Case:
@@ -228,6 +239,7 @@ def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO
         solution=select_epochs(whole.solution, rows),
         biases={name: BiasError(one.error[taken], one.sd[taken]) for name, one in whole.biases.items()},
         poses=None if whole.poses is None else whole.poses.select(taken),
+        path=None if whole.path is None else _select_path(whole.path, taken),
     )
 
 

@@ -99,6 +99,10 @@ def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
         if value is not None:
             text = format_distance(value) if unit == "m" else f"{format_number(value, 2)} {unit}"
             yield f"{words} {text}"
+    off = [values.get(f"{part}_across_max_m") for part in ("tse", "fte", "nse")]
+    far = [format_distance(value) for value in off if value is not None]
+    if len(far) == len(off):
+        yield f"off its path by up to {far[0]}, believed {far[1]}, error of navigation {far[2]}"
     mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
     if mean is not None and low is not None and high is not None:
         yield f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"

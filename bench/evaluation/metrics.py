@@ -16,7 +16,7 @@ import numpy as np
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray
 from bench.data import ErrorSeries, NavSolution, SensorData, SensorTruth, Trajectory
-from bench.evaluation import claims, detection, drift_laws, path_errors
+from bench.evaluation import claims, detection, drift_laws, path_errors, total_system
 from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
 from bench.evaluation.coverage import Coverage, carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import (
@@ -31,6 +31,7 @@ from bench.evaluation.error_series import (
 )
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
+from bench.flight.desired_path import OffPath
 from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, unit_of
 
@@ -205,6 +206,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("cep95_m", partial(cep, 0.95), "pos", "lower"),
     Metric("r95_m", partial(cep, 0.95), "pos", "not judged"),
     Metric("pos_95_v_m", pos_95_v, "pos", "lower"),
+    *(Metric(f"{p}_{{}}_m", partial(total_system.measure, p), "pos", "lower") for p in total_system.PARTS),
     Metric("vel_rmse_{}_mps", partial(rmse, "vel"), "vel", "lower"),
     Metric("vel_max_mps", vel_max, "vel", "not judged"),
     Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
@@ -279,6 +281,7 @@ def judge(
     assumed: AssumedSpecs | None = None,
     drawn: SensorTruth | None = None,
     data: SensorData | None = None,
+    path: OffPath | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Compare a solution with the truth: return the errors and the metrics of one estimator in one run.
 
@@ -299,8 +302,8 @@ def judge(
         The datasheets to expect drift from.
     drawn : SensorTruth or None
         The true biases.
-    data : SensorData or None
-        What the estimator got; it may excuse a silence.
+    data, path : SensorData, OffPath, or None
+        What the estimator got, which may excuse a silence; the path that it flew off, at all its instants.
 
     Returns
     -------
@@ -338,6 +341,7 @@ def judge(
         factored=True,
         carried=carried,
         coverage=measure_coverage(solution, data),
+        path=path,
     )
 
 
@@ -363,6 +367,7 @@ def judge_epochs(
     metrics: Sequence[Metric] = METRICS,
     carried: CarriedSolution | None = None,
     coverage: Coverage | None = None,
+    path: OffPath | None = None,
 ) -> dict[str, Any]:
     """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.
 
@@ -379,13 +384,15 @@ def judge_epochs(
         sound, reason = False, f"no solution before t = {first:g} s; metrics begin at {evaluation.begin:g} s"
     with np.errstate(all="ignore"):  # NaN and overflow are allowed in a run that did not converge
         poses = Poses.from_errors(solution, errors)
-        run = build_case(errors, solution, outages, faults, missing, assumed, drawn, poses, coverage=coverage)
+        run = build_case(
+            errors, solution, outages, faults, missing, assumed, drawn, poses, coverage=coverage, path=path
+        )
         every = run
         if carried is not None:
             off, moved = carried.errors, carried.solution
             poses = Poses.from_errors(moved, off)
             every = build_case(
-                off, moved, outages, faults, assumed=assumed, poses=poses, silent=carried.silent
+                off, moved, outages, faults, assumed=assumed, poses=poses, silent=carried.silent, path=path
             )
         whole = _compute_metrics(run, every, solution, metrics)
         window = _compute_metrics(

@@ -1,0 +1,43 @@
+"""Errors of a flight that an estimate flew, along its path: TSE = FTE - NSE, vector by vector.
+
+The total system error is from the desired path to the truth, the flight technical error from the desired path
+to what was believed, the navigation system error from the truth to what was believed (RTCA DO-236C, where the
+sign of NSE is the other one). All are at the same instant and in the axes of the path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.evaluation.case import Case
+
+Part = Literal["tse", "fte", "nse"]
+PARTS: tuple[Part, ...] = ("tse", "fte", "nse")
+
+
+def resolve(case: Case) -> dict[Part, dict[str, FloatArray]]:
+    """Return the three errors (M,) [m], ``across`` to the right of the path and ``up``; empty without one."""
+    path = case.path
+    if path is None:
+        return {}
+    north, east, down = case.pos_n.T
+    nse = {"across": east * np.cos(path.course) - north * np.sin(path.course), "up": -down}
+    tse = {"across": path.right, "up": path.above}
+    fte = {axis: tse[axis] + nse[axis] for axis in tse}
+    return {"tse": tse, "fte": fte, "nse": nse}
+
+
+def measure(part: Part, case: Case) -> Mapping[str, float | None]:
+    """Error along the path of a flight that an estimate flew, rms and largest, across the path and up [m]."""
+    found: dict[str, float | None] = {}
+    errors = resolve(case)
+    for axis in ("across", "up") if errors else ():
+        values = errors[part][axis][np.isfinite(errors["tse"][axis])]
+        if len(values):
+            found[f"{axis}_rms"] = float(np.sqrt(np.mean(values**2)))
+            found[f"{axis}_max"] = float(np.abs(values).max())
+    return found

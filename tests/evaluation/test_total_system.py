@@ -1,0 +1,83 @@
+"""TSE = FTE - NSE along the path of a flight, each computed in a way of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import config, earth, pipeline
+from bench.data import NavSolution
+from bench.evaluation import metrics
+from bench.evaluation.case import build_case
+from bench.evaluation.error_series import error_series
+from bench.evaluation.total_system import resolve
+from bench.flight.desired_path import measure_off_path
+from bench.specs import EvaluationWindow
+
+
+@pytest.fixture(scope="module")
+def approach():
+    """A flight down to a runway, and beliefs that are wrong by up to tens of metres."""
+    profile = config.load_profile("approach")
+    truth = pipeline.fly(profile)
+    rows = np.arange(200, len(truth.t), 40)
+    error_n = np.random.default_rng(4).normal(scale=[20.0, 20.0, 10.0], size=(len(rows), 3))
+    return profile.flight, truth, rows, error_n
+
+
+def believe(truth, rows, error_n):
+    return NavSolution(
+        truth.t[rows], earth.displace(truth.lla[rows], error_n), truth.vel_n[rows], truth.q_nb[rows],
+        *(np.zeros((len(rows), 3)) for _ in range(2)), np.tile(np.eye(9), (len(rows), 1, 1)), (),
+        *(np.zeros((len(rows), 0)) for _ in range(2)),
+    )  # fmt: skip
+
+
+def test_the_belief_is_off_the_path_by_the_sum_of_both(approach):
+    """FTE by resolving the believed positions themselves against the runway: equal within 1 mm."""
+    spec, truth, rows, error_n = approach
+    path = measure_off_path(spec, truth, rows)
+    solution = believe(truth, rows, error_n)
+    errors = resolve(build_case(error_series(truth, solution), solution, (), path=path))
+    lla = truth.lla.copy()
+    lla[rows] = solution.lla
+    believed = measure_off_path(spec, replace(truth, lla=lla), rows)
+    on = np.isfinite(path.right)
+    assert on.sum() > 500
+    assert_allclose(errors["fte"]["across"][on], believed.right[on], rtol=0, atol=1e-3)
+    for axis in ("across", "up"):
+        left = errors["tse"][axis] - errors["fte"][axis] + errors["nse"][axis]
+        assert np.nanmax(np.abs(left)) < 1e-9
+    assert np.isfinite(path.above).sum() > 300
+    assert np.isnan(path.right[truth.t[rows] < 30.0]).all()  # a straight leg has no path
+
+
+def test_where_the_truth_is_off_its_path_is_seen(approach):
+    """The autopilot stays within metres of the path; a truth that is moved north and up is off by that."""
+    spec, truth, rows, _ = approach
+    path = measure_off_path(spec, truth, rows)
+    late = truth.t[rows] > 150.0
+    assert np.nanmax(np.abs(path.right[late])) < 5.0
+    assert np.nanmax(np.abs(path.above[late])) < 8.0
+    moved = earth.displace(truth.lla, np.array([[50.0, 0.0, -7.0]]))
+    north = measure_off_path(spec, replace(truth, lla=moved), rows)
+    heading = spec.runway.heading
+    assert_allclose((north.right - path.right)[late], -50.0 * np.sin(heading), atol=0.01)
+    both = late & np.isfinite(north.above) & np.isfinite(path.above)
+    slope = np.tan(spec.legs[2].glide)
+    assert_allclose((north.above - path.above)[both], 7.0 + slope * 50.0 * np.cos(heading), atol=0.02)
+
+
+def test_the_metrics_are_rms_and_largest_of_what_has_a_path(approach):
+    spec, truth, rows, error_n = approach
+    path = measure_off_path(spec, truth, rows)
+    solution = believe(truth, rows, error_n)
+    window = EvaluationWindow(60.0)
+    _, values = metrics.judge(truth, solution, evaluation=window, outages=(), path=path)
+    assert 15.0 < values["nse_across_rms_m"] < 25.0
+    assert values["tse_across_rms_m"] < 0.5 * values["fte_across_rms_m"]
+    _, without = metrics.judge(truth, solution, evaluation=window, outages=())
+    assert "tse_across_rms_m" not in without
