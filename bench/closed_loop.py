@@ -28,9 +28,6 @@ from bench.specs import FlightSpec, Guidance, Profile
 from bench.store import join_pieces
 from bench.wording import one_line
 
-LABEL = "in-flight"
-"""Name of the answers that steered, beside the solutions of the estimators."""
-
 
 @dataclass(frozen=True, slots=True)
 class ClosedFlight:

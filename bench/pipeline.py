@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import closed_loop, disk_arrays, store
+from bench import disk_arrays, store
 from bench.compiled import read_compile_time, watch_compiling
 from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
@@ -22,7 +22,7 @@ from bench.exchange.loading import load_estimators
 from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
-from bench.specs import AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
+from bench.specs import IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 from bench.stages import FLYING, Stages, Watcher
 from bench.units import SAME_INSTANT
 
@@ -46,7 +46,8 @@ def fly(
         If a trajectory table cannot be used.
     """
     if profile.guidance is not None:
-        return closed_loop.fly(profile, run, progress).truth
+        flown: Trajectory = _fly_closed(profile, run, progress).truth
+        return flown
     if cache:
         return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress))
     return store.join_pieces(_fly_pieces(profile, progress))
@@ -59,7 +60,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     memory at a time. Errors as for :func:`fly`.
     """
     if profile.guidance is not None:
-        return _summarize([closed_loop.fly(profile, 0, progress).truth])
+        return _summarize([_fly_closed(profile, 0, progress).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), _summarize, sources)
 
@@ -73,6 +74,12 @@ def _summarize(pieces: Iterable[Trajectory]) -> dict[str, Any]:
         summary.add(piece)
         replay.add(piece)
     return summary.result() | replay.result()
+
+
+def _fly_closed(profile: Profile, run: int, progress: Callable[[float], None] | None) -> Any:
+    from bench import closed_loop  # it needs the filters, which a flight by the truth does without
+
+    return closed_loop.fly(profile, run, progress)
 
 
 def _fly_pieces(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
@@ -204,13 +211,15 @@ def _run(
     steered: NavSolution | None = None
     tell = partial(_tell_flown, stages, profile.flight.duration)
     if truth is None and profile.guidance is not None:
-        closed = closed_loop.fly(profile, run, tell)
+        closed = _fly_closed(profile, run, tell)
         truth, steered = closed.truth, closed.answers
     elif truth is None:
         stages.begin("taking the flight from the cache")
         truth = fly(profile, progress=tell)
     elif profile.guidance is not None:
         stages.begin("navigating the flight again")
+        from bench import closed_loop
+
         steered = closed_loop.replay(profile, truth, run)
     if profile.guidance is None:  # an estimate may end a flight before an outage or a fault
         check_times(profile, float(truth.t[-1]))
@@ -237,7 +246,7 @@ def _run(
         used[label] = getattr(one, "cpu_s", _read_cpu_clock() - begun)
     check_starts(raised, len(built))
     if steered is not None:
-        solutions[closed_loop.LABEL], unmodelled[closed_loop.LABEL] = steered, None
+        solutions[IN_FLIGHT], unmodelled[IN_FLIGHT] = steered, None
     clock["judge"] = _read_work_clock()
     stages.begin("judging")
     from bench.causes.explaining import DrawnRun, explain_run
@@ -248,7 +257,7 @@ def _run(
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
     for label, solution in solutions.items():
-        flew = label == closed_loop.LABEL
+        flew = label == IN_FLIGHT
         judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data, flew=flew)
         disk_arrays.release()
     metrics = {

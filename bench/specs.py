@@ -761,6 +761,10 @@ class EvaluationWindow:
         return f"figures from {self.begin:g} s on"
 
 
+IN_FLIGHT = "in-flight"
+"""Name of the answers that steered, beside the solutions of the estimators."""
+
+
 @dataclass(frozen=True, slots=True)
 class Guidance:
     """Whose estimate guidance and legs read, and how it comes to them."""
