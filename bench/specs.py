@@ -790,6 +790,18 @@ class Profile:
     document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
     guidance: Guidance | None = None  # None: guidance reads the truth
 
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the solutions of a run: the estimators, and the answers that steered if some did."""
+        steered = () if self.guidance is None else (IN_FLIGHT,)
+        return (*(choice.label for choice in self.estimators), *steered)
+
+    @property
+    def answer_rate(self) -> float:
+        """At this rate all solutions of a run have an answer [Hz]."""
+        rate = self.sensors.output_rate
+        return rate if self.guidance is None else min(rate, 1.0 / self.guidance.period)
+
     def __repr__(self) -> str:
         """Return name, seed, flight, sensors and estimators."""
         units = (getattr(self.sensors, f.name) for f in fields(self.sensors))

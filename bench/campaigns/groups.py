@@ -69,7 +69,7 @@ def gather(plan: Plan, journal: Journal) -> Iterator[Group]:
 def _gather_condition(
     plan: Plan, number: int, cells: Sequence[Cell], keys: Sequence[str], journal: Journal
 ) -> Iterator[Group]:
-    labels = [choice.label for choice in cells[0].profile.estimators]
+    labels = cells[0].profile.labels
     stride = -(-len(keys) // MOST_EXACT) or 1
     binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
     rows = {label: list[dict[str, Any]]() for label in labels}

@@ -261,7 +261,7 @@ def run_campaign(
         )
         journal = stack.enter_context(Journal(place / NAME))
         before = journal.find_labels()
-        now = {tuple(choice.label for choice in cell.profile.estimators) for cell in plan.cells}
+        now = {cell.profile.labels for cell in plan.cells}
         if before and before not in now:
             raise ConfigError(
                 f"{folder}: holds runs of {', '.join(before)}; name them again to continue, -o names another "
@@ -319,7 +319,7 @@ def _work(
             if uses not in warm:  # its kernels are compiled once, not by every worker
                 first.append(len(tasks))
                 warm.add(uses)
-            step = choose_step(lengths[its_first.truth_key], cell.profile.sensors.output_rate)
+            step = choose_step(lengths[its_first.truth_key], cell.profile.answer_rate)
             tasks += [
                 RunTask(plan.run_key(one), cell.truth_key, cell.profile, one.run, step)
                 for one in todo[number]
