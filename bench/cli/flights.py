@@ -1,4 +1,4 @@
-"""The verbs run, fly, list, guide, new, view, report, record, compare, check, cache and warm."""
+"""The verbs run, fly, list, guide, view, report, record, compare, check, cache and warm."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ from bench.cli.group import (
     make_guard,
     new_console,
     out_option,
-    rates_option,
     recording_option,
     report_option,
     seed_option,
@@ -177,57 +176,6 @@ def guide(topic: str | None) -> int:
         list_topics(new_console())
     else:
         show_topic(topic, new_console())
-    return DONE
-
-
-@commands.command(epilog=STATUS)
-@click.argument("kind", type=click.Choice(["estimator", "check", "log", "schemas"]), metavar="KIND")
-@click.argument("name", required=False)
-@rates_option
-def new(kind: str, name: str | None, rates: str | None) -> int:
-    """Write a working example as a starting point for your own.
-
-    \b
-    estimator NAME writes, in the present folder:
-      NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
-      test_NAME.py   its test: the contract of the bench, and its accuracy
-
-    \b
-    check [ESTIMATOR] flies an estimator, loose-15 or one of your own, and writes:
-      tests/baselines/short.toml       a flight of two minutes
-      tests/baselines/short.json       its accuracy, which bench check compares with
-      .github/workflows/accuracy.yml   a CI job that runs bench check
-
-    \b
-    log FILE looks at a recording; FILE.toml beside it is for bench navigate, with questions
-
-    \b
-    schemas writes what editors need to complete keys and mark mistakes while you type:
-      schemas/profile.json ...         name one in the first line: #:schema ./schemas/profile.json
-
-    \b
-    Examples:
-      bench new estimator mine && bench run figure-eight -e mine:Mine
-      bench new log drive.csv && bench navigate drive.toml
-    """
-    from bench.workbench.new import new_check, new_estimator, new_schemas
-
-    if rates is not None and kind != "log":
-        raise click.UsageError(f"--rates is for bench new log, not for bench new {kind}")
-    if kind == "schemas":
-        if name is not None:
-            raise click.UsageError("bench new schemas takes no NAME")
-        new_schemas(console=new_console())
-    elif kind == "check":
-        new_check(name or "loose-15", console=new_console())
-    elif name is None:
-        raise click.UsageError(f"bench new {kind} needs a {'FILE' if kind == 'log' else 'NAME'}")
-    elif kind == "log":
-        from bench.workbench.new_log import new_log
-
-        new_log(name, console=new_console(), rates=rates)
-    else:
-        new_estimator(name, console=new_console())
     return DONE
 
 

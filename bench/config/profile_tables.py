@@ -272,7 +272,7 @@ class ExperimentTable(Table):
 
     title: str | None = None
     """What it is, in words."""
-    rate_hz: Literal[100, 200, 400] = 200
+    rate_hz: Literal[100, 200, 400, 500, 1000] = 200
     """Rate of truth and IMU."""
     seed: Seed = 0
     """All noise follows from this number."""

@@ -100,11 +100,12 @@ class ScriptFacts:
 
     aircraft: str
     length: float  # from its start to its end [s]
+    step: float  # that it asks for [s]; infinite if it asks for none
     root: ElementTree.Element
 
 
 def script_facts(path: Path) -> ScriptFacts:
-    """Return the aircraft and the length of a script.
+    """Return the aircraft, the length and the step of a script.
 
     Raises
     ------
@@ -123,9 +124,12 @@ def script_facts(path: Path) -> ScriptFacts:
         raise FlightError(f"{shown}: initialize {initialize!r} must be the name of a file of the aircraft")
     try:
         length = float(run.get("end", "")) - float(run.get("start", ""))
+        step = float(run.get("dt", "inf"))
     except ValueError:
-        raise FlightError(f"{shown}: start and end of <run> must be numbers") from None
-    return ScriptFacts(aircraft, length, root)
+        raise FlightError(f"{shown}: start, end and dt of <run> must be numbers") from None
+    if not step > 0:
+        raise FlightError(f"{shown}: dt = {step:g} s of <run> must be above 0")
+    return ScriptFacts(aircraft, length, step, root)
 
 
 def copy_script(path: Path, target: Path) -> ScriptFacts:

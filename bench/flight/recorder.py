@@ -1,7 +1,8 @@
 """Fly a plan or a script in JSBSim, keep its states, and make truth of them.
 
-JSBSim steps at the smallest multiple of the truth rate that is at least 400 Hz. Air data, controls and the
-sequencer run at 20 Hz. What was not made for the bench has a sanity report.
+JSBSim steps at the smallest multiple of the truth rate that is at least 400 Hz, a script at least as often as
+it asks for. Air data, controls and the sequencer run at 20 Hz. What was not made for the bench has a sanity
+report.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from bench.flight.belief import Belief
 from bench.flight.dryden import through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.flight.jsbsim_units import FT
+from bench.flight.model_files import script_facts
 from bench.flight.sanity import choose_flight, report_sanity
 from bench.flight.sequencer import Cockpit, FlownLeg, engage, fly_legs
 from bench.flight.shaping import GUIDANCE_RATE
@@ -33,6 +35,7 @@ PIECE = 30.0
 """How much of a flight is kept in memory at a time [s]."""
 
 _LEAST_RATE = 400.0  # of JSBSim [Hz]
+_FINEST = 0.5e-3  # a script that asks for shorter steps gets this one [s]
 _CLEAR = 50.0  # wheels off the ground for the trim of a flight that starts on it [m]
 
 Progress = Callable[[float], None]
@@ -134,7 +137,7 @@ def record_script(
     Its states stay in memory until the end, which shows the part; the rest is as for :func:`record_plan`.
     """
     what = f"script {spec.name}"
-    substeps, dt = simulation_step(spec.rate)
+    substeps, dt = simulation_step(spec.rate, max(script_facts(spec.path).step, _FINEST))
     say("loading")
     log = _run_script(spec, what, dt, progress)
     steps, events = choose_flight(_tell(log.motions_of_centre(), say, "looking at its motion"), what)
@@ -183,8 +186,8 @@ def _step_script(fdm: Any, what: str, t: float) -> bool:
         raise FlightError(f"{what}: JSBSim stops at {t:.2f} s: {say_in_one_line(str(error))}") from None
 
 
-def simulation_step(rate: float) -> tuple[int, float]:
-    """Return the steps per truth sample and the step [s]: the least multiple of rate from 400 Hz on.
+def simulation_step(rate: float, longest: float = 1.0 / _LEAST_RATE) -> tuple[int, float]:
+    """Return the steps per truth sample and the step [s], at most 1/400 s and ``longest`` [s].
 
     Examples
     --------
@@ -198,7 +201,7 @@ def simulation_step(rate: float) -> tuple[int, float]:
     """
     if rate <= 0 or rate % GUIDANCE_RATE:
         raise FlightError(f"a truth rate of {rate:g} Hz is not a multiple of {GUIDANCE_RATE:g} Hz")
-    substeps = max(1, math.ceil(_LEAST_RATE / rate))
+    substeps = max(1, math.ceil(max(_LEAST_RATE, 1.0 / longest) / rate - 1e-9))
     return substeps, 1.0 / (rate * substeps)
 
 

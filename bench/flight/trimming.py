@@ -103,7 +103,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
         alpha, beta, roll, aileron, elevator, throttle = (float(v) for v in x * _SCALE)
         place(fdm, condition, alpha, beta, roll, aileron, elevator, throttle)
         if not guided:
-            _move_surfaces(fdm, aileron, elevator)
+            move_surfaces(fdm, aileron, elevator)
             run_engines(fdm)
         found = present_accelerations(fdm)
         return found if np.isfinite(found).all() else np.full(6, 1e3)
@@ -149,7 +149,7 @@ _FOREIGN = (_FOREIGN_STARTS, 1e-3, _fit_within_travel)  # 0.1 mg
 """Where the search for a trim begins; the largest acceleration it may leave [m/s^2, rad/s^2]; the search."""
 
 
-def _move_surfaces(fdm: Any, aileron: float, elevator: float) -> None:
+def move_surfaces(fdm: Any, aileron: float, elevator: float) -> None:
     """Let the surfaces come to their commands, always from the same side: actuators may have play."""
     for commands in ((-1.0, -1.0), (aileron, elevator)):
         fdm["fcs/aileron-cmd-norm"], fdm["fcs/elevator-cmd-norm"] = commands

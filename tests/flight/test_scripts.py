@@ -20,10 +20,12 @@ from bench.config import load_profile
 from bench.data import Trajectory
 from bench.earth import to_ecef
 from bench.errors import ConfigError, FlightError
-from bench.flight import fly
+from bench.flight import fly, recorder
 from bench.flight.executive import silent_log
 from bench.flight.increments import from_states
 from bench.flight.jsbsim_units import FT
+from bench.flight.model_files import script_facts
+from bench.specs import ScriptSpec
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 
@@ -275,3 +277,21 @@ def test_bench_run_shows_the_report_and_keeps_it_in_the_results(tmp_path, monkey
 
     assert "motion jumps" in sanity(load_truth(tmp_path / "runs/mine-0"))
     assert not list(tmp_path.glob("*.csv"))
+
+
+def test_a_script_is_flown_at_least_at_its_own_step(monkeypatch):
+    """The L410 of the wheel asks for 1 ms; nothing is flown more coarsely than the bench does."""
+    assert recorder.simulation_step(200.0, 0.001) == (5, 0.001)
+    assert recorder.simulation_step(200.0, 1 / 120) == (2, 0.0025)
+    path = WHEEL / "scripts" / "L410.xml"
+    asked = script_facts(path).step
+    assert asked < 0.0025
+
+    def stop(spec, what, dt, progress):
+        raise FlightError(f"{dt:g}")
+
+    monkeypatch.setattr(recorder, "_run_script", stop)
+    spec = ScriptSpec("L410", path, WHEEL, "L410", 200.0, 1.0, 0, "light")
+    with pytest.raises(FlightError) as step:
+        list(recorder.record_script(spec))
+    assert 0.5 * asked < float(str(step.value)) <= asked

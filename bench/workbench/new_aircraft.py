@@ -1,0 +1,252 @@
+"""The verb new aircraft: gains of an aircraft of JSBSim, accepted by a flight or not written at all."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from bench import durable
+from bench.arrays import FloatArray
+from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
+from bench.config.library import read_jsbsim_aircraft
+from bench.config.listing import JSBSIM
+from bench.data import Trajectory
+from bench.errors import ConfigError, FlightError
+from bench.flight.child_process import fly_in_child
+from bench.flight.gain_design import BANK, FASTER, GainDesign, attempts, design_gains, plan_acceptance
+from bench.rotation import to_euler
+from bench.specs import AircraftSpec, ForeignSpec
+from bench.units import STANDARD_GRAVITY
+from bench.wording import suggest
+
+_PATTERN = "c172x"  # where what is not designed comes from: the guidance system
+_PATIENCE = 120.0  # for a design [s]; a model of others may never return
+_BEGUN = 12.0  # after the start of a leg, in which it is settled [s]
+_LAST = 15.0  # of a straight leg in which nothing may swing any more [s]
+
+BANK_BAND, HEIGHT_BAND, SPEED_BAND = math.radians(4.0), 15.0, 0.05
+LOAD_BAND = (0.65, 1.4)
+SWING_BAND = math.radians(0.5)
+"""What a flight is accepted by: bank off [rad], height off [m], airspeed off [1], load [g], swing [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """Largest departures of the acceptance flight."""
+
+    bank: float  # [rad]
+    height: float  # [m]
+    speed: float  # as a share
+    load: tuple[float, float]  # [g]
+    swing: float  # of bank and pitch at the end of 30 s straight, sd [rad]
+
+    def failures(self) -> list[str]:
+        """Return what is outside its band, in words."""
+        rows = (
+            (self.bank > BANK_BAND, f"bank {math.degrees(self.bank):.1f} deg off"),
+            (self.height > HEIGHT_BAND, f"height {self.height:.0f} m off"),
+            (self.speed > SPEED_BAND, f"airspeed {100 * self.speed:.1f} % off"),
+            (self.load[0] < LOAD_BAND[0] or self.load[1] > LOAD_BAND[1], f"load {self.describe_load()}"),
+            (self.swing > SWING_BAND, f"swings by {math.degrees(self.swing):.1f} deg"),
+        )
+        return [words for wrong, words in rows if wrong]
+
+    def describe_load(self) -> str:
+        """Return the range of the load in words."""
+        return f"{self.load[0]:.2f} to {self.load[1]:.2f}"
+
+    def describe(self) -> str:
+        """Return the departures in words."""
+        return (
+            f"bank within {math.degrees(self.bank):.1f} deg, height {self.height:.1f} m, airspeed "
+            f"{100 * self.speed:.1f} %, load {self.describe_load()}, swing {math.degrees(self.swing):.2f} deg"
+        )
+
+
+def new_aircraft(name: str, *, console: Console) -> None:
+    """Design the gains of ``jsbsim:NAME``, fly it, and write ``aircraft/jsbsim/NAME.toml`` if it is accepted.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such aircraft, or the file is there already.
+    FlightError
+        If no design is accepted: the reason of the last one.
+    """
+    name = name.removeprefix(JSBSIM)
+    path = Path("aircraft/jsbsim") / f"{name}.toml"
+    if path.exists() or path.is_symlink():
+        raise ConfigError(f"{path}: exists already and is not replaced")
+    design, accepted, flown = find_design(name, lambda text: console.print(text, soft_wrap=True))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    durable.write(path, write_sheet(flown, design, accepted))
+    console.print(f"{JSBSIM}{name}: trimmed at {design.speed:g} m/s, {design.alt:g} m; {accepted.describe()}")
+    console.print(f'Wrote {path}. Next: a profile with aircraft = "{JSBSIM}{name}"', soft_wrap=True)
+
+
+def find_design(
+    name: str, tell: Callable[[str], object] = lambda text: None
+) -> tuple[GainDesign, Acceptance, AircraftSpec]:
+    """Return the first design of an aircraft of the wheel that is accepted, and the aircraft with it.
+
+    ``tell`` is called with the reason of each that is not.
+    """
+    root = find_jsbsim_root(None, Path())
+    known = list_root_aircraft(root)
+    if name not in known:
+        hint = suggest(name, known, "aircraft")
+        raise ConfigError(f"aircraft = {JSBSIM + name!r} is not in the wheel{hint}")
+    pattern = read_jsbsim_aircraft(_PATTERN, None, Path())
+    raw = replace(
+        pattern,
+        name=name,
+        folder=root / "aircraft" / name,
+        foreign=ForeignSpec(root, {}),
+        trims=(),
+        runway=None,
+        configuration=(),
+    )
+    reason, fewest = "", 99
+    for lift, pace in attempts():
+        try:
+            design = _design_in_child(raw, lift, pace)
+        except FlightError as error:
+            reason = reason or str(error)
+            tell(str(error))
+            continue
+        aircraft = _equip(raw, design)
+        try:
+            accepted = measure_acceptance(_fly(aircraft, design), design)
+        except FlightError as error:
+            reason = reason or str(error)
+            tell(str(error))
+            continue
+        if not (failures := accepted.failures()):
+            return design, accepted, aircraft
+        said = f"flown at {design.speed:g} m/s, not accepted: {', '.join(failures)}"
+        tell(said)
+        if len(failures) < fewest:
+            fewest, reason = len(failures), said
+    raise FlightError(reason if reason.startswith("aircraft") else f"aircraft {name}: {reason}")
+
+
+def _design_in_child(raw: AircraftSpec, lift: float, pace: float) -> GainDesign:
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        try:
+            return pool.submit(design_gains, raw, lift, pace).result(timeout=_PATIENCE)
+        except BrokenProcessPool:
+            raise FlightError(f"aircraft {raw.name}: JSBSim ends the process while it is trimmed") from None
+        except TimeoutError:
+            for process in (pool._processes or {}).values():
+                process.kill()
+            raise FlightError(f"aircraft {raw.name}: no trim within {_PATIENCE:g} s") from None
+
+
+def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
+    heavy = design.mass > 15_000
+    assert raw.foreign is not None
+    return replace(
+        raw,
+        gains=dict(design.gains),
+        min_speed=0.9 * design.speed,
+        max_speed=1.15 * design.speed,
+        max_bank=math.radians(30.0),
+        max_climb=design.climb,
+        max_descent=design.climb,
+        antenna_b=(0.0, 0.0, -0.05 * design.span),
+        category="transport" if heavy else "light",
+        foreign=replace(raw.foreign, properties=dict(design.properties)),
+        trims=((design.alt, design.speed),),
+    )
+
+
+def _fly(aircraft: AircraftSpec, design: GainDesign) -> Trajectory:
+    spec = plan_acceptance(aircraft, design)
+    (truth,) = fly_in_child(spec, f"aircraft {aircraft.name}")
+    return truth
+
+
+def measure_acceptance(truth: Trajectory, design: GainDesign) -> Acceptance:
+    """Return the largest departures of the acceptance flight from what its legs ask for."""
+    roll, pitch, _ = to_euler(truth.q_nb)
+    alt, air = truth.lla[:, 2], truth.air
+    load = -truth.dvel_b[:, 2] / np.diff(truth.t) / STANDARD_GRAVITY
+    bank = height = speed = swing = 0.0
+    for number, (start, end, _) in enumerate(truth.events.select("leg")):
+        settled = (truth.t >= start + _BEGUN) & (truth.t <= end)
+        asked = design.speed * (FASTER if number == 6 else 1.0)
+        if number != 5:
+            inside = (air.t >= start) & (air.t < end)
+            speed = max(speed, float(np.abs(air.airspeed_true[inside] / asked - 1).max()))
+        if number in (0, 1, 2, 6):
+            turning = number == 1
+            if settled.any() and number != 2:  # which is there to roll out of the circle
+                off = np.abs(roll[settled] - (BANK if turning else 0.0))
+                bank = max(bank, float(off[: -_tail(truth, 6.0)].max() if turning else off.max()))
+            whole = (truth.t >= start) & (truth.t <= end)
+            height = max(height, float(np.abs(alt[whole] - design.alt).max()))
+        if number in (0, 6):
+            last = (truth.t >= end - _LAST) & (truth.t <= end)
+            swing = max(swing, *(_swing(truth.t[last], angle[last]) for angle in (roll, pitch)))
+    return Acceptance(bank, height, speed, (float(load.min()), float(load.max())), swing)
+
+
+def _swing(t: FloatArray, angle: FloatArray) -> float:
+    """Return the sd of an angle about its slow change, a straight line [rad]."""
+    line = np.polynomial.Polynomial.fit(t, angle, 1)
+    return float(np.std(angle - line(t)))
+
+
+def _tail(truth: Trajectory, seconds: float) -> int:
+    return round(seconds / float(truth.t[1]))
+
+
+def write_sheet(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance) -> str:
+    """Return the ``aircraft.toml`` of a design."""
+    return "\n".join(_sheet_lines(aircraft, design, accepted)) + "\n"
+
+
+def _sheet_lines(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance) -> Iterator[str]:
+    name = aircraft.name
+    yield f"# Found by bench new aircraft {JSBSIM}{name}; the model and its licence stay with JSBSim."
+    trim = design.trim
+    words = (
+        f"Trim: alpha {math.degrees(trim.alpha):.2f} deg, elevator {trim.elevator:.3f}, throttle "
+        f"{trim.throttle:.3f}. Flown: 30 s straight, 360 deg at 20 deg of bank, 150 m up and down, "
+        f"6 % faster: {accepted.describe()}. Linear, in rad/s^2 or m/s^2 per unit of command, rad or rad/s: "
+        f"{_list(design.derivatives)}."
+    )
+    yield from textwrap.wrap(words, 108, initial_indent="# ", subsequent_indent="# ")
+    yield f'title    = "{name} of JSBSim, {design.mass:.0f} kg"'
+    yield f'class    = "{aircraft.category}"'
+    yield 'source   = "the jsbsim package; its model names its own sources"'
+    yield 'assumed  = ["limits", "antenna", "guidance"]'
+    yield "\n[limits]"
+    yield f"min_speed_mps   = {aircraft.min_speed:.1f}"
+    yield f"max_speed_mps   = {aircraft.max_speed:.1f}"
+    yield f"max_bank_deg    = {math.degrees(aircraft.max_bank):.0f}"
+    yield f"max_climb_mps   = {aircraft.max_climb:.2f}"
+    yield f"max_descent_mps = {aircraft.max_descent:.2f}"
+    yield f"\n[[trim]]\nalt_m     = {design.alt:.1f}\nspeed_mps = {design.speed:.1f}"
+    yield "\n[antenna]                    # assumed: above the fuselage"
+    yield f"forward_m = 0.0\nright_m   = 0.0\ndown_m    = {aircraft.antenna_b[2]:.2f}"
+    if design.properties:
+        yield "\n[properties]                 # set before the start"
+        for key, value in design.properties.items():
+            yield f'"{key}" = {value:.1f}'
+    yield "\n[guidance]"
+    for key, value in design.gains.items():
+        yield f"{key} = {value:.6g}"
+
+
+def _list(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.3g}" for name, value in values.items())

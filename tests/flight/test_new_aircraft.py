@@ -1,0 +1,106 @@
+"""Gains that are found for an aircraft of JSBSim: the poles they place, and what a flight is accepted by."""
+
+from itertools import pairwise
+from math import pi, radians
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from bench import cli, rotation
+from bench.config.library import read_jsbsim_aircraft
+from bench.data import Events
+from bench.flight.gain_design import BANK, _place_loops
+from bench.flight.trimming import Trim
+from bench.workbench.new_aircraft import measure_acceptance
+
+TRIM = Trim(0.05, 0.0, 0.0, 0.05, 0.0, 0.0, 0.5, 1e-6)
+FOUND = {
+    "roll per aileron": 8.0,
+    "pitch per elevator": -6.0,
+    "yaw per rudder": -2.0,
+    "roll damping": -2.5,
+    "pitch damping": -1.5,
+    "pitch stiffness": -4.0,
+    "thrust per throttle": 3.0,
+    "dynamic pressure": 50.0,
+}
+
+
+def test_the_roll_loops_have_the_poles_they_are_placed_at():
+    """p' = L_p p + L_a a with a = k (b (phi_c - phi) - p): the rate at -3 rad/s, bank with it well damped."""
+    gains, _ = _place_loops(FOUND, 60.0, TRIM, 1.0)
+    k, b = gains["roll-rate-gain"], gains["bank-gain"]
+    assert_allclose(-2.5 - 8.0 * k, -3.0, atol=1e-9)
+    poles = np.linalg.eigvals([[0.0, 1.0], [-8.0 * k * b, -2.5 - 8.0 * k]])
+    assert_allclose(np.sort(poles.real), [-2.02, -0.98], atol=0.01)
+    assert_allclose(poles.imag, 0.0, atol=1e-9)
+
+
+def flown(seconds=240.0, **wrong):
+    """A flight that does what its legs ask for, but for what is wrong."""
+    t = np.arange(round(seconds * 100) + 1) / 100.0
+    edges = (0.0, 30.0, 110.0, 130.0, 150.0, 170.0, 190.0, 240.0)
+    turning = (t > 30.0) & (t < 110.0)
+    roll = np.where(turning, BANK, 0.0) + wrong.get("bank", 0.0) * (t > 60.0) * (t < 90.0)
+    roll = roll + wrong.get("swing", 0.0) * np.sin(2 * pi * t / 3.0) * (t < 30.0)
+    alt = np.full(len(t), 1000.0) + wrong.get("height", 0.0) * (t > 70.0) * (t < 72.0)
+    air_t = np.arange(round(seconds * 20) + 1) / 20.0
+    speed = np.where(air_t >= 190.0, 63.6, 60.0) * (
+        1 + wrong.get("speed", 0.0) * (air_t > 140) * (air_t < 142)
+    )
+    load = np.where(turning, 1 / np.cos(BANK), 1.0) + wrong.get("load", 0.0) * (t > 80.0) * (t < 81.0)
+    events = [(a, b, "leg", str(k)) for k, (a, b) in enumerate(pairwise(edges))]
+    return SimpleNamespace(
+        t=t,
+        q_nb=rotation.from_euler(roll, 0 * t, 0 * t),
+        lla=np.column_stack([0 * t, 0 * t, alt]),
+        dvel_b=np.column_stack([0 * t, 0 * t, -9.80665 * load * 0.01])[1:],
+        air=SimpleNamespace(t=air_t, airspeed_true=speed),
+        events=Events.from_rows(events),
+    )
+
+
+DESIGN = SimpleNamespace(alt=1000.0, speed=60.0)
+
+
+def test_a_flight_as_asked_is_accepted():
+    assert measure_acceptance(flown(), DESIGN).failures() == []
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "outside"),
+    [
+        ("bank", radians(3.5), radians(4.5)),
+        ("height", -14.0, 16.0),
+        ("speed", 0.045, -0.055),
+        ("load", 0.3, -0.45),
+        ("swing", radians(0.6), radians(0.9)),
+    ],
+)
+def test_each_band_is_where_it_is_stated(name, inside, outside):
+    """Bank 4 deg, height 15 m, airspeed 5 %, load 0.65 to 1.4, swing 0.5 deg (sd)."""
+    assert measure_acceptance(flown(**{name: inside}), DESIGN).failures() == []
+    failures = measure_acceptance(flown(**{name: outside}), DESIGN).failures()
+    assert [words.split()[0].rstrip("s") for words in failures] == [
+        {"speed": "airspeed"}.get(name, name).rstrip("s")
+    ]
+
+
+@pytest.mark.slow
+def test_an_aircraft_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "aircraft", "jsbsim:c172p"]) == 0
+    assert "bank within" in capsys.readouterr().out
+    aircraft = read_jsbsim_aircraft("jsbsim:c172p", None, tmp_path)
+    assert aircraft.min_speed < aircraft.trims[0][1] < aircraft.max_speed
+    assert cli.main(["new", "aircraft", "c172p"]) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "aircraft", "c173p"]) == 2
+    assert "c172p" in capsys.readouterr().err
+    assert not (tmp_path / "aircraft").exists()
