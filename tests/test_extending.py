@@ -147,7 +147,7 @@ IMU_TERM = Toy(
             (
                 "    return M\n",
                 """    if spec.shear_sd > 0:
-        M[0, 1] += spec.shear_sd * draw("shear").standard_normal()
+        M[0, 1] += spec.shear_sd * draws.constant("shear")
 """,
             )
         ],
@@ -185,15 +185,13 @@ INSTRUMENT = Toy(
 import numpy as np
 
 from bench.instruments import LaserData
-from bench.specs import stream
 
 
-def report(truth, on_board, seed, run):
+def report(truth, on_board, draws):
     """Return ellipsoidal height with white noise, and an error of 0 without it."""
     spec = on_board.laser
-    step = round(1.0 / (spec.rate * (truth.t[1] - truth.t[0])))
-    rows = np.arange(step, len(truth.t), step)
-    t, noise = truth.t[rows], stream(seed, run, "laser.white").standard_normal(len(rows))
+    rows, _ = draws.epochs("laser", truth.t, spec.rate)
+    t, noise = truth.t[rows], draws.stream("laser.white").standard_normal(len(rows))
     height = truth.lla[rows, 2] + spec.white_sd * noise
     sd = np.full(len(t), spec.white_sd)
     return LaserData(t=t, t_arrival=t, valid=np.ones(len(t), bool), height=height, sd=sd), np.zeros(len(t))
