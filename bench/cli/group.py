@@ -209,8 +209,7 @@ def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> N
         return
     from bench.store.provenance import find_commit
 
-    commit = find_commit()
-    click.echo(f"bench, version {__version__}{f', commit {commit}' if commit else ''}")
+    click.echo(replace_control(f"bench, version {__version__}, commit {find_commit() or 'unknown'}"))
     context.exit()
 
 

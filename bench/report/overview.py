@@ -16,6 +16,7 @@ from bench.report import svg
 
 _LEAST = 1e-3  # smaller errors are drawn as this, the axis is logarithmic [m]
 _EVERY = 20  # row of the truth on the track
+_FEW = 2000  # rows of which every one is drawn
 _TIMES = 5  # instants that are written on the track, at most
 _LINES = 3  # filters whose claims are drawn: more would hide each other
 
@@ -52,8 +53,9 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
     """Return the track from above: paths, fixes, start and end, instants, and where something is shaded."""
     motion = content.motion
     origin = motion.lla[0]
-    ground = earth.local_ned(disk_arrays.take(motion.lla, slice(None, None, _EVERY)), origin)[:, :2]
-    t = np.asarray(disk_arrays.take(motion.t, slice(None, None, _EVERY)))
+    rows = slice(None, None, _EVERY if len(motion.t) > _FEW else 1)
+    ground = earth.local_ned(disk_arrays.take(motion.lla, rows), origin)[:, :2]
+    t = np.asarray(disk_arrays.take(motion.t, rows))
     paths = [("truth", series.TRUTH, ground)] if isinstance(motion, Trajectory) else []
     for label, solution in content.solutions.items():
         good = np.isfinite(solution.lla).all(axis=1)
@@ -74,6 +76,8 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
 def name_instants(t: FloatArray, ground: FloatArray) -> list[tuple[str, FloatArray]]:
     """Return start, end and round instants between them, each with its place (2,)."""
     first, last = float(t[0]), float(t[-1])
+    if first == last:
+        return [("start", ground[0])]
     steps = svg.round_steps(first, last, _TIMES + 2)
     inner = steps[(steps > first + 0.08 * (last - first)) & (steps < last - 0.08 * (last - first))]
     places = np.column_stack([np.interp(inner, t, axis) for axis in ground.T])

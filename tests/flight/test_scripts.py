@@ -211,7 +211,7 @@ def test_a_script_no_truth_can_be_made_of_fails_with_one_line(tmp_path, more, me
     [
         ({"c172x": "../c172x"}, "aircraft '../c172x' must have letters"),
         ({"reset01": "../../reset01"}, "initialize '../../reset01' must be the name"),
-        ({'end="120"': 'end="x"'}, "start and end of <run> must be numbers"),
+        ({'end="120"': 'end="x"'}, "start, end and dt of <run> must be numbers"),
         ({"c172x": "kite"}, "flies 'kite', which is not found"),
         ({"<run ": "<ran "}, "not well-formed XML"),
         ({"runscript": "script"}, "no <runscript> with <use> and <run>"),
