@@ -68,7 +68,7 @@ def test_faults_and_runs_that_were_lost_do_not_count():
 
 
 def test_the_campaign_files_hold_every_estimator_on_every_profile():
-    """But those of satellites or white fixes where there are none, flights of an estimate, and equal filters."""
+    """But those of satellites or white fixes where there are none, and flights of an estimate."""
     flown: list[tuple[str, str]] = []
     for path in nees_table.CAMPAIGN_FILES.glob("nees*.toml"):
         plan = plan_runs(str(path), 1)
