@@ -90,7 +90,7 @@ def _find_kind(line: Line) -> str:
 
 
 def _describe_size(line: Line) -> str:
-    """Return the median error of the draws; empty for what is none."""
+    """Return the median error of the draws with its unit; "" where a line has no error."""
     draws = [value for value in line.by_draw if value is not None]
     unit = _UNITS.get(line.topic)
     return f"{format_number(median(draws), 3)} {unit}" if unit and draws else ""

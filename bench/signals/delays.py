@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.signals.orbits import L1, C
+from bench.units import STANDARD_GRAVITY
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
 TROPOSPHERE_SCALE = 7500.0  # scale height [m], B-10
@@ -17,7 +18,7 @@ _TOP = 11000.0  # end of the temperature gradient; greater heights count as this
 
 _NTCM_RADIUS, _NTCM_SHELL = 6371.0, 6371.0 + 450.0  # of the Earth and of the shell of NTCM-G [km]
 _TECU = 40.3e16 / L1**2  # delay on L1 of 1e16 electrons per m^2 [m]
-_GRAVITY, _GAS = 9.80665, 8314.34 / 28.9644  # of UNB3m [m/s^2, J/(kg K)]
+_GAS = 8314.34 / 28.9644  # of UNB3m [J/(kg K)]
 _UNB_LATITUDES = (15.0, 30.0, 45.0, 60.0, 75.0)  # [deg]
 _UNB_MEAN = (
     (1013.25, 1017.25, 1015.75, 1011.75, 1013.00),  # pressure [hPa]
@@ -242,7 +243,7 @@ def _compute_unb3m(lat: FloatArray, h: FloatArray, day: float) -> FloatArray:
         1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 3.393711047e1 - 6.3431645e3 / kelvin
     )
     vapour = humidity / 100 * saturated * (1.00062 + 3.14e-6 * pressure + 5.6e-7 * (kelvin - 273.15) ** 2)
-    power = _GRAVITY / _GAS / lapse
+    power = STANDARD_GRAVITY / _GAS / lapse
     there = kelvin - lapse * np.minimum(h, _TOP)
     pressure, vapour = (
         pressure * (there / kelvin) ** power,
