@@ -14,13 +14,15 @@ from typing import Any
 import numpy as np
 
 from bench.data import AirData, EventRow, Events, NavSolution, SensorData, Trajectory
-from bench.errors import BenchError, ConfigError
+from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.evaluation.failures import FAILED, describe_error
 from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
 from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
 from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
@@ -74,7 +76,7 @@ class Pilot:
         self._deliveries = Deliveries()
         self.answers: list[NavSolution] = []
         self.events: list[EventRow] = []
-        self._died: float | None = None
+        self._died: EstimatorError | EstimatorFailedError | None = None
         self.t = 0.0
 
     def answer(self, measured: SensedPiece, end: float) -> NavSolution | None:
@@ -90,17 +92,25 @@ class Pilot:
             self._filter.feed(data)
             found = self._filter.answer()
         except Exception as error:  # a filter that dies leaves the aircraft to what it said last
-            self._died = end
-            why = str(error) if isinstance(error, BenchError) else repr(error)
-            self.events.append(
-                (end, end, "failed", f"the filter that flies has failed: {one_line(why)[:300]}")
-            )
+            self._end(error)
             return None
         if not len(found):
             return None
         self.answers.append(found)
         known = np.isfinite(found.lla[0]).all() and np.isfinite(found.vel_n[0]).all()
         return found if known and np.isfinite(found.q_nb[0]).all() else None
+
+    def _end(self, error: Exception) -> None:
+        """Keep why the filter has ended, and where in its code if that is a bug."""
+        use, t = self._choice.use, self.t
+        if not isinstance(error, EstimatorError | EstimatorFailedError):
+            failure = make_failure(use, "the filter that flies", error)
+            failure.__cause__ = error
+            error = failure
+        self._died = error
+        why, places = describe_error(use, error)
+        said = one_line(f"the filter that flies has failed: {why}")
+        self.events += [(t, t, FAILED, said), *((t, t, kind, text) for _, _, kind, text, *_ in places)]
 
     def collect(self) -> NavSolution:
         """Return all answers as one solution.
@@ -109,7 +119,11 @@ class Pilot:
         ------
         ConfigError
             If there is none.
+        EstimatorFailedError
+            If there is none because the filter raised, which is the cause.
         """
+        if not self.answers and isinstance(self._died, EstimatorFailedError):
+            raise self._died
         if not self.answers:
             why = self.events[0][3] if self.events else "it never answered"
             raise ConfigError(f"[guidance] navigation = {self._choice.use!r}: {why}")

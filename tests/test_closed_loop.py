@@ -155,6 +155,55 @@ def test_run_shows_the_answers_that_steered(profile, tmp_path, capsys):
     assert "in-flight" in capsys.readouterr().out
 
 
+BROKEN = """
+from bench.navigation.built_in import load
+
+class Mine:
+    def __init__(self, *, until):
+        self.one, self.until = load("loose-15", {}), until
+
+    def run(self, sensors, initial):
+        return self.one.run(sensors, initial)
+
+    def in_pieces(self, first, initial, events):
+        return Passage(self.one.in_pieces(first, initial, events), self.until)
+
+class Passage:
+    def __init__(self, one, until):
+        self.one, self.until = one, until
+
+    end = property(lambda self: self.one.end)
+
+    def feed(self, piece, look_back, *, last):
+        if piece.imu.t[-1] > self.until:
+            return self.one.a_name_misspelt
+        return self.one.feed(piece, look_back, last=last)
+
+    def answer(self, head):
+        return self.one.answer(head)
+
+    def copy(self):
+        return Passage(self.one.copy(), self.until)
+"""
+
+
+@pytest.mark.parametrize("until", [8.0, -1.0], ids=["in flight", "before its first answer"])
+def test_a_bug_in_the_filter_that_flies_keeps_its_traceback(until, profile, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken_filter.py").write_text(BROKEN)
+    text = profile.read_text()
+    profile.write_text(
+        text.replace('navigation = "loose-15"', f'navigation = "broken_filter:Mine"\noptions.until = {until}')
+    )
+    out = tmp_path / "out"
+    status = main(["run", str(profile), "-o", str(out), "--no-rrd", "--no-report", "--allow-code"])
+    said = capsys.readouterr()
+    assert status == 70
+    assert "return self.one.a_name_misspelt" in said.err
+    assert "AttributeError" in said.err
+    assert out.exists() == (until > 0)  # what it flew is a result; without an answer there is none
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
