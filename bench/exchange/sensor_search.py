@@ -149,6 +149,7 @@ class FoundSensor(NamedTuple):
     told: str = ""  # what is known of the unit of its gyros
     program: str = ""  # that wrote it
     axes: tuple[float, float, float] | None = None  # of an IMU, as the program has them [deg]
+    sheet: str = ""  # file of the datasheet that was in it
 
     @property
     def doubtful(self) -> tuple[str, ...]:

@@ -18,7 +18,7 @@ from bench.errors import ConfigError
 from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.rest_noise import assume_vibration
 from bench.evaluation.validity import check_recording
-from bench.exchange import autopilot, imports
+from bench.exchange import autopilot, found_datasheets, imports
 from bench.exchange.exporter_names import FORWARD_LEFT_UP
 from bench.exchange.exports.column_files import START
 from bench.exchange.imports.contents import Contents
@@ -94,7 +94,11 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         found = find_tables(path)
     antenna = _read_antenna(found["gnss"])
     clocks: dict[str, str] = {}
+    made: list[Path] = []
     try:
+        if found["imu"].structure:
+            text = found_datasheets.read_imu_sheet(found["imu"].path, found["imu"].structure)
+            found["imu"] = found["imu"]._replace(sheet=_write_sheet(path, "imu", text, made))
         records, found["imu"] = _try_log(log, found, antenna, clocks, rates)
         last = float(records.imu.t.max())
         rest = None if _gives_a_course(records) else min(max(_SHARE * last, _ALIGNS), 60.0)
@@ -106,8 +110,11 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
     except BaseException:
-        log.unlink(missing_ok=True)
+        for one in (log, *made):
+            one.unlink(missing_ok=True)
         raise
+    for sheet in made:
+        console.print(f"Wrote {sheet}: the noise of the IMU by {path.name}.", soft_wrap=True)
     for kind, one in found.items():
         named = ", ".join(f"{ours} from {theirs}" for ours, theirs in one.columns.items() if ours != theirs)
         within = f", structure {one.structure}" if one.structure else ""
@@ -130,12 +137,17 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
             imports.read(form, path, kind, None)  # says why
             raise ConfigError(f"{path.name}: its {kind} has no usable row")
     sensors = [kind for kind in held.sensors if kind != "mag" or _has_field(held.date)]
+    made: list[Path] = []
     try:
         clocks: dict[str, str] = {}
-        spec, records = _read_back(log, _tell_flight(path, held, sensors, clocks))
+        units = {kind: _FLIGHT_IMU if kind == "imu" else _DATASHEETS[kind] for kind in sensors}
+        if "baro" in sensors and held.baro_sd is not None:
+            text = found_datasheets.write_baro_sheet(path, *held.baro_sd, _DATASHEETS["baro"])
+            units["baro"] = _write_sheet(path, "baro", text, made)
+        spec, records = _read_back(log, _tell_flight(path, held, units, clocks))
         for key in ("velocity_offset_s", "time_offset_s"):
             _add_clock(clocks, key, spec, records)
-            spec, records = _read_back(log, _tell_flight(path, held, sensors, clocks))
+            spec, records = _read_back(log, _tell_flight(path, held, units, clocks))
         _, shaken = assume_vibration(spec.assumed.imu, records.imu)
         start = choose_start(spec, records)
         if start is None and not _gives_a_course(records):
@@ -145,18 +157,34 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
                 "velocities for a second, 10 s at rest, or 10 s above 5 m/s"
             )
         shakes = (shaken.value or 0.0) > _SHAKES
-        text = _tell_flight(path, held, sensors, clocks, start, shakes=shakes)
+        text = _tell_flight(path, held, units, clocks, start, shakes=shakes)
         _read_back(log, text)
     except BaseException:
-        log.unlink(missing_ok=True)
+        for one in (log, *made):
+            one.unlink(missing_ok=True)
         raise
     console.print(f"{path.name}: {', '.join(sensors)}" + _list_own(held), soft_wrap=True)
+    if held.baro_sd is not None and made:
+        sd, says = held.baro_sd
+        console.print(f"Wrote {made[0]}: barometer with {sd:g} m by {says}.", soft_wrap=True)
     for line in clocks.values():
         console.print(f"  {line}", soft_wrap=True)
     if start is not None and start.until is not None:
         console.print(f"  it tumbles and lies still: judged until {start.until:.1f} s", soft_wrap=True)
     console.print(f"Wrote {log}. Lines with a question are for you.", soft_wrap=True)
     console.print(f"Next: bench navigate {log}", soft_wrap=True)
+
+
+def _write_sheet(path: Path, kind: str, text: str, made: list[Path]) -> str:
+    """Write a datasheet that a recording holds beside it, and into the list; return its name.
+
+    One that is there already is kept: somebody may have corrected it. Without a text there is no name.
+    """
+    sheet = path.with_suffix(f".{kind}.toml")
+    if text and not sheet.exists():
+        durable.write(sheet, text)
+        made.append(sheet)
+    return sheet.name if text else ""
 
 
 def _has_field(day: datetime.date | None) -> bool:
@@ -184,18 +212,18 @@ def _add_clock(clocks: dict[str, str], key: str, spec: LogSpec, records: LogReco
 def _tell_flight(
     path: Path,
     held: Contents,
-    sensors: Sequence[str],
+    units: Mapping[str, str],
     clocks: Mapping[str, str],
     start: ChosenStart | None = None,
     *,
     shakes: bool = False,
 ) -> str:
-    """Return the text of the log of a flight."""
+    """Return the text of the log of a flight; ``units`` are the datasheets of its sensors."""
     lines = [f"title = {quote_toml(path.stem)}", f"file = {quote_toml(path.name)}"]
-    lines += [f"date = {held.date}"] if "mag" in sensors else []
+    lines += [f"date = {held.date}"] if "mag" in units else []
     places = {"imu": held.imu, "gnss": held.antenna}
     known = held.imu is not None and held.antenna is not None and (any(held.imu) or any(held.antenna))
-    for kind in sensors:
+    for kind in units:
         lines += ["", f"[{kind}]"]
         if kind in places and known:
             lines.append(f"position_m = {json.dumps(places[kind])}  # by the parameters of the autopilot")
@@ -206,7 +234,7 @@ def _tell_flight(
         lines += clocks.values() if kind == "gnss" else []
     lines += ["", "[reference]  # the truth of the simulator"] if held.truth else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
-    lines += [f'{kind} = "{_FLIGHT_IMU if kind == "imu" else _DATASHEETS[kind]}"' for kind in sensors]
+    lines += [f"{kind} = {quote_toml(unit)}" for kind, unit in units.items()]
     lines += ["", "[alignment]"]
     if start is None:
         lines += ['kind = "course"']
@@ -391,7 +419,7 @@ def _write_log(
         lines += [f"# {one_line(line)}: right?" for line in one.guessed] + asked[kind]
         lines += [clocks[kind]] if kind in clocks else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
-    lines += [f'{kind} = "{_DATASHEETS[kind]}"' for kind in found]
+    lines += [f"{kind} = {quote_toml(one.sheet or _DATASHEETS[kind])}" for kind, one in found.items()]
     lines += ["", "[alignment]"]
     if rest is None:
         lines += ['kind = "course"  # "level" if it stands for a minute before it moves?']

@@ -246,6 +246,16 @@ def test_an_antenna_at_no_number_is_not_known(tmp_path):
     assert look(write_flash(tmp_path / "y.bin", {"PARM": PARM}, rows)).antenna == (1.0, 0.5, 2.0)
 
 
+def test_the_noise_of_the_barometer_is_that_of_the_newest_filter(tmp_path):
+    """EKF3 flies where it has its parameters; 0 is none."""
+    rows = [("PARM", (1, name, value)) for name, value in (("EKF_ALT_NOISE", 1.0), ("EK3_ALT_M_NSE", 3.0))]
+    assert look(write_flash(tmp_path / "x.bin", {"PARM": PARM}, rows)).baro_sd == (3.0, "EK3_ALT_M_NSE")
+    rows[1] = ("PARM", (1, "EK3_ALT_M_NSE", 0.0))
+    assert look(write_flash(tmp_path / "y.bin", {"PARM": PARM}, rows)).baro_sd == (1.0, "EKF_ALT_NOISE")
+    rows[0] = ("PARM", (1, "EKF_ALT_NOISE", np.nan))
+    assert look(write_flash(tmp_path / "z.bin", {"PARM": PARM}, rows)).baro_sd is None
+
+
 def test_an_imu_without_a_whole_row_is_refused_in_a_line(tmp_path, capsys):
     rows = [("IMU", (1_000_000 + 10_000 * k, 0, np.nan, 0, 0, 0, 0, -9.8)) for k in range(500)]
     rows += [fix(1_000_000 + 200_000 * k) for k in range(20)]

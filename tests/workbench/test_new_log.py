@@ -364,3 +364,29 @@ def test_texts_of_kf_gins_have_rows_without_values_and_comments(tmp_path, name, 
     (tmp_path / f"gnss.{name}").write_text("1 47 11 600 -0.5 1 1\n")
     assert main(["new", "log", str(tmp_path / f"imu.{name}")]) == 2
     assert f"gnss.{name}: row 1 holds no fix" in capsys.readouterr().err
+
+
+def test_a_file_of_navego_gives_the_datasheet_it_was_written_with(tmp_path, capsys):
+    """Figures go out in the units of NaveGo and come back; NaveGo keeps white noise, drift and its time."""
+    _, sensed = make_run(tmp_path / "run")
+    bench.export_run(tmp_path / "run", "navego", out=tmp_path / "out")
+    path = tmp_path / "out" / "navego.mat"
+    assert main(["new", "log", str(path)]) == 0
+    assert "navego.imu.toml: the noise of the IMU by navego.mat" in capsys.readouterr().out
+    found, meant = load_log(str(path.with_suffix(".toml"))).assumed.imu, sensed.data.specs.imu
+    for triad in ("gyro", "accel"):
+        one, other = getattr(found, triad), getattr(meant, triad)
+        assert one.random_walk == pytest.approx(other.random_walk, rel=1e-6) and one.random_walk > 0.0
+        assert one.bias_instability == pytest.approx(other.bias_instability, rel=1e-6)
+        assert one.bias_correlation == pytest.approx(other.bias_correlation, rel=1e-6)
+
+
+def test_a_datasheet_that_is_there_is_kept(tmp_path):
+    _, _ = make_run(tmp_path / "run")
+    bench.export_run(tmp_path / "run", "navego", out=tmp_path / "out")
+    path, sheet = tmp_path / "out" / "navego.mat", tmp_path / "out" / "navego.imu.toml"
+    sheet.write_text('source = "mine"\n[gyro]\nnoise_deg_sqrt_h = 0.5\n[accel]\nnoise_m_s_sqrt_h = 0.5\n')
+    kept = sheet.read_bytes()
+    assert main(["new", "log", str(path)]) == 0
+    assert sheet.read_bytes() == kept
+    assert load_log(str(path.with_suffix(".toml"))).assumed.imu.gyro.random_walk == np.deg2rad(0.5) / 60.0

@@ -30,6 +30,7 @@ class Contents:
     date: datetime.date | None = None
     truth: bool = False  # of a simulator
     estimate: bool = False  # of the autopilot
+    baro_sd: tuple[float, str] | None = None  # that it assumes of heights by its barometer [m], and by what
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,6 +95,10 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     )
 
 
+_BARO_SD = "EKF2_BARO_NOISE"
+"""Parameter that says the noise of the barometer [m]."""
+
+
 def look(path: Path) -> Contents:
     """Return what a log holds and knows."""
     log = open_log(path)
@@ -117,6 +121,7 @@ def look(path: Path) -> Contents:
         date,
         ulog_motion.find(log, ulog_motion.TRUTH) is not None,
         ulog_motion.has_estimate(log),
+        (sd, _BARO_SD) if (sd := _read_parameter(log, _BARO_SD) or 0.0) > 0.0 else None,
     )
 
 

@@ -1,0 +1,116 @@
+"""Datasheets that a recording holds: the noise of an IMU in a file of NaveGo, of a barometer among parameters.
+
+A sheet is written beside the log, which names it, so that a person can read and correct it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.errors import ConfigError
+from bench.exchange.mat_file import find_structure, read_mat
+from bench.places import PACKAGE
+from bench.specs import GAUSS_MARKOV_PEAK
+from bench.units import ENDINGS
+from bench.wording import one_line, quote_toml
+
+_ONE = "bias_correlation"  # a figure that a datasheet has once for all axes
+_FIELDS = {
+    "noise": ("arw", "vrw", "_deg_sqrt_h", "_m_s_sqrt_h", 1.0),
+    "rate_random_walk": ("arrw", "vrrw", "_deg_h_sqrt_h", "_ug_sqrt_h", 1.0),
+    "bias_instability": ("gb_dyn", "ab_dyn", "_deg_h", "_ug", GAUSS_MARKOV_PEAK),
+    "bias_correlation": ("gb_corr", "ab_corr", "_s", "_s", 1.0),
+    "turn_on_bias_sd": ("gb_sta", "ab_sta", "_deg_h", "_ug", 1.0),
+}
+"""Figure of a datasheet -> fields of gyros and of accelerometers in NaveGo, units here, factor to the figure.
+
+Units and meaning by ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: SI, a row of x, y, z each; ``gb_dyn`` is
+the standard deviation of a Gauss-Markov process with the correlation time ``gb_corr``.
+"""
+
+
+def read_imu_sheet(path: Path, structure: str) -> str:
+    """Return the datasheet in a structure of a NaveGo file, as the text of one; empty if it has none.
+
+    One without the white noise of both triads is none. What is zero, infinite or no number is left out.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the file cannot be read, or has no such structure.
+    """
+    fields = find_structure(read_mat(path), structure, path.name)
+    tables, sources, missing = [], [], []
+    for column, triad in enumerate(("gyro", "accel")):
+        figures: dict[str, str] = {}
+        for figure, row in _FIELDS.items():
+            field, ending, factor = row[column], row[2 + column], row[4]
+            values = _read_axes(fields, field)
+            if values is None:
+                missing.append(f"{triad}.{figure}")
+                continue
+            figures[f"{figure}{ending}"] = _write_axes(values * factor / ENDINGS[ending].factor, figure)
+            sources.append(f'"{triad}.{figure}{ending}" = {quote_toml(f"{structure}.{field}")}')
+        if not any(key.startswith("noise_") for key in figures):
+            return ""
+        if "bias_correlation_s" in figures:
+            figures["bias_model"] = '"gauss-markov"'
+        tables += ["", f"[{triad}]", *(f"{key} = {value}" for key, value in figures.items())]
+    left = f"# Not in the file: {', '.join(missing)}." if missing else ""
+    head = [
+        f"# The IMU of {one_line(path.name)}, by the figures in its structure {one_line(structure)}.",
+        *([left] if left else []),
+        f"title = {quote_toml(f'IMU of {path.name}')}",
+        f"source = {quote_toml(f'{path.name}, structure {structure}')}",
+    ]
+    return "\n".join([*head, *tables, "", "[sources]", *sources]) + "\n"
+
+
+def _read_axes(fields: Mapping[str, Any], name: str) -> Any:
+    """Return a figure for x, y and z (3,); None if it is no positive number, or one for all is missing."""
+    value = fields.get(name)
+    if not isinstance(value, np.ndarray) or value.size not in (1, 3):
+        return None
+    axes = np.broadcast_to(value.reshape(-1), 3)
+    return axes if (np.isfinite(axes) & (axes > 0.0)).all() else None
+
+
+def _write_axes(values: Any, figure: str) -> str:
+    """Return a figure as TOML: a number, or one for each axis."""
+    axes = [float(f"{one:.9g}") for one in values]
+    return f"{max(axes)}" if figure == _ONE or len(set(axes)) == 1 else f"{axes}"
+
+
+def write_baro_sheet(path: Path, sd: float, says: str, like: str) -> str:
+    """Return the datasheet of a barometer whose noise an autopilot assumes, the rest as that of ``like``.
+
+    Parameters
+    ----------
+    path : Path
+        The log.
+    sd : float
+        Standard deviation of a height [m].
+    says : str
+        The parameter.
+    like : str
+        A barometer of the catalog.
+    """
+    if not sd > 0.0:
+        raise ConfigError(f"{path.name}: {says} = {sd:g} is no standard deviation")
+    text = (PACKAGE / "catalog" / "baro" / f"{like}.toml").read_text(encoding="utf-8")
+    lines = [f"# The barometer of {one_line(path.name)}: its noise by {says}, all else as {like}."]
+    for line in text.splitlines():
+        key = line.partition(" = ")[0]
+        if key == "title":
+            lines.append(f"title = {quote_toml(f'Barometer of {path.name}')}")
+        elif key == "white_sd_m":
+            lines.append(f"white_sd_m = {sd:g}")
+        elif key == '"baro.white_sd_m"':
+            lines.append(f'"baro.white_sd_m" = {quote_toml(f"{path.name}, parameter {says}")}')
+        elif not line.startswith("#"):
+            lines.append(line)
+    return "\n".join(lines) + "\n"
