@@ -1,4 +1,4 @@
-"""Datasheets that a recording holds: the noise of an IMU in a file of NaveGo, of a barometer among parameters.
+"""Datasheets that a recording holds: of an IMU in a file of NaveGo, of a barometer among parameters.
 
 A sheet is written beside the log, which names it, so that a person can read and correct it.
 """
@@ -19,17 +19,26 @@ from bench.units import ENDINGS
 from bench.wording import one_line, quote_toml
 
 _ONE = "bias_correlation"  # a figure that a datasheet has once for all axes
-_FIELDS = {
-    "noise": ("arw", "vrw", "_deg_sqrt_h", "_m_s_sqrt_h", 1.0),
-    "rate_random_walk": ("arrw", "vrrw", "_deg_h_sqrt_h", "_ug_sqrt_h", 1.0),
-    "bias_instability": ("gb_dyn", "ab_dyn", "_deg_h", "_ug", GAUSS_MARKOV_PEAK),
-    "bias_correlation": ("gb_corr", "ab_corr", "_s", "_s", 1.0),
-    "turn_on_bias_sd": ("gb_sta", "ab_sta", "_deg_h", "_ug", 1.0),
+_FIELDS: Mapping[str, Mapping[str, tuple[str, str]]] = {
+    "gyro": {
+        "noise": ("arw", "_deg_sqrt_h"),
+        "rate_random_walk": ("arrw", "_deg_h_sqrt_h"),
+        "bias_instability": ("gb_dyn", "_deg_h"),
+        "bias_correlation": ("gb_corr", "_s"),
+        "turn_on_bias_sd": ("gb_sta", "_deg_h"),
+    },
+    "accel": {
+        "noise": ("vrw", "_m_s_sqrt_h"),
+        "rate_random_walk": ("vrrw", "_ug_sqrt_h"),
+        "bias_instability": ("ab_dyn", "_ug"),
+        "bias_correlation": ("ab_corr", "_s"),
+        "turn_on_bias_sd": ("ab_sta", "_ug"),
+    },
 }
-"""Figure of a datasheet -> fields of gyros and of accelerometers in NaveGo, units here, factor to the figure.
+"""Figure of a datasheet, by triad -> its field in NaveGo, its unit here.
 
-Units and meaning by ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: SI, a row of x, y, z each; ``gb_dyn`` is
-the standard deviation of a Gauss-Markov process with the correlation time ``gb_corr``.
+Units and meaning by ins-gnss/ins_gnss.m of github.com/rodralez/NaveGo: SI, a row of x, y, z each; ``gb_dyn``
+is the standard deviation of a Gauss-Markov process with the correlation time ``gb_corr``.
 """
 
 
@@ -45,10 +54,10 @@ def read_imu_sheet(path: Path, structure: str) -> str:
     """
     fields = find_structure(read_mat(path), structure, path.name)
     tables, sources, missing = [], [], []
-    for column, triad in enumerate(("gyro", "accel")):
+    for triad, every in _FIELDS.items():
         figures: dict[str, str] = {}
-        for figure, row in _FIELDS.items():
-            field, ending, factor = row[column], row[2 + column], row[4]
+        for figure, (field, ending) in every.items():
+            factor = GAUSS_MARKOV_PEAK if figure == "bias_instability" else 1.0
             values = _read_axes(fields, field)
             if values is None:
                 missing.append(f"{triad}.{figure}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -110,8 +110,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
     except BaseException:
-        for one in (log, *made):
-            one.unlink(missing_ok=True)
+        for part in (log, *made):
+            part.unlink(missing_ok=True)
         raise
     for sheet in made:
         console.print(f"Wrote {sheet}: the noise of the IMU by {path.name}.", soft_wrap=True)
@@ -160,8 +160,8 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
         text = _tell_flight(path, held, units, clocks, start, shakes=shakes)
         _read_back(log, text)
     except BaseException:
-        for one in (log, *made):
-            one.unlink(missing_ok=True)
+        for part in (log, *made):
+            part.unlink(missing_ok=True)
         raise
     console.print(f"{path.name}: {', '.join(sensors)}" + _list_own(held), soft_wrap=True)
     if held.baro_sd is not None and made:

@@ -50,7 +50,8 @@ def test_what_is_no_figure_is_left_out_and_named(tmp_path):
     assert spec.gyro.bias_instability == spec.accel.bias_instability == 0.0
     assert spec.gyro.turn_on_bias_sd == spec.accel.turn_on_bias_sd == 0.0
     first = text.splitlines()[1]
-    assert first.startswith("# Not in the file: ") and "gyro.turn_on_bias_sd" in first
+    assert first.startswith("# Not in the file: ")
+    assert "gyro.turn_on_bias_sd" in first
 
 
 @pytest.mark.parametrize("fields", [{}, {"arw": 1e-4 * ROW}, {"arw": 0.0 * ROW, "vrw": 1e-3 * ROW}])
@@ -62,5 +63,5 @@ def test_a_barometer_is_as_noisy_as_the_autopilot_assumes(tmp_path):
     (tmp_path / "b.toml").write_text(write_baro_sheet(tmp_path / 'a"b.bin', 3.5, "EKF2_BARO_NOISE", "bmp388"))
     spec = SENSORS["baro"](tmp_path / "b.toml", "b.toml")
     like = SENSORS["baro"](PACKAGE / "catalog" / "baro" / "bmp388.toml", "bmp388")
-    assert spec.white_sd == 3.5 and like.white_sd == 0.1
+    assert (spec.white_sd, like.white_sd) == (3.5, 0.1)
     assert (spec.bias_sd, spec.bias_walk, spec.rate) == (like.bias_sd, like.bias_walk, like.rate)

@@ -376,7 +376,8 @@ def test_a_file_of_navego_gives_the_datasheet_it_was_written_with(tmp_path, caps
     found, meant = load_log(str(path.with_suffix(".toml"))).assumed.imu, sensed.data.specs.imu
     for triad in ("gyro", "accel"):
         one, other = getattr(found, triad), getattr(meant, triad)
-        assert one.random_walk == pytest.approx(other.random_walk, rel=1e-6) and one.random_walk > 0.0
+        assert one.random_walk > 0.0
+        assert one.random_walk == pytest.approx(other.random_walk, rel=1e-6)
         assert one.bias_instability == pytest.approx(other.bias_instability, rel=1e-6)
         assert one.bias_correlation == pytest.approx(other.bias_correlation, rel=1e-6)
 
