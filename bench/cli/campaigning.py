@@ -20,6 +20,7 @@ from bench.cli.group import (
     jobs_option,
     json_option,
     junit_option,
+    list_given,
     new_console,
     out_option,
     parse_assignments,
@@ -32,7 +33,13 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 
 
 @commands.command(epilog=STATUS)
-@click.argument("profile", metavar="PROFILE|CAMPAIGN.toml", shell_complete=completion.profile)
+@click.argument(
+    "sources",
+    nargs=-1,
+    required=True,
+    metavar="PROFILE|CAMPAIGN.toml|LOG...",
+    shell_complete=completion.profile,
+)
 @click.option(
     "--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each flight  [default: 200]"
 )
@@ -52,13 +59,16 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @code_option("profile")
 @guard_options
 @junit_option
-def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) -> int:
-    """Run many noise draws of a profile and say what they tell together.
+def campaign(sources: tuple[str, ...], as_json: bool, junit: Path | None, **options: Any) -> int:
+    """Run many noise draws of a profile, or filters on many logs, and say what they tell together.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
     names profiles and the values to vary: every combination is a condition with its
     own statistics. Finished runs are in the journal at once: after Ctrl-C, kill -9 or
     a full disk, --resume continues.
+
+    LOG is a LOG.toml, a recording, or a folder of them: filters run side by side on all, as
+    bench study logs does it; a recording without its log gets one first.
 
     \b
     Examples:
@@ -66,6 +76,7 @@ def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) ->
       bench campaign figure-eight --runs 200 -e loose-15 -e loose-22 --resume
       bench campaign my_flight.toml --runs 1 --flights 100 --set sensors.imu=stim300
       bench campaign which_unit.toml -o units
+      bench campaign flights/*.ulg -e autopilot -e loose-full -o fleet
 
     \b
     Writes to DIR: runs.parquet (a row for each run and estimator, with the command
@@ -78,7 +89,16 @@ def campaign(profile: str, as_json: bool, junit: Path | None, **options: Any) ->
     from bench.campaigns.running import describe
     from bench.store import to_json
     from bench.workbench.campaign_verb import run_campaign
+    from bench.workbench.log_campaign import are_logs, run_logs
 
+    if are_logs(sources):
+        found = run_logs(sources, list_given(), console=new_console(stderr=as_json), **options)
+        if as_json:
+            from bench.store.study_folder import describe_study
+
+            click.echo(to_json(describe_study(found)), nl=False)
+        return DONE if found.findings.good else NEGATIVE
+    [profile] = sources
     result = run_campaign(profile, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(describe(result)), nl=False)

@@ -277,3 +277,13 @@ def new_console(*, stderr: bool = False) -> Console:
     from bench.workbench.console import PlainConsole
 
     return PlainConsole(stderr=stderr)
+
+
+def list_given() -> list[tuple[str, str]]:
+    """Return name and flag of the options and arguments that were typed in the command at work."""
+    here = click.get_current_context()
+    return [
+        (one.name, one.opts[0])
+        for one in here.command.params
+        if one.name and here.get_parameter_source(one.name) is click.core.ParameterSource.COMMANDLINE
+    ]

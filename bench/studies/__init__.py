@@ -54,6 +54,10 @@ STUDIES: Mapping[str, StudyEntry] = {
         "bench.studies.register_study",
         "Which rows of the sources' register hold here, and by what number?",
     ),
+    "logs": StudyEntry(
+        "bench.studies.recorded_logs",
+        "Which filter does better on many recordings?",
+    ),
     "rnp": StudyEntry(
         "bench.studies.rnp",
         "Are accuracy, integrity, continuity and availability those that a procedure requires?",

@@ -37,6 +37,8 @@ _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
 _BAGS = (".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
 _FLIGHTS = {".ulg": "ulog", ".bin": "dataflash", ".px4log": "dataflash"}
 """Endings of logs of autopilots -> their format."""
+RECORDINGS = (*_BAGS, *_FLIGHTS)
+"""Endings that only recordings have."""
 _DATASHEETS = {
     "imu": "adis16475",
     "gnss": "l1-code",

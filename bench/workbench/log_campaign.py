@@ -1,0 +1,96 @@
+"""The verb campaign over logs: recordings get their logs first, then the study of logs runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bench.errors import ConfigError
+from bench.findings import StudyResult
+from bench.studies.recorded_logs import is_log
+from bench.workbench.flight_verbs import find_own_estimators
+from bench.workbench.new_log import RECORDINGS, new_log
+from bench.workbench.study_verb import run_study
+
+
+def are_logs(sources: Sequence[str]) -> bool:
+    """Return whether a campaign is one over logs and not one of a profile.
+
+    Raises
+    ------
+    ConfigError
+        If several sources are given and one is no log.
+    """
+    logs = [
+        path.is_dir() or path.suffix.lower() in RECORDINGS or (path.suffix == ".toml" and is_log(path))
+        for path in map(Path, sources)
+    ]
+    if len(sources) > 1 and not all(logs):
+        other = sources[logs.index(False)]
+        raise ConfigError(
+            f"campaign: {other} is no log; several profiles go into a CAMPAIGN.toml (bench guide campaigns)"
+        )
+    return all(logs)
+
+
+_TAKEN = ("sources", "out", "jobs", "force", "report", "estimators", "overrides", "as_json")
+"""Options of the verb that logs have, too."""
+
+
+def run_logs(
+    sources: Sequence[str],
+    given: Sequence[tuple[str, str]],
+    *,
+    console: Console,
+    out: Path | None,
+    jobs: int | None,
+    force: bool,
+    report: bool,
+    estimators: Sequence[str] | None,
+    overrides: Mapping[str, Any],
+    **others: Any,
+) -> StudyResult:
+    """Run filters on logs, print and return what was found; a recording without a log gets one first.
+
+    ``given`` are name and flag of what was typed; ``others`` are options of profiles.
+
+    Raises
+    ------
+    ConfigError
+        If one of those is given, or no folder.
+    """
+    wrong = [flag for name, flag in given if name not in _TAKEN]
+    if wrong:
+        raise ConfigError(f"campaign: {wrong[0]} is for profiles, not for logs")
+    if out is None:
+        raise ConfigError("campaign: name the folder for the results of logs: -o DIR")
+    find_own_estimators()
+    logs = [str(path) for source in sources for path in _list_recordings(Path(source), console)]
+    if not logs:
+        raise ConfigError(f"campaign: no LOG.toml in this folder, nor a recording: {sources[0]}")
+    filters = {"estimators": tuple(estimators)} if estimators else {}
+    return run_study(
+        "logs", console=console, out=out, report=report, jobs=jobs, force=force, logs=tuple(logs),
+        overrides=overrides, **filters,
+    )  # fmt: skip
+
+
+def _list_recordings(path: Path, console: Console) -> list[Path]:
+    """Return the logs of a source: of each recording, which is written if it is not there, and a folder's."""
+    if path.is_dir():
+        held = sorted(one for one in path.iterdir() if one.suffix.lower() in RECORDINGS and one.is_file())
+        logs = {log: None for one in held for log in _list_recordings(one, console)}
+        return list(logs | {one: None for one in sorted(path.glob("*.toml")) if is_log(one)})
+    if path.suffix == ".toml":
+        return [path]
+    log = path.with_suffix(".toml")
+    if not log.exists():
+        try:
+            new_log(str(path), console=console)
+        except ConfigError as error:
+            console.print(f"left out: {error}", style="yellow", soft_wrap=True)
+            return []
+    return [log]

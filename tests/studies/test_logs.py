@@ -1,0 +1,130 @@
+"""Filters on many logs: which is better is said of all logs together, and of none that hides its losses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import bench
+from bench.cli import main
+from bench.errors import DONE, NEGATIVE, WRONG, ConfigError
+from bench.store.study_folder import load_study
+from bench.studies.recorded_logs import LogResult, compare_filters, find_logs, name_logs
+from tests.exchange import drives
+
+LABELS = ("first", "second")
+
+
+def rows(first, second):
+    """Return the results of two filters by log; NaN is a log that a filter lost."""
+    return [
+        LogResult(f"log {k}", label, "", "", bool(np.isfinite(value)), {"horizontal_m": float(value)})
+        for k, pair in enumerate(zip(first, second, strict=True))
+        for label, value in zip(LABELS, pair, strict=True)
+    ]
+
+
+def test_a_filter_twice_as_good_everywhere_is_better_and_by_how_much():
+    errors = np.array([0.1, 1.0, 10.0, 3.0, 0.5])
+    scatter = np.exp([0.02, -0.02, 0.01, 0.0, -0.01])
+    ((name, label, ratio, logs, word),) = compare_filters(rows(errors, 0.5 * errors * scatter), LABELS)
+    assert (name, label, logs, word) == ("horizontal_m", "second", 5, "better")
+    assert ratio.value == pytest.approx(0.5, rel=1e-6)
+    half = stats.t.ppf(0.975, 4) * np.log(scatter).std(ddof=1) / np.sqrt(5.0)
+    assert np.log(ratio.high / ratio.value) == pytest.approx(half, rel=1e-6)
+
+
+def test_a_filter_that_leaves_out_the_logs_it_would_lose_is_not_better():
+    errors = np.array([0.1, 1.0, 10.0, 3.0, 0.5, 2.0])
+    chosen = np.where(errors > 5.0, np.nan, 0.5 * errors * np.exp(0.01 * np.arange(6)))
+    ((*_, logs, word),) = compare_filters(rows(errors, chosen), LABELS)
+    assert logs == 5
+    assert word == "undecided: it lost logs that the other kept"
+    ((*_, word),) = compare_filters(rows(chosen, errors), LABELS)
+    assert word == "undecided: it lost logs that the other kept"
+    ((*_, word),) = compare_filters(rows(errors, np.where(errors < 0.2, np.nan, 2.1 * errors**1.01)), LABELS)
+    assert word == "worse"
+
+
+def test_equal_filters_are_seldom_told_apart():
+    """300 pairs of 12 logs, four quantities: any false word in at most 5 %, by the 99.9 % band."""
+    rng, false = np.random.default_rng(5), 0
+    for _ in range(300):
+        found = [
+            LogResult(f"log {k}", label, "", "", good=True, values=dict(zip("abcd", values, strict=True)))
+            for k in range(12)
+            for label in LABELS
+            for values in [np.exp(0.3 * rng.standard_normal(4)).tolist()]
+        ]
+        false += any(word != "undecided" for *_, word in compare_filters(found, LABELS))
+    assert 1 <= false <= stats.binom.ppf(0.9995, 300, 0.05)
+
+
+def test_two_logs_tell_nothing_of_scatter():
+    assert list(compare_filters(rows([1.0, 2.0], [0.5, 1.0]), LABELS)) == []
+
+
+def test_logs_have_the_shortest_names_that_tell_them_apart(tmp_path):
+    paths = [tmp_path / "a" / "one.toml", tmp_path / "b" / "one.toml"]
+    assert name_logs(paths) == ["a/one", "b/one"]
+    assert name_logs([*paths[:1], tmp_path / "b" / "two.toml"]) == ["one", "two"]
+
+
+def test_filters_run_side_by_side_on_a_folder_of_logs(tmp_path, capsys):
+    """A log that cannot be read is a row with its reason, and the other logs have their results."""
+    folder = tmp_path / "drives"
+    for name in ("one", "two", "three"):
+        (folder / name).mkdir(parents=True)
+        drives.write_log(folder / name).rename(folder / name / f"{name}.toml")
+    (folder / "two" / "imu.csv").unlink()
+    logs = [str(folder / name) for name in ("one", "two", "three")]
+    out = tmp_path / "out"
+    assert (
+        main(["campaign", *logs, "-e", "loose-15", "-e", "gnss-only", "--jobs", "1", "-o", str(out)])
+        == NEGATIVE
+    )
+    said = capsys.readouterr().out
+    assert "loose-15, 3 logs:" in said
+    assert "two: " in said
+    assert "imu.csv" in said.partition("two: ")[2]
+    table = load_study(out).tables["logs"].columns
+    assert table["log"] == ["one", "one", "two", "three", "three"]
+    plain = bench.navigate_log(
+        bench.read_log(folder / "one" / "one.toml", estimators=["loose-15"]), outages=None
+    )
+    assert table["horizontal_m"][0] == pytest.approx(plain.metrics["loose-15"]["pos_rmse_h_m"])
+    assert (out / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        (["{log}", "figure-eight", "-o", "x"], "figure-eight is no log; several profiles go into a CAMPAIGN"),
+        (["{log}", "--runs", "3", "-o", "x"], "--runs is for profiles, not for logs"),
+        (["{log}", "--timeout", "3", "-o", "x"], "--timeout is for profiles, not for logs"),
+        (["{log}"], "name the folder for the results of logs: -o DIR"),
+        (["{log}", "{log}", "-o", "x"], "is given twice; it would count as two trials"),
+        (["{empty}", "-o", "x"], "no LOG.toml in this folder"),
+    ],
+)
+def test_what_logs_do_not_have_is_refused_in_a_line(tmp_path, capsys, monkeypatch, given, says):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "empty").mkdir()
+    places = {"log": str(drives.write_log(tmp_path)), "empty": str(tmp_path / "empty")}
+    assert main(["campaign", *(one.format(**places) for one in given)]) == WRONG
+    said = capsys.readouterr().err
+    assert says in said
+    assert said.count("\n") == 1
+
+
+def test_a_recording_is_named_by_its_log():
+    with pytest.raises(ConfigError, match=r"name its LOG\.toml"):
+        find_logs(["a.ulg"])
+
+
+def test_one_log_is_enough_for_a_table(tmp_path):
+    drives.write_log(tmp_path)
+    assert (
+        main(["campaign", str(tmp_path), "-e", "gnss-only", "--jobs", "1", "-o", str(tmp_path / "o")]) == DONE
+    )
