@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from functools import partial
+from typing import Any, Protocol
 
 import numpy as np
 
-from bench.data import AirData, EventRow, Events, NavSolution, SensorData, Trajectory
+from bench.data import AirData, EventRow, Events, InitialState, NavSolution, SensorData, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import FAILED, describe_error
+from bench.exchange.flight_session import FlightSession
 from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
+from bench.flight.steering import Commanded, Commands
 from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
@@ -26,7 +29,7 @@ from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
 from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
-from bench.specs import FlightSpec, Guidance, Profile
+from bench.specs import CLIENT, FlightSpec, Guidance, Profile
 from bench.store import join_pieces
 from bench.wording import one_line
 
@@ -37,6 +40,15 @@ class ClosedFlight:
 
     truth: Trajectory
     answers: NavSolution  # that steered, in real time: by what had arrived
+
+
+@dataclass(frozen=True, slots=True)
+class ServedFlight:
+    """What a flight with a client gave."""
+
+    truth: Trajectory
+    answers: NavSolution | None  # of the client, if it gave any
+    ended: str  # why the client did not fly to the end; empty if it did
 
 
 class Deliveries:
@@ -60,19 +72,44 @@ class Deliveries:
         return replace(measured, **come)
 
 
+class Navigator(Protocol):
+    """Who is asked where the aircraft is: a filter on board, or a client on its line."""
+
+    def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
+        """Take what has arrived until an instant [s] and return the answer at it."""
+        ...
+
+
+class _FilterOnBoard:
+    def __init__(self, guidance: Guidance) -> None:
+        choice, look_back = guidance.navigation, guidance.look_back
+        if choice.use == CLIENT:
+            raise ConfigError(f"[guidance] navigation = {CLIENT!r}: bench serve flies it, with a client")
+        (built,) = load_estimators([choice])
+        self._open = partial(PieceFilter, choice.use, dict(choice.options), built)
+        self._look_back = look_back
+        self._filter: PieceFilter | None = None
+
+    def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
+        if self._filter is None:
+            self._filter = self._open(initial, self._look_back)
+        self._filter.feed(data)
+        return self._filter.answer()
+
+
 class Pilot:
-    """Feeds a filter with the pieces of a flight and asks it where the aircraft is.
+    """Gives a navigator the pieces of a flight and asks it where the aircraft is.
 
     Parameters
     ----------
-    guidance : Guidance
-        The filter and its options.
+    use : str
+        Its name, for messages.
+    navigator : Navigator
+        Who is asked.
     """
 
-    def __init__(self, guidance: Guidance) -> None:
-        self._choice, self._look_back = guidance.navigation, guidance.look_back
-        (self._built,) = load_estimators([guidance.navigation])
-        self._filter: PieceFilter | None = None
+    def __init__(self, use: str, navigator: Navigator) -> None:
+        self._use, self._navigator = use, navigator
         self._deliveries = Deliveries()
         self.answers: list[NavSolution] = []
         self.events: list[EventRow] = []
@@ -82,15 +119,11 @@ class Pilot:
     def answer(self, measured: SensedPiece, end: float) -> NavSolution | None:
         """Take the next piece and return the answer at its end [s]; None if the filter has none."""
         self.t = end
-        if self._filter is None:
-            use, options = self._choice.use, dict(self._choice.options)
-            self._filter = PieceFilter(use, options, self._built, measured.initial, self._look_back)
         data = self._deliveries.take(measured.data, end)
         if self._died is not None:
             return None
         try:
-            self._filter.feed(data)
-            found = self._filter.answer()
+            found = self._navigator.answer(data, measured.initial, end)
         except Exception as error:  # a filter that dies leaves the aircraft to what it said last
             self._end(error)
             return None
@@ -102,7 +135,7 @@ class Pilot:
 
     def _end(self, error: Exception) -> None:
         """Keep why the filter has ended, and where in its code if that is a bug."""
-        use, t = self._choice.use, self.t
+        use, t = self._use, self.t
         if not isinstance(error, EstimatorError | EstimatorFailedError):
             failure = make_failure(use, "the filter that flies", error)
             failure.__cause__ = error
@@ -126,7 +159,7 @@ class Pilot:
             raise self._died
         if not self.answers:
             why = self.events[0][3] if self.events else "it never answered"
-            raise ConfigError(f"[guidance] navigation = {self._choice.use!r}: {why}")
+            raise ConfigError(f"[guidance] navigation = {self._use!r}: {why}")
         known = [one for one in self.answers if one.extra_names] or self.answers
         joined = join_solutions([one for one in self.answers if one.extra_names == known[0].extra_names])
         return replace(joined, events=Events.from_rows(self.events))
@@ -142,6 +175,46 @@ def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None
     bench.errors.EstimatorError, bench.errors.ConfigError
         If the filter cannot be built, or has never answered.
     """
+    assert profile.guidance is not None
+    truth, pilot = _fly(profile, run, _FilterOnBoard(profile.guidance), progress)
+    return ClosedFlight(truth, pilot.collect())
+
+
+def serve(profile: Profile, run: int, session: FlightSession, commands: Commands | None) -> ServedFlight:
+    """Fly a profile whose guidance reads what a client answers; errors as for :func:`fly`.
+
+    With ``commands`` the legs are left out: the client flies. Without any estimate there are no answers.
+    """
+    spec = profile.flight
+    assert isinstance(spec, FlightSpec)
+    if commands is not None:
+        duration = find_length(profile)
+        spec = replace(spec, legs=(Commanded(duration, commands),), duration=duration)
+    truth, pilot = _fly(replace(profile, flight=spec), run, session, None)
+    answers = pilot.collect() if session.estimates else None
+    return ServedFlight(truth, answers, "".join(row[3] for row in pilot.events))
+
+
+def find_length(profile: Profile) -> float:
+    """Return how long commands fly a profile [s].
+
+    Raises
+    ------
+    ConfigError
+        If it begins on the ground, or does not say how long it is.
+    """
+    spec = profile.flight
+    assert isinstance(spec, FlightSpec)
+    if spec.on_ground:
+        raise ConfigError(f"{profile.name}: commands fly in the air; this flight begins on the ground")
+    if spec.duration is None:
+        raise ConfigError(f"{profile.name}: commands fly without legs; say how long: --set duration_s=120")
+    return spec.duration
+
+
+def _fly(
+    profile: Profile, run: int, navigator: Navigator, progress: Callable[[float], None] | None
+) -> tuple[Trajectory, Pilot]:
     from bench import flight
 
     guidance = profile.guidance
@@ -150,14 +223,18 @@ def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None
     belief = Belief(guidance.error, guidance.latency)
     pieces = flight.fly_pieces(profile.flight, progress, guidance.period, belief)
     flown = list[Trajectory]()
-    pilot = _follow(profile, run, _keep(pieces, flown), belief)
-    return ClosedFlight(join_pieces(flown), pilot.collect())
+    pilot = Pilot(guidance.navigation.use, navigator)
+    _follow(profile, run, _keep(pieces, flown), belief, pilot)
+    return join_pieces(flown), pilot
 
 
 def replay(profile: Profile, truth: Trajectory, run: int = 0) -> NavSolution:
     """Return the answers that steered, from the truth that they flew."""
-    assert profile.guidance is not None
-    return _follow(profile, run, cut_truth(truth, profile.guidance.period), None).collect()
+    guidance = profile.guidance
+    assert guidance is not None
+    pilot = Pilot(guidance.navigation.use, _FilterOnBoard(guidance))
+    _follow(profile, run, cut_truth(truth, guidance.period), None, pilot)
+    return pilot.collect()
 
 
 def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory]) -> Iterator[Trajectory]:
@@ -166,11 +243,11 @@ def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory]) -> Iterator[Tra
         yield piece
 
 
-def _follow(profile: Profile, run: int, pieces: Iterable[Trajectory], belief: Belief | None) -> Pilot:
-    """Sense and navigate the pieces of a flight; tell ``belief`` what comes of it."""
-    guidance, draws = profile.guidance, SensorDraws(profile.seed, run)
-    assert guidance is not None
-    pilot, radar = Pilot(guidance), profile.sensors.radar is not None
+def _follow(
+    profile: Profile, run: int, pieces: Iterable[Trajectory], belief: Belief | None, pilot: Pilot
+) -> None:
+    """Sense the pieces of a flight and let the pilot navigate; tell ``belief`` what comes of it."""
+    draws, radar = SensorDraws(profile.seed, run), profile.sensors.radar is not None
     last_air: AirData | None = None
     for piece in pieces:
         whole = piece
@@ -184,7 +261,6 @@ def _follow(profile: Profile, run: int, pieces: Iterable[Trajectory], belief: Be
             belief.take(NavEstimate(end, piece, found, measured.truth.gyro_bias_b[-1]))
         if belief is not None and radar:
             _tell_height(belief, measured.data, piece, profile.sensors.ground_alt)
-    return pilot
 
 
 def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, ground_alt: float) -> None:

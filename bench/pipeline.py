@@ -22,7 +22,7 @@ from bench.exchange.loading import load_estimators
 from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
-from bench.specs import IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
+from bench.specs import CLIENT, IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 from bench.stages import FLYING, Stages, Watcher
 from bench.units import SAME_INSTANT
 
@@ -156,6 +156,7 @@ def run(
     run: int = 0,
     *,
     truth: Trajectory | None = None,
+    steered: NavSolution | None = None,
     bound: bool = False,
     causes: bool | None = False,
     progress: Watcher | None = None,
@@ -173,6 +174,8 @@ def run(
         Number of the noise draw.
     truth : Trajectory or None
         The truth, if it has been flown already.
+    steered : NavSolution or None
+        The answers that flew it, if a client gave them.
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     causes : bool or None
@@ -189,13 +192,14 @@ def run(
     """
     stages = Stages(progress)
     with watch_compiling(stages.compile):
-        return _run(profile, run, truth, bound, causes, stages)
+        return _run(profile, run, truth, steered, bound, causes, stages)
 
 
 def _run(
     profile: Profile,
     run: int,
     truth: Trajectory | None,
+    steered: NavSolution | None,
     bound: bool,
     causes: bool | None,
     stages: Stages,
@@ -208,7 +212,6 @@ def _run(
     compiled_before = read_compile_time()
     clock = {"fly": _read_work_clock()}
     own_truth = truth is not None
-    steered: NavSolution | None = None
     tell = partial(_tell_flown, stages, profile.flight.duration)
     if truth is None and profile.guidance is not None:
         closed = _fly_closed(profile, run, tell)
@@ -216,7 +219,7 @@ def _run(
     elif truth is None:
         stages.begin("taking the flight from the cache")
         truth = fly(profile, progress=tell)
-    elif profile.guidance is not None:
+    elif profile.guidance is not None and profile.guidance.navigation.use != CLIENT:
         stages.begin("navigating the flight again")
         from bench import closed_loop
 

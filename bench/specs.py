@@ -764,6 +764,9 @@ class EvaluationWindow:
 IN_FLIGHT = "in-flight"
 """Name of the answers that steered, beside the solutions of the estimators."""
 
+CLIENT = "client"
+"""Name of the navigation that a client of `bench serve` gives."""
+
 
 @dataclass(frozen=True, slots=True)
 class Guidance:

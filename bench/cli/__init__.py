@@ -13,13 +13,23 @@ from typing import Any
 
 import click
 
-from bench.cli import campaigning, flights, receiver_files, records, starting, studying
+from bench.cli import campaigning, flights, receiver_files, records, serving_flights, starting, studying
 from bench.cli.group import commands
 from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 from bench.wording import replace_control
 
 # each module adds verbs
-__all__ = ["campaigning", "commands", "flights", "main", "receiver_files", "records", "starting", "studying"]
+__all__ = [
+    "campaigning",
+    "commands",
+    "flights",
+    "main",
+    "receiver_files",
+    "records",
+    "serving_flights",
+    "starting",
+    "studying",
+]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

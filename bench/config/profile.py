@@ -39,6 +39,7 @@ from bench.flight import legs
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
 from bench.specs import (
+    CLIENT,
     DEFAULT_GUARD,
     AircraftSpec,
     AssumedSpecs,
@@ -189,6 +190,8 @@ def _make_guidance(
         or flight.aircraft.foreign is not None
     ):
         raise ConfigError(f"{place} is for aircraft of the bench; others have no guidance that it reaches")
+    if choice.use == CLIENT:
+        return Guidance(choice, own.period_s, own.latency_s, own.error)
     if not checks.is_known(choice.use) or choice.use.startswith(_OUTSIDE):
         raise ConfigError(f"{place} navigation = {choice.use!r}: must be an estimator that runs in pieces")
     if checks.is_code(choice.use) and not allow_code:

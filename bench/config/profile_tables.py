@@ -256,7 +256,7 @@ class GuidanceTable(Table):
     """The estimate that guidance and legs read instead of the truth."""
 
     navigation: str
-    """The estimator that flies: a built-in name or module:Class that runs in pieces."""
+    """The estimator that flies: built in or module:Class, and runs in pieces; "client": bench serve."""
     options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
     """A table of its options."""
     period_s: Annotated[float, between(0.05, 10), AfterValidator(_check_ticks)] = 0.2

@@ -15,6 +15,10 @@ Payloads: IMU t, dt [s], increments of angle x, y, z [rad] and of velocity x, y,
 that ends at t, forward, right, down (n = 65); other instruments t [s], value or values, and sd, in SI:
 barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25), radar height above
 the runway [m] (25), odometer speed [m/s] (25), heading [rad] (25).
+
+A flight with a client (`bench.exchange.flight_messages`) has fixes as frames, too, kind 8: t [s], latitude,
+longitude [rad], altitude [m], velocity north, east, down [m/s], the upper triangles row by row of their
+covariances [m^2], [m^2/s^2], and the number of satellites (n = 161).
 """
 
 from __future__ import annotations
@@ -22,17 +26,19 @@ from __future__ import annotations
 import heapq
 import struct
 from binascii import crc_hqx
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
+from bench.data import ImuData, SensorData
 from bench.exchange.exports.nmea import make_fix_sentences
 from bench.exchange.exports.outgoing import ExportData
 from bench.instruments import INSTRUMENTS
 
 SYNC = b"\xaa\x55"
-IMU = 1
+IMU, FIX = 1, 8
 
 Message = tuple[float, bytes]
 """Time of arrival at the filter [s], and the bytes of one sentence or frame."""
@@ -40,14 +46,9 @@ Message = tuple[float, bytes]
 
 def make_messages(run: ExportData) -> Iterator[Message]:
     """Yield every message of a run in order of arrival; rows of one sensor keep their order."""
-    imu = run.imu
-    streams = [_make_payloads(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
+    streams = _make_streams(run.imu, run.instruments)
     if run.fixes is not None:
         streams.append(_make_sentences(run))
-    for name, record in run.instruments.items():
-        row = INSTRUMENTS[name]
-        columns = [record.t, *row.values(record).T, record.sd]
-        streams.append(_make_payloads(row.frame, record.t_arrival, columns, record.valid))
     number = 0
     for arrival, kind, body in heapq.merge(*streams, key=lambda row: row[0]):
         if kind:
@@ -55,6 +56,27 @@ def make_messages(run: ExportData) -> Iterator[Message]:
             number += 1
         else:
             yield arrival, body
+
+
+def make_frames(data: SensorData) -> list[tuple[int, bytes]]:
+    """Return kind and payload of every row of a piece of a record in order of arrival, fixes as frames."""
+    streams = _make_streams(data.imu, data.instruments)
+    if (fixes := data.fixes) is not None:
+        upper = np.triu_indices(3)
+        covariances = [cov[:, upper[0], upper[1]].T for cov in (fixes.cov_pos_n, fixes.cov_vel_n)]
+        columns = [fixes.t, *fixes.lla.T, *fixes.vel_n.T, *covariances[0], *covariances[1], fixes.satellites]
+        streams.append(_make_payloads(FIX, fixes.t_arrival, columns, fixes.valid))
+    return [(kind, body) for _, kind, body in heapq.merge(*streams, key=lambda row: row[0])]
+
+
+def _make_streams(imu: ImuData, instruments: Mapping[str, Any]) -> list[Iterator[tuple[float, int, bytes]]]:
+    """Return the rows of IMU and instruments by record, each in order of arrival."""
+    streams = [_make_payloads(IMU, imu.t, [imu.t, imu.dt, *imu.dtheta_b.T, *imu.dvel_b.T], imu.valid)]
+    for name, record in instruments.items():
+        row = INSTRUMENTS[name]
+        columns = [record.t, *row.values(record).T, record.sd]
+        streams.append(_make_payloads(row.frame, record.t_arrival, columns, record.valid))
+    return streams
 
 
 def make_frame(kind: int, number: int, payload: bytes) -> bytes:
@@ -72,10 +94,10 @@ def make_frame(kind: int, number: int, payload: bytes) -> bytes:
 def _make_payloads(
     kind: int, arrival: FloatArray, columns: Sequence[FloatArray], valid: BoolArray
 ) -> Iterator[tuple[float, int, bytes]]:
-    values, when = np.column_stack(columns), _order_arrivals(arrival)
-    layout = struct.Struct(f"<{values.shape[1]}dB")
-    for k in range(len(values)):
-        yield when[k], kind, layout.pack(*values[k], int(valid[k]))
+    values, when = np.column_stack(columns).tolist(), _order_arrivals(arrival)
+    layout, marks = struct.Struct(f"<{len(columns)}dB"), valid.tolist()
+    for k, row in enumerate(values):
+        yield when[k], kind, layout.pack(*row, marks[k])
 
 
 def _make_sentences(run: ExportData) -> Iterator[tuple[float, int, bytes]]:

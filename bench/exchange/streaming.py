@@ -57,7 +57,7 @@ def stream(
     """
     if math.isnan(rate) or rate < 0:
         raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf sends as fast as possible")
-    host, port = _parse_address(kind, address, remote)
+    host, port = parse_address(f"--{kind} {address}", address, remote=remote, lowest=int(kind == "udp"))
     paced = 0 < rate < math.inf
     sent, late = 0, 0.0
     with _open_socket(kind, host, port, say) as send:
@@ -67,7 +67,7 @@ def stream(
             first = arrival if first is None else first
             if paced:
                 due = begun + (arrival - first) / rate
-                _wait_until(due)
+                wait_until(due)
                 late = max(late, time.monotonic() - due)
             try:
                 send(message)
@@ -80,11 +80,15 @@ def stream(
         return Streamed(sent, time.monotonic() - begun, late if paced else None)
 
 
-def _parse_address(kind: str, address: str, remote: bool) -> tuple[str, int]:
-    """Return host and port; only loopback addresses unless ``remote`` is true."""
-    option = f"--{kind} {address}"
+def parse_address(option: str, address: str, *, remote: bool, lowest: int = 0) -> tuple[str, int]:
+    """Return host and port of ``IP:PORT``; only loopback addresses unless ``remote`` is true.
+
+    Raises
+    ------
+    ConfigError
+        In the words of ``option``.
+    """
     host, colon, text = address.rpartition(":")
-    lowest = 0 if kind == "tcp" else 1
     if not colon or not text.isascii() or not text.isdecimal() or not lowest <= int(text) <= _HIGHEST:
         raise ConfigError(f"{option}: must be IP:PORT, for example 127.0.0.1:5600")
     name = host.removeprefix("[").removesuffix("]")
@@ -110,6 +114,23 @@ def _open_socket(
             say(f"sending to {shown}:{port}, a datagram per message; Ctrl-C ends it")
             yield lambda message: out.sendto(message, (host, port))
         return
+    with listen(host, port, say) as server:
+        client, _ = server.accept()
+        with client:
+            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            yield client.sendall
+
+
+@contextlib.contextmanager
+def listen(host: str, port: int, say: Callable[[str], object]) -> Iterator[socket.socket]:
+    """Provide a socket that waits for connections; ``say`` is told its address.
+
+    Raises
+    ------
+    OSError
+        If the address cannot be used.
+    """
+    family, shown = (socket.AF_INET6, f"[{host}]") if ":" in host else (socket.AF_INET, host)
     with socket.socket(family, socket.SOCK_STREAM) as server:
         server.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -118,13 +139,11 @@ def _open_socket(
             raise OSError(error.errno, error.strerror, f"tcp {shown}:{port}") from None
         server.listen(1)
         say(f"waiting for a connection on {shown}:{server.getsockname()[1]}; Ctrl-C ends it")
-        client, _ = server.accept()
-        with client:
-            client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            yield client.sendall
+        yield server
 
 
-def _wait_until(due: float) -> None:
+def wait_until(due: float) -> None:
+    """Wait until an instant of ``time.monotonic`` [s]."""
     left = due - time.monotonic()
     if left > _ROUGH:
         time.sleep(left - _ROUGH)

@@ -1,11 +1,11 @@
-"""The verbs run, fly and cache."""
+"""The verbs run, serve, fly and cache."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from rich.console import Console
 
 from bench import config, store
 from bench.run_result import RunResult
+from bench.specs import CLIENT
 from bench.stages import FLYING, Stage, Watcher
 from bench.wording import one_line
 from bench.workbench.console import PlainConsole
@@ -47,18 +48,61 @@ def run(
     store.check_folder(folder, force=force)
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
     from bench import pipeline  # what takes half a second comes after the first line
-    from bench.saving import save
 
     begun = time.perf_counter()
     with show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch)
     print_result(console, result, table=table)
+    _write(result, folder, recording=recording, report=report, force=force)
+    print_end(console, folder, begun, table=table)
+    return result, folder
+
+
+def serve(
+    name: str,
+    *,
+    console: Console,
+    out: Path | None,
+    draw: int,
+    recording: bool,
+    report: bool,
+    force: bool,
+    session: Mapping[str, Any],
+    overrides: Mapping[str, Any],
+    **profile_options: Any,
+) -> tuple[RunResult, str]:
+    """Fly one profile with a client, as :func:`run` does, and return why the client ended early.
+
+    ``session`` is for `bench.serving.serve`.
+    """
+    find_own_estimators()
+    changes = {"guidance.navigation": CLIENT, "guidance.options": {}, **overrides}
+    profile = config.load_profile(name, changes, **profile_options)
+    folder = out or RUNS / f"{profile.name}-{profile.seed}-served"
+    store.check_folder(folder, force=force)
+    console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
+    from bench.serving import serve as serve_flight
+
+    begun = time.perf_counter()
+    served = serve_flight(profile, draw, say=console.print, **session)
+    console.print(f"Flew {served.flown:g} s with the client.")
+    if served.latest > 0:
+        console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
+    if served.ended:
+        console.print(f"The client ended early: {served.ended}.", style="red")
+    print_result(console, served.result, table=False)
+    _write(served.result, folder, recording=recording, report=report, force=force)
+    print_end(console, folder, begun, table=False)
+    return served.result, served.ended
+
+
+def _write(result: RunResult, folder: Path, **options: Any) -> None:
+    from bench.saving import save
+
     store.leave_out_pandas()
     with show_stages() as watch:
         watch(Stage("writing"))
-        save(result, folder, recording=recording, report=report, force=force)
-    print_end(console, folder, begun, table=table)
-    return result, folder
+        save(result, folder, **options)
 
 
 def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:

@@ -38,6 +38,7 @@ ALL = {"README": ROOT / "README.md", **PAGES}
 
 PARSED = {
     "view": "opens a window",
+    "serve": "waits for a client",
     "stream": "sends for as long as the run lasted",
     "campaign": "takes minutes; its tests run it on a short flight",
     "report campaigns/figure-eight-20260101": "needs a campaign; its tests write the report of a short one",

@@ -1,0 +1,77 @@
+"""The verb serve: a client flies, or says where the aircraft is."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from bench.cli import completion
+from bench.cli.group import (
+    STATUS,
+    code_option,
+    commands,
+    end_run,
+    estimator_option,
+    force_option,
+    guard_options,
+    new_console,
+    out_option,
+    recording_option,
+    report_option,
+    seed_option,
+    set_option,
+)
+from bench.errors import NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("profile", shell_complete=completion.profile)
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=5700, help="0 takes a free one  [default: 5700]"
+)
+@click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at  [default: 127.0.0.1]")
+@click.option("--allow-remote", "remote", is_flag=True, help="permit clients of other machines")
+@click.option(
+    "--give",
+    "gives",
+    type=click.Choice(["estimate", "commands"]),
+    default="estimate",
+    help="what the client gives: where the aircraft is, or steering commands  [default: estimate]",
+)
+@click.option(
+    "--rate", type=float, default=0.0, metavar="R", help="seconds of flight per second at most; 0: lock-step"
+)
+@click.option(
+    "--patience", type=float, default=60.0, metavar="S", help="longest silence of the client  [default: 60]"
+)
+@out_option("folder for the results  [default: runs/<profile>-<seed>-served]")
+@estimator_option("evaluate only this one, of the profile")
+@set_option
+@seed_option
+@click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th noise draw")
+@recording_option
+@report_option
+@force_option()
+@code_option("profile")
+@guard_options
+def serve(profile: str, port: int, bind: str, **options: Any) -> int:
+    """Fly a profile with a client, a program in any language, in lock-step over a socket.
+
+    The client gets the rows of the sensors as they arrive. At each turn it gives an estimate, by which the
+    aircraft then flies, or steering commands. The result is that of bench run. bench guide serve has the
+    messages, and clients in Python and C.
+
+    \b
+    Examples:
+      bench serve approach-closed
+      bench serve approach-closed --set guidance.period_s=0.05 --rate 1
+      bench serve figure-eight --give commands --set duration_s=120
+    """
+    from bench.workbench.flight_verbs import serve as serve_profile
+
+    session = {key: options.pop(key) for key in ("remote", "gives", "rate", "patience")}
+    session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
+    result, ended = serve_profile(profile, console=new_console(), session=session, **options)
+    status = max(end_run(result.metrics), int(bool(result.events.select("crash"))))
+    return max(status, NEGATIVE) if ended else status

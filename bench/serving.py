@@ -1,0 +1,99 @@
+"""Fly a profile with a client, and judge the flight like any run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from bench import closed_loop, pipeline
+from bench.errors import ConfigError
+from bench.exchange.flight_messages import VERSION
+from bench.exchange.flight_session import FlightFacts, FlightSession
+from bench.exchange.streaming import listen, parse_address
+from bench.flight.steering import Commands
+from bench.run_result import RunResult
+from bench.specs import CLIENT, FlightSpec, Profile
+
+Gives = Literal["estimate", "commands"]
+
+
+@dataclass(frozen=True, slots=True)
+class ServedRun:
+    """A served flight."""
+
+    result: RunResult
+    flown: float  # duration of the flight [s]
+    ended: str  # why the client did not fly to the end; empty if it did
+    latest: float  # largest delay behind --rate [s]
+
+
+def serve(
+    profile: Profile,
+    run: int = 0,
+    *,
+    address: str = "127.0.0.1:5700",
+    remote: bool = False,
+    gives: Gives = "estimate",
+    rate: float = 0.0,
+    patience: float = 60.0,
+    say: Callable[[str], object] = lambda text: None,
+) -> ServedRun:
+    """Wait for one client, fly the profile with it in lock-step, and judge what was flown.
+
+    Parameters
+    ----------
+    profile : Profile
+        With ``[guidance]`` ``navigation = "client"``.
+    run : int
+        Number of the noise draw.
+    address : str
+        ``IP:PORT`` to wait at; port 0 takes any free port.
+    remote : bool
+        Allow clients of other machines.
+    gives : str
+        "estimate": guidance and legs of the profile go by the client's estimate. "commands": the client
+        flies; legs are left out.
+    rate : float
+        Seconds of the flight per second at most; 0 or infinity: as fast as possible.
+    patience : float
+        Longest silence of the client [s].
+    say : callable
+        Called with lines of what happens.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        If the profile, the address or the rate is wrong.
+    bench.errors.EstimatorStoppedError
+        If the client was refused before it flew.
+    OSError
+        If the address cannot be used.
+    """
+    if profile.guidance is None or profile.guidance.navigation.use != CLIENT:
+        raise ConfigError(f'{profile.name}: bench serve needs [guidance] navigation = "{CLIENT}"')
+    if math.isnan(rate) or rate < 0:
+        raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf flies as fast as possible")
+    if not (math.isfinite(patience) and patience > 0):
+        raise ConfigError(f"--patience {patience:g} must be above 0, in seconds")
+    assert isinstance(profile.flight, FlightSpec)
+    pipeline.build_estimators(profile)  # fails before a client comes
+    if gives == "commands":
+        closed_loop.find_length(profile)
+    length = profile.flight.duration
+    facts = FlightFacts(profile.flight.rate, profile.guidance.period, math.nan if length is None else length)
+    commands = Commands()
+    with listen(*parse_address(f"--bind {address}", address, remote=remote), say) as server:
+        session = FlightSession(server, facts, commands, rate, patience)
+        try:
+            session.wait(say)
+            flown = closed_loop.serve(profile, run, session, commands if gives == "commands" else None)
+        except BaseException:
+            session.close("the flight was ended", good=False)
+            raise
+        session.close(flown.ended or "the flight is over", good=not flown.ended)
+    result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
+    told = {"gives": gives, "messages": VERSION, "turn_s": profile.guidance.period, "ended": flown.ended}
+    result = replace(result, provenance={**result.provenance, "served": told})
+    return ServedRun(result, float(flown.truth.t[-1]), flown.ended, session.latest)
