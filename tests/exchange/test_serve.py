@@ -124,7 +124,7 @@ def test_a_client_gets_the_rows_that_are_recorded(tmp_path):
             if left == 0 and len(frames.get(18, [])) > turns:
                 turns = len(frames[18])
                 line.sendall(frame(22, frames[18][-1][0]))
-    assert time.monotonic() - begun > 6.0 / 4.0
+    assert time.monotonic() - begun > (6.0 - 0.5) / 4.0  # from the first turn on
     served = server.join()
     sensors = served.result.sensed.data
     assert numbers == list(range(len(numbers)))
@@ -246,10 +246,13 @@ def test_a_served_flight_is_recorded_like_a_run(path, tmp_path, capsys):
     found = bench.load(out)
     truth, answers = found.truth, found.solutions["in-flight"]
     assert found.provenance["served"]["ended"] == ""
-    assert_allclose(
-        answers.lla[-1, 2], truth.lla[0, 2], atol=2.0
-    )  # it believes to be where it was told to be
-    assert 15.0 < answers.lla[-1, 2] - truth.lla[-1, 2] < 30.0
+    rows = np.searchsorted(truth.t, answers.t - 1e-9)
+    above = answers.lla[:, 2] - truth.lla[rows, 2]
+    assert ((above > 12.0) & (above < 32.0)).all()
+    believed = answers.lla[
+        answers.t > 15.0, 2
+    ].mean()  # it flies where it believes the height asked for to be
+    assert_allclose(believed, truth.lla[0, 2], atol=10.0)
     assert main(["show", str(out)]) == 0
 
 
