@@ -132,21 +132,33 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
     assert "touch-down at" in down.events.select("leg")[1][2]
 
 
-@pytest.mark.parametrize(("severity", "across", "seed"), [(3, 4.0, 5), (4, 0.0, 5), (4, 4.0, 2)])
-def test_gusts_do_not_tip_a_landing(severity, across, seed):
-    """Wings are held level until it is slow; a moderately turbulent landing is hard, but on the runway.
-
-    Gusts along the ground are twice the vertical ones there (3 m/s in moderate turbulence), and the parked
-    aircraft rocks in them on its wheels.
-    """
+def land_in(severity: int, across: float, seed: int, kind: Kind, rest: float = 5.0):
+    """A landing in gusts and wind across; it raises where it leaves the runway (20 m) or a wing touches."""
     air = {"severity": severity, "turbulence_seed": seed, "wind_from": ALONG + 1.57, "wind_speed": across}
-    start = final(KINDS["aerosonde"])
-    truth = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(5.0), **start, **air))
+    return fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(rest), **final(kind), **air))
+
+
+@pytest.mark.parametrize(("severity", "across", "seed"), [(3, 4.0, 5), (4, 0.0, 5), (4, 4.0, 1)])
+def test_gusts_do_not_tip_a_landing(severity, across, seed):
+    """Gusts along the ground have 3 m/s in moderate turbulence, and meet what rolls or stands from anywhere.
+
+    Seed 1 tipped an airframe whose tables went on beyond the stall, where a gust from behind had the drag of
+    a barn door and one from the side the dihedral of 90 deg; parked it rocked by 0.2 m/s.
+    """
+    truth = land_in(severity, across, seed, KINDS["aerosonde"])
     _, off, height = runway_frame(truth)
-    assert np.abs(off[height < 0.35]).max() < 15.0
-    last = truth.t > truth.t[-1] - 3.0
-    assert np.abs(truth.vel_n[last, :2]).max() < 0.1
-    assert np.abs(truth.vel_n[last, 2]).max() < 0.2
+    assert np.abs(off[height < 0.35]).max() < 10.0
+    assert np.abs(truth.vel_n[truth.t > truth.t[-1] - 3.0]).max() < 0.1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("severity", [3, 4])
+@pytest.mark.parametrize("name", KINDS)
+def test_twelve_of_twelve_land_in_turbulence_and_wind_across(name, severity):
+    """Light and moderate turbulence, 4 m/s across; technique and airframe were chosen on seeds 101 to 112."""
+    for seed in range(1, 13):
+        truth = land_in(severity, 4.0, seed, KINDS[name])
+        assert np.abs(truth.vel_n[-1]).max() < 0.1
 
 
 def test_the_glide_path_is_flown():
