@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -276,6 +277,7 @@ def export_run(
     *,
     out: str | Path | None = None,
     include: Sequence[str] = (),
+    like: str | Path | None = None,
     force: bool = False,
 ) -> Path:
     """Export the sensor data of a run in the format of another tool, and return the folder of the files.
@@ -290,18 +292,27 @@ def export_run(
         Folder to write; None makes one beside the results folder, with the format in its name.
     include : sequence of str
         Tracks to export besides the sensors: "truth", "solution:NAME".
+    like : str, Path or None
+        A file of the other tool whose definitions the export takes: for "ulog" a log of one's own firmware.
     force : bool
         Replace an existing export.
     """
     from bench.exchange import exports
 
-    exports.find_format(kind)  # that it is there is known before the run is read
+    needs = exports.find_format(kind).needs_like  # all of this is known before the run is read
+    if needs is (like is None):
+        raise ConfigError(
+            f"export to {kind}: name a log of your own firmware, --like OWN.ulg"
+            if needs
+            else f"export to {kind}: takes no definitions of another file; leave --like out"
+        )
     folder = Path(folder)
     # "." and ".." are not usable as a name
     beside = folder.resolve() if folder.name in ("", "..") else folder
     out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
     store.check_folder(out, force=force, kind=store.EXPORT)
     outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
+    outgoing = replace(outgoing, like=None if like is None else Path(like))
     with store.make_folder(out, force=force, kind=store.EXPORT) as partial:
         exports.write(partial, kind, outgoing, folder.resolve().name)
     return out

@@ -158,6 +158,9 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     metavar="NAME",
     help="truth or solution:NAME, besides the sensors; repeat for more",
 )
+@click.option(
+    "--like", type=FILE, metavar="FILE", help="ulog: a log of your own firmware, whose definitions it takes"
+)
 @force_option("export")
 def export(folder: Path, **options: Any) -> int:
     """Export the sensor data of a run in the format of another tool.
@@ -169,6 +172,7 @@ def export(folder: Path, **options: Any) -> int:
     Examples:
       bench export runs/figure-eight-20260101 --to kf-gins
       bench export runs/figure-eight-20260101 --to tum --with truth --with solution:loose-15
+      bench export runs/figure-eight-20260101 --to ulog --like own.ulg
 
     \b
     Writes to DIR the files of the format and a README.md that describes their

@@ -81,7 +81,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
     if "baro" in instruments and spec.imu.format in AUTOPILOTS:
-        instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at)
+        instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at, spec.evaluation.begin)
     return LogRecords(
         imu=imu,
         fixes=fixes,
@@ -320,12 +320,15 @@ def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> 
     )
 
 
-def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float) -> BaroData:
+def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float) -> BaroData:
     """Return a barometer set at the start to the height by the fixes, as a pilot sets it to that of a field.
 
+    Fixes from ``judged`` on [s] may be withheld to judge filters: they set it only if there is none before.
     The pressure of the day is in no log: without that its heights are off by a hundred metres.
     """
     near = fixes.valid & (fixes.t >= begin) & (fixes.t <= begin + _SETTING)
+    before = near & (fixes.t < judged)
+    near = before if before.any() else near
     known = baro.valid & np.isfinite(baro.alt_baro)
     if not near.any() or not known.any():
         return baro

@@ -59,7 +59,7 @@ def navigate_log(
         console.print(f"  {note}")
     with show_stages() as watch:
         result = log_pipeline.navigate_log(log, outages=outages, places=places, progress=watch)
-    print_log(console, result, table=table)
+    print_log(console, result, table=table, cuts=outages is None)
     with show_stages() as watch:
         watch(Stage("writing"))
         save(result, folder, recording=recording, report=report, force=force, say=console.print)
@@ -67,10 +67,11 @@ def navigate_log(
     return {"metrics": result.metrics, **result.more}
 
 
-def print_log(console: Console, result: RunResult, *, table: bool) -> None:
+def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = False) -> None:
     """Print what a recording looked like, its judge, and what the estimators made of it.
 
-    Without ``table`` of the checks those that are not good, and of the drift the verdict.
+    ``cuts``: outages were cut where there was room. Without ``table`` of the checks those that are not good,
+    and of the drift the verdict.
     """
     checks, document = result.more["validity"], result.profile
     for check in checks:
@@ -87,7 +88,7 @@ def print_log(console: Console, result: RunResult, *, table: bool) -> None:
     print_result(console, result, table=table)
     if result.more["outages"]:
         _print_drifts(console, result.more["outages"])
-    elif "reference" not in document:
+    elif cuts and "reference" not in document:
         console.print(
             "Withheld fixes tell little of the IMU; the recording is too short for cuts without GNSS"
         )

@@ -295,8 +295,17 @@ def test_a_barometer_is_set_to_the_fixes_of_the_first_ten_seconds():
     heights = np.where((t < 20.0) | (t > 30.0), climb + 70.0, climb)
     heights[25] += 40.0
     baro = BaroData(t, t, np.ones(60, np.bool_), climb + 100.0, np.ones(60))
-    assert_allclose(set_altimeter(baro, make_fixes(t, heights), 20.0).alt_baro, climb)
-    assert set_altimeter(baro, make_fixes(t[:5], heights[:5]), 20.0) is baro
+    assert_allclose(set_altimeter(baro, make_fixes(t, heights), 20.0, 60.0).alt_baro, climb)
+    assert set_altimeter(baro, make_fixes(t[:5], heights[:5]), 20.0, 60.0) is baro
+
+
+def test_fixes_that_judge_do_not_set_the_altimeter():
+    """Withheld are some from `from_s` on: 30 m more in these move nothing, unless there are no others."""
+    t = np.arange(0.0, 60.0)
+    baro = BaroData(t=t, t_arrival=t, valid=np.ones(60, bool), alt_baro=np.full(60, 5.0), sd=np.ones(60))
+    late = np.where(t < 24.0, 100.0, 130.0)
+    assert_allclose(set_altimeter(baro, make_fixes(t, late), 20.0, 24.0).alt_baro, 100.0)
+    assert_allclose(set_altimeter(baro, make_fixes(t, late), 24.0, 24.0).alt_baro, 130.0)
 
 
 def test_only_long_silences_are_outages():

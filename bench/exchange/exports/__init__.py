@@ -2,7 +2,7 @@
 
 A format is a module of this folder with ``FORMATS`` (name -> title) and ``write(folder, outgoing, name)``,
 which returns the text of the README. With ``NEEDS_START = True`` it gets the data from a complete initial
-state on. It is listed nowhere else.
+state on, with ``NEEDS_LIKE = True`` a file whose definitions it takes. It is listed nowhere else.
 """
 
 from __future__ import annotations
@@ -28,13 +28,22 @@ class Format(NamedTuple):
     title: str
     write: Callable[[Path, ExportData, str], str]  # (folder, data, name of the format) -> text of the README
     needs_start: bool
+    needs_like: bool = False
 
 
 def _find_formats() -> Iterator[tuple[str, Format]]:
     for entry in pkgutil.iter_modules(__path__):
         module = import_module(f"{__name__}.{entry.name}")
         for name, title in getattr(module, "FORMATS", {}).items():
-            yield name, Format(title, module.write, getattr(module, "NEEDS_START", False))
+            yield (
+                name,
+                Format(
+                    title,
+                    module.write,
+                    getattr(module, "NEEDS_START", False),
+                    getattr(module, "NEEDS_LIKE", False),
+                ),
+            )
 
 
 FORMATS: Mapping[str, Format] = dict(_find_formats())
@@ -70,7 +79,8 @@ def find_format(kind: str) -> Format:
     if not callable(getattr(module, "write", None)):
         raise ConfigError(f"export format {kind!r} of {one.package}: {one.place} has no function write")
     title = getattr(module, "FORMATS", {}).get(kind, one.place)
-    return Format(title, module.write, bool(getattr(module, "NEEDS_START", False)))
+    needs = (bool(getattr(module, name, False)) for name in ("NEEDS_START", "NEEDS_LIKE"))
+    return Format(title, module.write, *needs)
 
 
 README = "README.md"

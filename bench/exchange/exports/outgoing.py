@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import date, datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -65,6 +66,7 @@ class ExportData:
     start: Mapping[str, Any]  # as `bench.store.make_start_document` makes it
     output_t: FloatArray = field(default_factory=lambda: np.empty(0))  # instants of a solution [s]
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
+    like: Path | None = None  # a file whose definitions the export takes
 
     @property
     def calendar(self) -> Calendar:
