@@ -80,6 +80,7 @@ class ForeignSpec:
 
     root: Path  # JSBSim root: holds engine/ and systems/
     properties: Mapping[str, float]  # JSBSim properties, set before the start: mixture, gear ...
+    stubs: tuple[str, ...] = ()  # properties that its model reads and no part of it has: declared, 0
     guided: bool = False  # its model already contains the guidance system of the bench
 
 

@@ -113,6 +113,8 @@ class ForeignTable(AircraftTable):
     properties: dict[str, float] = Field(default_factory=dict)
     """A table: JSBSim properties set before the start; in aircraft/jsbsim, and for a model of yours without
     the autopilot."""
+    stubs: tuple[str, ...] = ()
+    """JSBSim properties that the model reads and does not have, of a cockpit that is not there; each is 0."""
 
 
 def find_aircraft(name: str, beside: Path) -> Path:
@@ -195,7 +197,7 @@ def read_jsbsim_aircraft(name: str, root: str | None, beside: Path) -> AircraftS
 
 def _make_foreign(table: AircraftTable, root: Path) -> ForeignSpec:
     if isinstance(table, ForeignTable):
-        return ForeignSpec(root, table.properties)
+        return ForeignSpec(root, table.properties, table.stubs)
     return ForeignSpec(root, {}, guided=True)
 
 

@@ -42,8 +42,7 @@ def load_aircraft(aircraft: AircraftSpec, dt: float) -> Any:
         if not fdm.load_model(aircraft.name):
             return False
         for name, value in foreign.properties.items() if foreign else ():
-            if not _PROPERTY.fullmatch(name):
-                raise FlightError(f"aircraft {aircraft.name}: [properties] {name!r} is no property")
+            _check_property(aircraft, "[properties]", name)
             find_property(fdm, name).set_double_value(value)
         return bool(fdm.run_ic())  # a property that does not exist shows only here
 
@@ -134,11 +133,21 @@ def _add_guidance(aircraft: AircraftSpec, model: ElementTree.Element) -> Element
             raise FlightError(f"aircraft {aircraft.name}: it has no <flight_control> to fly it by")
         model.insert(first, ElementTree.Element("system", {"file": "guidance"}))
     guidance = read_xml(aircraft.systems / "guidance.xml", "guidance.xml")
+    for name in aircraft.foreign.stubs if aircraft.foreign else ():
+        _check_property(aircraft, "stubs", name)
+        stub = ElementTree.Element("property", {"value": "0"})
+        stub.text = name
+        guidance.insert(0, stub)
     for component in guidance.iter():
         if any((output.text or "").strip() == _THROTTLE for output in component.findall("output")):
             for n in range(engines):
                 ElementTree.SubElement(component, "output").text = f"fcs/throttle-cmd-norm[{n}]"
     return guidance
+
+
+def _check_property(aircraft: AircraftSpec, key: str, name: str) -> None:
+    if not _PROPERTY.fullmatch(name):
+        raise FlightError(f"aircraft {aircraft.name}: {key} {name!r} is no property")
 
 
 def find_property(fdm: Any, name: str) -> Any:

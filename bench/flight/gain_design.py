@@ -8,6 +8,7 @@ damping, surface power, thrust) comes from differences of the model about its tr
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -35,6 +36,8 @@ _HEAVY = 6000.0  # [kg]
 _TURNS_BACK = 7.0  # time constant of the heading loop, which is airspeed over gravity and its gain [s]
 _ALTS = (1200.0, 3000.0)  # light, heavy [m]
 _DENSITIES = (1.09, 0.91)  # there [kg/m^3]
+_MISSING = re.compile(r"The property (\S+) does not exist")  # as JSBSim says it
+_MOST_STUBS = 20
 _POUND, _SQUARE_FOOT, _G = 0.45359237, 0.09290304, 9.81
 BANK, RISE, FASTER = math.radians(20.0), 150.0, 1.06
 """Of the flight that a design is accepted by: bank of its circle [rad], climb [m], change of airspeed [1]."""
@@ -59,6 +62,7 @@ class GainDesign:
     span: float  # [m]
     trim: Trim
     properties: Mapping[str, float]
+    stubs: tuple[str, ...]  # properties that the model lacks
     gains: Mapping[str, float]
     derivatives: Mapping[str, float]  # per unit of command, rad/s or rad
 
@@ -80,8 +84,10 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
     FlightError
         If it does not load, or no steady flight is found.
     """
+    stubs = _find_stubs(aircraft)
+    aircraft = _with(aircraft, {}, stubs)
     properties = _choose_properties(aircraft)
-    aircraft = _with(aircraft, properties)
+    aircraft = _with(aircraft, properties, stubs)
     fdm = load_aircraft(aircraft, _DT)
     mass = fdm["inertia/weight-lbs"] * _POUND
     span = fdm["metrics/bw-ft"] * FT
@@ -95,16 +101,31 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
     trim = trim_aircraft(fdm, condition, guided=False)
     found = _linearize(fdm, condition, trim)
     gains, climb = _place_loops(found, condition.speed, trim, pace)
-    return GainDesign(alt, condition.speed, climb, mass, span, trim, properties, gains, found)
+    return GainDesign(alt, condition.speed, climb, mass, span, trim, properties, stubs, gains, found)
 
 
-def _with(aircraft: AircraftSpec, properties: Mapping[str, float]) -> AircraftSpec:
+def _with(aircraft: AircraftSpec, properties: Mapping[str, float], stubs: tuple[str, ...]) -> AircraftSpec:
     assert aircraft.foreign is not None
-    return replace(aircraft, foreign=replace(aircraft.foreign, properties=properties))
+    return replace(aircraft, foreign=replace(aircraft.foreign, properties=properties, stubs=stubs))
+
+
+def _find_stubs(aircraft: AircraftSpec) -> tuple[str, ...]:
+    """Return what the model reads and nothing in it has, one found at each load; 0 stands for it."""
+    stubs: tuple[str, ...] = ()
+    while True:
+        try:
+            load_aircraft(_with(aircraft, {}, stubs), _DT)
+        except FlightError as error:
+            missing = _MISSING.search(str(error))
+            if missing is None or missing[1] in stubs or len(stubs) == _MOST_STUBS:
+                raise
+            stubs = (*stubs, missing[1])
+        else:
+            return stubs
 
 
 def _choose_properties(aircraft: AircraftSpec) -> dict[str, float]:
-    fdm = load_aircraft(_with(aircraft, {}), _DT)
+    fdm = load_aircraft(aircraft, _DT)
     chosen = {}
     for name, value in _STARTS.items():
         try:

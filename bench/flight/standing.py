@@ -16,7 +16,7 @@ from bench.flight.trimming import (
     TrimCondition,
     keep_quiet,
     place,
-    run_engines,
+    start_engines,
     wait,
 )
 from bench.flight.wind import set_wind
@@ -58,7 +58,7 @@ def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say =
     for side in ("left", "right"):
         fdm[f"fcs/{side}-brake-cmd-norm"] = 1.0
     if not guided:
-        run_engines(fdm)
+        start_engines(fdm)  # and come to their idle while it settles
     steps = round(1.0 / fdm.get_delta_t())
     for k in range(round(_SETTLE / fdm.get_delta_t())):
         if k % steps == 0:

@@ -25,7 +25,9 @@ _LOW, _HIGH = np.array([-0.3, -0.3, -0.5, -1.0, -1.0, 0.0]), np.array([0.4, 0.3,
 _OWN_STARTS = ((0.05, 0.0, 0.6), (0.0, 0.0, 0.9), (0.0, 0.0, 0.6), (0.1, 0.0, 0.4), (0.1, 0.0, 0.9))
 _FOREIGN_STARTS = ((0.05, 0.0, 0.6), (0.1, -0.1, 0.8), (0.02, 0.1, 0.4))
 _ACTUATORS = 200  # steps for actuators to arrive: 0.5 s at 400 Hz
-_ROUNDS = 20  # of JSBSim's search for the steady state of the engines
+_PARTS = 30.0  # until gear and flaps have moved [s]
+_DIFFERENCE = 1e-3  # of a state in a search within travel
+_ENGINE_STEP, _ENGINE_RUN = 0.01, 20.0  # until spools, propellers and governors are steady [s]
 _HISTORY = 5  # past derivatives the integrators of JSBSim keep
 _SETTLE = 10.0  # for the lags of guidance to arrive, against corners of 2 rad/s and more [s]
 ON_WHEELS = {"rate/rotational": 1, "rate/translational": 1}
@@ -109,6 +111,9 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
         return found if np.isfinite(found).all() else np.full(6, 1e3)
 
     starts, settled, solve = _OWN if guided else _FOREIGN
+    if not guided:  # gear and flaps come to where they are asked to be
+        place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
+        wait(fdm, round(_PARTS / fdm.get_delta_t()))
     residual = math.inf
     for alpha, elevator, throttle in starts:
         x = solve(accelerations, np.array([alpha, 0.0, 0.0, 0.0, elevator, throttle]) / _SCALE)
@@ -138,8 +143,15 @@ def _find_root(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> Floa
 def _fit_within_travel(f: Callable[[FloatArray], FloatArray], start: FloatArray) -> FloatArray:
     from scipy.optimize import least_squares
 
-    bounds = (_LOW / _SCALE, _HIGH / _SCALE)
-    found = least_squares(f, start, bounds=bounds, diff_step=1e-4, xtol=1e-12, ftol=1e-14, max_nfev=60)
+    low, high = _LOW / _SCALE, _HIGH / _SCALE
+
+    def differences(x: FloatArray) -> FloatArray:
+        """Away from the nearer end of the travel, by what actuators and engines resolve."""
+        away = np.where(x + _DIFFERENCE < high, _DIFFERENCE, -_DIFFERENCE)
+        here = f(x)
+        return np.column_stack([(f(x + step) - here) / away[k] for k, step in enumerate(np.diag(away))])
+
+    found = least_squares(f, start, differences, bounds=(low, high), xtol=1e-12, ftol=1e-14, max_nfev=60)
     x: FloatArray = found.x
     return x
 
@@ -156,16 +168,36 @@ def move_surfaces(fdm: Any, aileron: float, elevator: float) -> None:
         wait(fdm, _ACTUATORS)
 
 
-def run_engines(fdm: Any) -> None:
-    """Bring running engines to the steady state of the present throttle.
-
-    set-running starts them, at full throttle; the next round finds the throttle commanded.
-    """
+def start_engines(fdm: Any) -> None:
+    """Let the engines run."""
     fdm["propulsion/set-running"] = -1.0
     wait(fdm, 2)
-    for _ in range(_ROUNDS):  # always as many: the same throttle gives the same thrust
-        fdm.get_propulsion().get_steady_state()
-        wait(fdm, 1)
+
+
+def run_engines(fdm: Any) -> None:
+    """Bring running engines to the steady state of the present throttle, the aircraft held where it is.
+
+    They start at full throttle. JSBSim's own search for a steady state steps by 0.5 s, with
+    which a propeller with its governor swings for ever: here they run for a while at a fine step.
+    """
+    dt = fdm.get_delta_t()
+    start_engines(fdm)
+    held = {name: fdm[f"simulation/integrator/{name}"] for name in INTEGRATORS}
+    for name in held:
+        fdm[f"simulation/integrator/{name}"] = 0
+    fuel_held, fdm["propulsion/fuel_freeze"] = (
+        fdm["propulsion/fuel_freeze"],
+        1.0,
+    )  # the next has the same mass
+    fdm.set_dt(_ENGINE_STEP)
+    for _ in range(
+        round(_ENGINE_RUN / _ENGINE_STEP)
+    ):  # always as long: the same throttle gives the same thrust
+        fdm.run()
+    fdm.set_dt(dt)
+    fdm["propulsion/fuel_freeze"] = fuel_held
+    for name, number in held.items():
+        fdm[f"simulation/integrator/{name}"] = number
 
 
 def place(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
@@ -90,6 +91,10 @@ def new_aircraft(name: str, *, console: Console) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     durable.write(path, write_sheet(flown, design, accepted))
     console.print(f"{JSBSIM}{name}: trimmed at {design.speed:g} m/s, {design.alt:g} m; {accepted.describe()}")
+    if design.stubs:
+        console.print(
+            f"The model reads what it does not have; 0 stands for: {', '.join(design.stubs)}", soft_wrap=True
+        )
     console.print(f'Wrote {path}. Next: a profile with aircraft = "{JSBSIM}{name}"', soft_wrap=True)
 
 
@@ -164,7 +169,7 @@ def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
         max_descent=design.climb,
         antenna_b=(0.0, 0.0, -0.05 * design.span),
         category="transport" if heavy else "light",
-        foreign=replace(raw.foreign, properties=dict(design.properties)),
+        foreign=replace(raw.foreign, properties=dict(design.properties), stubs=design.stubs),
         trims=((design.alt, design.speed),),
     )
 
@@ -230,6 +235,8 @@ def _sheet_lines(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptanc
     yield f'class    = "{aircraft.category}"'
     yield 'source   = "the jsbsim package; its model names its own sources"'
     yield 'assumed  = ["limits", "antenna", "guidance"]'
+    if design.stubs:
+        yield f"stubs    = {json.dumps(list(design.stubs))}  # read by the model and not there: 0"
     yield "\n[limits]"
     yield f"min_speed_mps   = {aircraft.min_speed:.1f}"
     yield f"max_speed_mps   = {aircraft.max_speed:.1f}"

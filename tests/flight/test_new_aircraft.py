@@ -1,7 +1,9 @@
 """Gains that are found for an aircraft of JSBSim: the poles they place, and what a flight is accepted by."""
 
+from dataclasses import replace
 from itertools import pairwise
 from math import pi, radians
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,8 +13,18 @@ from numpy.testing import assert_allclose
 from bench import cli, rotation
 from bench.config.library import read_jsbsim_aircraft
 from bench.data import Events
-from bench.flight.gain_design import BANK, _place_loops
-from bench.flight.trimming import Trim
+from bench.errors import FlightError
+from bench.flight.executive import load_aircraft
+from bench.flight.gain_design import BANK, _find_stubs, _place_loops, _with
+from bench.flight.trimming import (
+    Trim,
+    TrimCondition,
+    move_surfaces,
+    place,
+    present_accelerations,
+    run_engines,
+    trim_aircraft,
+)
 from bench.workbench.new_aircraft import measure_acceptance
 
 TRIM = Trim(0.05, 0.0, 0.0, 0.05, 0.0, 0.0, 0.5, 1e-6)
@@ -86,6 +98,44 @@ def test_each_band_is_where_it_is_stated(name, inside, outside):
     assert [words.split()[0].rstrip("s") for words in failures] == [
         {"speed": "airspeed"}.get(name, name).rstrip("s")
     ]
+
+
+def bare(name):
+    """An aircraft of the wheel as a design begins with it."""
+    pattern = read_jsbsim_aircraft("jsbsim:c172x", None, Path())
+    folder = pattern.foreign.root / "aircraft" / name
+    return _with(replace(pattern, name=name, folder=folder, runway=None, gains={}), {}, ())
+
+
+def test_a_turboprop_with_a_governor_is_trimmed():
+    """Its thrust is the same when it is asked again, and stays as it runs on; JSBSim's search swings."""
+    craft = _with(bare("pc7"), {"propulsion/cutoff_cmd": 0.0, "gear/gear-cmd-norm": 0.0}, ())
+    fdm = load_aircraft(craft, 0.0025)
+    here = TrimCondition(radians(47.0), radians(11.0), 1200.0, 0.5, 74.0)
+    trim = trim_aircraft(fdm, here, guided=False)
+    assert trim.residual < 1e-6
+    felt = []
+    for _ in range(2):
+        place(fdm, here, trim.alpha, trim.beta, trim.roll, trim.aileron, trim.elevator, trim.throttle)
+        move_surfaces(fdm, trim.aileron, trim.elevator)
+        run_engines(fdm)
+        felt.append(present_accelerations(fdm)[0])
+    assert abs(felt[0] - felt[1]) < 1e-6
+    thrust = fdm["propulsion/engine/thrust-lbs"]
+    for _ in range(400):
+        fdm.run()
+    assert_allclose(fdm["propulsion/engine/thrust-lbs"], thrust, rtol=0.02)
+
+
+def test_a_property_that_a_model_reads_and_does_not_have_is_found_and_declared():
+    craft = bare("L17")
+    with pytest.raises(FlightError, match=r"fcs/flaps-pos-deg does not exist"):
+        load_aircraft(craft, 0.0025)
+    stubs = _find_stubs(craft)
+    assert stubs == ("fcs/flaps-pos-deg",)
+    assert load_aircraft(_with(craft, {}, stubs), 0.0025)["fcs/flaps-pos-deg"] == 0.0
+    with pytest.raises(FlightError, match=r"stubs 'a b' is no property"):
+        load_aircraft(_with(craft, {}, ("a b",)), 0.0025)
 
 
 @pytest.mark.slow
