@@ -15,6 +15,11 @@ from bench.plain_output import let_streams_write_all
 def main() -> None:
     """Run the command line of this process and exit with its status."""
     os.environ.setdefault("RUST_LOG", "error")  # rerun warns of what it drops when interrupted
+    for name in (
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+    ):  # waking threads for 6 x 6 costs 300 times the work
+        os.environ.setdefault(name, "1")
     numbers = (signal.SIGINT, signal.SIGTERM)
     for number in numbers:
         if signal.getsignal(number) != signal.SIG_IGN:  # ignored: started in the background

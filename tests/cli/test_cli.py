@@ -764,3 +764,16 @@ def ask(port: int, path: str, hosts: list[str]) -> bytes:
         lines = [f"GET {path} HTTP/1.1", *(f"Host: {host}" for host in hosts), "", ""]
         raw.sendall("\r\n".join(lines).encode())
         return b"".join(iter(lambda: raw.recv(1 << 16), b""))
+
+
+def test_small_matrices_wake_no_threads(monkeypatch):
+    """OpenBLAS with threads takes 300 times as long for the 6 x 6 matrices of the turbulence."""
+    code = "import os, runpy, sys; sys.argv = ['bench', '--version']\n"
+    code += "try: runpy.run_module('bench', run_name='__main__')\n"
+    code += "finally: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    for given, meant in ((None, "1"), ("3", "3")):
+        monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+        if given:
+            monkeypatch.setenv("OPENBLAS_NUM_THREADS", given)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        assert done.stdout.split()[-1] == meant
