@@ -17,6 +17,10 @@ LETTERS = "GREC"
 
 SYSTEM_NAMES = ("GPS", "GLONASS", "Galileo", "BeiDou")
 
+_GROUPS = {"both": frozenset({GPS, GLONASS}), "all": frozenset({GPS, GLONASS, GALILEO, BEIDOU})}
+_NAMED = {name.lower(): frozenset({k}) for k, name in enumerate(SYSTEM_NAMES)}
+SYSTEM_CHOICES = (*_NAMED, *_GROUPS, "auto")
+
 KEPLER = (
     "t_oe", "t_oe_week", "t_oc", "sqrt_a", "e", "i_0", "i_rate", "node_0", "node_rate", "perigee",
     "mean_anomaly", "delta_n", "c_uc", "c_us", "c_rc", "c_rs", "c_ic", "c_is", "af_0", "af_1", "af_2",
@@ -96,3 +100,26 @@ def name_satellite(system: int, sat: int) -> str:
     ('G05', 'C20')
     """
     return f"{LETTERS[system]}{sat:02d}"
+
+
+def parse_systems(text: str) -> frozenset[int]:
+    """Return the codes of the systems in a choice such as "gps,galileo", "both" (GPS, GLONASS), "all".
+
+    Raises
+    ------
+    ValueError
+        If a name is none of ``SYSTEM_CHOICES``.
+
+    Examples
+    --------
+    >>> sorted(parse_systems("gps,galileo")), sorted(parse_systems("auto"))
+    ([0, 2], [0, 1, 2, 3])
+    """
+    known = _NAMED | _GROUPS | {"auto": _GROUPS["all"]}
+    found: frozenset[int] = frozenset()
+    for name in text.split(","):
+        if name.strip() not in known or (name.strip() == "auto" and name != text):
+            choices = ", ".join(SYSTEM_CHOICES)
+            raise ValueError(f"systems = {text!r} must be one of {choices}, or systems with commas between")
+        found |= known[name.strip()]
+    return found

@@ -17,7 +17,7 @@ from bench.errors import ConfigError
 from bench.fields import declared, figure, triad_figure
 from bench.instruments import InstrumentSpecs
 from bench.moved import moved_from
-from bench.orbit_sets import GlonassSets, KeplerSets
+from bench.orbit_sets import GlonassSets, KeplerSets, parse_systems
 from bench.spawned import machine_memory
 from bench.units import SAME_INSTANT
 from bench.wording import quantity
@@ -493,10 +493,9 @@ class SkySpec:
 
     day: date  # of the flight
     gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
-    gps: KeplerSets | None  # with times since that midnight; None: nominal constellation
-    glonass: KeplerSets | GlonassSets | None  # with times since that midnight; None: nominal constellation
+    orbits: Mapping[int, KeplerSets | GlonassSets] | None  # by system, since that midnight; others: nominal
     klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
-    systems: str  # used by the receiver: "gps", "glonass", "both", "auto"
+    systems: str  # that the receiver has, as `bench.orbit_sets.parse_systems` takes it; "auto": GPS, GLONASS
     bands: int  # 1, or 2: the ionosphere-free combination
     elevation_mask: float = figure("deg", 3, 60)
     """Lowest elevation above the horizon that is used [rad]."""
@@ -524,12 +523,20 @@ class SkySpec:
     """Ephemeris and clock of GPS satellites, along the range [m]."""
     glonass_space_sd: float = figure("m", default=0.0)
     """Ephemeris and clock of GLONASS satellites, along the range [m]."""
+    galileo_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of Galileo satellites, along the range [m]."""
+    beidou_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of BeiDou satellites, along the range [m]."""
     space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of both [s]."""
+    """Correlation time of these [s]."""
     ionosphere_sd: float = figure("m", default=0.0)
     """Vertical delay that the broadcast model of the ionosphere leaves [m]."""
+    ionosphere_share: float = figure("", 0, 1, default=0.0)
+    """The same as a share of the delay that the model gives, beside it [1]."""
     ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
-    """Correlation time of that [s]."""
+    """Correlation time of both [s]."""
+    ionosphere_decay: float = figure("km", 100, 1e5, default=3e6)
+    """Distance in the ionosphere over which they lose all but 1/e of their correlation [m]."""
     troposphere_sd: float = figure("m", default=0.0)
     """Vertical delay that the model of the troposphere leaves [m]."""
     troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
@@ -546,6 +553,10 @@ class SkySpec:
     """Drift of the receiver clock at the start [m/s]."""
     glonass_offset_sd: float = figure("m", default=0.0)
     """GLONASS against GPS time in the receiver [m]."""
+    galileo_offset_sd: float = figure("m", default=0.0)
+    """Galileo against GPS time in the receiver [m]."""
+    beidou_offset_sd: float = figure("m", default=0.0)
+    """BeiDou against GPS time in the receiver [m]."""
     clock_h_0: float = figure("s", default=0.0)
     """White frequency noise of the clock, one-sided power-law coefficient [s]."""
     clock_h_m1: float = figure(default=0.0)
@@ -556,6 +567,26 @@ class SkySpec:
     """Change of its frequency with the specific force along body down; in a file, per g [s^2/m]."""
     false_alarm: float = figure("", 0, 0.5, default=1e-3)
     """Chance that the fault exclusion of an epoch raises a false alarm [1]."""
+
+    @property
+    def constellations(self) -> tuple[int, ...]:
+        """Codes of the systems that the receiver has, in ascending order."""
+        return tuple(sorted(parse_systems("both" if self.systems == "auto" else self.systems)))
+
+    @property
+    def space_sd(self) -> tuple[float, float, float, float]:
+        """Error of ephemeris and clock by system [m]."""
+        return self.gps_space_sd, self.glonass_space_sd, self.galileo_space_sd, self.beidou_space_sd
+
+    @property
+    def offset_sd(self) -> tuple[float, float, float, float]:
+        """Time of each system against that of GPS in the receiver [m]."""
+        return 0.0, self.glonass_offset_sd, self.galileo_offset_sd, self.beidou_offset_sd
+
+    @property
+    def ionosphere_left(self) -> bool:
+        """Whether ranges have an error of the ionosphere beyond the broadcast model."""
+        return max(self.ionosphere_sd, self.ionosphere_share) > 0
 
 
 @declared

@@ -380,11 +380,26 @@ def wandering(o, sky):
         return [], np.zeros(0)
     names = [(system, sat, "range") for system, sat in sorted(set(zip(o.system, o.sat, strict=True)))]
     space = {0: sky.gps_space_sd, 1: sky.glonass_space_sd}
-    above, rates = 1.6 * sky.ionosphere_sd, []  # at 35 deg
+    # at 35 deg under 4 m of delay, and the part of it that satellites do not share
+    above, rates = 1.6 * np.hypot(sky.ionosphere_sd, 4.0 * sky.ionosphere_share), []
+    times = np.array([sky.space_correlation, sky.ionosphere_correlation, sky.multipath_correlation])
     for system, *_ in names:
-        parts = np.array([space[system] ** 2, above**2])
-        rates.append(parts @ [1 / sky.space_correlation, 1 / sky.ionosphere_correlation] / parts.sum())
-    return [*names, "troposphere"], np.array([*rates, 1 / sky.troposphere_correlation])
+        parts = np.array([space[system] ** 2, 0.15 * above**2, sky.multipath_zenith_sd**2])
+        rates.append(parts.sum() / (parts @ times))
+    shared = [("ionosphere", k) for k in range(5)]
+    rates += 5 * [1 / sky.ionosphere_correlation]
+    return [*names, *shared, "troposphere"], np.array([*rates, 1 / sky.troposphere_correlation])
+
+
+def share_ionosphere(el, az, decay):
+    """Square root of what a satellite shares with five places: rows of the inverse Cholesky factor times the
+    correlations with them, exp(-d / decay), on a shell 350 km high."""
+    places = 9e5 * np.array([[0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
+    radius = 6371e3
+    away = (radius + 350e3) * (np.pi / 2 - el - np.arcsin(radius / (radius + 350e3) * np.cos(el)))
+    here = away * np.array([np.cos(az), np.sin(az)])
+    K = np.exp(-np.linalg.norm(places[:, None] - places, axis=2) / decay)
+    return np.linalg.solve(np.linalg.cholesky(K), np.exp(-np.linalg.norm(places - here, axis=1) / decay))
 
 
 def use_satellite(aiding, o, row, state, lever, w_b, slow, sky, wander):
@@ -406,11 +421,18 @@ def use_satellite(aiding, o, row, state, lever, w_b, slow, sky, wander):
         H[0, n - 1] = 1.0
         distance += bias[-1]
     name = (o.system[row], o.sat[row])
-    above = sky.ionosphere_sd * (1 + 16 * (0.53 - el / np.pi) ** 3) * (GPS_L1 / o.frequency[row, 0]) ** 2
+    slant = (1 + 16 * (0.53 - el / np.pi) ** 3) * (GPS_L1 / o.frequency[row, 0]) ** 2
+    above = np.hypot(
+        sky.ionosphere_sd * slant, sky.ionosphere_share * ionosphere * (GPS_L1 / o.frequency[row, 0]) ** 2
+    )
     space = sky.glonass_space_sd if o.system[row] == 1 else sky.gps_space_sd
+    near = sky.multipath_zenith_sd + sky.multipath_horizon_sd * np.exp(-el / np.deg2rad(10))
+    shared = share_ionosphere(el, az, sky.ionosphere_decay)
+    own = np.sqrt(above**2 * (1 - shared @ shared) + space**2 + near**2)
     left = o.sd_pseudorange[row] ** 2
     for which, size in (
-        ((*name, "range"), np.hypot(above, space)),
+        ((*name, "range"), own),
+        *((("ionosphere", k), above * shared[k]) for k in range(5)),
         ("troposphere", sky.troposphere_sd * delays.mapping_kernel(np.sin(el))),
     ):
         if which not in wander:
@@ -447,7 +469,7 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         kf.P[at, at], decay_rate[at], q[at] = np.eye(len(wander)), wander_rate, 2 * wander_rate
         for i, sd in enumerate((sky.clock_offset_sd, sky.clock_drift_sd, sky.glonass_offset_sd)):
             kf.P[clock + i, clock + i] = sd**2
-        walk = 2 * np.pi**2 * LIGHT**2 * sky.clock_h_m2
+        walk = 2 * np.pi**2 * LIGHT**2 * sky.clock_h_m2 + 4 * np.log(2) * LIGHT**2 * sky.clock_h_m1
         q[clock], q[clock + 1] = LIGHT**2 * sky.clock_h_0 / 2, walk
     elif sensors.fixes is not None:
         fixes_at, fix_R = first_sample(imu.t, sensors.fixes.t_arrival), fix_covariance(specs.gnss)

@@ -42,8 +42,13 @@ SENSOR_ERRORS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """Error of an aiding sensor, as filters name it -> its field of `SensorsSpec` and the figures of it."""
 SKY_ERRORS: Mapping[str, tuple[str, ...]] = {
-    "satellite orbit and clock error": ("gps_space_sd", "glonass_space_sd"),
-    "ionosphere beyond the broadcast model": ("ionosphere_sd",),
+    "satellite orbit and clock error": (
+        "gps_space_sd",
+        "glonass_space_sd",
+        "galileo_space_sd",
+        "beidou_space_sd",
+    ),
+    "ionosphere beyond the broadcast model": ("ionosphere_sd", "ionosphere_share"),
     "troposphere beyond the model": ("troposphere_sd",),
     "multipath": ("multipath_zenith_sd", "multipath_horizon_sd"),
     "flicker of the receiver's clock": ("clock_h_m1",),

@@ -13,13 +13,13 @@ from pydantic_core import PydanticCustomError
 from bench.config.tables import ROWS, Table, between
 from bench.fields import figures_of
 from bench.instruments import INSTRUMENTS
-from bench.orbit_sets import GLONASS, GPS
+from bench.orbit_sets import LETTERS, SYSTEM_NAMES
 from bench.specs import Fault, GnssSpec, ImuSpec
 from bench.units import to_si
 from bench.wording import quantity
 
-_SYSTEMS = {"G": (GPS, 32), "R": (GLONASS, 24)}
-"""Letter of a system -> its code, and the number of its last satellite."""
+_LAST = (32, 24, 36, 63)
+"""Number of the last satellite by system: their ICDs."""
 
 
 def parse_satellite(name: str) -> tuple[int, int]:
@@ -35,9 +35,11 @@ def parse_satellite(name: str) -> tuple[int, int]:
     >>> parse_satellite("R12")
     (1, 12)
     """
-    system, last = _SYSTEMS.get(name[:1], (0, 0))
-    if not (len(name) == 3 and name[1:].isdecimal() and 1 <= int(name[1:]) <= last):
-        raise ValueError(f"{name!r} is not a satellite: G01 to G32 are GPS, R01 to R24 GLONASS")
+    system = LETTERS.find(name[:1])
+    if not (len(name) == 3 and name[1:].isdecimal() and system >= 0 and 1 <= int(name[1:]) <= _LAST[system]):
+        known = zip(LETTERS, _LAST, SYSTEM_NAMES, strict=True)
+        ranges = ", ".join(f"{letter}01 to {letter}{last} {of}" for letter, last, of in known)
+        raise ValueError(f"{name!r} is not a satellite; there are {ranges}")
     return system, int(name[1:])
 
 
@@ -285,14 +287,12 @@ def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
         return [f"{unit.name!r} has no white noise in its {sensor} to multiply"]
     names = getattr(table, "satellites", ())
     if names and isinstance(unit, GnssSpec) and unit.sky is not None:
-        from bench.signals import orbits
+        from bench.sensors.view import find_orbits
 
-        gps = orbits.make_nominal_gps() if unit.sky.gps is None else unit.sky.gps
-        glonass = orbits.make_nominal_glonass() if unit.sky.glonass is None else unit.sky.glonass
-        numbers = (set(map(int, gps.sat)), set(map(int, glonass.sat)))
+        numbers = {s: set(find_orbits(unit.sky, s).sat.tolist()) for s in unit.sky.constellations}
         for name in names:
             system, number = parse_satellite(name)
-            if number not in numbers[system]:
+            if number not in numbers.get(system, ()):
                 return [f"satellites: {name} is not among the satellites of gnss = {unit.name!r}"]
     return []
 

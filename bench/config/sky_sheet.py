@@ -7,19 +7,26 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
+from pydantic import AfterValidator
+from pydantic_core import PydanticCustomError
+
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, collect_errors
 from bench.errors import ConfigError
-from bench.orbit_sets import GlonassSets, KeplerSets
+from bench.orbit_sets import GLONASS, GPS, SYSTEM_NAMES, GlonassSets, KeplerSets, parse_systems
 from bench.specs import SkySpec
 from bench.units import STANDARD_GRAVITY
 
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)
-_GPS_STALE, _GLONASS_STALE = 4 * 3600.0, 1800.0  # longest time from an ephemeris to the start of a flight [s]
+_STALE = {GLONASS: 1800.0}  # longest time from an ephemeris to the start of a flight [s]
+_STALE_KEPLER = 4 * 3600.0  # the same of the others [s]
 _PROCESSES = {
     "gps_space": "space",
     "glonass_space": "space",
+    "galileo_space": "space",
+    "beidou_space": "space",
     "ionosphere": "ionosphere",
     "troposphere": "troposphere",
     "multipath_zenith": "multipath",
@@ -28,6 +35,14 @@ _PROCESSES = {
 """Beginning of the key of a standard deviation -> that of the correlation time it needs."""
 
 _Eight = Annotated[tuple[float, float, float, float, float, float, float, float], ROWS]
+
+
+def _check_systems(systems: str) -> str:
+    try:
+        parse_systems(systems)
+    except ValueError as error:
+        raise PydanticCustomError("message", "is wrong: {why}", {"why": str(error)}) from None
+    return systems
 
 
 class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
@@ -41,8 +56,9 @@ class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
     """RINEX navigation files beside the datasheet."""
     klobuchar: _Eight | None = None
     """Ionosphere, if not that of the navigation file; 0 for nominal satellites."""
-    systems: Literal["gps", "glonass", "both", "auto"] = "both"
-    """Constellations that the receiver uses; "auto": one or both, whichever fixes best."""
+    systems: Annotated[str, AfterValidator(_check_systems)] = "both"
+    """Constellations that the receiver has: gps, glonass, galileo, beidou, some of them with commas between,
+    both (GPS and GLONASS) or all; auto: GPS, GLONASS or both, whichever fixes best."""
     bands: Literal[1, 2] = 1
     """Frequencies; with 2 the fixes are free of the ionosphere."""
 
@@ -75,11 +91,11 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
     midnight = (table.start.date() - _EPOCH).days * _DAY
     clock = table.start.time()
     of_day = clock.hour * 3600.0 + clock.minute * 60.0 + clock.second + 1e-6 * clock.microsecond
-    gps = glonass = None
+    orbits: dict[int, KeplerSets | GlonassSets] | None = None
     broadcast: Sequence[float] | None = None
     if not wrong:
         with collect_errors(wrong):
-            gps, glonass, broadcast = _read_satellites(table, beside, midnight, of_day)
+            orbits, broadcast = _read_satellites(table, beside, midnight, of_day)
     if wrong:
         raise ConfigError(*wrong)
     klobuchar = table.klobuchar if table.klobuchar is not None else broadcast
@@ -90,16 +106,15 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
         bands=table.bands,
         day=table.start.date(),
         gps_t0=of_day,
-        gps=gps,
-        glonass=glonass,
+        orbits=orbits,
         klobuchar=tuple(klobuchar) if klobuchar is not None else (0.0,) * 8,
     )
 
 
 def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
-) -> tuple[KeplerSets | None, KeplerSets | GlonassSets | None, Sequence[float] | None]:
-    """Read GPS and GLONASS orbits and the ionosphere parameters; None stands for the nominal ones."""
+) -> tuple[dict[int, KeplerSets | GlonassSets] | None, Sequence[float] | None]:
+    """Read orbits by system and the ionosphere parameters; None stands for the nominal ones."""
     from bench.exchange import almanac
     from bench.exchange.rinex import ephemerides
 
@@ -108,20 +123,18 @@ def _read_satellites(
         sets = almanac.read_yuma(path, midnight, table.almanac).shift_origin(midnight)
         if abs(sets.t - of_day).min() > 90 * _DAY:
             raise ConfigError(f"{table.almanac}: is more than 90 days from start = {table.start}")
-        return sets, None, None
+        return {GPS: sets}, None
     if not table.navigation:
-        return None, None, None
+        return None, None
     files = ephemerides.merge_navigation(
         [ephemerides.read_navigation(beside / f, f) for f in table.navigation]
     )
     if files.lost:
         raise ConfigError(*files.reasons)
-    gps, glonass = files.gps.shift_origin(midnight), files.glonass.shift_origin(midnight)
-    for system, name, t, oldest in (
-        ("gps", "GPS", gps.t, _GPS_STALE),
-        ("glonass", "GLONASS", glonass.t, _GLONASS_STALE),
-    ):
-        used = table.systems in (system, "both", "auto")
-        if used and (len(t) == 0 or abs(t - of_day).min() > oldest):
+    orbits = {s: of[0].shift_origin(midnight) for s, of in files.list_sets().items() if of}  # I/NAV
+    for system in parse_systems("both" if table.systems == "auto" else table.systems):
+        t = orbits[system].t if system in orbits else np.empty(0)
+        if len(t) == 0 or np.abs(t - of_day).min() > _STALE.get(system, _STALE_KEPLER):
+            name = SYSTEM_NAMES[system]
             raise ConfigError(f"{files.shown}: has no {name} ephemeris near start = {table.start}")
-    return gps, glonass, None if files.klobuchar is None else [float(v) for v in files.klobuchar]
+    return orbits, None if files.klobuchar is None else [float(v) for v in files.klobuchar]

@@ -9,9 +9,9 @@ import numpy as np
 
 from bench.arrays import BoolArray, IntArray
 from bench.data import GnssObservations
-from bench.orbit_sets import LETTERS
+from bench.orbit_sets import LETTERS, parse_systems
 from bench.signals import receiver
-from bench.signals.processing import Processing, parse_systems
+from bench.signals.processing import Processing
 from bench.signals.receiver import ReceiverSolution
 
 

@@ -10,8 +10,9 @@ from typing import get_args
 from bench.errors import ConfigError
 from bench.exchange.fix_truth import read_truth
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
+from bench.orbit_sets import parse_systems
 from bench.signals import delays
-from bench.signals.processing import CORRECTIONS, Ionosphere, Processing, parse_systems
+from bench.signals.processing import CORRECTIONS, Ionosphere, Processing
 
 
 def solve_rinex(

@@ -9,6 +9,7 @@ import numpy as np
 from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, Trajectory
+from bench.orbit_sets import GPS
 from bench.sensors import faults
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import find_outage_rows
@@ -196,7 +197,7 @@ def find_constellation_changes(
 
     if not len(t):
         return np.zeros(0, bool)
-    sets = orbits.make_nominal_gps()
+    sets = orbits.make_nominal(GPS)
     pos_e = earth.to_ecef(lla)
     up_e = -earth.matrix_en(lla[:, 0], lla[:, 1])[:, :, 2]
     above = np.zeros((len(t), len(sets)), bool)

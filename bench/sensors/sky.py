@@ -17,20 +17,22 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GnssFixes, GnssObservations, SkyView, Trajectory
-from bench.orbit_sets import GLONASS
+from bench.orbit_sets import SYSTEM_NAMES
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
+from bench.sensors.ionosphere_field import WAVES, draw_waves, field_kernel, locate_pierce_points
 from bench.sensors.timing import find_outage_rows
 from bench.sensors.view import View, compute_view
 from bench.signals import orbits, receiver
-from bench.signals.delays import mapping_kernel, obliquity_kernel
+from bench.signals.delays import mapping_kernel
 from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
-from bench.signals.orbits import L1, C
+from bench.signals.orbits import C
 from bench.signals.processing import ErrorBudget, Processing
 from bench.specs import Fault, GnssSpec, SkySpec
 
-_CHIP = (C / 1.023e6, C / 0.511e6)  # length of a chip of the civil code, GPS and GLONASS [m], their ICDs
+_CHIP = (C / 1.023e6, C / 0.511e6, C / 1.023e6 / np.sqrt(3.0), C / 2.046e6)
+"""Chip of the civil code by system [m], their ICDs; the correlation of BOC(1,1) is three times as steep."""
 _DECIBEL = np.log(10.0) / 10.0
 _MULTIPATH_DECAY = float(np.deg2rad(10.0))  # [rad], RTCA DO-229D, appendix J
 _LEAST = (0.01, 1e-4)  # smallest assumed sd of range and range rate [m, m/s]
@@ -69,9 +71,8 @@ def _interpolate_kernel(
 
 
 @kernel
-def _slant_kernel(sin_el: FloatArray, el: FloatArray, obliquity: FloatArray, mapping: FloatArray) -> None:
+def _map_kernel(sin_el: FloatArray, mapping: FloatArray) -> None:
     for k in range(sin_el.shape[0]):
-        obliquity[k] = obliquity_kernel(el[k])
         mapping[k] = mapping_kernel(sin_el[k])
 
 
@@ -210,8 +211,8 @@ def make_processing(sky: SkySpec) -> Processing:
     return Processing(
         budget=ErrorBudget(
             zenith_ionosphere=sky.ionosphere_sd,
-            ionosphere_share=0.0,
-            ionosphere_decay=0.0,
+            ionosphere_share=sky.ionosphere_share,
+            ionosphere_decay=sky.ionosphere_decay,
             zenith_troposphere=sky.troposphere_sd,
             multipath_zenith=sky.multipath_zenith_sd,
             multipath_horizon=sky.multipath_horizon_sd,
@@ -258,11 +259,25 @@ class _Errors:
         The step is a fortieth of the correlation time but not below the epochs, with linear interpolation,
         which lowers the sd by at most 0.6 %. The step that an epoch is in is drawn to its end.
         """
-        stride = max(1, int(correlation / 40.0 * self._rate))
         columns = 1 if common else self._satellites
         out = np.empty(len(self._epoch))
-        if not len(self._t):
-            return out
+        if len(self._t):
+            which = np.zeros_like(self._which) if common else self._which
+            _interpolate_kernel(*self._go_on(name, correlation, columns), self._epoch, which, out)
+        return out
+
+    def draw_field(self, seen: Look, correlation: float, decay: float) -> FloatArray:
+        """Draw the ionosphere (K,) of unit variance where signals pierce it, in steps as `draw_markov`."""
+        waves = draw_waves(self._draws.constant("ionosphere.waves", WAVES, 4), decay)
+        out = np.empty(len(self._epoch))
+        if len(self._t):
+            knots = self._go_on("ionosphere", correlation, 2 * WAVES)
+            field_kernel(*knots, waves, locate_pierce_points(seen, self._epoch), self._epoch, out)
+        return out
+
+    def _go_on(self, name: str, correlation: float, columns: int) -> tuple[int, int, FloatArray]:
+        """Draw unit Gauss-Markov processes on; return epochs before epoch 0, epochs a step, values (B, S)."""
+        stride = max(1, int(correlation / 40.0 * self._rate))
         noise = self._draws.stream(name)
         kept: list[Any] = self._draws.keep(name, lambda: [0, noise.standard_normal((1, columns))], "knots")
         begin, values = kept
@@ -271,10 +286,8 @@ class _Errors:
         fresh = np.concatenate([values[-1:], fresh])
         _correlate_kernel(float(np.exp(-stride / (self._rate * correlation))), fresh)
         values = np.concatenate([values, fresh[1:]])
-        which = np.zeros_like(self._which) if common else self._which
-        _interpolate_kernel(self._first - begin * stride, stride, values, self._epoch, which, out)
         kept[:] = [last // stride, values[last // stride - begin :]]
-        return out
+        return self._first - begin * stride, stride, values
 
 
 def _make_observations(
@@ -288,20 +301,23 @@ def _make_observations(
     frequency = orbits.carrier_frequencies(row_system, v.channel[which])[:, :bands]
     geometric, rate, cn0 = v.distance, v.rate, v.cn0
     el = seen.el
-    obliquity, mapping = np.empty(count), np.empty(count)
-    _slant_kernel(v.sin_el.copy(), el, obliquity, mapping)
+    mapping = np.empty(count)
+    _map_kernel(v.sin_el.copy(), mapping)
     ionosphere, troposphere = seen.ionosphere, seen.troposphere  # on the first carrier
-    if sky.ionosphere_sd > 0:
-        residual = errors.draw_markov("ionosphere", sky.ionosphere_correlation)
-        ionosphere = ionosphere + sky.ionosphere_sd * residual * obliquity * (L1 / frequency[:, 0]) ** 2
+    modelled = replace(make_processing(sky), ionosphere="klobuchar")  # there with two carriers, too
+    if sky.ionosphere_left:
+        residual = errors.draw_field(seen, sky.ionosphere_correlation, sky.ionosphere_decay)
+        ionosphere = ionosphere + residual * share_errors(seen, frequency[:, 0], modelled).ionosphere
     common = geometric + troposphere + clock[epoch] - v.clock
-    if sky.glonass_offset_sd > 0:
-        common += sky.glonass_offset_sd * errors.draw_constant("glonass_offset") * (row_system == GLONASS)
+    for system, sd in enumerate(sky.offset_sd):
+        if sd > 0 and system in sky.constellations:
+            name = f"{SYSTEM_NAMES[system].lower()}_offset"
+            common += sd * errors.draw_constant(name) * (row_system == system)
     if sky.troposphere_sd > 0:
         residual = errors.draw_markov("troposphere", sky.troposphere_correlation, common=True)
         common += sky.troposphere_sd * residual * mapping
-    if sky.gps_space_sd > 0 or sky.glonass_space_sd > 0:
-        space = np.array([sky.gps_space_sd, sky.glonass_space_sd])[row_system]
+    space = np.array(sky.space_sd)[row_system]
+    if max(sky.space_sd) > 0:
         common += space * errors.draw_markov("space", sky.space_correlation)
     added, added_rate = faults.compute_range_errors(t[epoch], row_system, row_sat, scripted)
     common += added
@@ -334,8 +350,7 @@ def _make_observations(
     # the receiver computes the time of transmission from its pseudorange, with the errors of that
     late = (pseudorange[:, 0] - geometric - clock[epoch] + v.clock) / C
     processing = make_processing(sky)
-    of_system = np.array([sky.gps_space_sd, sky.glonass_space_sd])[row_system]
-    own = estimate_range_sd(el, frequency, tracking[0], of_system, processing.budget, bands == 2)
+    own = estimate_range_sd(el, frequency, tracking[0], space, processing.budget, bands == 2)
     shared = share_errors(seen, frequency[:, 0], processing)
     assumed = np.sqrt(own**2 + shared.ionosphere**2 + shared.troposphere**2)
     return GnssObservations(

@@ -11,7 +11,7 @@ from bench import earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Trajectory
-from bench.orbit_sets import GLONASS, GPS, GlonassSets
+from bench.orbit_sets import GLONASS, GlonassSets, KeplerSets
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits
@@ -218,20 +218,28 @@ def find_track(
 
 def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray, IntArray, orbits.Track]:
     """Return number, system and frequency channel (S,) of all satellites, and their track over times t."""
-    gps = orbits.make_nominal_gps() if sky.gps is None else sky.gps
-    glonass = orbits.make_nominal_glonass() if sky.glonass is None else sky.glonass
     first, last = t[0] + sky.gps_t0 - 1.0, t[-1] + sky.gps_t0
-    gps_sat, gps_track = orbits.fit_track(gps, first, last)
-    glonass_sat, glonass_track = orbits.fit_track(glonass, first, last)
-    if isinstance(glonass, GlonassSets):
-        channel = np.array([glonass.channel[np.argmax(glonass.sat == s)] for s in glonass_sat], np.int64)
-    else:  # antipodal satellites share a channel; four pairs to a plane of eight
-        channel = (glonass_sat - 1) % 4 + 4 * ((glonass_sat - 1) // 8) - 7
-    system = np.repeat([GPS, GLONASS], [len(gps_sat), len(glonass_sat)])
-    coefficients = np.concatenate([gps_track.coefficients, glonass_track.coefficients])
-    return (
-        np.concatenate([gps_sat, glonass_sat]),
-        system,
-        np.concatenate([np.zeros(len(gps_sat), np.int64), channel]),
-        gps_track._replace(coefficients=coefficients),
-    )
+    numbers, systems, channels, coefficients = [], [], [], []
+    for system in sky.constellations:
+        sets = find_orbits(sky, system)
+        sat, track = orbits.fit_track(sets, first, last)
+        numbers.append(sat)
+        systems.append(np.full(len(sat), system))
+        channels.append(_find_channels(sets, sat))
+        coefficients.append(track.coefficients)
+    sat, system_of, channel = (np.concatenate(column) for column in (numbers, systems, channels))
+    return sat, system_of, channel, track._replace(coefficients=np.concatenate(coefficients))
+
+
+def find_orbits(sky: SkySpec, system: int) -> KeplerSets | GlonassSets:
+    """Return the true orbits of a constellation: those of the datasheet, else nominal ones."""
+    return (sky.orbits or {}).get(system) or orbits.make_nominal(system)
+
+
+def _find_channels(sets: KeplerSets | GlonassSets, sat: IntArray) -> IntArray:
+    """Return the frequency channels (S,) of satellites; 0 but for GLONASS."""
+    if isinstance(sets, GlonassSets):
+        return np.array([sets.channel[np.argmax(sets.sat == s)] for s in sat], np.int64)
+    if sets.system == GLONASS:  # antipodal satellites share a channel; four pairs to a plane of eight
+        return np.asarray((sat - 1) % 4 + 4 * ((sat - 1) // 8) - 7)
+    return np.zeros(len(sat), np.int64)

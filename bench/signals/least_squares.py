@@ -33,8 +33,8 @@ _KEPT, _LEFT = (
     3.0,
 )  # normalised residuals of full and of no weight; Yang and others 2002: 1 to 1.5, 2.5 to 8
 _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weight
-_COLUMN = 350e3  # height of the shell of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
-_EARTH = 6371e3  # [m]
+EARTH_RADIUS = 6371e3  # [m]
+SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
 _NO_DECAY = 1e-6  # stands for a decay of 0: errors of satellites are independent [m]
 
 _range = on_arrays(range_kernel)
@@ -82,9 +82,9 @@ def find_pierce_points(los_n: FloatArray, el: FloatArray) -> FloatArray:
 
     The shell is taken as flat around the receiver: distances are right to 7 % at an elevation of 10 deg.
     """
-    away = np.pi / 2 - el - np.arcsin(np.clip(_EARTH / (_EARTH + _COLUMN) * np.cos(el), -1.0, 1.0))
+    away = np.pi / 2 - el - np.arcsin(np.clip(EARTH_RADIUS / SHELL * np.cos(el), -1.0, 1.0))
     across = np.maximum(np.hypot(los_n[:, 0], los_n[:, 1]), 1e-12)
-    points: FloatArray = ((_EARTH + _COLUMN) * away / across)[:, None] * los_n[:, :2]
+    points: FloatArray = (SHELL * away / across)[:, None] * los_n[:, :2]
     return points
 
 

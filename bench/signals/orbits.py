@@ -39,6 +39,8 @@ for _system, _bands in (
     (BEIDOU, {1: L1, 2: 1561.098e6, 5: 1176.45e6, 6: 1268.52e6, 7: 1207.14e6, 8: 1191.795e6}),
 ):
     _CARRIERS[_system, list(_bands)] = list(_bands.values())
+_IGSO = float(np.deg2rad(118.0))  # where nominal inclined geosynchronous satellites cross the equator [rad]
+_SET_COLUMNS = ("sat", "healthy", "elements")
 _STEPS = np.zeros((4, 10))
 _STEPS[GLONASS, [1, 2]] = 562.5e3, 437.5e3  # channel spacing of G1 and G2 [Hz], GLONASS ICD
 
@@ -273,12 +275,20 @@ def find_transmission(
 
 
 def make_walker(
-    planes: int, per_plane: int, phasing: int, *, semi_axis: float, inclination: float, node_0: float = 0.0
+    planes: int,
+    per_plane: int,
+    phasing: int,
+    *,
+    semi_axis: float,
+    inclination: float,
+    node_0: float = 0.0,
+    system: int = GPS,
+    first: int = 1,
 ) -> KeplerSets:
     """Make a Walker constellation T/P/F: evenly spaced circular orbits with perfect clocks, at t = 0.
 
     ``T = planes * per_plane``, F is the phasing; the angles are in rad, ``semi_axis`` in m, ``node_0`` is the
-    longitude of the first node at t = 0.
+    longitude of the first node at t = 0, ``first`` the number of the first satellite.
     """
     total = planes * per_plane
     elements = np.zeros((total, len(KEPLER)))
@@ -287,17 +297,40 @@ def make_walker(
     elements[:, KEPLER.index("i_0")] = inclination
     elements[:, KEPLER.index("node_0")] = node_0 + 2 * np.pi * plane / planes
     elements[:, KEPLER.index("mean_anomaly")] = 2 * np.pi * (place / per_plane + phasing * plane / total)
-    return KeplerSets(np.arange(1, total + 1), np.ones(total, bool), elements)
+    return KeplerSets(np.arange(first, first + total), np.ones(total, bool), elements, system)
 
 
-def make_nominal_gps() -> KeplerSets:
-    """Return 24 satellites in 6 planes at 55 deg, 26 560 km (A-2.1.2)."""
-    return make_walker(6, 4, 1, semi_axis=26.56e6, inclination=np.deg2rad(55.0))
+def make_nominal(system: int) -> KeplerSets:
+    """Return the nominal constellation of a system at t = 0, circular orbits with perfect clocks.
+
+    GPS: 24 satellites in 6 planes at 55 deg, 26 560 km (A-2.1.2). GLONASS: 24 in 3 planes at 64.8 deg,
+    19 100 km high (A-2.1.2). Galileo: 24/3/1 at 56 deg, 29 600 km (Galileo OS SDD 1.3, 2021, table 1).
+    BeiDou-3: 24/3/1 at 55 deg, 21 528 km high, from C19 on; in 24 h three more at 55 deg, C38 to C40 in
+    reality and C43 to C45 here, and C59 to C61 above 80, 110.5 and 140 deg E (BDS-SIS-ICD-B1I-3.0, 3.1).
+    """
+    if system == GPS:
+        return make_walker(6, 4, 1, semi_axis=26.56e6, inclination=np.deg2rad(55.0))
+    if system == GLONASS:
+        return make_walker(3, 8, 1, semi_axis=_A_PZ + 19.1e6, inclination=np.deg2rad(64.8), system=GLONASS)
+    if system == GALILEO:
+        return make_walker(3, 8, 1, semi_axis=29.6e6, inclination=np.deg2rad(56.0), system=GALILEO)
+    return _make_nominal_beidou()
 
 
-def make_nominal_glonass() -> KeplerSets:
-    """Return 24 satellites in 3 planes at 64.8 deg, 19 100 km high (A-2.1.2)."""
-    return make_walker(3, 8, 1, semi_axis=_A_PZ + 19.1e6, inclination=np.deg2rad(64.8))
+def _make_nominal_beidou() -> KeplerSets:
+    high = float(np.cbrt(_GRAVITY[BEIDOU] / _RATES[BEIDOU] ** 2))  # turns with the Earth
+    parts = [
+        make_walker(3, 8, 1, semi_axis=6.378137e6 + 21.528e6, inclination=np.deg2rad(55.0), first=19),
+        make_walker(3, 1, 2, semi_axis=high, inclination=np.deg2rad(55.0), node_0=_IGSO, first=43),
+        make_walker(3, 1, 0, semi_axis=high, inclination=0.0, first=59),
+    ]
+    fixed = parts[2].elements
+    # the frame of their elements is inclined about its x axis; in it their plane is, too, and is the equator
+    fixed[:, KEPLER.index("i_0")] = _INCLINED
+    fixed[:, KEPLER.index("node_0")] = 0.0
+    fixed[:, KEPLER.index("mean_anomaly")] = np.deg2rad([80.0, 110.5, 140.0])
+    sat, healthy, elements = (np.concatenate([getattr(one, name) for one in parts]) for name in _SET_COLUMNS)
+    return KeplerSets(sat, healthy, elements, BEIDOU)
 
 
 class Track(NamedTuple):

@@ -8,40 +8,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, SYSTEM_NAMES
+from bench.orbit_sets import BEIDOU
 from bench.signals.delays import STANDARD, Mapping, SurfaceAir, Troposphere
 
 CORRECTIONS = ("sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks")
 """Corrections that ``Processing.without`` may leave out; "clocks" is a clock offset for each system."""
 
 Ionosphere = Literal["klobuchar", "ntcm-g", "free", "none"]
-
-_GROUPS = {"both": frozenset({GPS, GLONASS}), "all": frozenset({GPS, GLONASS, GALILEO, BEIDOU})}
-_NAMED = {name.lower(): frozenset({k}) for k, name in enumerate(SYSTEM_NAMES)}
-SYSTEM_CHOICES = (*_NAMED, *_GROUPS, "auto")
-
-
-def parse_systems(text: str) -> frozenset[int]:
-    """Return the codes of the systems in a choice such as "gps,galileo", "both" (GPS, GLONASS), "all".
-
-    Raises
-    ------
-    ValueError
-        If a name is none of ``SYSTEM_CHOICES``.
-
-    Examples
-    --------
-    >>> sorted(parse_systems("gps,galileo")), sorted(parse_systems("auto"))
-    ([0, 2], [0, 1, 2, 3])
-    """
-    known = _NAMED | _GROUPS | {"auto": _GROUPS["all"]}
-    found: frozenset[int] = frozenset()
-    for name in text.split(","):
-        if name.strip() not in known or (name.strip() == "auto" and name != text):
-            choices = ", ".join(SYSTEM_CHOICES)
-            raise ValueError(f"systems = {text!r} must be one of {choices}, or systems with commas between")
-        found |= known[name.strip()]
-    return found
 
 
 class ErrorBudget(NamedTuple):

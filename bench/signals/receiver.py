@@ -14,12 +14,12 @@ import numpy as np
 from bench import earth
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, GnssObservations
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets, KeplerSets
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets, KeplerSets, parse_systems
 from bench.signals import dilution, least_squares, orbits
 from bench.signals.delays import ionosphere_free
 from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.signals.orbits import C
-from bench.signals.processing import Processing, estimate_code_sd, estimate_space_sd, parse_systems
+from bench.signals.processing import Processing, estimate_code_sd, estimate_space_sd
 
 Orbits = Mapping[int, Sequence[KeplerSets | GlonassSets]]
 """Code of a system -> its orbits, in order of preference."""

@@ -18,7 +18,6 @@ from bench.data import GnssFixes, GnssObservations, ImuData, InitialState, Senso
 from bench.specs import AssumedSpecs
 
 START = "sensors-start.json"
-_ORBITS = ("gps", "glonass")  # true orbits of a sky; the receiver knows only those in its observations
 
 
 def make_start_document(data: SensorData, initial: InitialState) -> dict[str, Any]:
@@ -59,8 +58,7 @@ def assumed_document(specs: AssumedSpecs) -> dict[str, Any]:
     """Return assumed datasheets as a JSON object, in SI and radians, without the true orbits of a sky."""
     assumed = dataclasses.asdict(specs)
     if assumed["gnss"] and assumed["gnss"]["sky"]:
-        for system in _ORBITS:
-            del assumed["gnss"]["sky"][system]
+        del assumed["gnss"]["sky"]["orbits"]  # the receiver knows only those in its observations
         assumed["gnss"]["sky"]["day"] = assumed["gnss"]["sky"]["day"].isoformat()
     return assumed
 

@@ -20,8 +20,8 @@ from tests.weaving import units, weaving
 
 SKY_ERRORS = {
     "gps_space_sd": 3.0, "glonass_space_sd": 4.0, "space_correlation": 3600.0, "ionosphere_sd": 0.0,
-    "troposphere_sd": 0.3, "troposphere_correlation": 3600.0, "multipath_zenith_sd": 0.0,
-    "multipath_horizon_sd": 0.0, "clock_g": 0.0, "clock_h_m1": 0.0,
+    "ionosphere_share": 0.0, "troposphere_sd": 0.3, "troposphere_correlation": 3600.0,
+    "multipath_zenith_sd": 0.0, "multipath_horizon_sd": 0.0, "clock_g": 0.0, "clock_h_m1": 0.0,
 }  # fmt: skip
 WANDERING = replace(SKY, sky=replace(SKY.sky, **SKY_ERRORS))
 UNITS = replace(units(gnss=WANDERING), output_rate=1.0)

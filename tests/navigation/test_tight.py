@@ -19,9 +19,11 @@ from bench.evaluation.consistency import chi2_quantile
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import error_state, measurement_rows, ranging
 from bench.navigation.error_state_filter.error_state import StateLayout
+from bench.navigation.error_state_filter.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
+from bench.navigation.error_state_filter.range_states import RANGES
 from bench.navigation.error_state_filter.schedule import Schedule
-from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, index_of
+from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.orbit_sets import GLONASS, GPS
 from bench.specs import EvaluationWindow, Fault
@@ -33,8 +35,8 @@ SKY = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gn
 MEMS = config.load_profile("figure-eight").sensors.imu
 ERROR_FREE = dict.fromkeys(
     (
-        "gps_space_sd", "glonass_space_sd", "ionosphere_sd", "troposphere_sd", "multipath_zenith_sd",
-        "multipath_horizon_sd", "clock_g",
+        "gps_space_sd", "glonass_space_sd", "ionosphere_sd", "ionosphere_share", "troposphere_sd",
+        "multipath_zenith_sd", "multipath_horizon_sd", "clock_g",
     ),
     0.0,
 )  # fmt: skip
@@ -75,7 +77,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     Left out of H: how the delays change with the place (3e-3 per metre at 5 deg), the Earth rate on the arm.
     """
     data, initial = sensed.data, sensed.initial
-    n = 15 + 1 + 3 + 3 + GPS_RANGES + GLONASS_RANGES + 1  # baro, clock, lever arm, ranges
+    n = 15 + 1 + 3 + 3 + sum(RANGES[:2]) + len(ANCHORS) + 1  # baro, clock, lever arm, ranges, atmosphere
     schedule = Schedule(initial.t, data.specs.imu, compensate=True)
     schedule.take(data, last=True)
     schedule.add_satellites(data.observations, SKY, initial.lla[0], ranging.Channels())
@@ -83,8 +85,9 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     aid = measurement_rows.Measurements(
         np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
     )
-    blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 3), ("antenna_b", "m", 3)]
-    blocks += [("gps_range_1", "1", GPS_RANGES), ("glonass_range_1", "1", GLONASS_RANGES)]
+    blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 2), ("glonass_offset", "m", 1)]
+    blocks += [("antenna_b", "m", 3), ("gps_range_1", "1", RANGES[GPS])]
+    blocks += [("glonass_range_1", "1", RANGES[GLONASS]), ("ionosphere_1", "1", len(ANCHORS))]
     index = index_of(StateLayout(*blocks, ("troposphere", "1", 1)))
     kernel = plain(ranging.satellites_kernel)
     start = np.concatenate(
@@ -358,13 +361,14 @@ def test_the_offset_of_glonass_is_found(sensed):
 
 def test_what_tight_does_not_model_is_named():
     named = Tight().unmodelled(units(gnss=SKY).assumed)
+    for text in ("g-sensitivity of the receiver's clock",):
+        assert text in named
     for text in (
         "multipath",
         "flicker of the receiver's clock",
-        "g-sensitivity of the receiver's clock",
+        "ionosphere beyond the broadcast model",
+        "satellite orbit and clock error",
     ):
-        assert text in named
-    for text in ("ionosphere beyond the broadcast model", "satellite orbit and clock error"):
         assert text not in named
     steady = replace(SKY, sky=replace(SKY.sky, clock_h_m1=0.0))
     assert "flicker of the receiver's clock" not in Tight().unmodelled(units(gnss=steady).assumed)

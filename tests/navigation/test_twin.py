@@ -16,8 +16,9 @@ from numpy.testing import assert_array_equal
 
 from bench import config, pipeline, rotation, sensors
 from bench.data import GnssFixes, ImuData
+from bench.navigation.error_state_filter.ionosphere_anchors import ANCHORS
+from bench.navigation.error_state_filter.range_states import RANGES
 from bench.navigation.error_state_filter.ranging import Channels
-from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.specs import ImuSpec
 from tests import twin
@@ -135,8 +136,9 @@ def test_tight_and_its_twin_agree_over_half_a_minute(wander):
     o, known = sensed.data.observations, list(range(7))
     if wander:  # states of satellites, in the order of the twin
         own, _ = Channels().give_states(o, np.arange(len(o.t)))
-        of = dict(zip(zip(o.system, o.sat, strict=True), own + GPS_RANGES * o.system, strict=True))
-        known += [10 + of[one] for one in sorted(of)] + [10 + GPS_RANGES + GLONASS_RANGES]
+        of = dict(zip(zip(o.system, o.sat, strict=True), own + RANGES[0] * o.system, strict=True))
+        known += [10 + of[one] for one in sorted(of)]
+        known += [10 + sum(RANGES[:2]) + k for k in range(len(ANCHORS) + 1)]
     known += [7, 8, 9]
     off = (answer.bias - solution.extra[:, known]) / solution.extra_sd[:, known]
     assert np.abs(off).max() < (3e-3 if wander else 1e-3)

@@ -17,6 +17,7 @@ from bench import config, earth, rotation
 from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
+from bench.orbit_sets import GLONASS, GPS
 from bench.sensors import clock, gnss, sky
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
@@ -35,7 +36,16 @@ OFF = {
     f.name: 0.0
     for f in fields(SkySpec)
     if f.name.endswith("_sd")
-    or f.name in ("dll_bandwidth", "fll_bandwidth", "clock_h_0", "clock_h_m1", "clock_h_m2", "clock_g")
+    or f.name
+    in (
+        "ionosphere_share",
+        "dll_bandwidth",
+        "fll_bandwidth",
+        "clock_h_0",
+        "clock_h_m1",
+        "clock_h_m2",
+        "clock_g",
+    )
 }
 QUIET = replace(FULL, **OFF)
 
@@ -94,7 +104,7 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
     rows = np.searchsorted(turn.t, o.t - 1e-6)
     lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER, SensorDraws(1, 0))
     here = earth.to_ecef(lla)
-    sets = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
+    sets = [orbits.make_nominal(GPS), orbits.make_nominal(GLONASS)]
     for k in range(0, len(o), 37):
         travel = np.array([0.07])
         for _ in range(5):
@@ -189,9 +199,12 @@ TERMS = {
     "code.1": {"dll_bandwidth": 0.5},
     "multipath.1": {"multipath_zenith_sd": 0.13, "multipath_horizon_sd": 0.53},
     "space": {"gps_space_sd": 0.6, "glonass_space_sd": 2.0},
-    "ionosphere": {"ionosphere_sd": 2.0},
+    "ionosphere": {"ionosphere_sd": 2.0, "ionosphere_share": 0.0},
     "troposphere": {"troposphere_sd": 0.12},
 }
+
+
+SHARED = ("ionosphere", "troposphere")  # by the satellites of an epoch
 
 
 def claimed(o, term, chip=(293.0522561, 586.6779022)):
@@ -216,7 +229,7 @@ def claimed(o, term, chip=(293.0522561, 586.6779022)):
 @pytest.mark.parametrize("term", TERMS)
 def test_each_range_error_has_its_size(rest, term):
     """#32: RMS of error over its formula within 5 %, over 400 runs of 10 s; rows of one satellite and run are
-    one sample (the slow ones stay put), those of the troposphere one per run."""
+    one sample (the slow ones stay put), those that are shared one per run."""
     short = still(10.0, 1.0, attitude=(0.0, 0.0, 0.3))
     clean = measure(short, QUIET, (0.0, 0.0, 0.0)).observations
     what, ratios = replace(QUIET, **TERMS[term]), []
@@ -224,12 +237,12 @@ def test_each_range_error_has_its_size(rest, term):
     for run in range(400):
         o = measure(short, what, (0.0, 0.0, 0.0), run=run).observations
         error = o.pseudorange[:, 0] - clean.pseudorange[:, 0]
-        first = slice(0, o.epoch_start[1]) if term != "troposphere" else slice(0, 1)
+        first = slice(0, o.epoch_start[1]) if term not in SHARED else slice(0, 1)
         ratios.append((error / sd)[first])
     ratios = np.concatenate(ratios)
     low, high = band(len(ratios))
     assert low < np.mean(ratios**2) < high
-    if term != "troposphere":
+    if term not in SHARED:
         assert 0.95**2 < low < high < 1.05**2
     assert not low < 1.3**2 < high
 
@@ -350,6 +363,7 @@ def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_
         "glonass_offset",
         "space",
         "ionosphere",
+        "ionosphere.waves",
         "troposphere",
     ]
     names += [f"{term}.{band}" for term in ("code", "doppler", "multipath") for band in (1, 2)]
@@ -360,10 +374,11 @@ def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_
 def test_one_error_more_leaves_the_others_their_bits(turn, term):
     """What an error adds is the same alone, beside all others, and with another mask, up to rounding."""
     alone = replace(QUIET, **TERMS[term])
-    without = replace(FULL, **dict.fromkeys(TERMS[term], 0.0))
+    full = replace(FULL, **TERMS[term])
+    without = replace(full, **dict.fromkeys(TERMS[term], 0.0))
     added = [
         (measure(turn, a).observations.pseudorange - measure(turn, b).observations.pseudorange)
-        for a, b in ((alone, QUIET), (FULL, without))
+        for a, b in ((alone, QUIET), (full, without))
     ]
     assert np.abs(added[0]).max() > 0.01
     assert_allclose(added[0], added[1], rtol=0, atol=3e-8)

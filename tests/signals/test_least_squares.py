@@ -12,6 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth
+from bench.orbit_sets import GLONASS, GPS
 from bench.signals import delays, dilution, least_squares, orbits
 from bench.signals.orbits import GPS_EARTH_RATE
 
@@ -72,7 +73,7 @@ def view(constellations, lla, t, mask, first=0):
 
 @pytest.fixture(scope="module")
 def both():
-    sets = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
+    sets = [orbits.make_nominal(GPS), orbits.make_nominal(GLONASS)]
     return view(sets, THERE, np.arange(0.0, 86400.0, 300.0), np.deg2rad(5.0))
 
 
@@ -146,7 +147,7 @@ def test_doppler_velocity_is_exact(both):
 
 def test_the_range_rate_is_the_rate_of_the_range():
     """Differences of distances, each with its own emission time, to a receiver that moves at 200 m/s."""
-    sets, h = orbits.make_nominal_gps(), 0.05
+    sets, h = orbits.make_nominal(GPS), 0.05
     t0, here = 30000.0, earth.to_ecef(THERE)
 
     def moved(t):
@@ -299,7 +300,7 @@ def test_the_inverse_against_numpy_and_a_singular_matrix():
     assert_allclose((inverse @ want)[regular], np.broadcast_to(np.eye(5), (2, 5, 5)), rtol=0, atol=1e-9)
 
 
-SKY = [orbits.make_nominal_gps(), orbits.make_nominal_glonass()]
+SKY = [orbits.make_nominal(GPS), orbits.make_nominal(GLONASS)]
 
 
 def test_shared_errors_of_ranges_are_in_the_weights_the_covariance_and_the_tests():

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from bench import earth
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines
-from bench.orbit_sets import KEPLER, GlonassSets, KeplerSets
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 from bench.signals import dilution, orbits
 from bench.signals.orbits import C
 from tests.data import gnss_file
@@ -245,7 +245,7 @@ REFERENCE = {  # A-2.1.2: phi 50 deg, mask 5 deg, 24 h
 @pytest.mark.parametrize("which", REFERENCE)
 def test_dop_table_of_the_nominal_constellations(which):
     """Register A-2.1.2 and #25 within 0.05, at the longitude 30 deg of its other examples."""
-    sets = {"gps": [orbits.make_nominal_gps()], "glonass": [orbits.make_nominal_glonass()]}
+    sets = {"gps": [orbits.make_nominal(GPS)], "glonass": [orbits.make_nominal(GLONASS)]}
     sets["both"] = sets["gps"] + sets["glonass"]
     there = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 0.0])
     seen = view(
@@ -263,6 +263,40 @@ def test_dop_table_of_the_nominal_constellations(which):
     assert_allclose([np.median(d) for d in dop], medians, rtol=0, atol=0.05)
     assert abs(dop.p.max() - most) < 0.05
     assert visible.min() >= 4
+
+
+def test_nominal_beidou_stands_where_the_icd_has_it_and_moves_as_a_figure_of_eight():
+    """Three satellites stand above 80, 110.5 and 140 deg E to 0.01 deg; three share one track about 118 E,
+    as far north as they are inclined, and repeat it after a sidereal day, 86 164.1 s."""
+    sets = orbits.make_nominal(BEIDOU)
+    assert len(np.unique(sets.sat)) == len(sets) == 30
+    t = np.arange(0.0, 86164.0, 600.0)
+    for number, east in ((59, 80.0), (60, 110.5), (61, 140.0)):
+        there = at(sets, t, int(np.flatnonzero(sets.sat == number)[0]))
+        lla = np.rad2deg(earth.to_geodetic(there.pos_e)[:, :2])
+        assert_allclose(lla, np.broadcast_to([0.0, east], lla.shape), rtol=0, atol=0.01)
+        assert np.abs(there.vel_e).max() < 0.1
+    tracks = []
+    for number in (43, 44, 45):
+        there = at(sets, t, int(np.flatnonzero(sets.sat == number)[0]))
+        tracks.append(there.pos_e)
+        assert_allclose(np.rad2deg(np.arcsin(np.abs(there.pos_e[:, 2]).max() / 42164170.0)), 55.0, atol=0.2)
+        again = at(sets, t + 86164.0905, int(np.flatnonzero(sets.sat == number)[0]))
+        assert_allclose(again.pos_e, there.pos_e, rtol=0, atol=1e4)
+    near = np.linalg.norm(tracks[0][:, None] - tracks[1], axis=2).min(axis=1)
+    assert near.max() < 1.2e6  # the next of 600 s: one track, not two 80 deg apart
+    mean = np.mean([np.arctan2(p[:, 1], p[:, 0]).mean() for p in tracks])
+    assert abs(np.rad2deg(mean) - 118.0) < 0.5
+
+
+def test_nominal_galileo_turns_in_its_own_time():
+    """17 turns in ten sidereal days: 14 h 4 min 42 s, to a minute, for the axis is rounded; three planes."""
+    sets = orbits.make_nominal(GALILEO)
+    assert len(sets) == 24
+    assert len(np.unique(np.round(sets.get("node_0"), 6))) == 3
+    period = 2 * np.pi * np.sqrt(sets.get("sqrt_a")[0] ** 6 / 3.986004418e14)
+    assert abs(period - 861640.905 / 17) < 60
+    assert sets.system == GALILEO
 
 
 @pytest.mark.parametrize(

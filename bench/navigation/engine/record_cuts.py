@@ -42,7 +42,7 @@ def without_orbits(specs: Any) -> Any:
     """Return datasheets without the true orbits of a sky, which no filter knows."""
     if specs.gnss is None or specs.gnss.sky is None:
         return specs
-    return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, gps=None, glonass=None)))
+    return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, orbits=None)))
 
 
 def take_head(piece: SensorData) -> SensorData:

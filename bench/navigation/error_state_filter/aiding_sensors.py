@@ -136,8 +136,8 @@ def _satellite_errors(gnss: GnssSpec) -> Errors:
     if sky is None:
         yield "GNSS at all: tight coupling needs a receiver with [sky]", True
     else:
-        yield "satellite orbit and clock error", max(sky.gps_space_sd, sky.glonass_space_sd)
-        yield "ionosphere beyond the broadcast model", sky.ionosphere_sd if sky.bands == 1 else 0.0
+        yield "satellite orbit and clock error", max(sky.space_sd[system] for system in sky.constellations)
+        yield "ionosphere beyond the broadcast model", sky.bands == 1 and sky.ionosphere_left
         yield "troposphere beyond the model", sky.troposphere_sd
         yield "multipath", max(sky.multipath_zenith_sd, sky.multipath_horizon_sd)
         yield "flicker of the receiver's clock", sky.clock_h_m1

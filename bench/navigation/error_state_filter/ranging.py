@@ -3,12 +3,12 @@
     z_range = |r_sat - r_ant| + troposphere + ionosphere + clock + offset - (pseudorange + satellite clock)
     z_rate  = d/dt |r_sat - r_ant| + drift - (range rate + satellite clock rate)
 
-(B-12, B-14b) with the offset for GLONASS only. Both depend on the errors of the antenna along the line of
-sight. The delays are computed at the position of the filter, so that any number of satellites will do. H
-neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
+(B-12, B-14b) with the offset of the systems beside GPS only. Both depend on the errors of the antenna along
+the line of sight. The delays are computed at the position of the filter, so that any number of satellites
+will do. H neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
 
-What wanders in a range has states (`state_blocks.RANGE_ERRORS`), each times the size that the datasheet gives
-at this elevation, and is no part of R.
+What wanders in a range has states (`range_states.RANGE_ERRORS`), each times the size that the datasheet gives
+at this elevation, and is no part of R. Satellites share those of the ionosphere (`ionosphere_anchors`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,11 @@ from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.engine.session import Growing, Kept, SessionState, require
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
+from bench.navigation.error_state_filter.ionosphere_anchors import (
+    ANCHORS,
+    ionosphere_kernel,
+    whiten_anchors,
+)
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
@@ -32,8 +37,9 @@ from bench.navigation.error_state_filter.measurement_rows import (
     Measurements,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
-from bench.navigation.error_state_filter.state_blocks import GLONASS_RANGES, GPS_RANGES, Index
-from bench.orbit_sets import GLONASS, GPS
+from bench.navigation.error_state_filter.range_states import RANGES, multipath_sd
+from bench.navigation.error_state_filter.state_blocks import Index
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, name_satellite
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -44,16 +50,18 @@ from bench.signals.delays import (
     zenith_troposphere,
 )
 from bench.signals.orbits import GPS_EARTH_RATE, L1
-from bench.signals.processing import Processing
+from bench.signals.processing import GROUND, Processing
 from bench.specs import GnssSpec, SkySpec
 
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
 _TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
 _GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
-_PLACES = {GPS: range(GPS_RANGES), GLONASS: range(GPS_RANGES, GPS_RANGES + GLONASS_RANGES)}
+_FIRST = np.concatenate([[0], np.cumsum(RANGES)])
+_PLACES = [range(_FIRST[k], _FIRST[k + 1]) for k in range(len(RANGES))]
 _PART = 1e-3  # least share of the variance of a range that is white
 _NONE, _TAKEN = -1, -2
+MULTIPATH_DECAY = GROUND.multipath_decay  # [rad]
 _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
@@ -66,18 +74,25 @@ class SkyRows(NamedTuple):
     sat: FloatArray  # (K, 6) position and velocity, e at transmission
     t: FloatArray  # (K,) time of the GPS day [s]
     ionosphere: FloatArray  # (K,) ionospheric delay over that on L1; 0 with two frequencies [1]
+    combined: FloatArray  # (K,) multipath of the range in use over that of one carrier [1]
     which: IntArray  # (K, 5) system, channels of range and rate, state of its own (-1: none), is that new
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
-    sizes: FloatArray  # (4,) sd of what wanders [m]: ionosphere, GPS and GLONASS satellites, troposphere
+    sizes: FloatArray  # (9,) `_list_sizes`
+    anchors: FloatArray  # (A, 2) `ionosphere_anchors`
+    whiten: FloatArray  # (A, A) the same
+    decay: float  # of the correlation of the ionosphere [m]
 
 
 def empty_sky() -> SkyRows:
     """Return a sky without satellites."""
     none, pairs, which = np.empty(0), np.empty((0, 2)), np.empty((0, 5), np.int64)
     first = np.zeros(1, np.int64)
-    return SkyRows(first, pairs, pairs, np.empty((0, 6)), none, none, which, none, none, 0.0, np.zeros(4))
+    return SkyRows(
+        first, pairs, pairs, np.empty((0, 6)), none, none, none, which, none, none, 0.0, np.zeros(9),
+        np.empty((0, 2)), np.empty((0, 0)), 1.0,
+    )  # fmt: skip
 
 
 def check_sky(sky: SkyRows) -> None:
@@ -91,12 +106,17 @@ def check_sky(sky: SkyRows) -> None:
     count, epochs = len(sky.t), len(sky.epoch_start) - 1
     widths = {"values": 2, "variance": 2, "sat": 6, "which": 5}
     shapes: dict[str, tuple[int, ...]] = {name: (count, width) for name, width in widths.items()}
-    shapes |= {"t": (count,), "ionosphere": (count,), "sizes": (4,)} | ({"klobuchar": (8,)} if count else {})
+    shapes |= {"t": (count,), "ionosphere": (count,), "combined": (count,), "sizes": (9,)} | (
+        {"klobuchar": (8,)} if count else {}
+    )
     for name, shape in shapes.items():
         require(getattr(sky, name).shape == shape, f"sky/{name}", f"must have shape {shape}")
     start = sky.epoch_start
     whole = epochs >= 0 and start[0] == 0 and start[-1] == count and bool((np.diff(start) >= 0).all())
     require(whole, "sky/epoch_start", f"must rise from 0 to {count}")
+    anchors = len(sky.anchors)
+    whole = sky.anchors.shape == (anchors, 2) and sky.whiten.shape == (anchors, anchors) and sky.decay > 0
+    require(whole and anchors in (0, len(ANCHORS)), "sky/anchors", f"must be {len(ANCHORS)} places")
     require(not count or len(sky.zenith) > 1, "sky/zenith", "must be a table")
 
 
@@ -141,6 +161,7 @@ def make_sky(
     own, fresh = channels.give_states(o, rows)
     values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
+    decay = 1.0 if spec.sky is None else max(spec.sky.ionosphere_decay, 1.0)
     return SkyRows(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
         values=values[rows],
@@ -148,17 +169,31 @@ def make_sky(
         sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
         t=o.t[rows] + o.gps_t0,
         ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
+        combined=_combine(o.frequency[rows]) if free else np.ones(len(rows)),
         which=np.column_stack([o.system[rows], channel, channel + 1, own, fresh]),
         zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
         klobuchar=o.klobuchar.copy(),
         sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
-        sizes=np.zeros(4) if spec.sky is None else _list_sizes(spec.sky),
+        sizes=np.zeros(9) if spec.sky is None else _list_sizes(spec.sky),
+        anchors=ANCHORS.copy(),
+        whiten=whiten_anchors(decay),
+        decay=decay,
     )
 
 
 def _list_sizes(sky: SkySpec) -> FloatArray:
-    above = sky.ionosphere_sd if sky.bands == 1 else 0.0
-    return np.array([above, sky.gps_space_sd, sky.glonass_space_sd, sky.troposphere_sd])
+    """Return sds [m]: satellites by system, troposphere, ionosphere, its share of the delay [1], multipath.
+
+    The last are those at the zenith and added at the horizon.
+    """
+    above = (sky.ionosphere_sd, sky.ionosphere_share) if sky.bands == 1 else (0.0, 0.0)
+    return np.array([*sky.space_sd, sky.troposphere_sd, *above, *multipath_sd(sky)])
+
+
+def _combine(frequency: FloatArray) -> FloatArray:
+    """Return the error (K,) of the ionosphere-free combination over those of its carriers (K, 2) (B-11)."""
+    gamma = (frequency[:, 1] / frequency[:, 0]) ** 2
+    return np.asarray(np.sqrt(1.0 + gamma**2) / (1.0 - gamma))
 
 
 def join_skies(first: SkyRows, second: SkyRows) -> SkyRows:
@@ -180,7 +215,7 @@ def take_epochs(sky: SkyRows, epochs: IntArray) -> SkyRows:
 
 
 def _by_row(sky: SkyRows) -> tuple[Any, ...]:
-    return sky.values, sky.variance, sky.sat, sky.t, sky.ionosphere, sky.which
+    return sky.values, sky.variance, sky.sat, sky.t, sky.ionosphere, sky.combined, sky.which
 
 
 def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
@@ -189,9 +224,8 @@ def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
 
 def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
     """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
-    letter = {GPS: "G", GLONASS: "R"}
     numbers, which = np.unique(_number(o), return_inverse=True)
-    return [f"{letter[n // 1000]}{n % 1000:02d}" for n in numbers.tolist()], which.astype(np.int64)
+    return [name_satellite(*divmod(n, 1000)) for n in numbers.tolist()], which.astype(np.int64)
 
 
 def _number(o: GnssObservations) -> IntArray:
@@ -212,7 +246,7 @@ class Channels(SessionState):
 
     def __init__(self) -> None:
         self.names = list(SENSORS)
-        self.held = np.full(GPS_RANGES + GLONASS_RANGES, -1)
+        self.held = np.full(sum(RANGES), -1)
         self.seen = np.full(len(self.held), -1e9)
 
     def of_satellites(self, o: GnssObservations) -> IntArray:
@@ -264,9 +298,25 @@ def range_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
     first, own = index.gps_range_1, sky.which[k, 3]
     if sky.which[k, 0] == GLONASS:
         first = index.glonass_range_1
+    elif sky.which[k, 0] == GALILEO:
+        first = index.galileo_range_1
+    elif sky.which[k, 0] == BEIDOU:
+        first = index.beidou_range_1
     if first < 0:
         return _NONE
     return first + own if own >= 0 else _TAKEN
+
+
+@inner
+def offset_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
+    """Return the state of the offset of row k against GPS time; `_NONE` for GPS."""
+    if sky.which[k, 0] == GLONASS:
+        return index.glonass_offset
+    if sky.which[k, 0] == GALILEO:
+        return index.galileo_offset
+    if sky.which[k, 0] == BEIDOU:
+        return index.beidou_offset
+    return _NONE
 
 
 @inner
@@ -339,12 +389,12 @@ def satellites_kernel(
             continue
         a, b = range_rate_kernel(sx, sy, sz, wx, wy, wz, rx, ry, rz, ex, ey, ez, distance, GPS_EARTH_RATE)
         flat, mapping = np.sqrt(e_n * e_n + e_e * e_e), mapping_kernel(-e_d)
-        el, delay = np.arctan2(-e_d, flat), zenith * mapping
+        el, delay, broadcast = np.arctan2(-e_d, flat), zenith * mapping, 0.0
         if sky.ionosphere[k] > 0.0 and flat > 0.0:
-            delay += sky.ionosphere[k] * klobuchar_kernel(
+            broadcast = klobuchar_kernel(
                 state[0], state[1], el, e_e / flat, e_n / flat, sky.t[k], sky.klobuchar
             )
-        glonass = sky.which[k, 0] == GLONASS
+            delay += sky.ionosphere[k] * broadcast
         z[row] = distance + delay + state[at + 1] - sky.values[k, 0]
         z[row + 1] = (a - ex * vx - ey * vy - ez * vz) / b + state[at + 2] - sky.values[k, 1]
         # the line of sight turns as the antenna moves across it
@@ -361,18 +411,30 @@ def satellites_kernel(
                 u_n * p + u_e * q + u_d * r
             )
         H[row, at], H[row + 1, at + 1] = 1.0, 1.0
-        if glonass:
-            H[row, at + 2] = 1.0
-            z[row] += state[at + 3]
+        offset: int = offset_state_kernel(k, sky, index)
+        if offset >= 0:
+            H[row, offset] = 1.0
+            z[row] += state[offset + 1]
         pending.r[row], pending.r[row + 1] = sky.variance[k, 0], sky.variance[k, 1]
+        left, shared = 0.0, 0
+        if index.ionosphere_1 >= 0:
+            slant, share = obliquity_kernel(el), sky.sizes[6] * broadcast
+            above = np.sqrt(sky.sizes[5] * sky.sizes[5] * slant * slant + share * share) * sky.ionosphere[k]
+            shared = sky.anchors.shape[0]
+            columns = H[row, index.ionosphere_1 : index.ionosphere_1 + shared]
+            left = ionosphere_kernel(el, e_n, e_e, flat, above, sky.anchors, sky.whiten, sky.decay, columns)
         if own >= 0:
-            above, space = sky.sizes[0] * obliquity_kernel(el) * sky.ionosphere[k], sky.sizes[1]
-            if glonass:
-                space = sky.sizes[2]
-            H[row, own] = np.sqrt(above * above + space * space)
+            space = sky.sizes[sky.which[k, 0]]
+            near = sky.combined[k] * (sky.sizes[7] + sky.sizes[8] * np.exp(-el / MULTIPATH_DECAY))
+            H[row, own] = np.sqrt(left + space * space + near * near)
         if index.troposphere >= 0:
-            H[row, index.troposphere] = sky.sizes[3] * mapping
-        for i in (own, index.troposphere):
+            H[row, index.troposphere] = sky.sizes[4] * mapping
+        for j in range(shared + 2):
+            i = index.ionosphere_1 + j
+            if j == shared:
+                i = own
+            elif j == shared + 1:
+                i = index.troposphere
             if i >= 0:
                 z[row] += H[row, i] * state[i + 1]
                 pending.r[row] -= H[row, i] * H[row, i]

@@ -23,9 +23,8 @@ from bench.navigation.error_state_filter import ranging
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
-from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
-from bench.orbit_sets import GLONASS, GPS
 from bench.specs import GnssSpec, ImuSpec
 
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
@@ -225,8 +224,7 @@ class Schedule(SessionState):
         sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
         sound &= np.isfinite(o.frequency[:, 0])
         self.events += timeline.left_out("satellites", o.t, ~sound, "not finite")
-        system = {"gps": [GPS], "glonass": [GLONASS]}.get(gnss.sky.systems, [GPS, GLONASS])
-        wanted = np.isin(o.system, system)
+        wanted = np.isin(o.system, gnss.sky.constellations)
         self.events += timeline.empty_epochs(o.t, o.epoch_start, self.start, self.end)
         filled = np.flatnonzero(np.diff(o.epoch_start) > 0)
         first_row = o.epoch_start[filled]

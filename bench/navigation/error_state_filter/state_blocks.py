@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import InitialState, SensorData
 from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
+from bench.navigation.error_state_filter.range_states import CLOCK, RANGE_ERRORS
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
     SQUARE,
@@ -26,17 +27,13 @@ from bench.navigation.error_state_filter.state_processes import (
     WARMTH,
     Block,
     States,
+    assumed,
 )
 from bench.navigation.error_state_filter.vehicle_states import vehicle
 from bench.navigation.options import FusionOptions
-from bench.signals.orbits import C
 from bench.specs import AssumedSpecs
 
 CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
-
-GPS_RANGES, GLONASS_RANGES = 16, 12
-"""Satellites of each constellation whose range error has a state; some 14 of 32 and 10 of 24 are in view."""
-_OBLIQUITY = 1.6  # of the ionosphere at 35 deg, the median elevation above 5 deg [1]
 
 CLOCK_WALK = 1e-3  # of two clocks that nothing holds together: 100 ppm in 100 s [s/sqrt(s)]
 TURNING = 2.0  # acceleration that a vehicle may have as a filter starts [m/s^2]
@@ -49,7 +46,10 @@ class Index(NamedTuple):
 
     baro_bias: int
     gnss_pos: int  # gnss_vel follows
-    clock_offset: int  # clock_drift and glonass_offset follow
+    clock_offset: int  # clock_drift follows
+    glonass_offset: int
+    galileo_offset: int
+    beidou_offset: int
     antenna_b: int
     wind_north: int  # wind_east follows
     radar_bias: int
@@ -64,8 +64,11 @@ class Index(NamedTuple):
     axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
     axle_b: int
     gust_n: int
-    gps_range_1: int  # GPS_RANGES of them
-    glonass_range_1: int  # GLONASS_RANGES of them
+    gps_range_1: int  # RANGES of them, of each system
+    glonass_range_1: int
+    galileo_range_1: int
+    beidou_range_1: int
+    ionosphere_1: int  # one for each of `ANCHORS`
     troposphere: int
     course_offset: int
 
@@ -215,20 +218,6 @@ def index_of(layout: StateLayout) -> Index:
     return Index(*(layout.slice(name).start if layout.has(name) else -1 for name in Index._fields))
 
 
-def assumed(specs: AssumedSpecs, name: str) -> Any:
-    """Return the datasheet of a sensor in use.
-
-    Raises
-    ------
-    ValueError
-        If the estimator was given none.
-    """
-    spec = getattr(specs, name)
-    if spec is None:
-        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
-    return spec
-
-
 def _baro_bias(specs: AssumedSpecs) -> list[States]:
     baro = assumed(specs, "baro")
     return [States("baro_bias", "m", 1, baro.bias_sd**2, baro.bias_walk**2)]
@@ -277,63 +266,6 @@ GNSS_JUMPS = replace(
     takes=(*GNSS_MARKOV.takes, "jumps of the GNSS error where the satellites change"),
 )
 """The same with the jumps that last, for `EVERY_ERROR`; those of one epoch are in R: `measurements.jumps`."""
-
-
-def _clock(specs: AssumedSpecs) -> list[States]:
-    sky = assumed(specs, "gnss").sky
-    return [
-        States("clock_offset", "m", 1, sky.clock_offset_sd**2, 0.5 * C**2 * sky.clock_h_0),
-        States("clock_drift", "m_s", 1, sky.clock_drift_sd**2, 2.0 * np.pi**2 * C**2 * sky.clock_h_m2),
-        States("glonass_offset", "m", 1, sky.glonass_offset_sd**2),
-    ]
-
-
-CLOCK = Block("tight", _clock, records=("observations",))
-"""Offset and drift of the receiver's clock, and its offset for GLONASS.
-
-``c^2 h_0 / 2`` drives the offset and ``2 pi^2 c^2 h_-2`` the drift (Brown and Hwang); flicker, h_-1, has no
-state of finite size. The offset grows by the drift: `propagation`.
-"""
-
-
-def _range_errors(specs: AssumedSpecs) -> list[States]:
-    """Return unit states; their columns of H hold how large the errors are at an elevation (`ranging`)."""
-    sky = assumed(specs, "gnss").sky
-    above = _OBLIQUITY * sky.ionosphere_sd if sky.bands == 1 else 0.0
-    found = []
-    for name, space, count in (
-        ("gps", sky.gps_space_sd, GPS_RANGES),
-        ("glonass", sky.glonass_space_sd, GLONASS_RANGES),
-    ):
-        if sky.systems in (name, "both", "auto") and max(space, above) > 0.0:
-            parts = np.square([space, above])
-            rates = [1.0 / max(one, 1.0) for one in (sky.space_correlation, sky.ionosphere_correlation)]
-            decay = float(parts @ rates / parts.sum())
-            found += [
-                States(f"{name}_range_{k}", "1", 1, 1.0, decay_time=decay, stationary=1.0)
-                for k in range(1, count + 1)
-            ]
-    if sky.troposphere_sd > 0.0:
-        decay = 1.0 / max(sky.troposphere_correlation, 1.0)
-        found.append(States("troposphere", "1", 1, 1.0, decay_time=decay, stationary=1.0))
-    return found
-
-
-RANGE_ERRORS = Block(
-    "tight",
-    _range_errors,
-    takes=(
-        "satellite orbit and clock error",
-        "ionosphere beyond the broadcast model",
-        "troposphere beyond the model",
-    ),
-    records=("observations",),
-)
-"""What wanders in the ranges: of each satellite orbit, clock and ionosphere as one Gauss-Markov process with
-the mean of their rates, by their variances; of all of them the zenith troposphere.
-
-A state goes to a satellite that rises when the one that had it is gone: `ranging.Channels`.
-"""
 
 
 def antenna(sd: float) -> Block:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from bench.arrays import FloatArray
 from bench.specs import AssumedSpecs
@@ -43,3 +44,17 @@ class Block:
     states: Callable[[AssumedSpecs], Sequence[States]]
     takes: tuple[str, ...] = ()  # errors that it models, as `aiding_sensors` names them
     records: tuple[str, ...] = ()  # of `SensorData`, one of which has to be in use; none: always there
+
+
+def assumed(specs: AssumedSpecs, name: str) -> Any:
+    """Return the datasheet of a sensor in use.
+
+    Raises
+    ------
+    ValueError
+        If the estimator was given none.
+    """
+    spec = getattr(specs, name)
+    if spec is None:
+        raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+    return spec

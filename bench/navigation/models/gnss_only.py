@@ -33,7 +33,7 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     remaining,
     weigh_fixes,
 )
-from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import GnssOnlyOptions, read_options
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
 from bench.specs import AssumedSpecs

@@ -47,11 +47,10 @@ from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
+from bench.navigation.error_state_filter.range_states import RANGES
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (
-    GLONASS_RANGES,
-    GPS_RANGES,
     StateModel,
     assumed,
     chosen_blocks,
@@ -73,7 +72,6 @@ from bench.navigation.start.steady_course import (
     has_large_bias,
 )
 from bench.navigation.start.turn_on import FromTurnOn
-from bench.orbit_sets import GLONASS
 from bench.specs import AssumedSpecs, ImuSpec
 
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
@@ -419,9 +417,9 @@ class Passage(SessionState):
         most[0] = 2 * LONGEST
         require(bool((live <= most).all()), "pending/live", "must be of the measurements that wait")
         require_range("sky/which (channel)", sky.which[:, 1:3], len(run.gate.trust.misses))
-        glonass = sky.which[:, 0] == GLONASS
-        for rows, states in ((~glonass, GPS_RANGES), (glonass, GLONASS_RANGES)):
-            require_range("sky/which (state)", sky.which[rows, 3] + 1, states + 1)  # one that has none has -1
+        for system, states in enumerate(RANGES):
+            own = sky.which[sky.which[:, 0] == system, 3]
+            require_range("sky/which (state)", own + 1, states + 1)  # one that has none has -1
 
     def _absent(self, piece: SensorData) -> list[EventRow]:
         """Return an event for each sensor that is asked for and not there."""
@@ -440,8 +438,8 @@ class Loose(Fusion):
 class Tight(Fusion):
     """Tightly coupled INS/GNSS/baro filter: range and range rate of each satellite, the receiver's clock.
 
-    With the clock, its drift and the offset of its GLONASS as states it goes on with any number of
-    satellites, and refuses one without the others.
+    With the clock, its drift and its offset for each system beside GPS as states it goes on with any number
+    of satellites, and refuses one without the others.
     """
 
     _model = TightOptions

@@ -14,7 +14,7 @@ from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.error_state_filter.imu_states import thermal_figures
-from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.mechanization import propagate
 from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_sd, rate_sd
 

@@ -14,7 +14,7 @@ from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
-from bench.navigation.error_state_filter.state_blocks import assumed
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
 from bench.specs import GnssSpec

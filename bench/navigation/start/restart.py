@@ -45,7 +45,8 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
-from bench.navigation.error_state_filter.state_blocks import WIND_SD, assumed
+from bench.navigation.error_state_filter.state_blocks import WIND_SD
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.navigation.start import alignment
 from bench.navigation.start.alignment import StartSearch
