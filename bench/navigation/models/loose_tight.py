@@ -52,14 +52,13 @@ from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (
     StateModel,
-    assumed,
     chosen_blocks,
     moving_states,
     state_model,
     steady_rows,
     used_blocks,
 )
-from bench.navigation.error_state_filter.state_processes import Block
+from bench.navigation.error_state_filter.state_processes import Block, assumed
 from bench.navigation.error_state_filter.vehicle_motion import VehicleSampler
 from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.start import alignment, headings, turn_on
