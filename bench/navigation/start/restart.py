@@ -4,9 +4,8 @@ Over seconds without IMU the tilt may be anything, and the linear error model of
 come back metres off and claim decimetres. So it stops at the last sample before the gap. From there on
 position and velocity come from the fixes alone (`fixes_only`); the attitude is held and its
 covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
-(`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance;
-all other states begin as at the first start. A filter without fixes ends at the gap: nothing tells where
-it is.
+(`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance; all other
+states begin as at the first start. A filter without fixes ends at the gap: nothing tells where it is.
 
 A filter that has refused sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
 nothing taken over of what it said, biases included: with a heading wrong by 90 deg it has learnt wrong ones.
