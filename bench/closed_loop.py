@@ -192,7 +192,8 @@ def serve(profile: Profile, run: int, session: FlightSession, commands: Commands
         spec = replace(spec, legs=(Commanded(duration, commands),), duration=duration)
     truth, pilot = _fly(replace(profile, flight=spec), run, session, None)
     answers = pilot.collect() if session.estimates else None
-    return ServedFlight(truth, answers, "".join(row[3] for row in pilot.events))
+    failed = next((row[3] for row in pilot.events if row[2] == FAILED), "")
+    return ServedFlight(truth, answers, session.ended or failed)
 
 
 def find_length(profile: Profile) -> float:

@@ -85,7 +85,7 @@ def serve(
     facts = FlightFacts(profile.flight.rate, profile.guidance.period, math.nan if length is None else length)
     commands = Commands()
     with listen(*parse_address(f"--bind {address}", address, remote=remote), say) as server:
-        session = FlightSession(server, facts, commands, rate, patience)
+        session = FlightSession(server, facts, commands, rate, patience, steers=gives == "commands")
         try:
             session.wait(say)
             flown = closed_loop.serve(profile, run, session, commands if gives == "commands" else None)
@@ -93,6 +93,8 @@ def serve(
             session.close("the flight was ended", good=False)
             raise
         session.close(flown.ended or "the flight is over", good=not flown.ended)
+        if gives == "estimate" and not session.estimates:
+            say("the client gave no estimate: guidance read the truth")
     result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
     told = {"gives": gives, "messages": VERSION, "turn_s": profile.guidance.period, "ended": flown.ended}
     result = replace(result, provenance={**result.provenance, "served": told})

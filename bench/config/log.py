@@ -110,6 +110,25 @@ class LogSpec:
     document: Mapping[str, Any]  # the file with every default filled in
 
 
+def is_log(path: Path) -> bool:
+    """Return whether a .toml file is a log: it names a recording."""
+    return not {"file", "imu"}.isdisjoint(_read_keys(path))
+
+
+def is_datasheet(path: Path) -> bool:
+    """Return whether a .toml file is a datasheet, as `bench new log` may write one beside a log."""
+    keys = _read_keys(path)
+    return "source" in keys and keys.isdisjoint({"file", "imu", "aircraft", "profiles"})
+
+
+def _read_keys(path: Path) -> set[str]:
+    """Return the keys of a .toml file; none if it cannot be read."""
+    try:
+        return set(read_toml(path, str(path)))
+    except ConfigError:
+        return set()
+
+
 def load_log(
     name: str,
     estimators: Sequence[str] | None = None,

@@ -28,7 +28,8 @@ from bench.navigation.engine.record_cuts import nothing_known
 _BLOCK = 1 << 16
 _UNIT = 1e-3  # a quaternion has the length 1 within
 _LONGEST_WORDS = 240  # of END, a byte each; a payload has at most 255
-_PATIENCE = 2.0  # for the last words to be sent [s]
+_PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
+_FASTEST, _LARGEST_BIAS, _LARGEST_SD = 1e4, 100.0, 1e7  # [m/s], [rad/s] or [m/s^2], [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +56,21 @@ class FlightSession:
         Seconds of the flight per second at most; 0 or infinity: as fast as possible.
     patience : float
         Longest silence of a client that is to answer [s].
+    steers : bool
+        Whether the client may give commands.
     """
 
     def __init__(
-        self, server: socket.socket, facts: FlightFacts, commands: Commands, rate: float, patience: float
+        self,
+        server: socket.socket,
+        facts: FlightFacts,
+        commands: Commands,
+        rate: float,
+        patience: float,
+        *,
+        steers: bool,
     ) -> None:
-        self._server, self._facts, self._commands = server, facts, commands
+        self._server, self._facts, self._commands, self._steers = server, facts, commands, steers
         self._rate, self._patience = rate, patience
         self._line: socket.socket | None = None
         self._reader, self._come = FrameReader(), list[FlightFrame]()
@@ -70,6 +80,8 @@ class FlightSession:
         """Largest delay behind the rate [s]."""
         self.estimates = 0
         """How many the client gave."""
+        self.ended = ""
+        """Why the session was ended, in words."""
 
     def wait(self, say: Callable[[str], object]) -> None:
         """Wait for a client and its HELLO.
@@ -115,6 +127,8 @@ class FlightSession:
             seen.add(kind)
             t, *values = self._check(frame)
             self._check_time(frame, t, end)
+            if kind == messages.SURFACES and not self._steers:
+                self._refuse(f"sent {frame.name}; bench serve --give commands lets a client steer")
             if frame.kind == messages.ESTIMATE:
                 found = self._read_estimate(frame, values, found)
             elif frame.kind == messages.ATTITUDE:
@@ -126,7 +140,9 @@ class FlightSession:
         self._check_time(frame, self._check(frame)[0], end)
         if 0 < self._rate < math.inf:
             due = self._begun + self._wall(end)
-            self.latest = max(self.latest, time.monotonic() - due)
+            late = time.monotonic() - due
+            self.latest = max(self.latest, late)
+            self._begun += max(late, 0.0)  # what was lost is not made up by flying faster
             wait_until(due)
         return found
 
@@ -140,7 +156,9 @@ class FlightSession:
             self._queue(messages.END, body)
             self._flush()
             self._line.shutdown(socket.SHUT_WR)
-            while self._line.recv(_BLOCK):  # or what it has sent and nobody read would take END from it
+            until = time.monotonic() + _PATIENCE
+            # what it has sent and nobody read would take END from it
+            while time.monotonic() < until and self._line.recv(_BLOCK):
                 pass
         self._line.close()
         self._line = None
@@ -239,10 +257,16 @@ class FlightSession:
             self._refuse("sent an ESTIMATE that is no latitude, longitude [rad] and height [m]")
         if not abs(float(np.linalg.norm(q_nb)) - 1.0) < _UNIT:
             self._refuse("sent an ESTIMATE whose quaternion has not the length 1")
-        variance = row[:, 16:25] ** 2
-        cov = np.where(np.eye(9, dtype=bool), variance[:, None], 0.0)
+        sd = row[:, 16:25]
+        if not (np.abs(vel_n) < _FASTEST).all() or (np.abs(row[:, 10:16]) > _LARGEST_BIAS).any():
+            self._refuse("sent an ESTIMATE whose velocity or bias is that of no aircraft")
+        if (sd <= 0).any() or (sd > _LARGEST_SD).any():
+            self._refuse(
+                f"sent an ESTIMATE with a standard deviation that is not in 0 to {_LARGEST_SD:g}; NaN: none"
+            )
+        cov = np.where(np.eye(9, dtype=bool), (sd**2)[:, None], 0.0)
         known: dict[str, Any] = {"lla": lla, "vel_n": vel_n, "q_nb": q_nb / np.linalg.norm(q_nb)}
-        if np.isfinite(variance).all() and (variance > 0).all():
+        if np.isfinite(sd).all():
             known["cov"] = cov
         self.estimates += 1
         return replace(empty, gyro_bias_b=row[:, 10:13], accel_bias_b=row[:, 13:16], **known)
@@ -256,7 +280,7 @@ class FlightSession:
 
     def _refuse(self, what: str) -> NoReturn:
         """End the session: a client did what it must not, in words that follow "the client"."""
-        self._commands.ended = text = f"the client {what}"
+        self.ended = self._commands.ended = text = f"the client {what}"
         self.close(text, good=False)
         raise EstimatorStoppedError(text)
 

@@ -2,9 +2,9 @@
 
 LOGS are files LOG.toml, or folders with them, separated by commas. Each log is navigated as bench navigate
 does it: judged by its reference, else by the fixes that are withheld, and by cuts of 10, 30 and 60 s where it
-is long enough. Filters are compared with the first one on the logs where both have a result, by the mean of
-the ratios and Student's t, all comparisons together at 5 %. Which logs got worse with a change of code or of
-parameters, bench check LOG.toml... tells from recorded baselines.
+is long enough. Filters are compared with the first one on the logs where both have a result, by the geometric
+mean of the ratios and Student's t, all comparisons together at 5 %. Which logs got worse with a change of
+code or of parameters, bench check LOG.toml... tells from recorded baselines.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from bench import log_pipeline
-from bench.config.toml_file import read_toml
+from bench.config.log import is_log
 from bench.errors import ConfigError, EstimatorError
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.regression import average_changes, decide
@@ -40,6 +40,8 @@ class Options(StudyOptions):
     """filters to run; those of each log if left out"""
     places: Annotated[int, Field(ge=2, le=1000)] = 5
     """places of each cut in each log"""
+    allow_code: bool = False
+    """let the logs run the code they name"""
     overrides: Settings = ()
     """values of the logs to replace, or figures of datasheets they name"""
 
@@ -63,6 +65,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         navigate_one,
         estimators=options.estimators,
         places=options.places,
+        allow_code=options.allow_code,
         overrides=read_settings(options.overrides),
     )
     names = name_logs(paths)
@@ -93,22 +96,11 @@ def find_logs(given: Sequence[str]) -> list[Path]:
         if not inside:
             raise ConfigError(f"study logs: {name}: no LOG.toml in this folder; bench new log writes one")
         found += inside
-    for path in found:
-        if path.suffix != ".toml":
-            raise ConfigError(f"study logs: {path}: name its LOG.toml, which bench new log {path} writes")
     resolved = [path.resolve() for path in found]
     for path, where in zip(found, resolved, strict=True):
         if resolved.count(where) > 1:
             raise ConfigError(f"study logs: {path} is given twice; it would count as two trials")
     return found
-
-
-def is_log(path: Path) -> bool:
-    """Return whether a .toml file is a log: it names a recording."""
-    try:
-        return not {"file", "imu"}.isdisjoint(read_toml(path, str(path)))
-    except ConfigError:
-        return False
 
 
 def name_logs(paths: Sequence[Path]) -> list[str]:
@@ -124,11 +116,15 @@ _One = tuple[str, str, str, bool, dict[str, float]]
 
 
 def navigate_one(
-    path: str, estimators: Sequence[str] | None, places: int, overrides: Mapping[str, Any]
+    path: str, estimators: Sequence[str] | None, places: int, allow_code: bool, overrides: Mapping[str, Any]
 ) -> list[_One]:
     """Return label, word, reason, success and values of each filter on a log: the work of a worker."""
+    if not path.endswith(".toml"):
+        return [
+            ("", "no result", f"it has no LOG.toml; bench new log {path} writes it, or says why", False, {})
+        ]
     try:
-        log = log_pipeline.read_log(path, estimators=estimators, overrides=overrides)
+        log = log_pipeline.read_log(path, estimators=estimators, allow_code=allow_code, overrides=overrides)
         result = log_pipeline.navigate_log(log, outages=None, places=places)
     except (ConfigError, EstimatorError) as error:
         return [("", "no result", one_line(str(error)), False, {})]

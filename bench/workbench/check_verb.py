@@ -18,6 +18,7 @@ from bench.baselines.comparing import ONE_DRAW
 from bench.baselines.junit import write_junit
 from bench.baselines.verdict_rows import LOOKS, MATCHES, Verdict, Word
 from bench.campaigns.pools import count_processors
+from bench.config.log import is_datasheet
 from bench.findings import FindingTable
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
@@ -25,6 +26,11 @@ from bench.workbench.printing import print_finding_table, print_findings
 
 _MOST_NAMES = 8  # of metrics that are undecided
 _WORDS = get_args(Word)[::-1]
+
+
+def leave_out_sheets(profiles: Sequence[str]) -> list[str]:
+    """Return the profiles and logs among files: the shell finds datasheets beside logs, too."""
+    return [one for one in profiles if not (one.endswith(".toml") and is_datasheet(Path(one)))]
 
 
 def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
@@ -35,7 +41,7 @@ def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None
     find_own_estimators()
     with _show_draws() as progress:
         paths = checking.record_baselines(
-            profiles, progress=progress, jobs=jobs or count_processors(), **options
+            leave_out_sheets(profiles), progress=progress, jobs=jobs or count_processors(), **options
         )
     for path in paths:
         console.print(f"Wrote {path}.")
@@ -54,7 +60,9 @@ def check(
     """Check profiles, print and return the verdicts; options as for `bench.check` and :func:`record`."""
     find_own_estimators()
     with _show_draws() as progress:
-        verdicts = checking.check(profiles, progress=progress, jobs=jobs or count_processors(), **options)
+        verdicts = checking.check(
+            leave_out_sheets(profiles), progress=progress, jobs=jobs or count_processors(), **options
+        )
     print_verdicts(console, verdicts)
     for line in annotate(verdicts, Path(options["directory"]), os.environ, strict=strict):
         console.file.write(f"{line}\n")  # as it is: no wrapping, no style

@@ -89,7 +89,7 @@ def serve(
     if served.latest > 0:
         console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
     if served.ended:
-        console.print(f"The client ended early: {served.ended}.", style="red")
+        console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
     print_result(console, served.result, table=False)
     _write(served.result, folder, recording=recording, report=report, force=force)
     print_end(console, folder, begun, table=False)

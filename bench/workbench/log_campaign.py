@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 
+from bench.config.listing import PROFILES
+from bench.config.log import is_datasheet, is_log
 from bench.errors import ConfigError
 from bench.findings import StudyResult
-from bench.studies.recorded_logs import is_log
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.new_log import RECORDINGS, new_log
 from bench.workbench.study_verb import run_study
@@ -24,8 +26,12 @@ def are_logs(sources: Sequence[str]) -> bool:
     ConfigError
         If several sources are given and one is no log.
     """
+    if len(sources) == 1 and (PROFILES / f"{sources[0]}.toml").is_file():
+        return False
     logs = [
-        path.is_dir() or path.suffix.lower() in RECORDINGS or (path.suffix == ".toml" and is_log(path))
+        path.is_dir()
+        or path.suffix.lower() in RECORDINGS
+        or (path.suffix == ".toml" and (is_log(path) or (len(sources) > 1 and is_datasheet(path))))
         for path in map(Path, sources)
     ]
     if len(sources) > 1 and not all(logs):
@@ -36,7 +42,7 @@ def are_logs(sources: Sequence[str]) -> bool:
     return all(logs)
 
 
-_TAKEN = ("sources", "out", "jobs", "force", "report", "estimators", "overrides", "as_json")
+_TAKEN = ("allow_code", "sources", "out", "jobs", "force", "report", "estimators", "overrides", "as_json")
 """Options of the verb that logs have, too."""
 
 
@@ -51,6 +57,7 @@ def run_logs(
     report: bool,
     estimators: Sequence[str] | None,
     overrides: Mapping[str, Any],
+    allow_code: bool,
     **others: Any,
 ) -> StudyResult:
     """Run filters on logs, print and return what was found; a recording without a log gets one first.
@@ -68,20 +75,27 @@ def run_logs(
     if out is None:
         raise ConfigError("campaign: name the folder for the results of logs: -o DIR")
     find_own_estimators()
-    logs = [str(path) for source in sources for path in _list_recordings(Path(source), console)]
+    found = [Path(source) for source in sources if not is_datasheet(Path(source))]
+    logs = [str(path) for source in found for path in _list_recordings(source, console)]
     if not logs:
         raise ConfigError(f"campaign: no LOG.toml in this folder, nor a recording: {sources[0]}")
     filters = {"estimators": tuple(estimators)} if estimators else {}
     return run_study(
         "logs", console=console, out=out, report=report, jobs=jobs, force=force, logs=tuple(logs),
-        overrides=overrides, **filters,
+        allow_code=allow_code, overrides=overrides, **filters,
     )  # fmt: skip
 
 
 def _list_recordings(path: Path, console: Console) -> list[Path]:
-    """Return the logs of a source: of each recording, which is written if it is not there, and a folder's."""
+    """Return the logs of a source, or of a folder; that of a recording is written if it is not there.
+
+    A recording that has none, because it cannot be read, stands for itself.
+    """
     if path.is_dir():
         held = sorted(one for one in path.iterdir() if one.suffix.lower() in RECORDINGS and one.is_file())
+        for one, other in pairwise(held):
+            if one.stem == other.stem:
+                raise ConfigError(f"campaign: {one} and {other} would share {one.stem}.toml; rename one")
         logs = {log: None for one in held for log in _list_recordings(one, console)}
         return list(logs | {one: None for one in sorted(path.glob("*.toml")) if is_log(one)})
     if path.suffix == ".toml":
@@ -91,6 +105,6 @@ def _list_recordings(path: Path, console: Console) -> list[Path]:
         try:
             new_log(str(path), console=console)
         except ConfigError as error:
-            console.print(f"left out: {error}", style="yellow", soft_wrap=True)
-            return []
+            console.print(f"no log: {error}", style="yellow", soft_wrap=True)
+            return [path]
     return [log]

@@ -190,6 +190,14 @@ def test_a_client_that_begins_wrongly_is_refused_in_a_line(sent, words, path):
             "sent an ESTIMATE that is no latitude, longitude [rad] and height [m]",
         ),
         (frame(19, 0.5, *GOOD[:6], 2.0, *GOOD[7:]), "sent an ESTIMATE whose quaternion has not the length 1"),
+        (
+            frame(19, 0.5, *GOOD[:3], 1e300, *GOOD[4:]),
+            "sent an ESTIMATE whose velocity or bias is that of no aircraft",
+        ),
+        (
+            frame(19, 0.5, *GOOD[:16], -3.0, *GOOD[17:]),
+            "sent an ESTIMATE with a standard deviation that is not in 0 to 1e+07; NaN: none",
+        ),
         (frame(20, 0.5, 0.0, math.nan, 0.5), "sent ATTITUDE with NaN in it"),
         (frame(21, 0.5, 0.0, 0.0, 1.5, 0.5), "sent SURFACES with a surface that is not -1 to 1"),
         (frame(20, 0.5, 0.0, 0.0, 0.5) * 2, "sent two answers of one kind (ATTITUDE) at 0.5 s"),
@@ -219,6 +227,32 @@ def test_what_a_client_does_wrong_in_flight_ends_it_with_a_line(sent, words, pat
     (crash,) = served.result.truth.events.select("crash")
     assert crash[2].endswith(f"the client {words}")
     assert served.flown < 1.0
+
+
+def test_a_client_steers_only_where_it_may(path):
+    server = Server(path, patience=5.0)
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        line.sendall(frame(16, 1.0))
+        data = b""
+        while 18 not in decoded(data)[0]:
+            data += line.recv(1 << 16)
+        line.sendall(frame(20, 0.5, 0.0, 0.0, 0.5))
+        served = server.join()
+    assert served.ended == "the client sent ATTITUDE; bench serve --give commands lets a client steer"
+
+
+def test_a_client_that_never_stops_sending_does_not_hold_the_server(path):
+    """It is refused, and the end is not waited for longer than two seconds."""
+    server, begun = Server(path, patience=1.0), time.monotonic()
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        with contextlib.suppress(OSError):
+            while time.monotonic() < begun + 20.0:
+                line.sendall(b"y\n" * 100)
+                time.sleep(0.1)
+        taken = time.monotonic() - begun
+    assert taken < 15.0
+    with pytest.raises(EstimatorStoppedError):
+        server.join()
 
 
 def test_a_second_client_is_told_that_another_flies(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 import struct
 
 import numpy as np
@@ -163,3 +164,19 @@ def test_damaged_definitions_end_in_a_line(tmp_path, seed):
     (tmp_path / "own.ulg").write_bytes(raw)
     with contextlib.suppress(ConfigError):
         read_definitions(tmp_path / "own.ulg")
+
+
+@pytest.mark.parametrize(
+    ("message", "fields", "says"),
+    [
+        ("sensor_combined", "float gyro_rad;", "sensor_combined.gyro_rad holds 1 numbers, not 3"),
+        ("sensor_combined", "float[x] gyro_rad;", "it does not define sensor_combined"),
+        ("vehicle_gps_position", "float[3] eph;", "vehicle_gps_position.eph holds 3 numbers, not 1"),
+        ("wide", "".join(f"double[999] b{k};" for k in range(8)), "wide is too long for a message"),
+    ],
+)
+def test_fields_of_another_shape_are_refused_in_a_line(made, tmp_path, message, fields, says):
+    own = write_own(tmp_path / "own.ulg", formats={**OWN, message: f"uint64_t timestamp;{fields}"})
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        bench.export_run(made[0], "ulog", out=tmp_path / "out", like=own)
+    assert not (tmp_path / "out").exists()

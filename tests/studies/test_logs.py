@@ -8,9 +8,10 @@ from scipy import stats
 
 import bench
 from bench.cli import main
-from bench.errors import DONE, NEGATIVE, WRONG, ConfigError
+from bench.errors import DONE, NEGATIVE, WRONG
 from bench.store.study_folder import load_study
-from bench.studies.recorded_logs import LogResult, compare_filters, find_logs, name_logs
+from bench.studies.recorded_logs import LogResult, compare_filters, name_logs
+from bench.workbench.log_campaign import are_logs
 from tests.exchange import drives
 
 LABELS = ("first", "second")
@@ -105,22 +106,54 @@ def test_filters_run_side_by_side_on_a_folder_of_logs(tmp_path, capsys):
         (["{log}", "--timeout", "3", "-o", "x"], "--timeout is for profiles, not for logs"),
         (["{log}"], "name the folder for the results of logs: -o DIR"),
         (["{log}", "{log}", "-o", "x"], "is given twice; it would count as two trials"),
+        (["{pair}", "-o", "x"], "would share a.toml; rename one"),
         (["{empty}", "-o", "x"], "no LOG.toml in this folder"),
     ],
 )
 def test_what_logs_do_not_have_is_refused_in_a_line(tmp_path, capsys, monkeypatch, given, says):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
-    places = {"log": str(drives.write_log(tmp_path)), "empty": str(tmp_path / "empty")}
+    (tmp_path / "pair").mkdir()
+    for name in ("a.bin", "a.ulg"):
+        (tmp_path / "pair" / name).write_bytes(b"")
+    places = {
+        "pair": str(tmp_path / "pair"),
+        "log": str(drives.write_log(tmp_path)),
+        "empty": str(tmp_path / "empty"),
+    }
     assert main(["campaign", *(one.format(**places) for one in given)]) == WRONG
     said = capsys.readouterr().err
     assert says in said
     assert said.count("\n") == 1
 
 
-def test_a_recording_is_named_by_its_log():
-    with pytest.raises(ConfigError, match=r"name its LOG\.toml"):
-        find_logs(["a.ulg"])
+def test_a_recording_that_cannot_be_read_is_a_row_with_status_1(tmp_path, capsys):
+    drives.write_log(tmp_path)
+    (tmp_path / "broken.ulg").write_bytes(b"nothing")
+    given = ["campaign", str(tmp_path), "-e", "gnss-only", "--jobs", "1", "-o", str(tmp_path / "o")]
+    assert main(given) == NEGATIVE
+    assert "broken.ulg" in capsys.readouterr().out
+    table = load_study(tmp_path / "o").tables["logs"].columns
+    assert dict(zip(table["log"], table["verdict"], strict=True))["broken"] == "no result"
+
+
+def test_datasheets_beside_logs_are_no_logs(tmp_path):
+    """The shell finds them by *.toml."""
+    log = drives.write_log(tmp_path)
+    files = sorted(str(path) for path in tmp_path.glob("*.toml"))
+    assert len(files) == 4
+    assert main(["campaign", *files, "-e", "gnss-only", "--jobs", "1", "-o", str(tmp_path / "o")]) == DONE
+    given = ["check", *files, "-e", "gnss-only", "--baselines", str(tmp_path / "b"), "--jobs", "1"]
+    assert main([*given, "--record", "--reason", "new"]) == DONE
+    assert [path.stem for path in (tmp_path / "b").glob("*.json")] == [log.stem]
+    assert main(given) == DONE
+
+
+def test_the_name_of_a_profile_wins_over_a_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "static").mkdir()
+    assert not are_logs(["static"])
+    assert are_logs([str(tmp_path / "static")])
 
 
 def test_one_log_is_enough_for_a_table(tmp_path):

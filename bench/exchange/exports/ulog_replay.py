@@ -1,7 +1,7 @@
 """ULog of PX4: a run in the message definitions and parameters of a log of the user's own firmware.
 
 PX4's Replay drops a topic whose format is not that of its firmware, so the definitions are those of that log,
-byte for byte; of the parameters those of the lever arms and of the age of a fix are of the run.
+byte for byte, but for the parameters of lever arms and of the age of a fix, which are of the run.
 Layout of the file: docs.px4.io, "ULog File Format"; what the fields mean: msg/*.msg of PX4-Autopilot.
 """
 
@@ -41,6 +41,7 @@ _INVALID = 32767
 _STANDS = 1.0
 """Ground speed by the receiver below which the vehicle is told to have landed [m/s]."""
 _GAUSS = 1e-4  # [T]
+_LONGEST = 60_000  # of a message [byte]
 _NEEDED = ("sensor_combined", "vehicle_gps_position")
 
 Values = Mapping[str, Any]
@@ -91,6 +92,9 @@ def read_definitions(path: Path) -> Definitions:
     missing = [name for name in _NEEDED if name not in layouts]
     if missing:
         raise ConfigError(f"--like {path.name}: it does not define {' nor '.join(missing)}")
+    longest = max(layouts, key=lambda name: layouts[name].itemsize)
+    if layouts[longest].itemsize > _LONGEST:
+        raise ConfigError(f"--like {path.name}: {longest} is too long for a message")
     return Definitions(data[:at], layouts, parameters)
 
 
@@ -102,7 +106,7 @@ def _make_layout(fields: str) -> np.dtype[np.void] | None:
         kind, _, count = form.rstrip("]").partition("[")
         if not field.strip():
             continue
-        if kind not in _TYPES or (count and not 0 < int(count) < 1000):
+        if kind not in _TYPES or (count and not (count.isdecimal() and 0 < int(count) < 1000)):
             return None
         rows.append((name, _TYPES[kind], (int(count),)) if count else (name, _TYPES[kind]))
     while rows and rows[-1][0].startswith("_padding"):
@@ -120,7 +124,10 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     written, left = {}, []
     for name, (stamps, values) in messages.items():
         if name in like.layouts and len(stamps):
-            written[name] = _fill(like.layouts[name], stamps, values), stamps
+            written[name] = (
+                _fill(f"--like {out.like.name}: {name}", like.layouts[name], stamps, values),
+                stamps,
+            )
         elif name not in like.layouts:
             left.append(name)
     with durable.open_binary(folder / FILE) as file:
@@ -135,8 +142,9 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
 
     replay={FILE} make px4_sitl_default
 
-Definitions and parameters are those of {out.like.name}, byte for byte; of the parameters those of the lever
-arms and of the age of a fix are of this run. No autopilot has replayed this file here; `pyulog` reads it.
+Definitions and parameters are those of {out.like.name}, byte for byte, but for the parameters of lever
+arms and of the age of a fix, which are of this run. No autopilot has replayed this file here; `pyulog` reads
+it.
 
 {listed}
 {lost}
@@ -194,7 +202,7 @@ def _make_messages(
         seen["vehicle_magnetometer"] = _stamp(mag.t[kept])
         field = {"magnetometer_ga": mag.field_b[kept] / _GAUSS, "device_id": 1}
         yield "vehicle_magnetometer", (seen["vehicle_magnetometer"], field)
-    landed = np.hypot(values["vel_n_m_s"], values["vel_e_m_s"]) < _STANDS
+    landed = values["vel_ned_valid"] & (np.hypot(values["vel_n_m_s"], values["vel_e_m_s"]) < _STANDS)
     state = dict.fromkeys(("landed", "ground_contact", "maybe_landed"), landed)
     yield "vehicle_land_detected", (seen["gps"], state)
     yield "vehicle_status", (seen["gps"], {"arming_state": 2, "vehicle_type": 2})  # armed, a fixed wing
@@ -280,13 +288,20 @@ def _relate(of: np.ndarray[Any, Any] | None, to: np.ndarray[Any, Any]) -> np.nda
     return np.where(fresh & (np.abs(apart) < _INVALID), apart, _INVALID)
 
 
-def _fill(layout: np.dtype[np.void], stamps: np.ndarray[Any, Any], values: Values) -> np.ndarray[Any, Any]:
+def _fill(
+    shown: str, layout: np.dtype[np.void], stamps: np.ndarray[Any, Any], values: Values
+) -> np.ndarray[Any, Any]:
     """Return the rows of a message; fields without a value are 0."""
     rows = np.zeros(len(stamps), layout)
     rows["timestamp"] = stamps
     for name in layout.names or ():
-        if name in values:
-            rows[name] = values[name]
+        if name not in values:
+            continue
+        if np.ndim(values[name]) and np.shape(values[name]) != rows[name].shape:
+            raise ConfigError(
+                f"{shown}.{name} holds {rows[name][0].size} numbers, not {np.size(values[name][0])}"
+            )
+        rows[name] = values[name]
     return rows
 
 

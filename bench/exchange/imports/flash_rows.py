@@ -47,6 +47,7 @@ _DELAYS = {"GPS_DELAY_MS": MILLI, "GPS1_DELAY_MS": MILLI, "EKF_POS_DELAY": MILLI
 """Parameters that say how old a fix is, and their unit [s]."""
 _BARO_SD = ("EK3_ALT_M_NSE", "EK2_ALT_M_NSE", "EKF_ALT_NOISE")
 """Parameters that say the noise of the barometer [m]: AP_NavEKF3, AP_NavEKF2, AP_NavEKF."""
+_MOST_SD = 1e3  # a larger one is damage [m]
 _UBLOX_DELAY = 0.12  # where the parameter leaves it to the driver: AP_GPS_UBLOX::get_lag of M8 and later [s]
 _RANGE_GOOD = 4.0  # RangeFinder::Status::Good
 
@@ -155,7 +156,10 @@ def look(path: Path) -> Contents:
         _find_day(log),
         "SIM" in log,
         any(record in log for record in ("XKF1", "NKF1", "EKF1", "LPOS")),
-        next(((parameters[name], name) for name in _BARO_SD if parameters.get(name, 0.0) > 0.0), None),
+        next(
+            ((parameters[name], name) for name in _BARO_SD if 0.0 < parameters.get(name, 0.0) < _MOST_SD),
+            None,
+        ),
     )
 
 

@@ -121,7 +121,7 @@ def look(path: Path) -> Contents:
         date,
         ulog_motion.find(log, ulog_motion.TRUTH) is not None,
         ulog_motion.has_estimate(log),
-        (sd, _BARO_SD) if (sd := _read_parameter(log, _BARO_SD) or 0.0) > 0.0 else None,
+        (sd, _BARO_SD) if 0.0 < (sd := _read_parameter(log, _BARO_SD) or 0.0) < 1e3 else None,
     )
 
 
