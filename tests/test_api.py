@@ -34,6 +34,7 @@ WITHOUT = {
     "cache": "looks after files of this machine",
     "guide": "shows pages",
     "new": "writes a starting point to edit",
+    "serve": "flies with a program on a socket",
     "view": "opens a window",
     "warm": "compiles for this machine",
 }

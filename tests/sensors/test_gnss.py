@@ -297,8 +297,8 @@ def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     def no_loss(system, sat):
         return np.empty((0, len(sat)))
 
-    names = [f for f in SkySpec.__slots__ if f not in ("gps", "glonass", "klobuchar", "systems")]
-    sky = SkySpec(**dict.fromkeys(names, 0.0), gps=None, glonass=None, klobuchar=(0.0,) * 8, systems="gps")
+    names = [f for f in SkySpec.__slots__ if f not in ("orbits", "klobuchar", "systems")]
+    sky = SkySpec(**dict.fromkeys(names, 0.0), orbits=None, klobuchar=(0.0,) * 8, systems="gps")
     sky = replace(sky, elevation_mask=np.deg2rad(5.0), antenna_mask=-np.pi / 2)
     seen = compute_view(
         day, rows, sky, (0.0, 0.0, 0.0), lambda system, sat: np.empty((0, len(sat))), SensorDraws(1, 0)

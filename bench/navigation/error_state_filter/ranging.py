@@ -91,7 +91,7 @@ def empty_sky() -> SkyRows:
     first = np.zeros(1, np.int64)
     return SkyRows(
         first, pairs, pairs, np.empty((0, 6)), none, none, none, which, none, none, 0.0, np.zeros(9),
-        np.empty((0, 2)), np.empty((0, 0)), 1.0,
+        np.zeros(ANCHORS.shape), np.zeros((len(ANCHORS), len(ANCHORS))), 1.0,
     )  # fmt: skip
 
 
@@ -114,9 +114,8 @@ def check_sky(sky: SkyRows) -> None:
     start = sky.epoch_start
     whole = epochs >= 0 and start[0] == 0 and start[-1] == count and bool((np.diff(start) >= 0).all())
     require(whole, "sky/epoch_start", f"must rise from 0 to {count}")
-    anchors = len(sky.anchors)
-    whole = sky.anchors.shape == (anchors, 2) and sky.whiten.shape == (anchors, anchors) and sky.decay > 0
-    require(whole and anchors in (0, len(ANCHORS)), "sky/anchors", f"must be {len(ANCHORS)} places")
+    whole = sky.anchors.shape == ANCHORS.shape and sky.whiten.shape == 2 * (len(ANCHORS),) and sky.decay > 0
+    require(whole, "sky/anchors", f"must be {len(ANCHORS)} places")
     require(not count or len(sky.zenith) > 1, "sky/zenith", "must be a table")
 
 
