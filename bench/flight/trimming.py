@@ -185,17 +185,14 @@ def run_engines(fdm: Any) -> None:
     held = {name: fdm[f"simulation/integrator/{name}"] for name in INTEGRATORS}
     for name in held:
         fdm[f"simulation/integrator/{name}"] = 0
-    fuel_held, fdm["propulsion/fuel_freeze"] = (
-        fdm["propulsion/fuel_freeze"],
-        1.0,
-    )  # the next has the same mass
+    frozen = fdm["propulsion/fuel_freeze"]
+    fdm["propulsion/fuel_freeze"] = 1.0  # the next state that is tried has the same mass
     fdm.set_dt(_ENGINE_STEP)
-    for _ in range(
-        round(_ENGINE_RUN / _ENGINE_STEP)
-    ):  # always as long: the same throttle gives the same thrust
+    # always as long: the same throttle gives the same thrust
+    for _ in range(round(_ENGINE_RUN / _ENGINE_STEP)):
         fdm.run()
     fdm.set_dt(dt)
-    fdm["propulsion/fuel_freeze"] = fuel_held
+    fdm["propulsion/fuel_freeze"] = frozen
     for name, number in held.items():
         fdm[f"simulation/integrator/{name}"] = number
 

@@ -13,8 +13,10 @@ from bench.signals.orbits import C
 from bench.specs import AssumedSpecs, SkySpec
 
 RANGES = (16, 12, 12, 16)
-"""Satellites of each system whose range error has a state; some 14 of 32, 10 of 24, 10 of 27, 14 of 44 are in
-view."""
+"""Satellites of each system whose range error has a state; one more than these waits until one has set.
+
+Some 14 of 32, 10 of 24 and 10 of 27 are in view; of BeiDou 14 of 44 in Europe, 16 and more in East Asia.
+"""
 SYSTEMS = tuple(name.lower() for name in SYSTEM_NAMES)
 _OBLIQUITY = 1.6  # of the ionosphere at 35 deg, the median elevation above 5 deg [1]
 _COMBINED = 2.98  # of the ionosphere-free combination of GPS, B-11 [1]
