@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ import bench
 from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import WRONG, ConfigError
+from bench.exchange import exports
 from bench.exchange.exports.ulog_replay import read_definitions
 from bench.exchange.log_records import read_records
+from bench.instruments import MagData
+from bench.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS
 
@@ -30,6 +34,13 @@ OWN = {
     "nested": "uint64_t timestamp;esc_report[8] esc;",
 }
 """Messages of firmware before 1.12: degrees in units of 1e-7, durations in seconds."""
+
+MORE = {
+    "vehicle_magnetometer": "uint64_t timestamp;float[3] magnetometer_ga;",
+    "vehicle_air_data": "uint64_t timestamp;float baro_alt_meter;float baro_temp_celcius;"
+    "float baro_pressure_pa;float rho;",
+    "vehicle_land_detected": "uint64_t timestamp;bool landed;",
+}
 
 
 def write_own(path, formats=OWN, parameters=(("EKF2_GPS_DELAY", 110.0), ("EKF2_GPS_POS_X", 9.0))):
@@ -180,3 +191,46 @@ def test_fields_of_another_shape_are_refused_in_a_line(made, tmp_path, message, 
     with pytest.raises(ConfigError, match=re.escape(says)):
         bench.export_run(made[0], "ulog", out=tmp_path / "out", like=own)
     assert not (tmp_path / "out").exists()
+
+
+LATE = 0.11  # of the fixes [s]
+
+
+def test_every_field_is_in_its_unit_and_sign(made, tmp_path):
+    """Late fixes of which some have no velocity, and a magnetometer; the vehicle stands for five seconds."""
+    run, data = made
+    found = exports.gather(run)
+    t, fixes = data.imu.t[::10], found.fixes
+    speed = np.where(fixes.t < 5.0, 0.1, 10.0)
+    vel_n = np.column_stack([speed, -0.5 * speed, 0.2 * speed])
+    vel_n[-3:] = np.nan
+    cov_vel_n = np.tile(np.diag([0.01, 0.04, 0.09]), (len(fixes), 1, 1))
+    fixes = replace(fixes, vel_n=vel_n, cov_vel_n=cov_vel_n, t_arrival=fixes.t + LATE)
+    field = np.column_stack([2e-5 + 0.0 * t, -1e-5 + 0.0 * t, 4e-5 + 0.0 * t])
+    mag = MagData(t=t, t_arrival=t, valid=np.ones(len(t), bool), field_b=field, sd=np.ones(len(t)))
+    own = write_own(tmp_path / "own.ulg", formats={**OWN, **MORE})
+    told = replace(found, fixes=fixes, instruments={**found.instruments, "mag": mag}, like=own)
+    (tmp_path / "out").mkdir()
+    exports.write(tmp_path / "out", "ulog", told, "run")
+    log = ULog(str(tmp_path / "out" / "run.ulg"))
+    rows = {one.name: one.data for one in log.data_list}
+    gps, asked = rows["vehicle_gps_position"], rows["ekf2_timestamps"]
+    good = fixes.take(fixes.valid)
+    assert_allclose(1e-6 * gps["timestamp"] - 10.0, good.t + LATE, atol=1e-6)
+    assert log.initial_parameters["EKF2_GPS_DELAY"] == pytest.approx(1e3 * LATE)
+    assert_allclose(gps["s_variance_m_s"], np.sqrt(0.14), rtol=1e-6)
+    known = np.isfinite(good.vel_n).all(axis=1)
+    assert_array_equal(gps["vel_ned_valid"], known)
+    assert_allclose(gps["vel_e_m_s"][known], good.vel_n[known, 1], rtol=1e-6)
+    assert_array_equal(rows["vehicle_land_detected"]["landed"], good.t < 5.0)
+    for k, gauss in enumerate((0.2, -0.1, 0.4)):
+        assert_allclose(rows["vehicle_magnetometer"][f"magnetometer_ga[{k}]"], gauss, rtol=1e-6)
+    air = {name: np.asarray(column, float) for name, column in rows["vehicle_air_data"].items()}
+    pressure, temperature = air["baro_pressure_pa"], air["baro_temp_celcius"] + 273.15
+    assert_allclose(pressure_altitude(pressure), air["baro_alt_meter"], atol=0.02)
+    assert_allclose(air["rho"], pressure / (287.053 * temperature), rtol=1e-4)
+    told = asked["gps_timestamp_rel"] != 32767
+    assert (asked["gps_timestamp_rel"][told] <= 0).all()  # a fix is there before the sample that takes it
+    assert (asked["gps_timestamp_rel"][told] > -101).all()
+    for stamp, apart in zip(asked["timestamp"][told], asked["gps_timestamp_rel"][told], strict=True):
+        assert (gps["timestamp"] // 100 == stamp // 100 + apart).sum() == 1
