@@ -14,7 +14,7 @@ from bench.flight.legs.climbs import climb_ramp
 from bench.flight.legs.keys import Key, format_deg, side_of
 from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, check_runway, find_runway
 from bench.flight.paths import Follower, SegmentPath
-from bench.flight.shaping import Steps, clip, roll_time, smooth, ticks, wait
+from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.specs import SECONDS, Leg, LegStart
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
@@ -22,7 +22,6 @@ _FINAL_BANK = math.radians(30.0)  # of an approach [rad]
 _FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
 _FLARE_TIME = 40.0  # until the wheels touch [s]
 _STANDS = 0.02  # slower is standing [m/s]
-_LEVELLING = 2.0  # bank asked for against the bank there is on the ground [1]
 _BRAKE = 0.6  # share of the brakes of a landing
 
 
@@ -145,11 +144,6 @@ class LandingRoll(Leg):
         cockpit.course = runway.heading
         slow = 0.5 * figures.rotate_speed
 
-        def steer() -> None:
-            """Keep to the centreline, with more aileron against a wing that is lifted than in flight."""
-            cockpit.set_bank(clip(-_LEVELLING * cockpit.roll(), _FLARE_BANK))
-            centre.steer()
-
         def firm() -> float:
             """Brakes that the wheels can bear: firm ones tip an aircraft that the wing still carries."""
             return _BRAKE * min(1.0, slow / max(centre.ground_speed(), slow)) ** 2
@@ -158,17 +152,17 @@ class LandingRoll(Leg):
             cockpit.set_steering(share)
             cockpit.set_pitch((1 - share) * pitch)
             cockpit.set_throttle((1 - share) * throttle)
-            steer()
+            centre.steer()
             yield
         for share in smooth(POWER):
             cockpit.brake(share * firm())
-            steer()
+            centre.steer()
             yield
         for _ in ticks(PATIENCE):  # wings stay level by aileron while gusts can still lift them
             if centre.ground_speed() < slow:
                 break
             cockpit.brake(firm())
-            steer()
+            centre.steer()
             yield
         cockpit.brake(_BRAKE)
         held = {surface: cockpit.surface[surface]() for surface in SURFACES}
