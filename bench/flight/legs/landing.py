@@ -142,12 +142,6 @@ class LandingRoll(Leg):
         cockpit.thr_mode(0)
         cockpit.set_bank(0.0)
         cockpit.course = runway.heading
-        slow = 0.5 * figures.rotate_speed
-
-        def firm() -> float:
-            """Brakes that the wheels can bear: firm ones tip an aircraft that the wing still carries."""
-            return _BRAKE * min(1.0, slow / max(centre.ground_speed(), slow)) ** 2
-
         for share in smooth(1.5):
             cockpit.set_steering(share)
             cockpit.set_pitch((1 - share) * pitch)
@@ -155,16 +149,14 @@ class LandingRoll(Leg):
             centre.steer()
             yield
         for share in smooth(POWER):
-            cockpit.brake(share * firm())
+            cockpit.brake(share * _BRAKE)
             centre.steer()
             yield
         for _ in ticks(PATIENCE):  # wings stay level by aileron while gusts can still lift them
-            if centre.ground_speed() < slow:
+            if centre.ground_speed() < 0.5 * figures.rotate_speed:
                 break
-            cockpit.brake(firm())
             centre.steer()
             yield
-        cockpit.brake(_BRAKE)
         held = {surface: cockpit.surface[surface]() for surface in SURFACES}
         for surface in SURFACES:
             cockpit.direct[surface](held[surface])
