@@ -630,6 +630,8 @@ class GnssSpec:
     """The same of the height [m]."""
     vel_jump_markov_sd: float = figure("mps", default=0.0)
     """The same of the velocity, each axis [m/s]."""
+    tracking_bandwidth: float = figure("hz", default=0.0)
+    """Noise bandwidth of the loops that follow the motion [Hz]; 0: they are never behind."""
     optimism: float = figure("", 0.05, 20, default=1.0)
     """True standard deviation of a fix over the one that it reports [1]."""
     sky: SkySpec | None = None  # measurement level; only filters then assume the errors above

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from bench import disk_arrays, earth, rotation
 from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.compiled import kernel
 from bench.data import GnssFixes, Trajectory
 from bench.orbit_sets import GPS
 from bench.sensors import faults
@@ -51,7 +53,7 @@ def measure(
     -------
     fixes : GnssFixes
         At t = 1/rate, 2/rate, ... The reported covariance is that of white and Markov errors, with standard
-        deviations divided by ``optimism``. It does not include the jumps.
+        deviations divided by ``optimism``. It does not include the jumps, nor the lag of `find_lag`.
 
     Raises
     ------
@@ -82,6 +84,9 @@ def measure(
         pos_err_n += _draw_jumps(np.array(passing), np.array(lasting), changes, pos_decayed, of_pos)
         vel_jumps = np.full(3, spec.vel_jump_sd), np.full(3, spec.vel_jump_markov_sd)
         vel_err_n += _draw_jumps(*vel_jumps, changes, vel_decayed, of_vel)
+    if spec.tracking_bandwidth > 0:
+        behind, falling = find_lag(truth, rows, spec.tracking_bandwidth, antenna_b, draws.part("lag"))
+        pos_err_n, vel_err_n = pos_err_n - behind, vel_err_n - falling
     if scripted:
         pos_added, vel_added = faults.compute_fix_errors(t, spec, scripted, root)
         pos_err_n, vel_err_n = pos_err_n + pos_added, vel_err_n + vel_added
@@ -151,6 +156,46 @@ def rate_at(
     draws.put(f"{name} step", np.concatenate([width, np.diff(t[-3:])])[-2:])
     rate: FloatArray = last + slope[:, None] * (last - earlier)
     return rate
+
+
+def find_lag(
+    truth: Trajectory,
+    rows: IntArray,
+    bandwidth: float,
+    antenna_b: tuple[float, float, float],
+    draws: SensorDraws,
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far the tracked antenna is behind the true one (M, 3) [m], and its rate [m/s], n.
+
+    ``draws`` keeps the state of the loops for the next piece.
+
+    Notes
+    -----
+    Second-order loops with damping 1 / sqrt(2) and noise bandwidth B [Hz], natural frequency w = B / 0.53
+    [rad/s]: the lag d follows ``d'' + sqrt(2) w d' + w^2 d = a``, so that it is a / w^2 under a steady
+    acceleration a (Kaplan and Hegarty, Understanding GPS, 2nd ed. (2006), section 5.6, table 5.6). The
+    acceleration is constant over an interval of the truth. The rotation of n is neglected.
+    """
+    _, vel_n = compute_antenna_motion(truth, np.arange(len(truth.t)), antenna_b, draws)
+    lag = np.zeros((len(truth.t), 2, 3))
+    lag[0] = draws.keep("state", lambda: np.zeros((2, 3)))
+    damped = bandwidth * 4.0 / 3.0  # w / sqrt(2), with B = w 3 sqrt(2) / 8
+    _lag_kernel(np.diff(truth.t), np.diff(vel_n, axis=0), damped, lag)
+    draws.put("state", lag[-1].copy())
+    return lag[rows, 0], lag[rows, 1]
+
+
+@kernel
+def _lag_kernel(dt: FloatArray, dvel: FloatArray, damped: float, lag: FloatArray) -> None:
+    """Carry lag and rate (N, 2, 3) from row to row by the closed form for a constant acceleration."""
+    for k in range(len(dt)):
+        decay = math.exp(-damped * dt[k])
+        c, s = decay * math.cos(damped * dt[k]), decay * math.sin(damped * dt[k])
+        for i in range(3):
+            steady = dvel[k, i] / dt[k] / (2.0 * damped * damped)
+            off, rate = lag[k, 0, i] - steady, lag[k, 1, i]
+            lag[k + 1, 0, i] = steady + off * (c + s) + rate / damped * s
+            lag[k + 1, 1, i] = rate * (c - s) - 2.0 * damped * off * s
 
 
 def _draw_white(name: str, count: int, sd: FloatArray, draws: SensorDraws) -> FloatArray:

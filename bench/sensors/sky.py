@@ -21,6 +21,7 @@ from bench.orbit_sets import SYSTEM_NAMES
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
+from bench.sensors.gnss import find_lag
 from bench.sensors.ionosphere_field import WAVES, draw_waves, field_kernel, locate_pierce_points
 from bench.sensors.timing import find_outage_rows
 from bench.sensors.view import View, compute_view
@@ -153,6 +154,12 @@ def measure(
         klobuchar=np.array(sky.klobuchar),
         processing=replace(make_processing(sky), ionosphere="klobuchar"),  # there with two carriers, too
     )
+    if spec.tracking_bandwidth > 0:
+        behind, falling = (
+            np.einsum("ki,ki->k", seen.los_n, lag[v.epoch])
+            for lag in find_lag(truth, rows, spec.tracking_bandwidth, antenna_b, draws.part("lag"))
+        )
+        v = v._replace(distance=v.distance + behind, rate=v.rate + falling)
     clock = clock + faults.compute_clock_offset(t, scripted)
     errors = _Errors(t, v.epoch, v.which, len(v.sat), spec.rate, root)
     observations = _make_observations(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)

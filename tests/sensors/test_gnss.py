@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from bench.config.datasheets import read_gnss
 from bench.errors import ConfigError
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.models.classic.process_model import per_axis
-from bench.sensors import gnss
+from bench.sensors import gnss, sky
 from bench.sensors.draws import SensorDraws
 from bench.specs import GnssSpec
 from tests.builders import Z, band
@@ -411,3 +412,82 @@ def test_a_sky_makes_its_own_jumps(tmp_path):
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError, match=r"\[sky\] makes the jumps; leave out the"):
         read_gnss(tmp_path / "mine.toml", "mine.toml")
+
+
+# --- acceleration: #31 --------------------------------------------------------------------------------------
+
+
+def stepping(a=2.0 * 9.80665, begin=2.0, end=8.0, rate=200.0):
+    """Ten seconds whose velocity has a constant acceleration north from begin to end [s]; nothing turns."""
+    truth = still(10.0, rate)
+    vel_n = np.zeros((len(truth.t), 3))
+    vel_n[:, 0] = a * (np.clip(truth.t, begin, end) - begin)
+    return replace(truth, vel_n=vel_n)
+
+
+def lag_of(truth, bandwidth, antenna_b=(0.0, 0.0, 0.0), pieces=1):
+    """Position and velocity error [m, m/s] of a receiver at 20 Hz that has no other, flown in pieces."""
+    spec, found, draws = replace(SILENT, rate=20.0, tracking_bandwidth=bandwidth), [], SensorDraws(1, 0)
+    exact = measure(truth, replace(SILENT, rate=20.0), antenna_b)
+    ends = np.linspace(0, len(truth.t) - 1, pieces + 1).round().astype(int)
+    for first, last in pairwise(ends):
+        rows = slice(first, last + 1)
+        part = replace(
+            truth,
+            **{name: getattr(truth, name)[rows] for name in ("t", "lla", "vel_n", "q_nb")},
+            **{name: getattr(truth, name)[first:last] for name in ("dtheta_b", "dvel_b")},
+        )
+        found.append(gnss.measure(part, spec, antenna_b, (), draws))
+    lla, vel_n = (np.concatenate([getattr(one, name) for one in found]) for name in ("lla", "vel_n"))
+    return exact.t, earth.difference_n(lla, exact.lla), vel_n - exact.vel_n
+
+
+@pytest.mark.parametrize("bandwidth", [0.4, 3.0])
+def test_31_a_step_of_2_g_leaves_the_loops_behind_as_the_closed_form_says(bandwidth):
+    """a / w^2 (1 - e^-st (cos st + sin st)), s = w / sqrt(2), w = B / 0.53, and its rate."""
+    a, w = 2.0 * 9.80665, bandwidth * 8.0 / (3.0 * np.sqrt(2.0))
+    assert w == pytest.approx(bandwidth / 0.53, rel=1e-3)
+    t, pos, vel = lag_of(stepping(a), bandwidth)
+    s = w / np.sqrt(2.0)
+    x = np.maximum(t - 2.0, 0.0)
+    rising, after = t < 8.0 - 1e-9, t > 9.9
+    behind = a / w**2 * (1.0 - np.exp(-s * x) * (np.cos(s * x) + np.sin(s * x)))
+    rate = a / s * np.exp(-s * x) * np.sin(s * x)
+    assert_allclose(pos[rising, 0], -behind[rising], atol=2e-5)  # rounding of latitude and the ellipsoid
+    assert_allclose(vel[rising, 0], -rate[rising], atol=1e-9)
+    assert_allclose(pos[:, 1:], 0.0, atol=1e-6)
+    if bandwidth == 3.0:
+        assert pos[t == t[rising][-1], 0] == pytest.approx(-a / w**2, rel=1e-3)
+        assert np.abs(pos[after]).max() < 0.01 * a / w**2, "it has caught up"
+
+
+def test_31_the_lag_goes_on_from_piece_to_piece_and_its_acceleration_is_of_the_antenna(turn):
+    """A steady turn of rate r: the lag is the acceleration over |w^2 - r^2 + i sqrt(2) w r|."""
+    _, pos, vel = lag_of(turn, 3.0, LEVER)
+    w = 3.0 / 0.53
+    exact = measure(turn, replace(SILENT, rate=20.0), LEVER)
+    accel = np.gradient(exact.vel_n, exact.t, axis=0)
+    settled = slice(200, -1)
+    turned = np.linalg.norm(accel[settled, :2], axis=1) / np.linalg.norm(exact.vel_n[settled, :2], axis=1)
+    gain = 1.0 / np.hypot(w**2 - turned**2, np.sqrt(2.0) * w * turned)
+    size = np.linalg.norm(pos[settled, :2], axis=1)
+    assert_allclose(size, gain * np.linalg.norm(accel[settled, :2], axis=1), rtol=2e-3)
+    assert_allclose(np.linalg.norm(vel[settled, :2], axis=1), turned * size, rtol=1e-3)
+    _, again, _ = lag_of(turn, 3.0, LEVER, pieces=3)
+    assert_array_equal(again, pos)
+
+
+def test_31_ranges_are_behind_by_the_lag_along_their_line_of_sight():
+    """Fixes of a receiver with satellites move as those of a position-level one do; its clock does not."""
+    truth = stepping(20.0)
+    spec = read_gnss(CATALOG / "sky-l1.toml", "sky-l1")
+    plain, behind = (
+        sky.measure(
+            truth, replace(spec, rate=20.0, tracking_bandwidth=B), (0.0, 0.0, 0.0), (), SensorDraws(1, 0)
+        )
+        for B in (0.0, 2.0)
+    )
+    _, pos, vel = lag_of(truth, 2.0)
+    a, b = plain.fixes, behind.fixes
+    assert_allclose(earth.difference_n(b.lla, a.lla), pos, atol=2e-3)
+    assert_allclose(b.vel_n - a.vel_n, vel, atol=2e-3)

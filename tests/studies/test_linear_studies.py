@@ -187,6 +187,9 @@ def test_what_has_no_linear_model_is_refused(flight):
             bench.study("budget", profile=flight, draws=2, jobs=1, **given)
     with pytest.raises(ConfigError, match="position level"):
         bench.study("bound", profile="gnss-jammed", draws=2, jobs=1)
+    behind = {"sensors.gnss.tracking_bandwidth_hz": 2.0}
+    with pytest.raises(ConfigError, match="no lag of the receiver, tracking_bandwidth_hz = 0"):
+        bench.study("bound", profile=flight, draws=2, jobs=1, overrides=behind)
 
 
 def test_the_observability_of_a_short_flight(flight):

@@ -48,7 +48,7 @@ from bench.signals import air
 from bench.signals.magnetic import field_n
 from bench.specs import AssumedSpecs, GnssSpec, ImuSpec
 
-LATENCY = "GNSS latency"
+LATENCY, LAG = "GNSS latency", "lag of the receiver under acceleration"
 
 Errors = Iterator[tuple[str, object]]
 """Words for an error of a sensor, and its size: zero or false where the unit has no such error."""
@@ -129,6 +129,7 @@ def fix_errors(gnss: GnssSpec) -> Errors:
     yield "time-correlated GNSS velocity error", gnss.vel_markov_sd
     yield LATENCY, gnss.latency
     yield "jumps of the GNSS error where the satellites change", gnss.jumps
+    yield LAG, gnss.tracking_bandwidth
 
 
 def _satellite_errors(gnss: GnssSpec) -> Errors:
@@ -143,6 +144,7 @@ def _satellite_errors(gnss: GnssSpec) -> Errors:
         yield "flicker of the receiver's clock", sky.clock_h_m1
         yield "g-sensitivity of the receiver's clock", sky.clock_g
     yield LATENCY, gnss.latency
+    yield LAG, gnss.tracking_bandwidth
 
 
 def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray, FloatArray]:
