@@ -25,7 +25,6 @@ _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 
     "sensors.imu": "matched-mems",
     "sensors.gnss": "matched-white",
     "sensors.gnss.rate_hz": 10.0,
-    "evaluation.from_s": 10.0,
     "estimator": [{"use": "loose-15", "options": {"compensate_latency": False}}],
 }
 _DRAWS = 4
