@@ -17,7 +17,7 @@ import numpy as np
 from bench.data import AirData, EventRow, Events, InitialState, NavSolution, SensorData, Trajectory
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import FAILED, describe_error
-from bench.exchange.flight_session import FlightSession
+from bench.exchange.client_session import ClientSession
 from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.steering import Commanded, Commands
@@ -32,6 +32,9 @@ from bench.sensors.draws import SensorDraws
 from bench.specs import CLIENT, FlightSpec, Guidance, Profile
 from bench.store import join_pieces
 from bench.wording import one_line
+
+Watch = Callable[[Trajectory], object] | None
+"""Is given each piece of the truth before it is sensed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,17 +183,20 @@ def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None
     return ClosedFlight(truth, pilot.collect())
 
 
-def serve(profile: Profile, run: int, session: FlightSession, commands: Commands | None) -> ServedFlight:
+def serve(
+    profile: Profile, run: int, session: ClientSession, commands: Commands | None, watch: Watch = None
+) -> ServedFlight:
     """Fly a profile whose guidance reads what a client answers; errors as for :func:`fly`.
 
     With ``commands`` the legs are left out: the client flies. Without any estimate there are no answers.
+    ``watch`` is given each piece of the truth before it is sensed.
     """
     spec = profile.flight
     assert isinstance(spec, FlightSpec)
     if commands is not None:
         duration = find_length(profile)
         spec = replace(spec, legs=(Commanded(duration, commands),), duration=duration)
-    truth, pilot = _fly(replace(profile, flight=spec), run, session, None)
+    truth, pilot = _fly(replace(profile, flight=spec), run, session, None, watch)
     answers = pilot.collect() if session.estimates else None
     failed = next((row[3] for row in pilot.events if row[2] == FAILED), "")
     return ServedFlight(truth, answers, session.ended or failed)
@@ -214,7 +220,11 @@ def find_length(profile: Profile) -> float:
 
 
 def _fly(
-    profile: Profile, run: int, navigator: Navigator, progress: Callable[[float], None] | None
+    profile: Profile,
+    run: int,
+    navigator: Navigator,
+    progress: Callable[[float], None] | None,
+    watch: Watch = None,
 ) -> tuple[Trajectory, Pilot]:
     from bench import flight
 
@@ -225,7 +235,7 @@ def _fly(
     pieces = flight.fly_pieces(profile.flight, progress, guidance.period, belief)
     flown = list[Trajectory]()
     pilot = Pilot(guidance.navigation.use, navigator)
-    _follow(profile, run, _keep(pieces, flown), belief, pilot)
+    _follow(profile, run, _keep(pieces, flown, watch), belief, pilot)
     return join_pieces(flown), pilot
 
 
@@ -238,9 +248,11 @@ def replay(profile: Profile, truth: Trajectory, run: int = 0) -> NavSolution:
     return pilot.collect()
 
 
-def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory]) -> Iterator[Trajectory]:
+def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory], watch: Watch) -> Iterator[Trajectory]:
     for piece in pieces:
         flown.append(piece)
+        if watch is not None:
+            watch(piece)
         yield piece
 
 

@@ -11,6 +11,7 @@ from bench import closed_loop, pipeline
 from bench.errors import ConfigError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
+from bench.exchange.mavlink_session import Channels, MavlinkSession
 from bench.exchange.streaming import listen, parse_address
 from bench.flight.steering import Commands
 from bench.run_result import RunResult
@@ -38,6 +39,8 @@ def serve(
     gives: Gives = "estimate",
     rate: float = 0.0,
     patience: float = 60.0,
+    mavlink: Channels | None = None,
+    truth: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> ServedRun:
     """Wait for one client, fly the profile with it in lock-step, and judge what was flown.
@@ -59,6 +62,10 @@ def serve(
         Seconds of the flight per second at most; 0 or infinity: as fast as possible.
     patience : float
         Longest silence of the client [s].
+    mavlink : Channels, optional
+        The client is an autopilot that speaks MAVLink, and commands by these channels.
+    truth : bool
+        Send the truth, too, as HIL_STATE_QUATERNION.
     say : callable
         Called with lines of what happens.
 
@@ -79,23 +86,33 @@ def serve(
         raise ConfigError(f"--patience {patience:g} must be above 0, in seconds")
     assert isinstance(profile.flight, FlightSpec)
     pipeline.build_estimators(profile)  # fails before a client comes
-    if gives == "commands":
+    if truth and mavlink is None:
+        raise ConfigError("--truth goes with --mavlink: the messages of bench hold no truth")
+    steers = gives == "commands" or mavlink is not None
+    if steers:
         closed_loop.find_length(profile)
     length = profile.flight.duration
     facts = FlightFacts(profile.flight.rate, profile.guidance.period, math.nan if length is None else length)
     commands = Commands()
+    session: FlightSession | MavlinkSession
     with listen(*parse_address(f"--bind {address}", address, remote=remote), say) as server:
-        session = FlightSession(server, facts, commands, rate, patience, steers=gives == "commands")
+        if mavlink is None:
+            session = FlightSession(server, facts, commands, rate, patience, steers=steers)
+        else:
+            session = MavlinkSession(server, commands, rate, patience, channels=mavlink, truth=truth)
+        watch = session.watch if truth and isinstance(session, MavlinkSession) else None
         try:
             session.wait(say)
-            flown = closed_loop.serve(profile, run, session, commands if gives == "commands" else None)
+            flown = closed_loop.serve(profile, run, session, commands if steers else None, watch)
         except BaseException:
             session.close("the flight was ended", good=False)
             raise
         session.close(flown.ended or "the flight is over", good=not flown.ended)
-        if gives == "estimate" and not session.estimates:
+        if not steers and not session.estimates:
             say("the client gave no estimate: guidance read the truth")
     result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
-    told = {"gives": gives, "messages": VERSION, "turn_s": profile.guidance.period, "ended": flown.ended}
+    spoken = VERSION if mavlink is None else "MAVLink"
+    gives, turn = "commands" if steers else gives, profile.guidance.period
+    told = {"gives": gives, "messages": spoken, "turn_s": turn, "ended": flown.ended}
     result = replace(result, provenance={**result.provenance, "served": told})
     return ServedRun(result, float(flown.truth.t[-1]), flown.ended, session.latest)

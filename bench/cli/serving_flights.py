@@ -27,16 +27,13 @@ from bench.errors import NEGATIVE
 
 @commands.command(epilog=STATUS)
 @click.argument("profile", shell_complete=completion.profile)
-@click.option(
-    "--port", type=click.IntRange(0, 65535), default=5700, help="0 takes a free one  [default: 5700]"
-)
+@click.option("--port", type=click.IntRange(0, 65535), help="0 takes a free one  [default: 5700]")
 @click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at  [default: 127.0.0.1]")
 @click.option("--allow-remote", "remote", is_flag=True, help="permit clients of other machines")
 @click.option(
     "--give",
     "gives",
     type=click.Choice(["estimate", "commands"]),
-    default="estimate",
     help="what the client gives: where the aircraft is, or steering commands  [default: estimate]",
 )
 @click.option(
@@ -45,6 +42,11 @@ from bench.errors import NEGATIVE
 @click.option(
     "--patience", type=float, default=60.0, metavar="S", help="longest silence of the client  [default: 60]"
 )
+@click.option("--mavlink", is_flag=True, help="the client is an autopilot as PX4; it commands, port 4560")
+@click.option(
+    "--channels", metavar="LIST", help="what it moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5]"
+)
+@click.option("--truth", is_flag=True, help="send it the truth, too: HIL_STATE_QUATERNION")
 @out_option("folder for the results  [default: runs/<profile>-<seed>-served]")
 @estimator_option("evaluate only this one, of the profile")
 @set_option
@@ -55,7 +57,15 @@ from bench.errors import NEGATIVE
 @force_option()
 @code_option("profile")
 @guard_options
-def serve(profile: str, port: int, bind: str, **options: Any) -> int:
+def serve(
+    profile: str,
+    port: int | None,
+    bind: str,
+    gives: str | None,
+    mavlink: bool,
+    channels: str | None,
+    **options: Any,
+) -> int:
     """Fly a profile with a client, a program in any language, in lock-step over a socket.
 
     The client gets the rows of the sensors as they arrive. At each turn it gives an estimate, by which the
@@ -67,10 +77,19 @@ def serve(profile: str, port: int, bind: str, **options: Any) -> int:
       bench serve approach-closed
       bench serve approach-closed --set guidance.period_s=0.05 --rate 1
       bench serve figure-eight --give commands --set duration_s=120
+      bench serve figure-eight --mavlink --set duration_s=120
     """
+    if mavlink and gives == "estimate":
+        raise click.UsageError("--mavlink takes commands: leave --give estimate out")
+    if channels is not None and not mavlink:
+        raise click.UsageError("--channels goes with --mavlink")
+    from bench.exchange.mavlink_session import PORT, Channels
     from bench.workbench.flight_verbs import serve as serve_profile
 
-    session = {key: options.pop(key) for key in ("remote", "gives", "rate", "patience")}
+    session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
+    session |= {"gives": gives or "estimate", "mavlink": Channels.parse(channels or "") if mavlink else None}
+    if port is None:
+        port = PORT if mavlink else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
     result, ended = serve_profile(profile, console=new_console(), session=session, **options)
     status = max(end_run(result.metrics), int(bool(result.events.select("crash"))))

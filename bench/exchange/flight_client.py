@@ -127,12 +127,17 @@ class FlightClient:
             data = self._line.recv(1 << 16)
             if not data:
                 raise ConnectionError("the server has closed the connection")
-            self._frames = list(self._reader.take(data))[::-1]
+            try:
+                self._frames = list(self._reader.take(data))[::-1]
+            except ValueError as error:
+                raise ConnectionError(f"the server {error}") from None
         return self._frames.pop()
 
     def _expect(self, kind: int) -> FlightFrame:
         frame = self._next()
         if frame.kind == END:
             raise ConnectionError(frame.payload[:-1].decode("utf-8", "replace"))
-        assert frame.kind == kind, frame.name
+        if frame.kind != kind:
+            wanted = FlightFrame(kind, b"").name
+            raise ConnectionError(f"the server sent {frame.name} where {wanted} comes; it is no bench serve")
         return frame

@@ -77,6 +77,8 @@ def serve(
     """
     find_own_estimators()
     changes = {"guidance.navigation": CLIENT, "guidance.options": {}, **overrides}
+    if session["mavlink"] is not None:  # an autopilot's loops do not wait for the 0.2 s of [guidance]
+        changes = {"guidance.period_s": 0.05, **changes}
     profile = config.load_profile(name, changes, **profile_options)
     folder = out or RUNS / f"{profile.name}-{profile.seed}-served"
     store.check_folder(folder, force=force)

@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import bench
 from bench import config, rotation, serving
 from bench.cli import main
-from bench.errors import ConfigError, EstimatorStoppedError
+from bench.errors import ConfigError
 from bench.exchange import flight_client
 from bench.exchange.flight_client import FlightClient
 from bench.instruments import INSTRUMENTS
@@ -65,6 +65,12 @@ class Server:
         except Exception as error:
             self._found = error
             self._said.put(str(error))
+
+    def listen(self):
+        """Return the next line but those of a client that comes."""
+        while (line := self._said.get(timeout=60)).startswith("a client has come"):
+            pass
+        return line
 
     def join(self):
         self._thread.join(timeout=120)
@@ -156,29 +162,34 @@ def test_a_client_gets_the_rows_that_are_recorded(tmp_path):
 GOOD = (0.8248, 0.1979, 1206.0, 0.0, 25.0, 0.0, 1.0, 0.0, 0.0, 0.0, *[math.nan] * 15)
 
 
-@pytest.mark.parametrize(
-    ("sent", "words"),
-    [
-        (b"GET / HTTP/1.1\r\n\r\n", "sent 47 45 where a message begins with aa 55"),
-        (frame(16, 2.0), "speaks version 2 of the messages; this is version 1"),
-        (frame(16, math.nan), "speaks version nan of the messages; this is version 1"),
-        (frame(16, 1.0, 2.0), "sent HELLO with 17 bytes; 9 are right"),
-        (frame(22, 0.5), "began with DONE; HELLO comes first"),
-        (frame(16, 1.0)[:-1] + b"\x00", "sent a message HELLO whose checksum is wrong"),
-        (frame(16, 1.0)[:7], "has closed the connection in the middle of a message"),
-        (b"", "has been silent for 0.3 s"),
-    ],
-)
-def test_a_client_that_begins_wrongly_is_refused_in_a_line(sent, words, path):
-    server = Server(path, patience=0.3)
-    with socket.create_connection(("127.0.0.1", server.port)) as line:
-        line.sendall(sent)
-        if words.endswith("message"):
-            line.shutdown(socket.SHUT_WR)
-        with pytest.raises(EstimatorStoppedError) as caught:
-            server.join()
-        assert str(caught.value) == f"the client {words}"
-        assert f"the client {words}".encode() in line.recv(1000)
+BEGINNINGS = [
+    (b"GET / HTTP/1.1\r\n\r\n", "sent 47 45 where a message begins with aa 55"),
+    (frame(16, 2.0), "speaks version 2 of the messages; this is version 1"),
+    (frame(16, math.nan), "speaks version nan of the messages; this is version 1"),
+    (frame(16, 1.0, 2.0), "sent HELLO with 17 bytes; 9 are right"),
+    (frame(22, 0.5) * 2, "began with DONE; HELLO comes first"),
+    (frame(16, 1.0)[:-1] + b"\x00", "sent a message HELLO whose checksum is wrong"),
+    (frame(16, 1.0)[:7], "has closed the connection in the middle of a message"),
+    (b"", "has been silent for 0.3 s"),
+]
+
+
+def test_who_begins_wrongly_is_told_why_and_the_next_one_flies(tmp_path):
+    server = Server(
+        write_straight(tmp_path / "straight.toml", 2.0),
+        {"duration_s": 2.0, "evaluation.from_s": 0.0},
+        patience=0.3,
+    )
+    for sent, words in BEGINNINGS:
+        with socket.create_connection(("127.0.0.1", server.port)) as line:
+            line.sendall(sent)
+            if words.endswith("message"):
+                line.shutdown(socket.SHUT_WR)
+            assert f"the client {words}".encode() in line.recv(1000)
+        assert server.listen() == f"the client {words}; waiting for another"
+    with FlightClient(server.port) as client:
+        assert len(list(client.turns())) == 4
+    assert (server.join().ended, client.end) == ("", "the flight is over")
 
 
 @pytest.mark.parametrize(
@@ -245,15 +256,34 @@ def test_a_client_steers_only_where_it_may(path):
 def test_a_client_that_never_stops_sending_does_not_hold_the_server(path):
     """It is refused, and the end is not waited for longer than two seconds."""
     server, begun = Server(path, patience=1.0), time.monotonic()
-    with socket.create_connection(("127.0.0.1", server.port)) as line:
-        with contextlib.suppress(OSError):
-            while time.monotonic() < begun + 20.0:
-                line.sendall(b"y\n" * 100)
-                time.sleep(0.1)
-        taken = time.monotonic() - begun
-    assert taken < 15.0
-    with pytest.raises(EstimatorStoppedError):
-        server.join()
+    with socket.create_connection(("127.0.0.1", server.port)) as line, contextlib.suppress(OSError):
+        while time.monotonic() < begun + 20.0:
+            line.sendall(b"y\n" * 100)
+            time.sleep(0.1)
+    assert server.listen().endswith("waiting for another")
+    assert time.monotonic() - begun < 15.0
+
+
+@pytest.mark.parametrize(
+    ("sent", "words"),
+    [
+        (frame(18, 0.5), "the server sent TURN where HELLO comes; it is no bench serve"),
+        (frame(99), "the server sent kind 99 where HELLO comes; it is no bench serve"),
+        (b"SSH-2.0-", "the server sent 53 53 where a message begins with aa 55"),
+    ],
+)
+def test_a_server_that_is_none_is_said_in_a_line(sent, words):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer():
+            with server.accept()[0] as line:
+                line.sendall(sent)
+                line.recv(100)
+
+        threading.Thread(target=answer, daemon=True).start()
+        with pytest.raises(ConnectionError) as caught:
+            FlightClient(server.getsockname()[1])
+    assert str(caught.value) == words
 
 
 def test_a_second_client_is_told_that_another_flies(tmp_path):
@@ -313,6 +343,7 @@ def _fly_high(port):
         ({"address": "0.0.0.0:0"}, "--allow-remote"),
         ({"rate": math.nan}, "must not be negative"),
         ({"patience": 0.0}, "must be above 0"),
+        ({"truth": True}, "--truth goes with --mavlink"),
     ],
 )
 def test_wrong_options_are_refused_before_a_client_comes(options, message, path):

@@ -1,0 +1,171 @@
+"""A client on its line while the aircraft flies: who may come, how long it may be silent, how fast it flies.
+
+What a client does wrong ends the session with one line.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import select
+import socket
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+from bench.data import InitialState, NavSolution, SensorData
+from bench.errors import EstimatorStoppedError
+from bench.exchange.streaming import wait_until
+from bench.flight.steering import Commands
+
+_BLOCK = 1 << 16
+_PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
+
+
+class ClientSession(ABC):
+    """The server of one client.
+
+    Parameters
+    ----------
+    server : socket
+        That waits for connections.
+    commands : Commands
+        What the client wants of the controls is put there.
+    rate : float
+        Seconds of the flight per second at most; 0 or infinity: as fast as possible.
+    patience : float
+        Longest silence of a client that is to answer [s].
+    """
+
+    def __init__(self, server: socket.socket, commands: Commands, rate: float, patience: float) -> None:
+        self._server, self.commands, self.patience = server, commands, patience
+        self.rate = rate if 0 < rate < math.inf else 0.0
+        self._line: socket.socket | None = None
+        self._come = list[Any]()
+        self._begun = math.nan
+        self.latest = 0.0
+        """Largest delay behind the rate [s]."""
+        self.estimates = 0
+        """How many the client gave."""
+        self.ended = ""
+        """Why the session was ended, in words."""
+
+    @abstractmethod
+    def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
+        """Send what has arrived by an instant [s] and return the estimate of the client; NaN: none."""
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Take the first messages of a client that has come."""
+
+    @abstractmethod
+    def read(self, data: bytes) -> list[Any]:
+        """Return the messages in bytes that have come; a ValueError says in words why they are none."""
+
+    @abstractmethod
+    def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
+        """Return the last message to a client; ``known`` is False for one that is sent away."""
+
+    @property
+    @abstractmethod
+    def inside(self) -> bool:
+        """Whether a message has begun to come and not ended."""
+
+    def wait(self, say: Callable[[str], object]) -> None:
+        """Wait for a client that begins as it should; others are told why not."""
+        while True:
+            self._line, address = self._server.accept()
+            say(f"a client has come from {address[0]}")
+            self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._come.clear()
+            try:
+                self.begin()
+            except EstimatorStoppedError as error:
+                say(f"{error}; waiting for another")
+                self.ended = self.commands.ended = ""
+            else:
+                return
+
+    def close(self, words: str, *, good: bool) -> None:
+        """Send the last words and close the connection."""
+        if self._line is None:
+            return
+        with contextlib.suppress(OSError):
+            self._line.settimeout(_PATIENCE)
+            self._line.sendall(self.make_end(words, good=good))
+            self._line.shutdown(socket.SHUT_WR)
+            until = time.monotonic() + _PATIENCE
+            # what it has sent and nobody read would take the last words from it
+            while time.monotonic() < until and self._line.recv(_BLOCK):
+                pass
+        self._line.close()
+        self._line = None
+
+    def send(self, data: bytes) -> None:
+        """Send bytes."""
+        assert self._line is not None
+        try:
+            self._line.settimeout(self.patience)
+            self._line.sendall(data)
+        except TimeoutError:
+            self.refuse(f"has taken nothing for {self.patience:g} s")
+        except OSError:
+            self.refuse("has closed the connection")
+
+    def receive(self) -> Any:
+        """Return the next message; a client that is silent is refused."""
+        found = self.receive_until(time.monotonic() + self.patience)
+        if found is None:
+            self.refuse(f"has been silent for {self.patience:g} s")
+        return found
+
+    def receive_until(self, due: float) -> Any:
+        """Return the next message, None if there is none at ``due``; meanwhile send away who else comes."""
+        assert self._line is not None
+        while not self._come:
+            left = due - time.monotonic()
+            ready = select.select([self._line, self._server], [], [], max(0.0, left))[0]
+            if self._server in ready:
+                self._send_away()
+            if self._line in ready:
+                self._read()
+            elif left <= 0:
+                return None
+        return self._come.pop()
+
+    def keep_pace(self, t: float, rate: float) -> None:
+        """Wait until the flight may go on from an instant [s] at a rate."""
+        now = time.monotonic()
+        if math.isnan(self._begun):
+            self._begun = now - t / rate
+        due = self._begun + t / rate
+        late = now - due
+        self.latest = max(self.latest, late)
+        self._begun += max(late, 0.0)  # what was lost is not made up by flying faster
+        wait_until(due)
+
+    def refuse(self, what: str) -> NoReturn:
+        """End the session: a client did what it must not, in words that follow "the client"."""
+        self.ended = self.commands.ended = text = f"the client {what}"
+        self.close(text, good=False)
+        raise EstimatorStoppedError(text)
+
+    def _read(self) -> None:
+        assert self._line is not None
+        try:
+            data = self._line.recv(_BLOCK)
+        except OSError:
+            data = b""
+        if not data:
+            where = " in the middle of a message" if self.inside else ""
+            self.refuse(f"has closed the connection{where}")
+        try:
+            self._come = self.read(data)[::-1]
+        except ValueError as error:
+            self.refuse(str(error))
+
+    def _send_away(self) -> None:
+        other, _ = self._server.accept()
+        with other, contextlib.suppress(OSError):
+            other.sendall(self.make_end("another client flies; one at a time", good=False, known=False))

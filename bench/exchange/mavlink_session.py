@@ -1,0 +1,316 @@
+"""The server of an autopilot that speaks MAVLink as PX4 does to a simulator, in lock-step.
+
+HIL_SENSOR for each sample of the IMU and HIL_GPS for each fix go out, HIL_ACTUATOR_CONTROLS come in. Messages
+and units: common.xml of MAVLink, ids 107, 113, 115, 93. Where PX4 reads them otherwise (``fields_updated``,
+``eph`` and ``epv`` in cm, the order of begin and lock-step) it goes by PX4:
+src/modules/simulation/simulator_mavlink/SimulatorMavlink.cpp and .hpp of PX4-Autopilot.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench import earth, rotation
+from bench.arrays import FloatArray
+from bench.data import InitialState, NavSolution, SensorData, Trajectory
+from bench.errors import ConfigError
+from bench.exchange.client_session import ClientSession
+from bench.flight.steering import Commands, SurfaceCommand
+from bench.navigation.engine.record_cuts import nothing_known
+from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.signals.air import impact_pressure, standard_atmosphere
+from bench.units import STANDARD_GRAVITY
+
+PORT = 4560
+"""Where PX4 looks for its simulator."""
+
+# SensorSource of SimulatorMavlink.hpp; acceleration and rates are in every message
+_IMU, _UPDATES = 0b111111, {"mag": 0b111000000, "baro": 0b1101000000000, "airspeed": 0b10000000000}
+_ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+_GAUSS = 1e-4  # [T]
+_FASTEST = 327.67  # [m/s], of an int16 in cm/s
+_LARGEST = 655.34  # [m], of an uint16 in cm
+_BOOT_RATE = 1.0  # real time, until the autopilot commands
+_WORDS = 50  # of a STATUSTEXT [bytes]
+
+
+@dataclass(frozen=True, slots=True)
+class Channels:
+    """Which control of HIL_ACTUATOR_CONTROLS moves what: channel from 1, below 0 with the sign turned.
+
+    The defaults are those of PX4's airframe 1033_jsbsim_rascal with the signs of px4-jsbsim-bridge.
+    """
+
+    aileron: int = -6
+    elevator: int = -8
+    rudder: int = -3
+    throttle: int = 5
+
+    @classmethod
+    def parse(cls, text: str) -> Channels:
+        """Read a list like ``aileron=-6,throttle=5``.
+
+        Raises
+        ------
+        ConfigError
+            If it is none.
+        """
+        found: dict[str, int] = {}
+        names = tuple(cls.__slots__)
+        for part in filter(None, text.split(",")):
+            name, _, number = part.partition("=")
+            sign, digits = number[:1], number.removeprefix("-")
+            if name not in names or name in found:
+                raise ConfigError(f"--channels: {part!r} begins with none of {', '.join(names)}, or not once")
+            if not (digits.isascii() and digits.isdecimal() and 1 <= int(digits) <= 16):
+                raise ConfigError(f"--channels: {part!r} must end on a channel, 1 to 16 or -1 to -16")
+            found[name] = -int(digits) if sign == "-" else int(digits)
+        return cls(**found)
+
+    def take(self, controls: list[float]) -> SurfaceCommand:
+        """Return the command in the controls of a message."""
+
+        def read(channel: int) -> float:
+            return math.copysign(1.0, channel) * controls[abs(channel) - 1]
+
+        return SurfaceCommand(*map(read, (self.aileron, self.elevator, self.rudder, self.throttle)))
+
+
+@dataclass
+class _Readings:
+    """What a HIL_SENSOR repeats until it is measured again."""
+
+    mag: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [gauss]
+    pressure: float = 0.0  # [hPa]
+    impact: float = 0.0  # [hPa]
+    alt: float = 0.0  # [m]
+    temperature: float = 0.0  # [degC]
+
+
+class MavlinkSession(ClientSession):
+    """The server of one autopilot; further parameters as of `ClientSession`.
+
+    Parameters
+    ----------
+    channels : Channels
+        Which control moves what.
+    truth : bool
+        Whether HIL_STATE_QUATERNION is sent: it holds the truth.
+
+    Raises
+    ------
+    ConfigError
+        If pymavlink is not installed.
+    """
+
+    def __init__(
+        self,
+        server: socket.socket,
+        commands: Commands,
+        rate: float,
+        patience: float,
+        *,
+        channels: Channels,
+        truth: bool,
+    ) -> None:
+        super().__init__(server, commands, rate, patience)
+        try:
+            self._dialect: Any = importlib.import_module("pymavlink.dialects.v20.common")
+        except ImportError:
+            raise ConfigError("--mavlink needs pymavlink: pip install 'ins-gnss-bench[mavlink]'") from None
+        self._channels, self._truth = channels, truth
+        self._mav = self._dialect.MAVLink(None)
+        self._flying: Trajectory | None = None
+        self._readings = _Readings()
+        self._answers = self._armed = False
+        self._booted = math.inf  # when it must have commanded [s]
+
+    def begin(self) -> None:
+        """Wait for a HEARTBEAT, and answer with one."""
+        self._mav = self._dialect.MAVLink(None)
+        self._wait_for(lambda message: message.get_type() == "HEARTBEAT")
+        self._send_heartbeat()
+        self._booted = time.monotonic() + self.patience
+
+    def read(self, data: bytes) -> list[Any]:
+        """Return the messages in the bytes."""
+        try:
+            return self._mav.parse_buffer(data) or []
+        except self._dialect.MAVError as error:
+            raise ValueError(f"sent what is no message of MAVLink: {error}") from None
+
+    @property
+    def inside(self) -> bool:
+        """Whether a message has begun to come and not ended."""
+        return bool(self._mav.buf_len())
+
+    def make_end(self, words: str, *, good: bool, known: bool = True) -> bytes:
+        """Return a STATUSTEXT."""
+        severity = self._dialect.MAV_SEVERITY_INFO if good else self._dialect.MAV_SEVERITY_ERROR
+        text = self._dialect.MAVLink_statustext_message(severity, words.encode()[:_WORDS])
+        return self._pack(text)
+
+    def watch(self, piece: Trajectory) -> None:
+        """Take a piece of the truth that is about to be sensed."""
+        self._flying = piece
+
+    def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
+        """Send what has arrived by an instant [s] and take the controls that answer it.
+
+        An autopilot that has not commanded is given real time to start; after that the flight waits for an
+        answer to each HIL_SENSOR.
+
+        Raises
+        ------
+        EstimatorStoppedError
+            If the autopilot sends what is no message, closes the connection, or is silent.
+        """
+        if math.floor(end) > math.floor(end - float(data.imu.dt.sum())):
+            self._send_heartbeat()
+        if self._truth and self._flying is not None:
+            self.send(self._pack(self._make_state(self._flying)))
+        fixes = self._make_fixes(data)
+        if fixes:
+            self.send(fixes)
+        for message in self._make_samples(data):
+            self.send(self._pack(message))
+            if self._answers:
+                self._wait_for(self._take)
+        if not self._answers:
+            self.keep_pace(end, self.rate or _BOOT_RATE)
+            if time.monotonic() > self._booted:
+                self.refuse(f"has sent no HIL_ACTUATOR_CONTROLS for {self.patience:g} s")
+        elif self.rate:
+            self.keep_pace(end, self.rate)
+        now = time.monotonic()
+        while (message := self.receive_until(now)) is not None:
+            self._take(message)
+        return nothing_known(np.array([end]))
+
+    # --- what is sent
+
+    def _pack(self, message: Any) -> bytes:
+        packed: bytes = message.pack(self._mav)
+        self._mav.seq = (self._mav.seq + 1) % 256
+        return packed
+
+    def _send_heartbeat(self) -> None:
+        dialect = self._dialect
+        kind, autopilot = dialect.MAV_TYPE_GENERIC, dialect.MAV_AUTOPILOT_INVALID
+        self.send(self._pack(dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 0, 3)))
+
+    def _make_samples(self, data: SensorData) -> list[Any]:
+        """Return a HIL_SENSOR for each sample of the IMU, with what else has arrived by it."""
+        imu, made = data.imu, []
+        due: list[tuple[int, str, int]] = []
+        for name in _UPDATES:
+            record = getattr(data, name)
+            if record is not None:
+                at = np.searchsorted(imu.t, record.t_arrival - TIME_TOLERANCE)
+                due += [(int(k), name, row) for row, k in enumerate(at) if record.valid[row]]
+        due.sort(key=lambda one: (one[0], one[2]))
+        for k, t in enumerate(imu.t):
+            now, updated = self._readings, _IMU if imu.valid[k] else 0
+            while due and due[0][0] <= k:
+                _, name, row = due.pop(0)
+                self._take_reading(name, getattr(data, name), row)
+                updated |= _UPDATES[name]
+            force, rate = imu.dvel_b[k] / imu.dt[k], imu.dtheta_b[k] / imu.dt[k]
+            air = now.pressure, now.impact, now.alt, now.temperature
+            values = *force.tolist(), *rate.tolist(), *now.mag, *air
+            made.append(self._dialect.MAVLink_hil_sensor_message(round(1e6 * t), *values, updated))
+        return made
+
+    def _take_reading(self, name: str, record: Any, row: int) -> None:
+        now = self._readings
+        if name == "mag":
+            x, y, z = (record.field_b[row] / _GAUSS).tolist()
+            now.mag = x, y, z
+        elif name == "baro":
+            now.alt = float(record.alt_baro[row])
+            pressure, temperature, _ = standard_atmosphere(now.alt)
+            now.pressure, now.temperature = float(pressure) / 100.0, float(temperature) - 273.15
+        else:  # what the pitot tube has felt, if the air is that of the standard at this height
+            pressure, temperature, _ = standard_atmosphere(now.alt)
+            now.impact = float(impact_pressure(record.airspeed_true[row], pressure, temperature)) / 100.0
+
+    def _make_fixes(self, data: SensorData) -> bytes:
+        """Return a HIL_GPS for each fix."""
+        made = b""
+        if (fixes := data.fixes) is None:
+            return made
+        for k, t in enumerate(fixes.t):
+            good = bool(fixes.valid[k])
+            lla = fixes.lla[k] if good else np.zeros(3)
+            north, east, down = fixes.vel_n[k].tolist() if good else (0.0, 0.0, 0.0)
+            variance = np.diagonal(fixes.cov_pos_n[k]) if good else np.full(3, math.inf)
+            accuracy = [math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])]
+            eph, epv = (round(100.0 * min(one, _LARGEST)) for one in accuracy)
+            speed, course = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0
+            velocity = [self._to_cm(one) for one in (speed, north, east, down)]
+            values = *_to_place(lla), eph, epv, *velocity, round(100.0 * course) % 36000
+            count = int(fixes.satellites[k])
+            used = min(count, 254) if count >= 0 else 255  # 255: not known
+            fix = self._dialect.MAVLink_hil_gps_message(round(1e6 * t), 3 if good else 0, *values, used)
+            made += self._pack(fix)
+        return made
+
+    def _make_state(self, piece: Trajectory) -> Any:
+        """Return HIL_STATE_QUATERNION: the truth at the end of a piece."""
+        q_nb, dt = piece.q_nb[-1], float(piece.t[-1] - piece.t[-2])
+        to_body = rotation.matrix(q_nb).T
+        gravity = earth.gravity_n(piece.lla[-1, 0], piece.lla[-1, 2])
+        motion = piece.dvel_b[-1] / dt + to_body @ gravity  # Coriolis, below 0.01 m/s^2, is left out
+        rate = piece.dtheta_b[-1] / dt  # the Earth's, 7e-5 rad/s, is in it
+        milli_g = np.clip(1e3 * motion / STANDARD_GRAVITY, -32767, 32767).round().astype(int)
+        air = piece.air
+        indicated, true = (
+            (float(air.airspeed_calibrated[-1]), float(air.airspeed_true[-1])) if len(air.t) else (0.0, 0.0)
+        )
+        return self._dialect.MAVLink_hil_state_quaternion_message(
+            round(1e6 * piece.t[-1]), q_nb.tolist(), *rate.tolist(), *_to_place(piece.lla[-1]),
+            *map(self._to_cm, piece.vel_n[-1].tolist()), self._to_cm(indicated), self._to_cm(true),
+            *milli_g.tolist(),
+        )  # fmt: skip
+
+    def _to_cm(self, speed: float) -> int:
+        if abs(speed) > _FASTEST:
+            self.refuse(f"cannot be told of {speed:.0f} m/s: MAVLink holds up to {_FASTEST:.0f} m/s")
+        return round(100.0 * speed)
+
+    # --- what comes
+
+    def _wait_for(self, take: Callable[[Any], bool]) -> None:
+        """Give messages to a function until it returns True; others do not prolong the patience."""
+        until = time.monotonic() + self.patience
+        while (message := self.receive_until(until)) is not None:
+            if take(message):
+                return
+        self.refuse(f"has been silent for {self.patience:g} s")
+
+    def _take(self, message: Any) -> bool:
+        """Take a message; return whether it held controls."""
+        if message.get_type() != "HIL_ACTUATOR_CONTROLS":
+            return False
+        self._answers = True
+        self._armed = self._armed or bool(message.mode & _ARMED)
+        if self._armed:
+            command = self._channels.take(message.controls)
+            if wrong := command.describe_wrong():
+                self.refuse(f"sent HIL_ACTUATOR_CONTROLS with {wrong} in a channel of --channels")
+            self.commands.wanted = command
+        return True
+
+
+def _to_place(lla: FloatArray) -> tuple[int, int, int]:
+    """Return latitude, longitude [1e-7 deg] and height [mm]."""
+    lat, lon = np.degrees(lla[:2]).tolist()
+    return round(1e7 * lat), round(1e7 * ((lon + 180.0) % 360.0 - 180.0)), round(1e3 * float(lla[2]))

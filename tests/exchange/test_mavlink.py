@@ -1,0 +1,207 @@
+"""An autopilot of our own flies through MAVLink; what it was told is the recorded sensors in other units."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from pymavlink.dialects.v20 import common as dialect
+
+from bench import rotation
+from bench.errors import ConfigError
+from bench.exchange.mavlink_session import Channels
+from tests.exchange.test_serve import Server, write_straight
+
+BANK = 0.2  # what it flies [rad]
+
+
+class Autopilot(threading.Thread):
+    """Flies a bank and the pitch of the begin by the gyros alone; ``told`` is what it got, by kind."""
+
+    def __init__(self, port, controls=None, armed_at=0.0):
+        super().__init__(daemon=True)
+        self._line = socket.create_connection(("127.0.0.1", port))
+        self._mav, self.told = dialect.MAVLink(None), {}
+        self._controls, self._armed_at = controls, armed_at
+        self.roll = self.pitch = self._sum = 0.0
+        self.start()
+
+    def send(self, message):
+        self._line.sendall(message.pack(self._mav))
+
+    def run(self):
+        # as PX4 begins: both threads at once, a heartbeat of the sender and the wish for the truth
+        self.send(dialect.MAVLink_command_long_message(0, 0, dialect.MAV_CMD_SET_MESSAGE_INTERVAL, 0,
+                                                       115, 5000, 0, 0, 0, 0, 0))  # fmt: skip
+        self.send(dialect.MAVLink_heartbeat_message(0, dialect.MAV_AUTOPILOT_PX4, 0, 0, 0, 3))
+        last = 0.0
+        while data := self._line.recv(1 << 16):
+            for message in self._mav.parse_buffer(data) or []:
+                self.told.setdefault(message.get_type(), []).append(message)
+                if message.get_type() == "HIL_SENSOR":
+                    t = 1e-6 * message.time_usec
+                    self.steer(t, t - last, message)
+                    last = t
+        self._line.close()
+
+    def steer(self, t, dt, sensed):
+        self.roll += sensed.xgyro * dt
+        self.pitch += (sensed.ygyro * math.cos(self.roll) - sensed.zgyro * math.sin(self.roll)) * dt
+        self._sum += self.pitch * dt
+        controls, armed = [0.0] * 16, t > self._armed_at
+        if armed:
+            controls[5] = -(0.4 * (BANK - self.roll) - 0.06 * sensed.xgyro)  # aileron of 1033_jsbsim_rascal
+            controls[7] = -(0.6 * self.pitch + 0.1 * sensed.ygyro + 0.4 * self._sum)
+            controls[4] = 0.5
+        if self._controls is not None:
+            controls = self._controls
+        flags = 1 | (128 if armed else 0)
+        self.send(dialect.MAVLink_hil_actuator_controls_message(round(1e6 * t), controls, flags, 1))
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return write_straight(tmp_path_factory.mktemp("mavlink") / "straight.toml", 20.0)
+
+
+def serve(path, seconds, **options):
+    changes = {"duration_s": seconds, "guidance.period_s": 0.05, "sensors.airspeed": "ms4525do"}
+    return Server(path, changes, mavlink=Channels(), **options)
+
+
+def columns(messages, *names):
+    return np.array([[getattr(one, name) for name in names] for one in messages])
+
+
+def find_sample(imu, arrival):
+    """The sample of the IMU whose HIL_SENSOR brings what has arrived."""
+    return np.searchsorted(imu.t, arrival - 1e-9)
+
+
+def test_an_autopilot_flies_by_mavlink_and_gets_what_is_recorded(path):
+    """Expected by the units of common.xml and by formulas of their own, not by the code that sends."""
+    server = serve(path, 20.0)
+    autopilot = Autopilot(server.port, armed_at=0.5)
+    served = server.join()
+    autopilot.join(5.0)
+    truth, told, data = served.result.truth, autopilot.told, served.result.sensed.data
+    assert (served.ended, served.flown) == ("", 20.0)
+    roll, pitch = rotation.to_euler(truth.q_nb)[:2]
+    assert_allclose(roll[truth.t > 5.0], BANK, atol=0.06)
+    assert_allclose(pitch[-1], pitch[0], atol=0.06)
+    assert served.result.provenance["served"]["messages"] == "MAVLink"
+
+    sensor, imu = told["HIL_SENSOR"], data.imu
+    assert_array_equal(columns(sensor, "time_usec")[:, 0], np.rint(1e6 * imu.t))
+    assert {one.id for one in sensor} == {0}  # PX4 takes its time from the first one alone
+    rates, forces = columns(sensor, "xgyro", "ygyro", "zgyro"), columns(sensor, "xacc", "yacc", "zacc")
+    assert_allclose(rates, imu.dtheta_b * 100.0, rtol=1e-6, atol=1e-7)
+    assert_allclose(forces, imu.dvel_b * 100.0, rtol=1e-6, atol=1e-6)
+    updated = columns(sensor, "fields_updated")[:, 0].astype(int)
+    assert_array_equal(updated & 0b111111, 0b111111)
+    for record, bits in ((data.mag, 0x1C0), (data.baro, 0x1A00), (data.airspeed, 0x400)):
+        come = record.t_arrival <= 20.0 + 1e-9
+        assert_array_equal(np.flatnonzero(updated & bits == bits), find_sample(imu, record.t_arrival[come]))
+    field = columns(sensor, "xmag", "ymag", "zmag")[updated & 0x1C0 > 0]
+    assert_allclose(field, 1e4 * data.mag.field_b[: len(field)], rtol=1e-6)
+    alt = data.baro.alt_baro[: (updated & 0x1A00 > 0).sum()]
+    pressure, pressure_alt, temperature = columns(sensor, "abs_pressure", "pressure_alt", "temperature")[
+        updated & 0x1A00 > 0
+    ].T
+    assert_allclose(pressure, 1013.25 * (1.0 - 2.25577e-5 * alt) ** 5.25588, rtol=2e-6)  # ICAO Doc 7488
+    assert_allclose(pressure_alt, alt, rtol=1e-6)
+    assert_allclose(temperature, 15.0 - 0.0065 * alt, atol=1e-4)
+    speed = data.airspeed.airspeed_true[: (updated & 0x400 > 0).sum()]
+    density = 1.225 * (1.0 - 2.25577e-5 * 1200.0) ** 4.25588
+    impact = columns(sensor, "diff_pressure")[updated & 0x400 > 0][:, 0]
+    assert_allclose(impact[5:], 0.5 * density * speed[5:] ** 2 / 100.0, rtol=0.01)  # incompressible
+
+    fixes = data.fixes.take(data.fixes.t_arrival <= 20.0 + 1e-9)
+    place = columns(told["HIL_GPS"], "lat", "lon", "alt") * [1e-7, 1e-7, 1e-3]
+    assert_allclose(place[:, :2], np.degrees(fixes.lla[:, :2]), atol=0.6e-7)
+    assert_allclose(place[:, 2], fixes.lla[:, 2], atol=0.6e-3)
+    moved = columns(told["HIL_GPS"], "vn", "ve", "vd", "vel") / 100.0
+    assert_allclose(moved[:, :3], fixes.vel_n, atol=0.006)
+    assert_allclose(moved[:, 3], np.hypot(*fixes.vel_n[:, :2].T), atol=0.006)
+    course = np.degrees(np.arctan2(fixes.vel_n[:, 1], fixes.vel_n[:, 0])) % 360.0
+    assert_allclose(columns(told["HIL_GPS"], "cog")[:, 0] / 100.0, course, atol=0.006)
+    north, east, down = np.diagonal(fixes.cov_pos_n, axis1=1, axis2=2).T
+    accuracy = columns(told["HIL_GPS"], "eph", "epv") / 100.0  # cm to PX4
+    assert_allclose(accuracy, np.sqrt([north + east, down]).T, atol=0.006)
+    assert {(one.fix_type, one.satellites_visible) for one in told["HIL_GPS"]} == {(3, 255)}
+
+    assert "HIL_STATE_QUATERNION" not in told  # though it has asked for it
+    assert len(told["HEARTBEAT"]) == 21
+    assert [one.text for one in told["STATUSTEXT"]] == ["the flight is over"]
+
+
+def test_until_it_commands_the_aircraft_holds_and_time_is_real(path):
+    """Disarmed controls, all 0, move nothing. The truth is sent where it is asked for, at each turn."""
+    server = serve(path, 2.0, truth=True)
+    autopilot = Autopilot(server.port, armed_at=9.0)
+    served = server.join()
+    autopilot.join(5.0)
+    truth, told = served.result.truth, autopilot.told["HIL_STATE_QUATERNION"]
+    assert_allclose(truth.lla[-1, 2], truth.lla[0, 2], atol=0.5)
+    assert len(told) == 40
+    rows = np.arange(5, 201, 5)
+    assert_array_equal(columns(told, "time_usec")[:, 0], np.rint(1e6 * truth.t[rows]))
+    assert_allclose([one.attitude_quaternion for one in told], truth.q_nb[rows], atol=1e-6)
+    assert_allclose(columns(told, "lat", "lon")[:, :2] * 1e-7, np.degrees(truth.lla[rows, :2]), atol=0.6e-7)
+    assert_allclose(columns(told, "alt")[:, 0] * 1e-3, truth.lla[rows, 2], atol=0.6e-3)
+    assert_allclose(columns(told, "vx", "vy", "vz") / 100.0, truth.vel_n[rows], atol=0.006)
+    speed = np.gradient(truth.vel_n, truth.t, axis=0)[rows]  # level and straight: no turn of the axes
+    motion = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), speed)
+    assert_allclose(columns(told, "xacc", "yacc", "zacc") * 9.80665e-3, motion, atol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("controls", "words"),
+    [
+        ([math.nan] * 16, "sent HIL_ACTUATOR_CONTROLS with NaN in it in a channel of --channels"),
+        ([0.0] * 4 + [1.5] + [0.0] * 11, "with a throttle that is not 0 to 1 in a channel of --channels"),
+        (b"GET / HTTP/1.1\r\n\r\n", "sent what is no message of MAVLink: invalid MAVLink prefix '71'"),
+        (b"", "has sent no HIL_ACTUATOR_CONTROLS for 0.5 s"),
+    ],
+)
+def test_what_an_autopilot_does_wrong_ends_the_flight_with_a_line(controls, words, path):
+    class Wrong(Autopilot):
+        def steer(self, t, dt, sensed):
+            if isinstance(controls, list):
+                super().steer(t, dt, sensed)
+            elif controls:
+                self._line.sendall(controls)
+
+    server = serve(path, 20.0, patience=0.5)
+    autopilot = Wrong(server.port, controls if isinstance(controls, list) else None)
+    served = server.join()
+    autopilot.join(5.0)
+    assert served.ended.endswith(words)
+    assert served.flown < 1.5
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("", Channels(-6, -8, -3, 5)),
+        ("aileron=1,elevator=-2,throttle=16", Channels(1, -2, -3, 16)),
+        ("flaps=3", "begins with none of aileron, elevator, rudder, throttle"),
+        ("aileron=1,aileron=2", "or not once"),
+        ("aileron=0", "1 to 16 or -1 to -16"),
+        ("aileron=17", "1 to 16 or -1 to -16"),
+        ("aileron", "1 to 16 or -1 to -16"),
+    ],
+)
+def test_channels_are_read_from_a_list(text, found):
+    if isinstance(found, str):
+        with pytest.raises(ConfigError, match=found):
+            Channels.parse(text)
+    else:
+        assert Channels.parse(text) == found
+        command = found.take([0.01 * k for k in range(1, 17)])
+        signed = [0.01 * one for one in (found.aileron, found.elevator, found.rudder, found.throttle)]
+        assert_allclose([command.aileron, command.elevator, command.rudder, command.throttle], signed)
