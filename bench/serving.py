@@ -11,7 +11,7 @@ from bench import closed_loop, pipeline
 from bench.errors import ConfigError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
-from bench.exchange.mavlink_session import Channels, MavlinkSession
+from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.exchange.streaming import listen, parse_address
 from bench.flight.steering import Commands
 from bench.run_result import RunResult
@@ -39,7 +39,7 @@ def serve(
     gives: Gives = "estimate",
     rate: float = 0.0,
     patience: float = 60.0,
-    mavlink: Channels | None = None,
+    mavlink: ActuatorChannels | None = None,
     truth: bool = False,
     say: Callable[[str], object] = lambda text: None,
 ) -> ServedRun:
@@ -62,7 +62,7 @@ def serve(
         Seconds of the flight per second at most; 0 or infinity: as fast as possible.
     patience : float
         Longest silence of the client [s].
-    mavlink : Channels, optional
+    mavlink : ActuatorChannels, optional
         The client is an autopilot that speaks MAVLink, and commands by these channels.
     truth : bool
         Send the truth, too, as HIL_STATE_QUATERNION.

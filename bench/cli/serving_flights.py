@@ -83,11 +83,14 @@ def serve(
         raise click.UsageError("--mavlink takes commands: leave --give estimate out")
     if channels is not None and not mavlink:
         raise click.UsageError("--channels goes with --mavlink")
-    from bench.exchange.mavlink_session import PORT, Channels
+    from bench.exchange.mavlink_session import PORT, ActuatorChannels
     from bench.workbench.flight_verbs import serve as serve_profile
 
     session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
-    session |= {"gives": gives or "estimate", "mavlink": Channels.parse(channels or "") if mavlink else None}
+    session |= {
+        "gives": gives or "estimate",
+        "mavlink": ActuatorChannels.parse(channels or "") if mavlink else None,
+    }
     if port is None:
         port = PORT if mavlink else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"

@@ -43,7 +43,7 @@ _WORDS = 50  # of a STATUSTEXT [bytes]
 
 
 @dataclass(frozen=True, slots=True)
-class Channels:
+class ActuatorChannels:
     """Which control of HIL_ACTUATOR_CONTROLS moves what: channel from 1, below 0 with the sign turned.
 
     The defaults are those of PX4's airframe 1033_jsbsim_rascal with the signs of px4-jsbsim-bridge.
@@ -55,7 +55,7 @@ class Channels:
     throttle: int = 5
 
     @classmethod
-    def parse(cls, text: str) -> Channels:
+    def parse(cls, text: str) -> ActuatorChannels:
         """Read a list like ``aileron=-6,throttle=5``.
 
         Raises
@@ -100,7 +100,7 @@ class MavlinkSession(ClientSession):
 
     Parameters
     ----------
-    channels : Channels
+    channels : ActuatorChannels
         Which control moves what.
     truth : bool
         Whether HIL_STATE_QUATERNION is sent: it holds the truth.
@@ -118,7 +118,7 @@ class MavlinkSession(ClientSession):
         rate: float,
         patience: float,
         *,
-        channels: Channels,
+        channels: ActuatorChannels,
         truth: bool,
     ) -> None:
         super().__init__(server, commands, rate, patience)

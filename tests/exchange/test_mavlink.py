@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from bench import rotation
 from bench.errors import ConfigError
-from bench.exchange.mavlink_session import Channels
+from bench.exchange.mavlink_session import ActuatorChannels
 from tests.exchange.test_serve import Server, write_straight
 
 BANK = 0.2  # what it flies [rad]
@@ -70,7 +70,7 @@ def path(tmp_path_factory):
 
 def serve(path, seconds, **options):
     changes = {"duration_s": seconds, "guidance.period_s": 0.05, "sensors.airspeed": "ms4525do"}
-    return Server(path, changes, mavlink=Channels(), **options)
+    return Server(path, changes, mavlink=ActuatorChannels(), **options)
 
 
 def columns(messages, *names):
@@ -187,8 +187,8 @@ def test_what_an_autopilot_does_wrong_ends_the_flight_with_a_line(controls, word
 @pytest.mark.parametrize(
     ("text", "found"),
     [
-        ("", Channels(-6, -8, -3, 5)),
-        ("aileron=1,elevator=-2,throttle=16", Channels(1, -2, -3, 16)),
+        ("", ActuatorChannels(-6, -8, -3, 5)),
+        ("aileron=1,elevator=-2,throttle=16", ActuatorChannels(1, -2, -3, 16)),
         ("flaps=3", "begins with none of aileron, elevator, rudder, throttle"),
         ("aileron=1,aileron=2", "or not once"),
         ("aileron=0", "1 to 16 or -1 to -16"),
@@ -199,9 +199,9 @@ def test_what_an_autopilot_does_wrong_ends_the_flight_with_a_line(controls, word
 def test_channels_are_read_from_a_list(text, found):
     if isinstance(found, str):
         with pytest.raises(ConfigError, match=found):
-            Channels.parse(text)
+            ActuatorChannels.parse(text)
     else:
-        assert Channels.parse(text) == found
+        assert ActuatorChannels.parse(text) == found
         command = found.take([0.01 * k for k in range(1, 17)])
         signed = [0.01 * one for one in (found.aileron, found.elevator, found.rudder, found.throttle)]
         assert_allclose([command.aileron, command.elevator, command.rudder, command.throttle], signed)
