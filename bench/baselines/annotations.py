@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from bench.baselines.verdict_rows import Verdict
+from bench.baselines.verdict_rows import OTHER_TRUTH, Verdict
 from bench.wording import one_line
+
+MOVED = "{}: the flight is not that of the baseline; record it again with the code of before"
+"""Sentence on a profile whose truth, or a log whose sensor data, are not those of its baseline."""
 
 _MOST = 10  # annotations of a kind that GitHub shows of a step
 
@@ -16,8 +19,8 @@ def annotate(
 ) -> Iterator[str]:
     """Yield lines for the log of GitHub Actions or Azure Pipelines; none elsewhere.
 
-    A metric that is worse is an error, one that is undecided a warning, or an error if ``strict``. The file
-    is the baseline. GitLab and Jenkins show the JUnit file.
+    A metric that is worse is an error, one that is undecided a warning, or an error if ``strict``. A flight
+    that is another one is a warning. The file is the baseline. GitLab and Jenkins show the JUnit file.
     """
     if environment.get("GITHUB_ACTIONS") == "true":
         form = _write_github
@@ -31,6 +34,10 @@ def annotate(
         for row in rows[:_MOST]:
             file = (directory / f"{row.profile}.json").as_posix()
             yield form(level, file, f"{row.estimator}: {row.metric} is {row.word}", row.sentence)
+    moved = dict.fromkeys(row.profile for row in verdicts if row.note.endswith(OTHER_TRUTH))
+    for profile in list(moved)[:_MOST]:
+        file = (directory / f"{profile}.json").as_posix()
+        yield form("warning", file, f"{profile}: another flight", MOVED.format(profile))
 
 
 def _write_github(level: str, file: str, title: str, text: str) -> str:

@@ -33,13 +33,16 @@ CPU_TOLERANCE = 0.25
 FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973, "output_coverage": 1.0}
 """Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
 
-UNPAIRED = "other truth, or other sensor data of another seed: not paired"
-"""Note of a verdict whose draws are no pairs."""
+OTHER_TRUTH = "the flight is another one: not paired"
+"""Note of a verdict on draws of another truth, or of a log on other sensor data."""
+
+UNPAIRED = "other sensor data of another seed: not paired"
+"""Note of a verdict on draws of one truth that are no pairs."""
 
 BY_SEED = "other sensor data, paired by seed"
 """Note of a verdict on other sensors or figures of them: draws of one seed and number share their noise."""
 
-MATCHES = (UNPAIRED, BY_SEED)
+MATCHES = (OTHER_TRUTH, UNPAIRED, BY_SEED)
 """Notes on how the draws of a whole profile are matched; others are on a metric."""
 
 Word = Literal["same", "better", "worse", "undecided"]
@@ -144,6 +147,8 @@ def compare(
     match = BY_SEED if changed else ""
     if not same:
         match = BY_SEED if seeded and baseline.seed == measured.seed else UNPAIRED
+        if baseline.truth != measured.truth:
+            match = OTHER_TRUTH
     rows = []
     for label, old in baseline.estimators.items():
         new = measured.estimators.get(label)
@@ -159,10 +164,14 @@ def compare(
     return rows
 
 
+def _are_pairs(match: str) -> bool:
+    return match not in (OTHER_TRUTH, UNPAIRED)
+
+
 def _make_row(name: str, label: str, metric: str, match: str, draws: int, note: str = "") -> Verdict:
     known = find_metric(metric)
     unit = known.unit if known else "1"
-    note, paired = ", ".join(filter(None, [note, match])), match != UNPAIRED
+    note, paired = ", ".join(filter(None, [note, match])), _are_pairs(match)
     return Verdict(
         name, label, metric, unit, "same", None, None, None, None, None, False, draws, paired, note
     )
@@ -190,7 +199,7 @@ def _compare_events(
 ) -> UncorrectedVerdict:
     """Compare how often something good happens."""
     notes = []
-    paired = match != UNPAIRED
+    paired = _are_pairs(match)
     if paired:
         for text, flipped in (("lost", before & ~after), ("gained", ~before & after)):
             if flipped.any():
@@ -242,7 +251,7 @@ def _compare_metric(
         return UncorrectedVerdict(
             replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True
         )
-    paired = match != UNPAIRED
+    paired = _are_pairs(match)
     if paired:
         has_old = has_new = has_old & has_new
     before, after = before[has_old], after[has_new]

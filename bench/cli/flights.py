@@ -316,8 +316,8 @@ def check(
 ) -> int:
     """Find out whether a change of the code made a filter worse.
 
-    PROFILE is the name or the .toml file of a profile or log; default all that have
-    a baseline. A baseline holds every metric of every noise draw. The check flies the
+    PROFILE is the name or the .toml file of a profile or log, or a folder of logs;
+    default all that have a baseline. A baseline holds every metric of every noise draw. The check flies the
     same draws and compares them one by one: same, better, worse or undecided.
     With --record it writes the baselines and a line each for CHANGES.md beside them.
     With --set it says what another unit or figure does, in pairs of the same noise.

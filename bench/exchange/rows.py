@@ -110,7 +110,12 @@ INSTRUMENT_ROWS: Mapping[str, Mapping[str, tuple[Group, ...]]] = {
     "airspeed": {"time": _TIMES, "airspeed": (group("speed", "airspeed_true"),), **_FLAGS},
     "radar": {"time": _TIMES, "height": (group("length", "height"),), "sd": _SD, **_FLAGS},
     "odometer": {"time": _TIMES, "speed": (group("speed", "speed"),), **_FLAGS},
-    "heading": {"time": _TIMES, "direction": (group("angle", "heading"),), **_FLAGS},
+    "heading": {
+        "time": _TIMES,
+        "direction": (group("angle", "heading"),),
+        "sd": (group("angle", "sd"),),
+        **_FLAGS,
+    },
 }
 """Instrument -> kinds of columns: what it measures, forward, right, down where it has axes."""
 

@@ -13,24 +13,47 @@ from rich.console import Console
 from rich.text import Text
 
 from bench.baselines import checking
-from bench.baselines.annotations import annotate
+from bench.baselines.annotations import MOVED, annotate
 from bench.baselines.comparing import ONE_DRAW
 from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import LOOKS, MATCHES, Verdict, Word
+from bench.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH, Verdict, Word
 from bench.campaigns.pools import count_processors
+from bench.config.listing import PROFILES
 from bench.config.log import is_datasheet
+from bench.errors import ConfigError
 from bench.findings import FindingTable
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
+from bench.workbench.log_campaign import list_recordings
+from bench.workbench.new_log import RECORDINGS
 from bench.workbench.printing import print_finding_table, print_findings
 
 _MOST_NAMES = 8  # of metrics that are undecided
 _WORDS = get_args(Word)[::-1]
 
 
-def leave_out_sheets(profiles: Sequence[str]) -> list[str]:
-    """Return the profiles and logs among files: the shell finds datasheets beside logs, too."""
-    return [one for one in profiles if not (one.endswith(".toml") and is_datasheet(Path(one)))]
+def list_sources(sources: Sequence[str], console: Console) -> list[str]:
+    """Return the profiles and logs among files, and the logs of recordings and folders, written if missing.
+
+    Datasheets are left out, which lie beside logs; a recording that cannot be read is, too, with a line.
+
+    Raises
+    ------
+    ConfigError
+        If a folder holds neither a log nor a recording that can be read.
+    """
+    found: dict[str, None] = {}
+    for source in sources:
+        path = Path(source)
+        shipped = (PROFILES / f"{source}.toml").is_file()
+        if not shipped and (path.is_dir() or path.suffix.lower() in RECORDINGS):
+            logs = [one for one in list_recordings(path, console) if one.suffix == ".toml"]
+            if not logs:
+                raise ConfigError(f"{source}: no LOG.toml here, nor a recording that can be read")
+            found |= dict.fromkeys(map(str, logs))
+        elif path.suffix != ".toml" or not is_datasheet(path):
+            found[source] = None
+    return list(found)
 
 
 def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
@@ -41,7 +64,7 @@ def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None
     find_own_estimators()
     with _show_draws() as progress:
         paths = checking.record_baselines(
-            leave_out_sheets(profiles), progress=progress, jobs=jobs or count_processors(), **options
+            list_sources(profiles, console), progress=progress, jobs=jobs or count_processors(), **options
         )
     for path in paths:
         console.print(f"Wrote {path}.")
@@ -61,7 +84,7 @@ def check(
     find_own_estimators()
     with _show_draws() as progress:
         verdicts = checking.check(
-            leave_out_sheets(profiles), progress=progress, jobs=jobs or count_processors(), **options
+            list_sources(profiles, console), progress=progress, jobs=jobs or count_processors(), **options
         )
     print_verdicts(console, verdicts)
     for line in annotate(verdicts, Path(options["directory"]), os.environ, strict=strict):
@@ -96,12 +119,30 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
             more = len(undecided) - _MOST_NAMES
             rest = f" and {more} more (--json has their intervals)" if more > 0 else ""
             console.print(f"undecided: {', '.join(undecided[:_MOST_NAMES])}{rest}", soft_wrap=True)
+    for profile in dict.fromkeys(row.profile for row in verdicts if row.note.endswith(OTHER_TRUTH)):
+        console.print(MOVED.format(profile), style="yellow", soft_wrap=True)
     if any(row.word == "undecided" and row.draws < LOOKS[-1] for row in verdicts):
         console.print(f"Baselines of {LOOKS[-1]} draws would decide more: --record with the code of before.")
     worse = [row for row in verdicts if row.word == "worse"]
     print_findings(console, [row.sentence for row in worse[:5]])
     if len(worse) > 5:
         console.print(f"{len(worse) - 5} more are worse.")
+    profiles = list(dict.fromkeys(row.profile for row in verdicts))
+    if len(profiles) > 1:
+        console.print(_count_profiles(verdicts, profiles), soft_wrap=True)
+
+
+def _count_profiles(verdicts: Sequence[Verdict], profiles: Sequence[str]) -> str:
+    """Return on how many profiles or logs anything is worse, better or undecided, with the names."""
+    parts = []
+    for word in ("worse", "better", "undecided"):
+        names = list(dict.fromkeys(row.profile for row in verdicts if row.word == word))
+        if names:
+            more = f" and {len(names) - _MOST_NAMES} more" if len(names) > _MOST_NAMES else ""
+            parts.append(
+                f"{word} on {len(names)} of {len(profiles)} ({', '.join(names[:_MOST_NAMES])}{more})"
+            )
+    return "; ".join(parts) or f"the same on all {len(profiles)}"
 
 
 def tabulate_verdicts(

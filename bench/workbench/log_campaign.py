@@ -76,7 +76,7 @@ def run_logs(
         raise ConfigError("campaign: name the folder for the results of logs: -o DIR")
     find_own_estimators()
     found = [Path(source) for source in sources if not is_datasheet(Path(source))]
-    logs = [str(path) for source in found for path in _list_recordings(source, console)]
+    logs = [str(path) for source in found for path in list_recordings(source, console)]
     if not logs:
         raise ConfigError(f"campaign: no LOG.toml in this folder, nor a recording: {sources[0]}")
     filters = {"estimators": tuple(estimators)} if estimators else {}
@@ -86,7 +86,7 @@ def run_logs(
     )  # fmt: skip
 
 
-def _list_recordings(path: Path, console: Console) -> list[Path]:
+def list_recordings(path: Path, console: Console) -> list[Path]:
     """Return the logs of a source, or of a folder; that of a recording is written if it is not there.
 
     A recording that has none, because it cannot be read, stands for itself.
@@ -95,8 +95,8 @@ def _list_recordings(path: Path, console: Console) -> list[Path]:
         held = sorted(one for one in path.iterdir() if one.suffix.lower() in RECORDINGS and one.is_file())
         for one, other in pairwise(held):
             if one.stem == other.stem:
-                raise ConfigError(f"campaign: {one} and {other} would share {one.stem}.toml; rename one")
-        logs = {log: None for one in held for log in _list_recordings(one, console)}
+                raise ConfigError(f"{one} and {other} would share {one.stem}.toml; rename one")
+        logs = {log: None for one in held for log in list_recordings(one, console)}
         return list(logs | {one: None for one in sorted(path.glob("*.toml")) if is_log(one)})
     if path.suffix == ".toml":
         return [path]

@@ -46,6 +46,7 @@ _DATASHEETS = {
     "mag": "hmc5883l",
     "airspeed": "ms4525do",
     "radar": "lr-d1",
+    "heading": "oem7-align-2m",
 }
 _FLIGHT_IMU = "mpu-9250"  # of the class that autopilots carry
 _SHAKES = 2.0  # noise of a recording over that of its datasheet that is worth believing [1]

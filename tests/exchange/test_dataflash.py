@@ -116,6 +116,50 @@ def test_an_undulation_that_is_no_number_does_not_count(tmp_path, known, height)
     assert_allclose(read(path, "gnss").values["lla"][:, 2], height)
 
 
+NEW_GPS = (GPS[0] + "fB", GPS[1] + ",Yaw,U")
+NEW_GPA = ("QBCCCCfBIHeHH", "TimeUS,I,VDop,HAcc,VAcc,SAcc,YAcc,VV,SMS,Delta,AEl,RTCMFU,RTCMFD")
+"""Of later firmware: libraries/AP_GPS/LogStructure.h of ArduPilot."""
+
+
+def new_accuracy(t_us: int, yaw: float, height: float):
+    return ("GPA", (t_us, 0, 1.2, 0.9, 1.4, 0.3, yaw, 1, 1000, 200, height, 0, 0))
+
+
+def test_a_height_over_the_ellipsoid_is_taken_where_the_log_has_it(tmp_path):
+    unknown = -2147483648 * 0.01
+    rows = [("GPS", (*fix(1_000_000 + 200_000 * k)[1], 0.0, 1)) for k in range(3)]
+    rows += [new_accuracy(1_000_100 + 200_000 * k, 0.0, h) for k, h in enumerate((648.5, unknown, 648.5))]
+    path = write_flash(tmp_path / "x.bin", {"GPS": NEW_GPS, "GPA": NEW_GPA}, rows)
+    assert_allclose(read(path, "gnss").values["lla"][:, 2], 648.5)
+    assert not any("over the sea" in note for note in read(path, "gnss").notes)
+
+
+@pytest.mark.parametrize(("accuracy", "sd"), [(1.5, [np.deg2rad(1.5)] * 2), (0.0, None)])
+def test_headings_of_two_antennas_are_rows_as_old_as_their_fixes(tmp_path, accuracy, sd):
+    rows = [("PARM", (1, "GPS1_DELAY_MS", 150.0))]
+    for k, yaw in enumerate((0.0, 350.0, 10.0)):  # exactly 0: not known
+        rows.append(("GPS", (*fix(1_000_000 + 200_000 * k)[1], yaw, 1)))
+        rows.append(new_accuracy(1_000_100 + 200_000 * k, accuracy, 648.5))
+    path = write_flash(tmp_path / "x.bin", {"PARM": PARM, "GPS": NEW_GPS, "GPA": NEW_GPA}, rows)
+    found = read(path, "heading")
+    assert_allclose(found.values["heading"], np.deg2rad([np.nan, 350.0, 10.0]), rtol=1e-6)
+    assert_allclose(found.t, [0.85, 1.05, 1.25])
+    assert_allclose(found.values["arrival"], [1.0, 1.2, 1.4])
+    assert ("sd" in found.values) == (sd is not None)
+    if sd is not None:
+        assert_allclose(found.values["sd"][1:], sd, rtol=1e-6)
+    assert look(path).sensors == ("gnss", "heading")
+
+
+def test_a_receiver_with_one_antenna_has_no_heading(tmp_path):
+    rows = [("GPS", (*fix(1_000_000 + k)[1], 0.0, 1)) for k in range(3)]
+    path = write_flash(tmp_path / "x.bin", {"GPS": NEW_GPS}, rows)
+    assert look(path).sensors == ("gnss",)
+    old = write_flash(tmp_path / "old.bin", {"GPS": GPS}, [fix(1_000_000)])
+    with pytest.raises(ConfigError, match="records GPS have no field 'Yaw'"):
+        read(old, "heading")
+
+
 def test_a_receiver_without_vertical_velocity_has_none(tmp_path):
     rows = [fix(1_000_000), ("GPA", (1_000_100, 0, 1.2, 0.9, 1.4, 0.3, 0, 1000, 200, 0.0))]
     path = write_flash(tmp_path / "x.bin", {"GPS": GPS, "GPA": GPA}, rows)

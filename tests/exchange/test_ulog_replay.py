@@ -16,10 +16,10 @@ import bench
 from bench.cli import main
 from bench.config.log import load_log
 from bench.errors import WRONG, ConfigError
-from bench.exchange import exports
+from bench.exchange import autopilot, exports, imports
 from bench.exchange.exports.ulog_replay import read_definitions
 from bench.exchange.log_records import read_records
-from bench.instruments import MagData
+from bench.instruments import HeadingData, MagData
 from bench.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS
@@ -191,6 +191,46 @@ def test_fields_of_another_shape_are_refused_in_a_line(made, tmp_path, message, 
     with pytest.raises(ConfigError, match=re.escape(says)):
         bench.export_run(made[0], "ulog", out=tmp_path / "out", like=own)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("told_sd", [np.deg2rad(0.4), np.nan])
+def test_a_heading_of_two_antennas_goes_out_and_comes_back(made, tmp_path, told_sd):
+    """It turns through south and is lost in the middle."""
+    run, _ = made
+    found = exports.gather(run)
+    t = np.arange(0.02, 20.0, 0.5)
+    heading = 0.1 * t + 2.5
+    valid = (t < 8.0) | (t > 11.0)
+    own = HeadingData(t=t, t_arrival=t, valid=valid, heading=heading, sd=np.full(len(t), told_sd))
+    like = write_own(tmp_path / "own.ulg", formats={
+        **OWN, "vehicle_gps_position": OWN["vehicle_gps_position"].replace(
+            "float heading;", "float heading;float heading_accuracy;"),
+    })  # fmt: skip
+    told = replace(found, instruments={**found.instruments, "heading": own}, like=like)
+    (tmp_path / "out").mkdir()
+    exports.write(tmp_path / "out", "ulog", told, "run")
+    path = tmp_path / "out" / "run.ulg"
+    rows = imports.read("ulog", path, "heading", None)
+    back = rows.values["heading"]
+    known = np.isfinite(back)
+    at = rows.t[known] - 10.0
+    assert 10 < known.sum() < len(back)
+    assert not ((at > 8.1) & (at < 10.9)).any()
+    near = np.argmin(np.abs(at[:, None] - t), axis=1)
+    assert_allclose(np.angle(np.exp(1j * (back[known] - heading[near]))), 0.0, atol=1e-6)
+    assert (np.abs(back[known]) <= np.pi).all()
+    assert (back[known] < 0).any()
+    assert ("sd" in rows.values) == np.isfinite(told_sd)
+    if np.isfinite(told_sd):
+        assert_allclose(rows.values["sd"][known], told_sd, rtol=1e-6)
+    fixes = imports.read("ulog", path, "gnss", None)
+    assert_allclose(rows.t, fixes.t)
+    assert_allclose(rows.values["arrival"], fixes.values["arrival"])
+    assert "heading" in autopilot.look("ulog", path).sensors
+    plain = bench.export_run(run, "ulog", out=tmp_path / "plain", like=like)
+    assert "heading" not in autopilot.look("ulog", plain / "run.ulg").sensors
+    with pytest.raises(ConfigError, match="no rows of vehicle_gps_position or sensor_gps"):
+        imports.read("ulog", plain / "run.ulg", "heading", None)
 
 
 LATE = 0.1137  # of the fixes [s], no whole number of samples

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rich.console import Console
 from scipy import stats
 
 import bench
@@ -11,6 +12,7 @@ from bench.cli import main
 from bench.errors import DONE, NEGATIVE, WRONG
 from bench.store.study_folder import load_study
 from bench.studies.recorded_logs import LogResult, compare_filters, name_logs
+from bench.workbench.check_verb import list_sources
 from bench.workbench.log_campaign import are_logs
 from tests.exchange import drives
 
@@ -149,11 +151,37 @@ def test_datasheets_beside_logs_are_no_logs(tmp_path):
     assert main(given) == DONE
 
 
+def test_a_change_names_the_logs_of_a_folder_that_got_worse(tmp_path, capsys):
+    """Of two logs one gets a wrong lever arm; a recording that cannot be read is said and left out."""
+    folder = tmp_path / "fleet"
+    for name in ("one", "two"):
+        (folder / name).mkdir(parents=True)
+        drives.write_log(folder / name).rename(folder / name / f"{name}.toml")
+    (folder / "two" / "broken.ulg").write_bytes(b"nothing")
+    given = ["check", str(folder / "one"), str(folder / "two"), "-e", "loose-15"]
+    given += ["--baselines", str(tmp_path / "b"), "--jobs", "1"]
+    assert main([*given, "--record", "--reason", "new"]) == DONE
+    assert sorted(path.stem for path in (tmp_path / "b").glob("*.json")) == ["one", "two"]
+    assert "no log: " in capsys.readouterr().out
+    assert main(given) == DONE
+    assert "the same on all 2" in capsys.readouterr().out
+    log = folder / "two" / "two.toml"
+    log.write_text(log.read_text().replace("[0.4, 0.3, -1.5]", "[9.4, 0.3, -1.5]"))
+    assert main(given) == NEGATIVE
+    said = capsys.readouterr().out
+    assert "worse on 1 of 2 (two)" in said
+    assert "the flight is not that" not in said
+    (folder / "empty").mkdir()
+    assert main(["check", str(folder / "empty")]) == WRONG
+    assert "no LOG.toml here" in capsys.readouterr().err
+
+
 def test_the_name_of_a_profile_wins_over_a_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "static").mkdir()
     assert not are_logs(["static"])
     assert are_logs([str(tmp_path / "static")])
+    assert list_sources(["static"], Console()) == ["static"]
 
 
 def test_one_log_is_enough_for_a_table(tmp_path):

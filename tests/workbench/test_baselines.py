@@ -23,7 +23,7 @@ from bench.baselines.checking import check, record_baselines
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import BY_SEED, UNPAIRED, Verdict
+from bench.baselines.verdict_rows import BY_SEED, OTHER_TRUTH, UNPAIRED, Verdict
 from bench.campaigns.batches import Lost
 from bench.data import ImuData
 from bench.errors import ConfigError
@@ -58,9 +58,10 @@ def measure(monkeypatch):
         labels=("loose-15",),
         reason="lost",
         seed=7,
+        truth="truth",
     ):
         class Made:
-            draws, truth_digest, prepare = None, "truth", list
+            draws, truth_digest, prepare = None, truth, list
 
             def __init__(self, source):
                 self.source, self.name, self.labels, self.seed = source, Path(source).stem, labels, seed
@@ -291,6 +292,20 @@ def test_other_draws_are_compared_unpaired_and_it_is_said(recorded, measure):
     assert rows["pos_rmse_h_m"].word in ("same", "undecided")
     measure(lambda k: usual(k + 1000, 3.0), sensors=lambda k: f"other {k}", seed=8)
     assert words(check(directory=recorded))["pos_rmse_h_m"] == "worse"
+
+
+def test_a_flight_that_moved_is_said_loudly_where_every_figure_is_the_same(recorded, measure):
+    measure(truth="moved")
+    rows = check(directory=recorded)
+    assert {row.word for row in rows} == {"same"}
+    assert {(row.paired, row.note) for row in rows} == {(False, OTHER_TRUTH)}
+    console = Console(width=80, record=True, file=io.StringIO())
+    print_verdicts(console, rows)
+    assert "survey: the flight is not that of the baseline" in console.export_text().replace("\n", " ")
+    (line,) = annotate(rows, Path("base"), {"GITHUB_ACTIONS": "true"})
+    assert line.startswith(
+        "::warning file=base/survey.json,title=survey%3A another flight::survey: the flight"
+    )
 
 
 def test_other_draws_of_which_one_broke_are_compared_all_the_same(recorded, measure):

@@ -41,6 +41,7 @@ _INVALID = 32767
 _STANDS = 1.0
 """Ground speed by the receiver below which the vehicle is told to have landed [m/s]."""
 _GAUSS = 1e-4  # [T]
+_SAME_FIX = 0.05  # between a heading and the fix it is told with [s]
 _LONGEST = 60_000  # of a message [byte]
 _NEEDED = ("sensor_combined", "vehicle_gps_position")
 
@@ -149,7 +150,7 @@ it.
 {listed}
 {lost}
 t = 0 is {_BOOTED:g} s after boot. Heights over the sea are those over the ellipsoid: no geoid is modelled.
-`hdop`, `vdop` and what else the run does not know is 0, a heading of the receiver NaN.
+`hdop`, `vdop` and what else the run does not know is 0, a heading of a receiver with one antenna NaN.
 `vehicle_land_detected` says landed below {_STANDS:g} m/s by the receiver; `vehicle_status` says armed, a
 fixed wing."""
 
@@ -258,10 +259,25 @@ def _describe_fixes(out: ExportData) -> tuple[np.ndarray[Any, Any], dict[str, An
         "eph": np.sqrt(variances[:, 0] + variances[:, 1]), "epv": np.sqrt(variances[:, 2]),
         "s_variance_m_s": np.sqrt(np.where(np.isfinite(speeds), speeds, 0.0)),
         "fix_type": 3, "satellites_used": np.clip(fixes.satellites, 0, 255),
-        "heading": np.nan, "heading_offset": 0.0, "heading_accuracy": np.nan,
+        **_describe_heading(out, fixes.t), "heading_offset": 0.0,
         "time_utc_usec": [out.calendar.nanoseconds(float(t)) // 1000 for t in fixes.t],
         "device_id": 1,
     }  # fmt: skip
+
+
+def _describe_heading(out: ExportData, t: FloatArray) -> dict[str, FloatArray]:
+    """Return the heading of two antennas at the nearest time to each fix, NaN where there is none near."""
+    found = {"heading": np.full(len(t), np.nan), "heading_accuracy": np.full(len(t), np.nan)}
+    heading = out.instruments.get("heading")
+    if heading is None or not (kept := heading.valid & np.isfinite(heading.heading)).any():
+        return found
+    own = heading.t[kept]
+    k = np.searchsorted(0.5 * (own[1:] + own[:-1]), t)
+    near = np.abs(own[k] - t) < _SAME_FIX
+    wrapped = np.angle(np.exp(1j * heading.heading[kept]))
+    for name, values in (("heading", wrapped), ("heading_accuracy", heading.sd[kept])):
+        found[name][near] = values[k[near]]
+    return found
 
 
 def _describe_air(alt: FloatArray) -> dict[str, Any]:

@@ -1,10 +1,11 @@
 """Rows of the sensors in a DataFlash log, of ArduPilot (``.bin``) or of PX4 before 2017 (``.px4log``).
 
 ArduPilot, imu: ``RISI``, the increments of its filter, or else ``IMU``; gnss: ``GPS`` with the accuracies of
-``GPA`` or ``UBX3``; ``BARO``, ``MAG``, ``ARSP``, ``RFND``; forward, right, down; where a driver has several,
-the first. Old logs count them in the name (``IMU2``), later ones in a field (``IMU:1``). PX4: ``IMU``,
-``GPS``, ``SENS``; their time is that of the last ``TIME`` before. Heights are over the ellipsoid where the
-log has the undulation, else over the sea. Fixes are as old as the parameters of the autopilot say.
+``GPA`` or ``UBX3``, heading: that of two antennas in ``GPS``; ``BARO``, ``MAG``, ``ARSP``, ``RFND``; forward,
+right, down; where a driver has several, the first. Old logs count them in the name (``IMU2``), later ones in
+a field (``IMU:1``). PX4: ``IMU``, ``GPS``, ``SENS``; their time is that of the last ``TIME`` before. Heights
+are over the ellipsoid where the log has the undulation, else over the sea. Fixes are as old as the parameters
+of the autopilot say.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ _RECORDS: Mapping[str, tuple[str, ...]] = {
     "mag": ("MAG", "IMU"),
     "airspeed": ("ARSP",),
     "radar": ("RFND",),
+    "heading": ("GPS",),
 }
 _INSTANCES = ("I", "C", "Instance")
 """Fields that count the sensors or filters of a kind."""
@@ -49,6 +51,7 @@ _BARO_SD = ("EK3_ALT_M_NSE", "EK2_ALT_M_NSE", "EKF_ALT_NOISE")
 """Parameters that say the noise of the barometer [m]: AP_NavEKF3, AP_NavEKF2, AP_NavEKF."""
 _MOST_SD = 1e3  # a larger one is damage [m]
 _UBLOX_DELAY = 0.12  # where the parameter leaves it to the driver: AP_GPS_UBLOX::get_lag of M8 and later [s]
+_HIGHEST = 1e5  # the least number of a height says that it is not known [m]
 _RANGE_GOOD = 4.0  # RangeFinder::Status::Good
 
 
@@ -249,28 +252,60 @@ def _read_gnss(log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray]) ->
     return values, tuple(notes)
 
 
+def _read_heading(log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray]) -> Read:
+    """Return the headings of the vehicle by two antennas; exactly 0 says that there is none."""
+    yaw = data["Yaw"]
+    told = np.isfinite(yaw) & (yaw != 0.0)
+    values = {
+        "heading": np.deg2rad(np.where(told, yaw, np.nan)),
+        "arrival": np.full(len(t), _find_delay(log)[0]),
+    }
+    accuracies = _find_nearest(log, t, data, "GPA")
+    if accuracies is not None and "YAcc" in accuracies:
+        sd = np.deg2rad(accuracies["YAcc"])
+        if (sd[told] > 0).all():
+            values["sd"] = sd
+    return values, ()
+
+
 def _find_accuracies(
     log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray], values: dict[str, FloatArray]
 ) -> Accuracies:
     """Return the accuracies (N,) of position, horizontal and vertical, and of speed by the receiver."""
     for record, labels in _ACCURACIES.items():
-        there = list_instances(log, record)
-        name = f"{record}:{data['I'][0]:g}" if "I" in data else next(iter(there), "")
-        if name not in there:
-            continue
-        at, other = take_records(log, name)
-        k = np.searchsorted(0.5 * (at[1:] + at[:-1]), t)  # the nearest in time
-        near = np.abs(at[k] - t) < _LATE
-        if "VV" in other:
-            values["vel_n"][near & (other["VV"][k] == 0), 2] = np.nan
-        h, v, speed = (np.where(near, other[label][k], np.nan) for label in labels)
-        return h, v, speed
+        near = _find_nearest(log, t, data, record)
+        if near is not None:
+            if "VV" in near:
+                values["vel_n"][near["VV"] == 0, 2] = np.nan
+            return near[labels[0]], near[labels[1]], near[labels[2]]
     return None, None, None
+
+
+def _find_nearest(
+    log: DataFlash, t: FloatArray, data: Mapping[str, FloatArray], record: str
+) -> dict[str, FloatArray] | None:
+    """Return the rows of a record of the same receiver nearest in time; NaN where none is near."""
+    there = list_instances(log, record)
+    name = f"{record}:{data['I'][0]:g}" if "I" in data else next(iter(there), "")
+    if name not in there:
+        return None
+    at, other = take_records(log, name)
+    k = np.searchsorted(0.5 * (at[1:] + at[:-1]), t)
+    near = np.abs(at[k] - t) < _LATE
+    return {label: np.where(near, column[k], np.nan) for label, column in other.items()}
 
 
 def find_undulation(log: DataFlash) -> float:
     """Return by how much heights over the sea are above ellipsoidal ones [m]; 0 if it is not known."""
-    found = log.read("GPA").get("Und", np.empty(0)) if "GPA" in log else np.empty(0)
+    if "GPA" not in log:
+        return 0.0
+    accuracies = log.read("GPA")
+    found = accuracies.get("Und", np.empty(0))
+    if "AEl" in accuracies and "GPS" in log:  # newer firmware: the height over the ellipsoid itself
+        t, data = take_records(log, "GPS")
+        near = _find_nearest(log, t, data, "GPA")
+        if near is not None and "Alt" in data:
+            found = (data["Alt"] - near["AEl"])[(data["Status"] >= 3) & (np.abs(near["AEl"]) < _HIGHEST)]
     known = found[np.isfinite(found)]
     return float(np.median(known)) if len(known) else 0.0
 
@@ -326,4 +361,5 @@ _READERS = {
     "mag": _read_mag,
     "airspeed": _read_airspeed,
     "radar": _read_radar,
+    "heading": _read_heading,
 }

@@ -36,6 +36,7 @@ _TOPICS = {
     "mag": ("vehicle_magnetometer",),
     "airspeed": ("airspeed", "airspeed_validated"),
     "radar": ("distance_sensor",),
+    "heading": ("vehicle_gps_position", "sensor_gps"),
 }
 _WITH = {"sensor_gyro": ("sensor_accel",)}
 """Message -> others that it needs."""
@@ -71,6 +72,8 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     instance = number or 0
     wanted = (name,) if topic else _TOPICS[kind]
     found = {one: data for one in wanted if (data := ulog_motion.find(log, one, instance))}
+    if kind == "heading":  # one of the messages may pass it on, and the other not
+        found = {one: data for one, data in found.items() if np.isfinite(data.get("heading", np.nan)).any()}
     if not found:
         there = ", ".join(sorted(log.message_formats))[:300]
         raise ConfigError(f"{path.name}: no rows of {' or '.join(wanted)}; it defines {there or 'none'}")
@@ -84,8 +87,9 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         if kind == "imu":
             values = _read_imu(log, name, instance, data)
             _check_cover(path, name, t, data)
-        elif kind == "gnss":
-            t, values = _read_gnss(log, t, data, instance, notes)
+        elif kind in ("gnss", "heading"):
+            t, fix = _read_gnss(log, t, data, instance, notes)
+            values = fix if kind == "gnss" else {**_read_heading(data), "arrival": fix["arrival"]}
         else:
             values = _READERS[kind](data)
     except KeyError as error:
@@ -287,6 +291,14 @@ def _read_mag(data: Data) -> dict[str, FloatArray]:
 def _read_airspeed(data: Data) -> dict[str, FloatArray]:
     """Return true airspeeds, for which the autopilot takes the density of the air."""
     return {"airspeed_true": np.asarray(data["true_airspeed_m_s"], float)}
+
+
+def _read_heading(data: Data) -> dict[str, FloatArray]:
+    """Return headings of the vehicle: the driver of the receiver has taken off the offset of its antennas."""
+    heading = np.asarray(data["heading"], float)
+    sd = np.asarray(data.get("heading_accuracy", np.zeros(len(heading))), float)
+    told = np.isfinite(heading)
+    return {"heading": heading, **({"sd": sd} if (sd[told] > 0).all() else {})}
 
 
 def _read_radar(data: Data) -> dict[str, FloatArray]:
