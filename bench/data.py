@@ -383,6 +383,16 @@ class ErrorSeries(Record):
     states: int  # number of states in nees
 
 
+@declared
+class OffPath(Record):
+    """How far a flight that an estimate flew was off its path; NaN where there is no path."""
+
+    t: FloatArray = column("t_s")  # (M,) [s]
+    right: FloatArray = column("right_m")  # (M,) of the truth, to the right of the path [m]
+    above: FloatArray = column("above_m")  # (M,) [m]
+    course: FloatArray = column("course_rad")  # (M,) direction of the path there [rad]
+
+
 @dataclass(frozen=True, slots=True, repr=False)
 class Sensed(Rebuilt):
     """One draw of the sensors: the input of the estimators, and the true errors, which they must not see."""

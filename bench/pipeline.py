@@ -11,11 +11,18 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-import numpy as np
-
 from bench import disk_arrays, store
 from bench.compiled import read_compile_time, watch_compiling
-from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, SensorTruth, Trajectory
+from bench.data import (
+    ErrorSeries,
+    InitialState,
+    NavSolution,
+    OffPath,
+    Sensed,
+    SensorData,
+    SensorTruth,
+    Trajectory,
+)
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.exchange.loading import load_estimators
@@ -24,7 +31,6 @@ from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
 from bench.specs import CLIENT, IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 from bench.stages import FLYING, Stages, Watcher
-from bench.units import SAME_INSTANT
 
 
 def fly(
@@ -124,19 +130,13 @@ def judge(
     drawn: SensorTruth | None = None,
     data: SensorData | None = None,
     *,
-    flew: bool = False,
+    path: OffPath | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors of a solution and its metrics; those of biases if the true ones are given.
 
-    The sensor ``data`` may excuse a silence. A solution that ``flew`` the aircraft is held against its path.
+    The sensor ``data`` may excuse a silence. A solution that flew the aircraft is held against its ``path``.
     """
     from bench.evaluation import metrics
-    from bench.flight.desired_path import measure_off_path
-
-    path = None
-    if flew and isinstance(profile.flight, FlightSpec):
-        rows = np.searchsorted(truth.t, solution.t - SAME_INSTANT)
-        path = measure_off_path(profile.flight, truth, rows)
 
     return metrics.judge(
         truth,
@@ -257,11 +257,12 @@ def _run(
     from bench.evaluation.coverage import measure_coverage
     from bench.evaluation.required_metrics import list_requirements
     from bench.evaluation.verdict import BROKEN, add_verdict
+    from bench.flight.desired_path import measure_steered
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
+    paths = {} if steered is None else {IN_FLIGHT: measure_steered(profile.flight, truth, steered.t)}
     for label, solution in solutions.items():
-        flew = label == IN_FLIGHT
-        judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data, flew=flew)
+        judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data, path=paths.get(label))
         disk_arrays.release()
     metrics = {
         label: {
@@ -337,6 +338,7 @@ def _run(
             "truth": truth,
             "sensed": sensed,
             "printed": collect_printed(built),
+            "path": paths.get(IN_FLIGHT),
         },
     )
 

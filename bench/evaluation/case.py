@@ -10,13 +10,12 @@ import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, Events, NavSolution, SensorTruth
+from bench.data import ErrorSeries, Events, NavSolution, OffPath, SensorTruth
 from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
-from bench.flight.desired_path import OffPath
 from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, split_unit
 
@@ -199,11 +198,12 @@ def build_case(
         poses=None if poses is None else poses.select(slice(None)),
         start=select_epochs(solution, slice(0, 1)),
         assumed=assumed,
-        path=None if path is None else _select_path(path, np.searchsorted(path.t, errors.t - 1e-6)),
+        path=None if path is None else select_path(path, np.searchsorted(path.t, errors.t - 1e-6)),
     )
 
 
-def _select_path(path: OffPath, rows: Any) -> OffPath:
+def select_path(path: OffPath, rows: Any) -> OffPath:
+    """Return some rows."""
     return OffPath(path.t[rows], path.right[rows], path.above[rows], path.course[rows])
 
 
@@ -239,7 +239,7 @@ def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO
         solution=select_epochs(whole.solution, rows),
         biases={name: BiasError(one.error[taken], one.sd[taken]) for name, one in whole.biases.items()},
         poses=None if whole.poses is None else whole.poses.select(taken),
-        path=None if whole.path is None else _select_path(whole.path, taken),
+        path=None if whole.path is None else select_path(whole.path, taken),
     )
 
 

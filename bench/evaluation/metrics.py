@@ -15,7 +15,7 @@ import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, NavSolution, SensorData, SensorTruth, Trajectory
+from bench.data import ErrorSeries, NavSolution, OffPath, SensorData, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors, total_system
 from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
 from bench.evaluation.coverage import Coverage, carry_on, find_excused, find_silent_epochs, measure_coverage
@@ -31,7 +31,6 @@ from bench.evaluation.error_series import (
 )
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
-from bench.flight.desired_path import OffPath
 from bench.specs import AssumedSpecs, EvaluationWindow, Fault
 from bench.units import SAME_INSTANT, unit_of
 

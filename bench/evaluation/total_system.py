@@ -12,7 +12,9 @@ from typing import Literal
 
 import numpy as np
 
+from bench import earth
 from bench.arrays import FloatArray
+from bench.data import OffPath
 from bench.evaluation.case import Case
 
 Part = Literal["tse", "fte", "nse"]
@@ -21,14 +23,27 @@ PARTS: tuple[Part, ...] = ("tse", "fte", "nse")
 
 def resolve(case: Case) -> dict[Part, dict[str, FloatArray]]:
     """Return the three errors (M,) [m], ``across`` to the right of the path and ``up``; empty without one."""
-    path = case.path
-    if path is None:
-        return {}
-    north, east, down = case.pos_n.T
+    return {} if case.path is None else resolve_along(case.path, case.pos_n)
+
+
+def resolve_along(path: OffPath, pos_n: FloatArray) -> dict[Part, dict[str, FloatArray]]:
+    """Return the three errors as :func:`resolve`, of an estimate that is wrong by ``pos_n`` (M, 3) [m], n."""
+    north, east, down = pos_n.T
     nse = {"across": east * np.cos(path.course) - north * np.sin(path.course), "up": -down}
     tse = {"across": path.right, "up": path.above}
     fte = {axis: tse[axis] + nse[axis] for axis in tse}
     return {"tse": tse, "fte": fte, "nse": nse}
+
+
+def locate_path(path: OffPath, lla: FloatArray) -> FloatArray:
+    """Return where the path was beside places (M, 3) of the truth; NaN where there is none.
+
+    Where it has no height of its own it is as high as the truth.
+    """
+    back = -path.right
+    above = np.where(np.isnan(path.above), 0.0, path.above)
+    off_n = np.column_stack([-back * np.sin(path.course), back * np.cos(path.course), above])
+    return earth.displace(lla, off_n)
 
 
 def measure(part: Part, case: Case) -> Mapping[str, float | None]:

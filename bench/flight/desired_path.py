@@ -6,29 +6,25 @@ at which the approach began. Legs by heading, bank or surface have no path.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.data import Trajectory
+from bench.data import OffPath, Trajectory
 from bench.earth import matrix_en, to_ecef
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.off_track import measure_off_track
 from bench.specs import FlightSpec
+from bench.units import SAME_INSTANT
 
 _ALONG = 0.035  # an approach is on its centreline when its track is first so close to it [rad]
 _CAPTURED = 20.0  # below the height it began at, an approach is on its glide path [m]
 
 
-@dataclass(frozen=True, slots=True)
-class OffPath:
-    """How far a flight was off its path at instants of the truth; NaN where there is no path."""
-
-    t: FloatArray  # (M,) [s]
-    right: FloatArray  # (M,) to the right of it [m]
-    above: FloatArray  # (M,) [m]
-    course: FloatArray  # (M,) direction of the path there [rad]
+def measure_steered(spec: object, truth: Trajectory, t: FloatArray) -> OffPath | None:
+    """Return how far a flight was off its path at instants (M,) [s] of answers; None of a table."""
+    if not isinstance(spec, FlightSpec):
+        return None
+    return measure_off_path(spec, truth, np.searchsorted(truth.t, t - SAME_INSTANT))
 
 
 def measure_off_path(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> OffPath:

@@ -17,6 +17,7 @@ from bench.data import (
     ErrorSeries,
     Events,
     NavSolution,
+    OffPath,
     Sensed,
     Trajectory,
     no_air,
@@ -24,9 +25,11 @@ from bench.data import (
     no_events,
 )
 from bench.errors import NothingToShowError
+from bench.evaluation.total_system import locate_path
 from bench.findings.series import Plot, Rows, shorten
 from bench.palette import Colour, DrawnLook, choose_looks
 from bench.run_result import RunResult
+from bench.units import SAME_INSTANT
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +81,18 @@ class Content:
     solutions: Mapping[str, NavSolution]
     errors: Mapping[str, ErrorSeries]
     begin: float  # of what counts; earlier values do not scale a plot [s]
+    path: OffPath | None = None  # of a flight that an estimate flew
     antenna_mask: float | None = None  # elevation against b below which the antenna receives nothing [rad]
+
+    @property
+    def desired(self) -> list[FloatArray]:
+        """The stretches (K, 3) of the path that the flight was to fly: latitude, longitude, height."""
+        path, motion = self.path, self.motion
+        if path is None:
+            return []
+        rows = np.searchsorted(motion.t, path.t - SAME_INSTANT).clip(max=len(motion.t) - 1)
+        lla = locate_path(path, disk_arrays.take(motion.lla, rows))
+        return [part for part in split_at_gaps(lla) if len(part) > 1]
 
     @property
     def looks(self) -> dict[str, DrawnLook]:
@@ -109,8 +123,16 @@ def gather_content(result: RunResult, *, in_space: bool = True) -> Content | Non
         solutions=result.solutions,
         errors=result.errors,
         begin=result.evaluation.begin,
+        path=result.records.get("path"),
         antenna_mask=None if mask is None else radians(mask),
     )
+
+
+def split_at_gaps(rows: FloatArray) -> list[FloatArray]:
+    """Return the stretches of rows (M, k) without NaN."""
+    known = np.isfinite(rows).all(axis=1)
+    edges = np.flatnonzero(np.diff(known)) + 1
+    return [part for part in np.split(rows, edges) if len(part) and np.isfinite(part[0]).all()]
 
 
 @dataclass(frozen=True, slots=True)

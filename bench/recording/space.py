@@ -102,6 +102,8 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
         _send_path(stream, "/truth", lla, origin, TRUTH)
         if scene.get("runway"):
             _send_runway(stream, scene["runway"], lla, origin)
+    for number, stretch in enumerate(content.desired):
+        _send_path(stream, f"/desired/{number}", stretch, origin, BAND)
     for label, solution in solutions.items():
         sound = solution.lla[np.isfinite(solution.lla).all(axis=1)]
         if len(sound):

@@ -18,6 +18,7 @@ _LEAST = 1e-3  # smaller errors are drawn as this, the axis is logarithmic [m]
 _EVERY = 20  # row of the truth on the track
 _FEW = 2000  # rows of which every one is drawn
 _TIMES = 5  # instants that are written on the track, at most
+_DESIRED = "desired path"
 _LINES = 3  # filters whose claims are drawn: more would hide each other
 
 
@@ -61,6 +62,7 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
         good = np.isfinite(solution.lla).all(axis=1)
         if good.any():
             paths.append((label, content.colours[label], earth.local_ned(solution.lla[good], origin)[:, :2]))
+    paths += [(_DESIRED, series.BAND, earth.local_ned(stretch, origin)[:, :2]) for stretch in content.desired]
     if not paths:
         return ""
     dots = np.empty((0, 2))
@@ -90,4 +92,5 @@ def list_track_legend(content: Content) -> list[tuple[str, str, str]]:
     known = isinstance(content.motion, Trajectory)
     legend = [("truth", svg.css_colour(series.TRUTH), "line")] if known else []
     legend += [(label, svg.css_colour(colour), "line") for label, colour in content.colours.items()]
+    legend += [(_DESIRED, svg.css_colour(series.BAND), "line")] if content.desired else []
     return legend + ([("GNSS", svg.css_colour(series.FIX), "dots")] if content.sensed.data.fixes else [])

@@ -24,6 +24,7 @@ from bench.data import (
     ImuData,
     Innovations,
     NavSolution,
+    OffPath,
     Reference,
     Sensed,
     SensorData,
@@ -58,6 +59,8 @@ SKY = "sensors-sky.parquet"
 EVENTS = "sensors-events.parquet"
 WITHHELD, REFERENCE = "sensors-withheld.parquet", "reference.parquet"
 """What judges a log: fixes that no estimator got, or the reference."""
+PATH = "truth-path.parquet"
+"""How far a flight that an estimate flew was off its path."""
 PRINTED = "printed-{}.txt"
 """File with what the filter of a label has printed."""
 _T = TypeVar("_T")
@@ -88,6 +91,8 @@ def save(folder: Path, result: RunResult) -> None:
         parquet.write(folder / SKY, sensed.sky)
     write_json(folder / START, make_start_document(data, sensed.initial))
     parquet.write(folder / EVENTS, sensed.events)
+    if (path := result.records.get("path")) is not None:
+        parquet.write(folder / PATH, path)
     if (withheld := result.records.get("withheld")) is not None:
         parquet.write(folder / WITHHELD, withheld)
     if (reference := result.records.get("reference")) is not None:
@@ -291,6 +296,10 @@ def _load_withheld(folder: Path) -> GnssFixes:
     return _load(folder / WITHHELD, GnssFixes)
 
 
+def _load_path(folder: Path) -> OffPath:
+    return _load(folder / PATH, OffPath)
+
+
 def _load_reference(folder: Path) -> Reference:
     path = folder / REFERENCE
     track = NavSolution(**parquet.read(path, columns.solution_layout(())), extra_names=())
@@ -314,6 +323,7 @@ def _load_drawn(path: Path) -> SensorTruth:
 _READERS: Mapping[str, tuple[str, Callable[[Path], Any]]] = {
     "truth": (TRUTH, load_truth),
     "sensed": (START, load_sensed),
+    "path": (PATH, _load_path),
     "withheld": (WITHHELD, _load_withheld),
     "reference": (REFERENCE, _load_reference),
     "printed": (RESULT, _load_printed),

@@ -1,10 +1,11 @@
 """Accuracy, integrity, continuity and availability of a navigator on a flight, as aviation defines them.
 
-    TSE = NSE + FTE    across track, both to the right: the error of the navigation and that of the flight
+    TSE = FTE - NSE    across track, all to the right: `bench.evaluation.total_system`
 
 (A-2.1.5; ICAO Doc 9613, DO-236C.) A pilot or an autopilot follows the navigator, so its error moves the
-aircraft off the track by as much. The flight here is guided by the truth, and its error off the track and off
-the arcs of its turns is the flight technical error alone. A flight is the trial, with noise and turbulence of
+aircraft off the track by as much. A flight that is guided by the truth has the flight technical error alone,
+off the track and off the arcs of its turns. Where the profile lets a filter fly, ``estimator`` flies, TSE is
+measured, and NSE is that of the answers that steered. A flight is the trial, with noise and turbulence of
 its own, and the exposure is counted in hours: a line is met or missed where its 95 % bound says so, else it
 is undecided, and more hours would tell; nothing is extrapolated. Levels of `tight` hold while at most one
 satellite is faulty, those of the other filters while nothing is (`bench.evaluation.protection`).
@@ -21,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench import pipeline
+from bench import closed_loop, pipeline
 from bench.arrays import BoolArray, FloatArray
 from bench.config import load_profile
 from bench.data import NavSolution, Sensed, Trajectory
@@ -50,7 +51,7 @@ from bench.evaluation.required_performance import (
     judge_share,
 )
 from bench.findings import Findings, FindingTable
-from bench.flight.off_track import measure_off_track
+from bench.flight.desired_path import measure_off_path
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
 from bench.specs import FlightSpec, Profile
@@ -72,9 +73,9 @@ class Options(FlightOptions):
     """What may be asked."""
 
     profile: str
-    """name of a shipped profile, or the path of a .toml file; a leg ``waypoints`` gives it tracks"""
+    """shipped profile, or the path of a .toml file; legs ``waypoints`` and ``approach`` have tracks"""
     estimator: str = "tight"
-    """built-in name"""
+    """built-in name; it flies, too, where the profile lets a filter fly"""
     imu: str | None = None
     """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
     gnss: str | None = None
@@ -120,7 +121,7 @@ class _DrawWatch:
     level: FloatArray  # (M, 2)
     alarm: BoolArray  # (M,)
     across: FloatArray  # (M,) error across track, to the right [m]; NaN without a track
-    off: FloatArray  # (M,) of the flight [m]; NaN without a track
+    off: FloatArray  # (M,) flight technical error [m]; NaN without a track
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
@@ -132,14 +133,14 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     ]:
         raise ConfigError(*wrong)
     work.progress("flying", 0, 1)
-    profile, truth = _load(options, 0)
+    profile, truth, _ = _load(options, 0)
     instants = len(_choose_rows(truth, profile))
     each = instants * _INTERVAL / HOUR
     flights = options.draws if options.hours is None else max(2, math.ceil(options.hours / each))
     watches = work.map("judging flights", watch_run, [_Run(options, k) for k in range(flights)], (0,))
     planes = _gather(watches, options)
     errors = {"NSE": _stack(watches, "across"), "FTE": _stack(watches, "off")}
-    errors["TSE"] = errors["NSE"] + errors["FTE"]
+    errors["TSE"] = errors["FTE"] - errors["NSE"]
     rows = list(_list_rows(errors, planes, options))
     names = ("line", "figure", "value", "low", "high", "unit", "required", "word", "more_h")
     columns = {name: [row[name] for row in rows] for name in names}
@@ -185,8 +186,11 @@ def _stack(watches: Sequence[_DrawWatch], name: str) -> FloatArray:
 def watch_run(run: _Run) -> _DrawWatch:
     """Return the errors and the protection levels of one draw."""
     options = run.options
-    profile, truth = _load(options, run.number)
+    profile, truth, steered = _load(options, run.number)
     rows = _choose_rows(truth, profile)
+    if steered is not None:  # at the first answer from each whole second on
+        after = np.searchsorted(steered.t, truth.t[rows] - 1e-6)
+        rows = np.searchsorted(truth.t, steered.t[after[after < len(steered.t)]] - 1e-6)
     sensed = pipeline.sense(profile, truth, run.number)
     solution = _navigate(profile, sensed, truth.t[rows])
     if options.estimator == "tight":
@@ -197,32 +201,50 @@ def watch_run(run: _Run) -> _DrawWatch:
     apart = error_series(truth, solution).pos_n
     off = course = np.full(len(rows), np.nan)
     if isinstance(profile.flight, FlightSpec):
-        off, course = measure_off_track(profile.flight, truth, rows)
+        path = measure_off_path(profile.flight, truth, rows)
+        off, course = path.right, path.course
+    navigated = apart if steered is None else _find_steering_errors(truth, steered, truth.t[rows])
+    across = navigated[:, 1] * np.cos(course) - navigated[:, 0] * np.sin(course)
     return _DrawWatch(
         truth.t[rows],
         np.column_stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])]),
         protection.level,
         protection.alarm,
-        apart[:, 1] * np.cos(course) - apart[:, 0] * np.sin(course),
-        off,
+        across,
+        off if steered is None else off + across,
     )
 
 
+def _find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray) -> FloatArray:
+    """Return how wrong the answers at some instants (M,) [s] were that steered: (M, 3) [m], n."""
+    errors = error_series(truth, steered)
+    found: FloatArray = errors.pos_n[np.searchsorted(errors.t, t - 1e-6).clip(max=len(errors.t) - 1)]
+    return found
+
+
 @lru_cache(maxsize=2)
-def _load(options: Options, number: int) -> tuple[Profile, Trajectory]:
-    """Return the profile and the truth of a flight: with turbulence its own, else that of all."""
+def _load(options: Options, number: int) -> tuple[Profile, Trajectory, NavSolution | None]:
+    """Return the profile and the truth of a flight, and the answers that steered it if the estimator flew.
+
+    With turbulence each flight has its own, and so it has where the estimator flies; else one is that of all.
+    """
     overrides = options.settings
     overrides |= {} if options.gnss is None else {"sensors.gnss": options.gnss}
     overrides |= {} if options.imu is None else {"sensors.imu": options.imu}
     profile = load_profile(options.profile, overrides, options.seed, (options.estimator,))
     _check(options, profile)
+    if profile.guidance is not None:
+        overrides = {"guidance.navigation": options.estimator, "guidance.options": {}, **overrides}
+        profile = load_profile(options.profile, overrides, options.seed, (options.estimator,))
+        flown = closed_loop.fly(profile, number)
+        return profile, flown.truth, flown.answers
     if number and isinstance(profile.flight, FlightSpec):
         if profile.flight.severity == 0:
-            return profile, _load(options, 0)[1]
+            return profile, _load(options, 0)[1], None
         profile = load_profile(options.profile, overrides, profile.seed + number, (options.estimator,))
     truth = pipeline.fly(profile)
     pipeline.check_times(profile, float(truth.t[-1]))
-    return profile, truth
+    return profile, truth, None
 
 
 def _check(options: Options, profile: Profile) -> None:
@@ -366,7 +388,7 @@ def _tell(
     by_figure = {row["figure"]: row for row in rows}
     within, flights = by_figure.get("time with TSE within RNP"), len(planes[0].error)
     if within is None and {"accuracy", "containment"} & {*options.lines}:
-        yield "The flight has no leg along waypoints: its own error is not known, so no TSE is stated."
+        yield "No leg is along waypoints or to a runway, which a total system error would need."
     elif within is not None:
         total = by_figure["TSE across track, 95 %"]["value"]
         flown, navigated = (float(np.nanmean(np.square(errors[name]))) for name in ("FTE", "NSE"))

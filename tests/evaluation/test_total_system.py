@@ -13,7 +13,7 @@ from bench.data import NavSolution
 from bench.evaluation import metrics
 from bench.evaluation.case import build_case
 from bench.evaluation.error_series import error_series
-from bench.evaluation.total_system import resolve
+from bench.evaluation.total_system import locate_path, resolve
 from bench.flight.desired_path import measure_off_path
 from bench.specs import EvaluationWindow
 
@@ -53,6 +53,21 @@ def test_the_belief_is_off_the_path_by_the_sum_of_both(approach):
         assert np.nanmax(np.abs(left)) < 1e-9
     assert np.isfinite(path.above).sum() > 300
     assert np.isnan(path.right[truth.t[rows] < 30.0]).all()  # a straight leg has no path
+
+
+def test_the_path_that_is_drawn_is_on_the_path(approach):
+    """By the geometry of the runway: 0 to its right and 0 above it, wherever the truth was."""
+    spec, truth, rows, _ = approach
+    moved = replace(truth, lla=earth.displace(truth.lla, np.array([[30.0, 20.0, -7.0]])))
+    path = measure_off_path(spec, moved, rows)
+    lla = moved.lla.copy()
+    lla[rows] = np.where(np.isfinite(path.right)[:, None], locate_path(path, lla[rows]), lla[rows])
+    there = measure_off_path(spec, replace(truth, lla=lla), rows)
+    assert_allclose(there.right[np.isfinite(path.right)], 0.0, atol=1e-3)
+    both = np.isfinite(path.above) & np.isfinite(there.above)
+    assert both.sum() > 300
+    assert_allclose(there.above[both], 0.0, atol=0.02)
+    assert np.isnan(locate_path(path, truth.lla[rows])[np.isnan(path.right)]).any(axis=1).all()
 
 
 def test_where_the_truth_is_off_its_path_is_seen(approach):

@@ -69,7 +69,12 @@ def path(tmp_path_factory):
 
 
 def serve(path, seconds, **options):
-    changes = {"duration_s": seconds, "guidance.period_s": 0.05, "sensors.airspeed": "ms4525do"}
+    changes = {
+        "duration_s": seconds,
+        "guidance.period_s": 0.05,
+        "sensors.airspeed": "ms4525do",
+        "sensors.mag.latency_s": 0.033,
+    }
     return Server(path, changes, mavlink=ActuatorChannels(), **options)
 
 

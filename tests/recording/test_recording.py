@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import durable, earth, recording, rotation
+from bench import durable, earth, recording, rotation, store
 from bench.data import (
     AirData,
     Controls,
@@ -22,6 +22,7 @@ from bench.data import (
     InitialState,
     Innovations,
     NavSolution,
+    OffPath,
     Sensed,
     SensorData,
     SensorTruth,
@@ -36,7 +37,7 @@ from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
 from bench.plots.tabs import comparison
 from bench.recording import drawing, layout, words
 from bench.run_result import RunResult
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
+from bench.specs import IN_FLIGHT, AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 
 ORIGIN = np.array([np.deg2rad(47.26), np.deg2rad(11.34), 1200.0])
 SCALARS = "Scalars:scalars"
@@ -576,6 +577,39 @@ def test_a_runway_lies_where_the_flight_is_low_over_it(run, tmp_path):
     assert np.linalg.norm(np.array(outline[0]) - outline[3]) == pytest.approx(30.0, abs=0.01)
     place["alt_m"] = 600.0  # all of the flight is high above it
     assert "/world/runway" not in static_batches_of(result, tmp_path)
+
+
+def test_the_desired_path_is_drawn_and_the_errors_along_it_add_up(run, tmp_path):
+    """On a path 5 m to the left of the truth for half of the time; it comes back from a folder, too."""
+    labels = [IN_FLIGHT, *list(run["solutions"])[1:]]
+    what = ("solutions", "errors", "metrics")
+    named = {name: dict(zip(labels, run[name].values(), strict=True)) for name in what}
+    result = make_result(run | named)
+    t, course = result.solutions[IN_FLIGHT].t, 0.7
+    right = np.where(t < t.mean(), 5.0, np.nan)
+    path = OffPath(t, right, np.full(len(t), np.nan), np.full(len(t), course))
+    (tmp_path / "out").mkdir()
+    store.save(tmp_path / "out", replace(result, records={**result.records, "path": path}))
+    loaded = store.load(tmp_path / "out")
+    assert_array_equal(loaded.records["path"].right, right)
+    found = static_batches_of(loaded, tmp_path)
+    (drawn,) = found["/world/desired/0/path"].column("LineStrips3D:strips").to_pylist()[0]
+    truth = run["truth"]
+    rows = np.searchsorted(truth.t, t[t < t.mean()] - 1e-6)
+    to_right = np.array([-np.sin(course), np.cos(course), 0.0])
+    ends = earth.local_ned(truth.lla[rows[[0, -1]]], ORIGIN) - 5.0 * to_right
+    assert_allclose(np.array(drawn)[[0, -1]], ends, atol=0.01)
+    parts = {
+        one: recording.column(tmp_path / "flight.rrd", f"/path/across/{one}", "Scalars:scalars")
+        for one in ("tse", "fte", "nse")
+    }
+    values = {one: column[1][:, 0] for one, column in parts.items()}
+    on = np.isfinite(values["tse"])
+    assert_allclose(values["tse"][on], 5.0)
+    assert_allclose((values["fte"] - values["nse"])[on], 5.0)
+    errors = result.errors[IN_FLIGHT]
+    at = np.searchsorted(errors.t, parts["nse"][0][on] - 1e-6)
+    assert_allclose(values["nse"][on], errors.pos_n[at] @ to_right, atol=1e-9)
 
 
 def static_batches_of(result: RunResult, folder: Path):
