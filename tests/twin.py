@@ -23,6 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from scipy.integrate import quad
 from scipy.stats import chi2
 
 from bench.signals import delays
@@ -469,7 +470,10 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         kf.P[at, at], decay_rate[at], q[at] = np.eye(len(wander)), wander_rate, 2 * wander_rate
         for i, sd in enumerate((sky.clock_offset_sd, sky.clock_drift_sd, sky.glonass_offset_sd)):
             kf.P[clock + i, clock + i] = sd**2
-        walk = 2 * np.pi**2 * LIGHT**2 * sky.clock_h_m2 + 4 * np.log(2) * LIGHT**2 * sky.clock_h_m1
+        changes, _ = quad(
+            lambda f: 2 * (1 - np.cos(2 * np.pi * f / spec.rate)) / f, 0, 0.5 / sky.integration, limit=500
+        )
+        walk = LIGHT**2 * (2 * np.pi**2 * sky.clock_h_m2 + spec.rate * changes * sky.clock_h_m1)
         q[clock], q[clock + 1] = LIGHT**2 * sky.clock_h_0 / 2, walk
     elif sensors.fixes is not None:
         fixes_at, fix_R = first_sample(imu.t, sensors.fixes.t_arrival), fix_covariance(specs.gnss)

@@ -23,15 +23,13 @@ _COMBINED = 2.98  # of the ionosphere-free combination of GPS, B-11 [1]
 _VERTICAL = 4.0  # delay of the ionosphere for the rate of its errors [m]: the middle of night and noon
 _OWN = 0.15  # part of the variance of its errors at 35 deg that the anchors do not tell [1]
 
-_FLICKER = 1.0  # over which the drift changes by the flicker of a clock [s]
-
 
 def _clock(specs: AssumedSpecs) -> list[States]:
     sky = assumed(specs, "gnss").sky
-    walk, flicker = (
-        2.0 * np.pi**2 * C**2 * sky.clock_h_m2,
-        4.0 * np.log(2.0) * C**2 * sky.clock_h_m1 / _FLICKER,
-    )
+    rate = assumed(specs, "gnss").rate
+    walk = 2.0 * np.pi**2 * C**2 * sky.clock_h_m2
+    changed = 2.0 * (np.euler_gamma + np.log(max(np.pi / (rate * sky.integration), 1.0)))
+    flicker = changed * C**2 * sky.clock_h_m1 * rate
     return [
         States("clock_offset", "m", 1, sky.clock_offset_sd**2, 0.5 * C**2 * sky.clock_h_0),
         States("clock_drift", "m_s", 1, sky.clock_drift_sd**2, walk + flicker),
@@ -47,8 +45,9 @@ CLOCK = Block("tight", _clock, takes=("flicker of the receiver's clock",), recor
 """Offset and drift of the receiver's clock, and its offset for each system beside GPS.
 
 ``c^2 h_0 / 2`` drives the offset and ``2 pi^2 c^2 h_-2`` the drift (Brown and Hwang). Flicker, h_-1, has no
-state of finite size: the drift walks as far in 1 s as it does, twice its Allan variance ``2 ln 2 h_-1``. The
-offset grows by the drift: `propagation`.
+state of finite size: between two epochs, T apart, the drift walks as far as it changes the mean frequency
+over the integration time t: ``2 h_-1 (0.577 + ln(pi T / t))``, the integral of ``2 (1 - cos 2 pi f T) h_-1 / f``
+up to ``1 / 2t``. The offset grows by the drift: `propagation`.
 """
 
 
