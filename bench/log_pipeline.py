@@ -18,7 +18,16 @@ from bench.arrays import BoolArray, FloatArray
 from bench.compiled import watch_compiling
 from bench.config.checks import is_autopilot
 from bench.config.log import LogSpec, load_log
-from bench.data import Events, GnssFixes, InitialState, Reference, Sensed, SensorData, no_sensor_truth
+from bench.data import (
+    Events,
+    GnssFixes,
+    GnssObservations,
+    InitialState,
+    Reference,
+    Sensed,
+    SensorData,
+    no_sensor_truth,
+)
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import validity
 from bench.evaluation.coverage import measure_coverage
@@ -36,6 +45,7 @@ from bench.exchange.loading import load_estimators
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import built_in, estimator
+from bench.navigation.engine.kept_rows import take_observations
 from bench.run_result import RunResult
 from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.stages import Stages, Watcher
@@ -104,8 +114,10 @@ def read_log(
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
     built = dict(zip(choices, load_estimators(choices.values()), strict=True))
+    assert spec.gnss is not None
+    ranges = {"observations"} if spec.gnss.observations else set()
     for label, one in built.items():
-        estimator.check_needs(one, label, {"fixes", *spec.instruments}, specs=spec.assumed)
+        estimator.check_needs(one, label, {"fixes", *ranges, *spec.instruments}, specs=spec.assumed)
     records = read_records(spec)
     for choice in spec.estimators:
         if is_autopilot(choice.use):
@@ -308,6 +320,23 @@ class Session:
         if outside := spec.evaluation.describe_outside(last, "recording"):
             raise ConfigError(f"{spec.name}.toml: {outside}")
         self.first, self.last = max(initial.t, spec.evaluation.begin), last
+        self.observations = self._cut_observations()
+
+    def _cut_observations(self) -> GnssObservations | None:
+        """Return the satellites of the epochs after the start, until the end."""
+        o = self.recorded.observations
+        if o is None:
+            return None
+        begun = o.t > self.initial.t if self.initial.alignment == "given" else o.t >= self.initial.t
+        return take_observations(o, np.asarray(begun & (o.t <= self.last)))
+
+    def _keep_observations(self, keep: BoolArray) -> GnssObservations | None:
+        """Return the satellites that filters get: an epoch goes with the first fix at its time or later."""
+        o = self.observations
+        if o is None:
+            return None
+        with_fix = np.searchsorted(self.fixes.t, o.t - SAME_INSTANT)
+        return take_observations(o, np.append(keep, True)[with_fix])
 
     def make_output_times(self) -> FloatArray:
         """Return the output instants [s], a whole number of output intervals after t = 0."""
@@ -325,7 +354,9 @@ class Session:
         """Return the data for an estimator; IMU intervals are divided to end at each fix and output."""
         fixes, output_t = self.fixes.take(keep), np.unique(output_t)
         others = self.recorded.instruments
-        cuts = [output_t, fixes.t, *(record.t for record in others.values())]
+        observations = self._keep_observations(keep)
+        seen = [] if observations is None else [np.unique(observations.t)]
+        cuts = [output_t, fixes.t, *seen, *(record.t for record in others.values())]
         return SensorData(
             imu=divide_intervals(self.recorded.imu, np.concatenate(cuts)),
             fixes=fixes,
@@ -334,6 +365,7 @@ class Session:
             output_t=output_t,
             ground_alt=self.recorded.ground_alt,
             date=self.spec.date,
+            observations=observations,
             **others,
         )
 

@@ -471,9 +471,12 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         for i, sd in enumerate((sky.clock_offset_sd, sky.clock_drift_sd, sky.glonass_offset_sd)):
             kf.P[clock + i, clock + i] = sd**2
         changes, _ = quad(
-            lambda f: 2 * (1 - np.cos(2 * np.pi * f / spec.rate)) / f, 0, 0.5 / sky.integration, limit=500
+            lambda f: 2 * (1 - np.cos(2 * np.pi * f / specs.gnss.rate)) / f,
+            0,
+            0.5 / sky.integration,
+            limit=500,
         )
-        walk = LIGHT**2 * (2 * np.pi**2 * sky.clock_h_m2 + spec.rate * changes * sky.clock_h_m1)
+        walk = LIGHT**2 * (2 * np.pi**2 * sky.clock_h_m2 + specs.gnss.rate * changes * sky.clock_h_m1)
         q[clock], q[clock + 1] = LIGHT**2 * sky.clock_h_0 / 2, walk
     elif sensors.fixes is not None:
         fixes_at, fix_R = first_sample(imu.t, sensors.fixes.t_arrival), fix_covariance(specs.gnss)

@@ -13,7 +13,7 @@ from typing import Any
 from bench.config import checks
 from bench.config.datasheets import SENSORS
 from bench.config.library import find_datasheet
-from bench.config.log_tables import FileTable, LogAlignmentTable, LogTable
+from bench.config.log_tables import FileTable, GnssTable, LogAlignmentTable, LogTable
 from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, describe_choice, less_empty, make_choices
 from bench.config.tables import check_table, collect_errors
@@ -26,6 +26,8 @@ from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
+RANGES = "ranges"
+"""Format of a source that is the observation and navigation files of a receiver."""
 _MATLAB = ".mat"
 _TABLES = (".csv", ".tsv", ".parquet", _MATLAB)
 _ENDINGS = dict.fromkeys(_TABLES, "table") | {
@@ -55,6 +57,8 @@ class SourceSpec:
     topic: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
     time_offset: float = 0.0  # added to its times [s]
+    observations: tuple[Path, ...] = ()  # of a receiver whose fixes are solved; ``path`` is the first
+    navigation: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,7 +265,7 @@ def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
                 text = f'is a name in a file; say file = "..." above it, or write a table [{kind}]'
                 raise ConfigError(f"{shown}: {kind} = {as_toml(value)} {text}")
             spread[kind] = {**top, "topic": value}
-        elif isinstance(value, dict) and "file" in top and "file" not in value:
+        elif isinstance(value, dict) and "file" in top and {"file", "observations"}.isdisjoint(value):
             spread[kind] = {**top, **value}
     if top and not spread:
         text = "is for the sensors in that file, and none is there; name one: imu = ..."
@@ -274,6 +278,8 @@ def _find_source(
 ) -> SourceSpec | None:
     if row is None:
         return None
+    if isinstance(row, GnssTable) and not (row.file and not row.observations and not row.navigation):
+        return _find_ranges(row, beside, place, wrong)
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
     endings = _ENDINGS | ({NAV: "kf-gins"} if kind == "reference" else {})
@@ -296,6 +302,32 @@ def _find_source(
     else:
         return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
     return None
+
+
+def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> SourceSpec | None:
+    """Return the files of a receiver's ranges; ``wrong`` gets a line for each problem."""
+    if row.file or not (row.observations and row.navigation):
+        wrong.append(f"{place}[gnss] give either file, or both observations and navigation")
+        return None
+    keys = ("format", "topic", "columns", "velocity_offset_s", "quality", "quality_sd_m")
+    found = [
+        f"{key} is for fixes in a file, not for observations" for key in keys if key in row.model_fields_set
+    ]
+    observations, navigation = (
+        tuple(beside / name for name in files) for files in (row.observations, row.navigation)
+    )
+    found += [
+        f"{path.name!r}: no such file beside the log"
+        for path in (*observations, *navigation)
+        if not path.is_file()
+    ]
+    wrong += [f"{place}[gnss] {line}" for line in found]
+    if found:
+        return None
+    offset = float(row.time_offset_s)
+    return SourceSpec(
+        observations[0], RANGES, time_offset=offset, observations=observations, navigation=navigation
+    )
 
 
 _GIVEN_KEYS = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")

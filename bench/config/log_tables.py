@@ -61,7 +61,18 @@ class ImuTable(FileTable):
 
 
 class GnssTable(FileTable):
-    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use."""
+    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use.
+
+    It gives fixes in a file, or ranges in those of a receiver, from which the fixes are solved.
+    """
+
+    file: str = ""
+    """A path relative to the log; left out with observations."""
+    observations: Annotated[tuple[str, ...], ROWS] = ()
+    """RINEX or UBX files of its ranges, a list of paths, in place of a file. Their times are in GPS time,
+    seconds since 1980-01-06."""
+    navigation: Annotated[tuple[str, ...], ROWS] = ()
+    """With observations: RINEX navigation files."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """Where the antenna is, from the same point."""

@@ -17,18 +17,20 @@ from numpy.typing import NDArray
 
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.config.log import LogSpec, SourceSpec
-from bench.data import GnssFixes, ImuData
+from bench.config.log import RANGES, LogSpec, SourceSpec
+from bench.data import GnssFixes, GnssObservations, ImuData
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.imports.navego_structures import list_sensors
+from bench.exchange.log_ranges import read_ranges
 from bench.exchange.row_selection import drop_others, drop_repeated, drop_unreported
 from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
 from bench.instruments import INSTRUMENTS, BaroData
 from bench.rotation import from_euler, multiply, rotate
 from bench.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
+from bench.signals.orbits import DAY
 from bench.units import SAME_INSTANT
 
 MOST_INSTANTS = 400_000
@@ -44,6 +46,7 @@ class LogRecords:
 
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
+    observations: GnssObservations | None  # of a receiver whose ranges are there, too
     instruments: Mapping[str, Any]  # name -> record
     ground_alt: float  # ellipsoidal height of the ground below a radar [m]
     reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
@@ -60,7 +63,12 @@ def read_records(spec: LogSpec) -> LogRecords:
         If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
     assert spec.gnss is not None
-    imu_rows, gnss_rows = _read_rows(spec.imu, "imu"), _read_rows(spec.gnss, "gnss")
+    imu_rows, observations = _read_rows(spec.imu, "imu"), None
+    if spec.gnss.format == RANGES:
+        assert spec.assumed.gnss is not None
+        gnss_rows, observations = read_ranges(spec.gnss, spec.assumed.gnss)
+    else:
+        gnss_rows = _read_rows(spec.gnss, "gnss")
     others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
     origin = float(imu_rows.t[0])
     imu = _make_imu(imu_rows, spec, origin)
@@ -73,6 +81,10 @@ def read_records(spec: LogSpec) -> LogRecords:
             f"{spec.gnss.path.name}: its times, {there}, do not overlap those of {spec.imu.path.name}, "
             f"{origin:.9g} to {last + origin:.9g} s; both files must use one clock"
         )
+    if observations is not None:
+        t = observations.t - origin
+        day = float((origin - spec.gnss.time_offset) % DAY)
+        observations = replace(observations, t=t, t_arrival=t, gps_t0=day)
     if np.isfinite(spec.until):
         imu, fixes = _cut(imu, spec.until), _cut(fixes, spec.until)
     if not imu.valid.any():
@@ -85,6 +97,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     return LogRecords(
         imu=imu,
         fixes=fixes,
+        observations=observations if observations is not None and len(observations) else None,
         instruments=instruments,
         ground_alt=_find_ground(spec, instruments, fixes),
         reported=_find_report(gnss_rows.values, spec),

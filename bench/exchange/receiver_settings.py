@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import radians
 from pathlib import Path
 from typing import get_args
@@ -89,7 +90,12 @@ def solve_rinex(
         without=frozenset(without),
     )
     known = None if truth is None else read_truth(str(truth))
-    return solve_files(_list(observations), _list(navigation), processing, truth=known, window=smooth_s)
+    solved = solve_files(_list(observations), _list(navigation), processing, truth=known, window=smooth_s)
+    header = solved.observations.approximate_e is not None
+    if known is None and header and solved.fixes.valid.any() and solved.moving:
+        note = "the receiver moves: its fixes are not compared with the position in the header"
+        solved = replace(solved, notes=(*solved.notes, note))
+    return solved
 
 
 def _list(files: str | Path | Sequence[str | Path]) -> list[Path]:

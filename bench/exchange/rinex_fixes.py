@@ -249,8 +249,11 @@ def solve_files(
     *,
     truth: Truth | None = None,
     window: float = 0.0,
+    loops: receiver.Loops | None = None,
 ) -> RinexFixes:
     """Solve observation files of one receiver epoch by epoch with the ephemerides of navigation files.
+
+    ``window`` is that of smoothing [s], ``loops`` as `bench.signals.receiver.make_observations` takes it.
 
     Raises
     ------
@@ -267,6 +270,7 @@ def solve_files(
             raise ConfigError(f"{raw.shown}: has no carrier phase to smooth its ranges with")
     seen = receiver.make_observations(
         noise=noise,
+        loops=loops,
         t=raw.t,
         epoch_start=raw.epoch_start,
         sat=raw.sat,
@@ -294,8 +298,6 @@ def solve_files(
     if raw.others:
         notes.append(f"not used: {', '.join(raw.others)}")
     notes += _describe_unsolved(solved)
-    if truth is None and solved.moving and raw.approximate_e is not None and solved.fixes.valid.any():
-        notes.append("the receiver moves: its fixes are not compared with the position in the header")
     return replace(solved, notes=tuple(notes))
 
 

@@ -108,6 +108,13 @@ def doppler_sd(cn0: FloatArray, frequency: FloatArray, spec: SkySpec) -> FloatAr
     return sd
 
 
+def find_loop_noise(
+    system: IntArray, cn0: FloatArray, frequency: FloatArray, spec: SkySpec
+) -> tuple[FloatArray, FloatArray]:
+    """Return the thermal noise of code [m] and range rate [m/s] of rows (K,) of a carrier [Hz]."""
+    return code_sd(cn0, np.array(_CHIP)[system], spec), doppler_sd(cn0, frequency, spec)
+
+
 def measure(
     truth: Trajectory,
     spec: GnssSpec,
@@ -330,14 +337,12 @@ def _make_observations(
     common += added
     rate = rate + added_rate
     shadow = sky.multipath_zenith_sd + sky.multipath_horizon_sd * np.exp(-el / _MULTIPATH_DECAY)
-    chip = np.array(_CHIP)[row_system]
     pseudorange, range_rate, strength = np.empty((3, count, bands))
     tracking = np.empty((2, count))
     for band in range(bands):
         strength[:, band] = cn0 - band * sky.second_band_loss
         pseudorange[:, band] = common + ionosphere * (frequency[:, 0] / frequency[:, band]) ** 2
-        noise = code_sd(strength[:, band], chip, sky)
-        doppler = doppler_sd(strength[:, band], frequency[:, band], sky)
+        noise, doppler = find_loop_noise(row_system, strength[:, band], frequency[:, band], sky)
         if sky.dll_bandwidth > 0:
             pseudorange[:, band] += noise * errors.draw_white(f"code.{band + 1}")
         burst = errors.draw_bursts(scripted, f"code.{band + 1}")

@@ -23,11 +23,19 @@ _A_PZ = 6378136.0  # [m], the same
 _J2_PZ = 1.08262575e-3  # [1], the same
 _RATE_PZ = 7.292115e-5  # [rad/s], the same
 _STEP_PZ = 60.0  # longest Runge-Kutta step [s]; error below 1 mm after 15 min
-_GRAVITY = {GPS: 3.986005e14, GALILEO: 3.986004418e14, BEIDOU: 3.986004418e14, GLONASS: _GM_PZ}
+GRAVITY = {GPS: 3.986005e14, GALILEO: 3.986004418e14, BEIDOU: 3.986004418e14, GLONASS: _GM_PZ}
 """[m^3/s^2]: IS-GPS-200, table 20-IV; Galileo OS SIS ICD 2.0, table 67; BDS-SIS-ICD-B1I-3.0, 5.2.4.12."""
-_RATES = {GPS: GPS_EARTH_RATE, GALILEO: GPS_EARTH_RATE, BEIDOU: 7.292115e-5, GLONASS: _RATE_PZ}
+EARTH_RATES = {GPS: GPS_EARTH_RATE, GALILEO: GPS_EARTH_RATE, BEIDOU: 7.292115e-5, GLONASS: _RATE_PZ}
 """Rotation of the Earth [rad/s], the same sources."""
 _INCLINED = float(np.deg2rad(-5.0))  # of the frame of geostationary orbits [rad], BDS-SIS-ICD-B1I-3.0
+INCLINED = np.array(
+    [
+        [1.0, 0.0, 0.0],
+        [0.0, np.cos(_INCLINED), np.sin(_INCLINED)],
+        [0.0, -np.sin(_INCLINED), np.cos(_INCLINED)],
+    ]
+)
+"""Turns vectors (3,) from the frame of geostationary orbits to e at their reference time."""
 
 L1, L2 = 1575.42e6, 1227.60e6  # GPS [Hz], IS-GPS-200
 _CARRIERS = np.full((4, 10), np.nan)
@@ -93,7 +101,7 @@ def is_geostationary(sets: KeplerSets) -> BoolArray:
 def _compute_kepler(sets: KeplerSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
     """Return the states (K, ...) of sets ``rows`` (K,) at ``t`` (K,); IS-GPS-200, tables 20-IV and 30-II."""
     q = dict(zip(KEPLER, sets.elements[rows].T, strict=True))
-    gm, rate = _GRAVITY[sets.system], _RATES[sets.system]
+    gm, rate = GRAVITY[sets.system], EARTH_RATES[sets.system]
     relativity = -2.0 * np.sqrt(gm) / C**2  # F of IS-GPS-200, 20.3.3.3.3.1 [s/sqrt(m)]
     dt, a, e = t - q["t_oe"], q["sqrt_a"] ** 2, q["e"]
     n = np.sqrt(gm / a) / a + q["delta_n"]
@@ -152,9 +160,7 @@ def _turn_geostationary(
 
     BDS-SIS-ICD-B1I-3.0 (2019), 5.2.4.12: their orbits are given in a frame that is inclined by 5 deg.
     """
-    s, c = np.sin(_INCLINED), np.cos(_INCLINED)
-    R = np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]])
-    (px, py, pz), (vx, vy, vz) = R @ pos.T, R @ vel.T
+    (px, py, pz), (vx, vy, vz) = INCLINED @ pos.T, INCLINED @ vel.T
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     x, y = c * px + s * py, -s * px + c * py
     return (
@@ -318,7 +324,7 @@ def make_nominal(system: int) -> KeplerSets:
 
 
 def _make_nominal_beidou() -> KeplerSets:
-    high = float(np.cbrt(_GRAVITY[BEIDOU] / _RATES[BEIDOU] ** 2))  # turns with the Earth
+    high = float(np.cbrt(GRAVITY[BEIDOU] / EARTH_RATES[BEIDOU] ** 2))  # turns with the Earth
     parts = [
         make_walker(3, 8, 1, semi_axis=6.378137e6 + 21.528e6, inclination=np.deg2rad(55.0), first=19),
         make_walker(3, 1, 2, semi_axis=high, inclination=np.deg2rad(55.0), node_0=_IGSO, first=43),

@@ -6,7 +6,7 @@ the satellites, :func:`solve_fixes` the fixes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +20,9 @@ from bench.signals.delays import ionosphere_free
 from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.signals.orbits import C
 from bench.signals.processing import Processing, estimate_code_sd, estimate_space_sd
+
+Loops = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+"""System (K,), C/N0 [dB-Hz] and carrier [Hz] -> sd of the code [m] and of the range rate [m/s]."""
 
 Orbits = Mapping[int, Sequence[KeplerSets | GlonassSets]]
 """Code of a system -> its orbits, in order of preference."""
@@ -152,6 +155,7 @@ def make_observations(
     klobuchar: FloatArray | None,
     processing: Processing,
     noise: FloatArray | None = None,
+    loops: Loops | None = None,
 ) -> GnssObservations:
     """Compute the satellites of raw observations as a receiver does.
 
@@ -175,6 +179,8 @@ def make_observations(
         Corrections to leave out, the method for the ionosphere, and the error budget.
     noise : (K,) array or None
         Factor on the noise of the code, for ranges that are smoothed.
+    loops : callable or None
+        Noise of code and Doppler of the first carrier, if not that of the budget.
 
     Returns
     -------
@@ -213,7 +219,10 @@ def make_observations(
     ).pos_e
     near = _look_around(raw, pos_e, processing)
     space = estimate_space_sd(system, sat, found.accuracy, budget)
-    thermal = estimate_code_sd(system, cn0[:, 0], budget) * (1.0 if noise is None else noise)
+    thermal = estimate_code_sd(system, cn0[:, 0], budget)
+    if loops is not None:
+        thermal, columns["sd_range_rate"] = loops(system, cn0[:, 0], frequency[:, 0])
+    thermal = thermal * (1.0 if noise is None else noise)
     free = processing.ionosphere == "free"
     own = estimate_range_sd(near.el, frequency, thermal, space, budget, free)
     shared = share_errors(near, frequency[:, 0], processing)

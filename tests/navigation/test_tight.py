@@ -380,7 +380,7 @@ def test_what_tight_does_not_model_is_named():
 
 @pytest.mark.parametrize("rate", [1.0, 5.0])
 def test_the_drift_walks_as_far_between_epochs_as_flicker_moves_it(rate):
-    """Of the simulated clock, 20000 epochs: 0.85 to 1.05 of what is assumed; its floor alone is 3 times off."""
+    """Of the simulated clock, 20000 epochs: 0.85 to 1.05 of what is assumed; its floor is 3 times less."""
     alone = replace(SKY.sky, clock_h_0=0.0, clock_h_m2=0.0, clock_g=0.0, clock_drift_sd=0.0)
     truth, rows = still(20000.0 / rate, rate, attitude=(0.0, 0.0, 0.0)), np.arange(1, 20001)
     steps, draws = np.diff(truth.t), SensorDraws(1, 0).part("gnss.sky.clock")

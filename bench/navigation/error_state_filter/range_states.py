@@ -45,9 +45,9 @@ CLOCK = Block("tight", _clock, takes=("flicker of the receiver's clock",), recor
 """Offset and drift of the receiver's clock, and its offset for each system beside GPS.
 
 ``c^2 h_0 / 2`` drives the offset and ``2 pi^2 c^2 h_-2`` the drift (Brown and Hwang). Flicker, h_-1, has no
-state of finite size: between two epochs, T apart, the drift walks as far as it changes the mean frequency
-over the integration time t: ``2 h_-1 (0.577 + ln(pi T / t))``, the integral of ``2 (1 - cos 2 pi f T) h_-1 / f``
-up to ``1 / 2t``. The offset grows by the drift: `propagation`.
+state of finite size: between two epochs, T apart, the drift walks as far as flicker moves the frequency that
+is measured over t: ``2 h_-1 (0.577 + ln(pi T / t))``, the integral of ``2 (1 - cos 2 pi f T) h_-1 / f`` up to
+``f = 1 / 2t``. The offset grows by the drift: `propagation`.
 """
 
 

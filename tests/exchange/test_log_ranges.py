@@ -1,0 +1,207 @@
+"""Tight coupling on recorded ranges: those of a simulated run go out as RINEX and come back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bench
+from bench import config, earth, sensors
+from bench.config.log import RANGES, SourceSpec, load_log
+from bench.errors import ConfigError, EstimatorError
+from bench.exchange import exports
+from bench.exchange.exports.outgoing import ExportData
+from bench.exchange.log_ranges import read_ranges
+from bench.exchange.log_records import read_records
+from bench.log_pipeline import Session, read_log
+from bench.navigation.built_in import load
+from bench.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
+from bench.store import make_start_document
+from tests.navigation.test_tight import taken
+from tests.weaving import units, weaving
+
+GNSS = config.load_profile("figure-eight", {"sensors.gnss": "sky-multi"}).sensors.gnss
+BEGIN = 1451304000.0  # of the run, in GPS time since 1980-01-06 [s]
+LOG = f"""
+[imu]
+file = "imu.csv"
+[gnss]
+observations = ["run.obs"]
+navigation = ["run.nav"]
+time_offset_s = {-BEGIN}
+position_m = [0.8, 0.3, -0.4]
+[sensors.assumed]
+imu = "icm-42688-p"
+gnss = "sky-multi"
+[alignment]
+duration_s = 20
+[[estimator]]
+use = "tight"
+[[estimator]]
+use = "loose-full"
+"""
+
+
+def export(folder, data, initial):
+    start = make_start_document(data, initial)
+    out = ExportData(data.imu, data.fixes, data.observations, {}, start, data.output_t)
+    for kind in ("csv", "rinex"):
+        exports.write(folder, kind, out, "weaving")
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory):
+    """130 s with four constellations: sensors, truth, and a folder with RINEX, tables and a log of them."""
+    folder = tmp_path_factory.mktemp("ranges")
+    truth = weaving(130.0)
+    sensed = sensors.sense(truth, units(gnss=GNSS, baro=None), 3, 0)
+    export(folder, sensed.data, sensed.initial)
+    (folder / "log.toml").write_text(LOG)
+    return folder, sensed, truth
+
+
+def read_back(folder, gnss=GNSS):
+    files = {"observations": (folder / "run.obs",), "navigation": (folder / "run.nav",)}
+    return read_ranges(SourceSpec(folder / "run.obs", RANGES, time_offset=-BEGIN, **files), gnss)
+
+
+def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
+    """To the rounding of RINEX, 1 mm, 1 mHz, 1e-7 s and 12 digits; the messages fit to a millimetre."""
+    folder, sensed, _ = flown
+    o = sensed.data.observations
+    _, back = read_back(folder)
+    assert {GLONASS, BEIDOU} < set(o.system.tolist())
+    for name, most in {
+        "sat": 0, "system": 0, "frequency": 0, "epoch_start": 0, "t": 5e-7, "pseudorange": 5.1e-4,
+        "range_rate": 1.3e-4, "cn0": 5.1e-4, "sat_pos_e": 2e-3, "sat_vel_e": 3e-4, "sat_clock": 1e-6,
+        "sat_clock_rate": 1e-9, "group_delay": 0, "sd_pseudorange": 2e-3, "sd_range_rate": 1e-5,
+    }.items():  # fmt: skip
+        assert np.abs(getattr(back, name) - getattr(o, name)).max() <= most, name
+    assert np.abs(back.klobuchar / o.klobuchar - 1).max() < 1e-4
+
+
+def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
+    """3 mm and 0.2 mm/s; with times that are late by the clock of the receiver it would be a decimetre."""
+    folder, sensed, _ = flown
+    _, back = read_back(folder)
+    data = replace(sensed.data, observations=replace(back, gps_t0=sensed.data.observations.gps_t0))
+    own, other = (load("tight", {}).run(one, sensed.initial) for one in (sensed.data, data))
+    assert np.abs(earth.difference_n(other.lla, own.lla)).max() < 3e-3
+    assert np.abs(other.vel_n - own.vel_n).max() < 2e-4
+    np.testing.assert_allclose(other.cov, own.cov, rtol=1e-3, atol=1e-6)
+
+
+def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
+    folder, _, truth = flown
+    result = bench.navigate_log(folder / "log.toml")
+    seen = result.records["sensed"].data.observations
+    withheld = result.records["withheld"]
+    assert len(withheld) > 20
+    assert np.abs(np.unique(seen.t)[:, None] - withheld.t).min() > 0.5  # what judges is kept from tight
+    assert result.metrics["tight"]["verdict"] == "consistent"
+    for label, solution in result.solutions.items():
+        rows = np.searchsorted(truth.t, solution.t + result.more["log"]["origin_s"] - 1e-6)
+        error = earth.difference_n(solution.lla, truth.lla[rows])
+        late = solution.t > 60.0
+        sd = np.sqrt(np.einsum("kii->ki", solution.cov)[late, :3])
+        assert np.mean((error[late] / sd) ** 2) < 4.0, label
+
+
+def test_an_outage_takes_the_ranges_away_too(flown):
+    folder, _, _ = flown
+    log = read_log(folder / "log.toml")
+    spec = load_log(str(folder / "log.toml"))
+    t = log.records.fixes.t
+    session = Session(spec, log.records, replace(flown[1].initial, t=float(t[20])))
+    keep = (session.fixes.t <= t[40]) | (session.fixes.t > t[50])
+    data = session.make_data(keep, np.array([t[-1]]))
+    assert np.array_equal(np.unique(data.observations.t), session.fixes.t[keep])
+    assert set(t[41:51]) <= set(log.records.observations.t.tolist())
+
+
+def test_epochs_with_too_few_satellites_for_a_fix_reach_tight(flown, tmp_path):
+    """Three GPS satellites from 60 s on: no fix, and tight has their ranges."""
+    _, sensed, _ = flown
+    o = sensed.data.observations
+    few = (o.t < 60.0) | ((o.system == 0) & np.isin(o.sat, np.unique(o.sat[o.system == 0])[:3]))
+    fixes = sensed.data.fixes.take(sensed.data.fixes.t < 60.0)
+    export(tmp_path, replace(sensed.data, observations=taken(o, few), fixes=fixes), sensed.initial)
+    rows, back = read_back(tmp_path)
+    assert rows.t.max() < 60.0
+    assert back.t.max() > 125.0
+    assert "no fix at" in " ".join(rows.notes)
+
+
+def test_a_datasheet_without_sky_gives_fixes_alone(flown, tmp_path):
+    folder, _, _ = flown
+    for name in ("run.obs", "run.nav", "imu.csv"):
+        (tmp_path / name).symlink_to(folder / name)
+    (tmp_path / "log.toml").write_text(LOG.replace("sky-multi", "zed-f9p"))
+    with pytest.raises(EstimatorError, match="'tight' needs a gnss at measurement level"):
+        bench.navigate_log(tmp_path / "log.toml")
+    records = read_records(load_log(str(tmp_path / "log.toml")))
+    assert records.observations is None
+    assert any("gnss has no [sky]: filters get its fixes" in note for note in records.notes)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("navigation", "#"), "[gnss] give either file, or both observations and navigation"),
+        (("[gnss]", '[gnss]\nfile = "gnss.csv"'), "[gnss] give either file, or both observations and"),
+        (("[gnss]", "[gnss]\nquality = [1]"), "[gnss] quality is for fixes in a file, not for observations"),
+        (('"run.nav"', '"no.nav"'), "[gnss] 'no.nav': no such file beside the log"),
+        (('"run.obs"', '"run.nav"'), "run.nav: line 1: is a navigation file, not an observation file"),
+    ],
+)
+def test_a_log_that_names_its_ranges_wrongly_is_refused(flown, change, said):
+    folder, _, _ = flown
+    path = folder / "wrong.toml"
+    path.write_text(LOG.replace(*change))
+    with pytest.raises(ConfigError) as error:
+        read_log(path)
+    assert said in "\n".join(error.value.messages)
+
+
+def test_what_a_frozen_receiver_repeats_is_left_out(flown, tmp_path):
+    _, sensed, _ = flown
+    o = sensed.data.observations
+    first, last = o.epoch_start[10], o.epoch_start[11]
+    again = taken(o, np.r_[:last, first:last, last : len(o)])
+    t = again.t + 0.5 * (np.r_[np.zeros(last), np.ones(last - first), np.zeros(len(o) - last)])
+    again = replace(
+        again, t=t, epoch_start=np.r_[o.epoch_start[:11], last, o.epoch_start[11:] + last - first]
+    )
+    export(tmp_path, replace(sensed.data, observations=again), sensed.initial)
+    words = " ".join((tmp_path / "README.md").read_text().split())
+    assert "1 epochs that a frozen receiver repeats are left out" in words
+
+
+def test_a_run_without_ranges_has_no_rinex(flown, tmp_path):
+    _, sensed, _ = flown
+    with pytest.raises(bench.errors.ExportError, match="its receiver must be one with"):
+        export(tmp_path, replace(sensed.data, observations=None), sensed.initial)
+
+
+@pytest.mark.filterwarnings("ignore::FutureWarning")
+def test_georinex_reads_the_files_as_they_were_meant(flown):
+    """An independent reader: ranges and Doppler of every row, elements of the first message."""
+    georinex = pytest.importorskip("georinex")
+    folder, sensed, _ = flown
+    o = sensed.data.observations
+    found = georinex.load(folder / "run.obs")
+    for system, letter, code in ((0, "G", "C1C"), (1, "R", "C1C"), (2, "E", "C1C"), (3, "C", "C2I")):
+        rows = np.flatnonzero(o.system == system)
+        for row in rows[:: len(rows) // 20]:
+            values = found[code].sel(sv=f"{letter}{o.sat[row]:02d}").values
+            assert abs(values[o.epoch[row]] - o.pseudorange[row, 0]) < 6e-4, SYSTEM_NAMES[system]
+    messages = georinex.load(folder / "run.nav")
+    elements = messages.sel(sv=f"G{o.sat[0]:02d}").dropna("time", how="all")
+    a = float(elements["sqrtA"].values[0]) ** 2
+    radius = np.linalg.norm(o.sat_pos_e[o.system == 0], axis=1)
+    assert abs(a / np.median(radius) - 1) < 1e-5
+    assert (
+        "GPSA" in messages.attrs["ionospheric_corr_GPS"] or len(messages.attrs["ionospheric_corr_GPS"]) == 8
+    )
