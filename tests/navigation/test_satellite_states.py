@@ -127,6 +127,20 @@ def test_the_error_of_the_satellite_before_does_not_matter_to_the_next(few):
     assert np.abs(found[0] - found[1]).max() < 2.0
 
 
+def test_satellites_that_wait_for_a_state_are_counted(few):
+    """Those that rise while the states of the others are still held; none where ranges have no states."""
+    _, sense = few
+    drawn = sense(0)
+    o = drawn.data.observations
+    own, _ = Channels().give_states(o, np.arange(len(o.t)))
+    assert (own < 0).sum() > 20
+    said = f"satellites: {(own < 0).sum()} rows left out: all states of their system are taken"
+    assert said in Tight().run(drawn.data, drawn.initial).events.text
+    none = replace(WANDERING.sky, gps_space_sd=0.0, glonass_space_sd=0.0)
+    drawn = sense(0, replace(UNITS, assumed=replace(UNITS.assumed, gnss=replace(WANDERING, sky=none))))
+    assert not [text for text in Tight().run(drawn.data, drawn.initial).events.text if "states" in text]
+
+
 # --- a satellite at fault -------------------------------------------------------------------------------
 
 

@@ -58,12 +58,22 @@ def multipath_sd(sky: SkySpec) -> tuple[float, float]:
     return sky.multipath_zenith_sd, sky.multipath_horizon_sd
 
 
+def _find_vertical(sky: SkySpec) -> float:
+    """Return the vertical error of the ionosphere [m]."""
+    return float(np.hypot(sky.ionosphere_sd, _VERTICAL * sky.ionosphere_share)) if sky.bands == 1 else 0.0
+
+
+def list_range_errors(sky: SkySpec, system: int) -> tuple[float, float, float]:
+    """Return sds of what wanders in a range of a system [m]: satellite, ionosphere, multipath."""
+    above = float(np.sqrt(_OWN) * _OBLIQUITY * _find_vertical(sky))
+    near = multipath_sd(sky)[0] * (_COMBINED if sky.bands == 2 else 1.0)
+    return sky.space_sd[system], above, near
+
+
 def _range_errors(specs: AssumedSpecs) -> list[States]:
     """Return unit states; their columns of H hold how large the errors are at an elevation (`ranging`)."""
     sky = assumed(specs, "gnss").sky
-    vertical = np.hypot(sky.ionosphere_sd, _VERTICAL * sky.ionosphere_share) if sky.bands == 1 else 0.0
-    above = float(np.sqrt(_OWN) * _OBLIQUITY * vertical)
-    near = multipath_sd(sky)[0] * (_COMBINED if sky.bands == 2 else 1.0)
+    vertical = _find_vertical(sky)
     times = [
         max(one, 1.0)
         for one in (sky.space_correlation, sky.ionosphere_correlation, sky.multipath_correlation)
@@ -75,7 +85,7 @@ def _range_errors(specs: AssumedSpecs) -> list[States]:
         found.extend(States(one, "1", 1, 1.0, decay_time=decay, stationary=1.0) for one in names)
 
     for system in sky.constellations:
-        parts = np.square([sky.space_sd[system], above, near])
+        parts = np.square(list_range_errors(sky, system))
         if parts.any():
             add(
                 f"{SYSTEMS[system]}_range", float(parts.sum() / (parts @ times)), range(1, RANGES[system] + 1)

@@ -23,6 +23,7 @@ from bench.navigation.error_state_filter import ranging
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
+from bench.navigation.error_state_filter.range_states import list_range_errors
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.specs import GnssSpec, ImuSpec
@@ -238,6 +239,11 @@ class Schedule(SessionState):
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
         sky = ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat, channels)
+        with_states = [k for k in gnss.sky.constellations if any(list_range_errors(gnss.sky, k))]
+        wait = (sky.which[:, 3] < 0) & np.isin(o.system[rows], with_states)
+        self.events += timeline.left_out(
+            "satellites", o.t[rows], wait, "all states of their system are taken"
+        )
         self.sky = ranging.join_skies(self.sky, sky) if known else sky
         nothing = np.empty((len(epochs), 0))
         self._wait(SATELLITE_ROWS, t, arrival, nothing, nothing, known + np.arange(len(epochs)))
