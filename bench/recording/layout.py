@@ -55,7 +55,7 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
         columns = {label: rows for label, rows in plots[tab.name].items() if any(rows)}
         if columns:
             views.append(_make_tab(scene, tab, columns))
-    return _LinkedBlueprint(
+    return LinkedBlueprint(
         scene.end,
         rrb.Tabs(*views, active_tab=0),
         rrb.TimePanel(timeline=TIMELINE, play_state="paused", playback_speed=10.0, state="collapsed"),
@@ -66,7 +66,7 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     )
 
 
-class _LinkedBlueprint(rrb.Blueprint):
+class LinkedBlueprint(rrb.Blueprint):
     """A blueprint whose linked time axes begin on the whole flight, where the viewer shows a minute of it."""
 
     def __init__(self, end: float, *parts: Any, **options: Any) -> None:
@@ -87,7 +87,7 @@ def _make_overview(scene: Scene, plots: Plots, main: str) -> Any:
 
     where = rrb.Vertical(_make_space_view(scene), _make_map(scene), row_shares=[3, 2])
     errors = rrb.Vertical(
-        *[_make_plot(scene, plot, legend=k == 0) for k, plot in enumerate(key_plots)],
+        *[make_plot(scene.end, plot, legend=k == 0) for k, plot in enumerate(key_plots)],
         _make_phases(),
         row_shares=[5.0, *[3.0] * (len(key_plots) - 1), 4.0],  # the first has room for its legend
     )
@@ -142,7 +142,7 @@ def _make_rows(scene: Scene, rows: Rows, *, label: str) -> Iterator[Any]:
             title = plot.title.removeprefix(f"{label}: ")
             new = {name for one in plot.series for name in one.names} - told
             legend = len(new) > 1 or any(name.lower() not in title.lower() for name in new)
-            views.append(_make_plot(scene, plot, legend=legend, name=title))
+            views.append(make_plot(scene.end, plot, legend=legend, name=title))
             told |= new
         yield views[0] if len(views) == 1 else rrb.Horizontal(*views)
 
@@ -171,14 +171,15 @@ def _find_free_corner(plot: Plot, end: float) -> Any:
     return min(covered, key=lambda corner: covered[corner])
 
 
-def _make_plot(scene: Scene, plot: Plot, *, legend: bool, name: str = "") -> Any:
+def make_plot(end: float, plot: Plot, *, legend: bool, name: str = "") -> Any:
+    """Return the view of a plot of a recording that ends at ``end`` [s]."""
     return rrb.TimeSeriesView(
         origin=entity(*plot.path),
         contents="$origin/**",
         name=name or plot.title,
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
         axis_y=rrb.ScalarAxis(range=plot.limits()),
-        plot_legend=rrb.PlotLegend(_find_free_corner(plot, scene.end), visible=legend),
+        plot_legend=rrb.PlotLegend(_find_free_corner(plot, end), visible=legend),
     )
 
 

@@ -1,4 +1,4 @@
-"""The verb fixes: solve the files of a receiver, print what was found, and write the fixes and their report.
+"""The verb fixes: solve the files of a receiver, print what was found, write fixes, report and recording.
 
 It imports little: a day of a station is solved in less time than the rest of bench takes to load.
 """
@@ -30,10 +30,11 @@ def solve_fixes(
     datum: str,
     out: Path | None,
     report: Path | None,
+    recording: Path | None,
     force: bool,
     **options: Any,
 ) -> dict[str, Any]:
-    """Solve receiver files, print and return the figures, and write the fixes and their report.
+    """Solve receiver files, print and return the figures, and write fixes, report and recording.
 
     ``options`` are those of `bench.solve_rinex`; ``datum`` is that of the positions in ``out``.
     """
@@ -43,6 +44,10 @@ def solve_fixes(
         from bench.report import fixes_page, page
 
         page.check_page(report, force=force)
+    if recording is not None:
+        from bench.recording import check_recording
+
+        check_recording(recording, force=force)
     kinds = {file: find_kind(file, str(file)) for file in files}
     observations = [file for file, kind in kinds.items() if kind in ("observations", "ubx")]
     navigation = [file for file, kind in kinds.items() if file not in observations]
@@ -64,6 +69,11 @@ def solve_fixes(
 
         durable.write(report, fixes_page.make_page(solved))
         console.print(f"Report: {report}", soft_wrap=True)
+    if recording is not None:
+        from bench.recording.receiver import write_fixes
+
+        write_fixes(recording, solved)
+        console.print(f"Recording: {recording}; look at it with: rerun {recording}", soft_wrap=True)
     return figures | {"no_fix": solved.count_lost(), "verdict": verdict}
 
 

@@ -124,6 +124,12 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     assert "north position [m]: ±3σ, as computed" in text
     assert f"fix {north.min():.3g} to {north.max():.3g}" in text
     assert "Track from above, north up" in text
+    for title in (
+        "residuals of GLONASS ranges [m]",
+        "C/N0 of GPS satellites [dB-Hz]",
+        "Dilution of precision",
+    ):
+        assert title in text
     worst = max(known.list_satellites(), key=lambda one: one.residual_rms)
     row = f'<th scope="row">{worst.name}</th><td>{worst.epochs}</td><td>{worst.excluded}</td>'
     assert f"{row}<td>{worst.residual_rms:.4g}</td>" in text

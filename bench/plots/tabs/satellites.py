@@ -15,6 +15,7 @@ from bench.findings.series import (
     Plot,
     Rows,
     Series,
+    draw_dots,
     draw_line,
 )
 from bench.orbit_sets import SYSTEM_NAMES, name_satellite
@@ -28,30 +29,34 @@ _WORST = 50.0  # a larger DOP is no geometry to speak of
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    """Return C/N0 by system, satellites used, DOP."""
     sky = content.sensed.sky
     if sky is None or not len(sky):
         return {}
+    return {"": [[plot] for plot in plot_sky(sky)]}
+
+
+def plot_sky(sky: SkyView, above: str = "the mask") -> list[Plot]:
+    """Return C/N0 by system if any is known, satellites ``above`` something and used, DOP."""
     first, t = find_epochs(sky)
     start = np.append(first, len(sky))
     count = np.add.reduceat(sky.used, first, dtype=np.int64).astype(float)
-    above = np.diff(start).astype(float)
+    seen = np.diff(start).astype(float)
     dop = dilution.compute_dop(start, _toward_n(sky), sky.system, sky.used)
-    strength = [
-        Plot(("satellites", "cn0", name), f"C/N0 of {name} satellites [dB-Hz]", series)
-        for code, name in enumerate(SYSTEM_NAMES)
-        if (series := _strengths(sky, code, t))
-    ]
+    strength = []
+    for code, name in enumerate(SYSTEM_NAMES):
+        rows = (sky.system == code) & np.isfinite(sky.cn0)
+        if rows.any():
+            lines = draw_satellites(code, sky.sat[rows], sky.t[rows], sky.cn0[rows], t)
+            strength.append(Plot(("satellites", "cn0", name), f"C/N0 of {name} satellites [dB-Hz]", lines))
     counts = (
-        draw_line("above", t, above, "above the mask", _FRAME),
+        draw_line("above", t, seen, f"above {above}", _FRAME),
         draw_line("used", t, count, "used", USED),
     )
-    numbers = Plot(("satellites", "number"), "Satellites above the mask, and used", counts)
+    numbers = Plot(("satellites", "number"), f"Satellites above {above}, and used", counts)
     values = np.column_stack([dop.p, dop.h, dop.v])
     values[~(values < _WORST)] = np.nan
-    lines = Series("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS, (1.5,) * 3, most=SLOW)
-    geometry = Plot(("satellites", "dop"), "Dilution of precision", (lines,))
-    return {"": [[plot] for plot in (*strength, numbers, geometry)]}
+    lines_of_dop = Series("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS, (1.5,) * 3, most=SLOW)
+    return [*strength, numbers, Plot(("satellites", "dop"), "Dilution of precision", (lines_of_dop,))]
 
 
 def find_epochs(sky: SkyView) -> tuple[IntArray, FloatArray]:
@@ -65,17 +70,22 @@ def _toward_n(sky: SkyView) -> FloatArray:
     return np.column_stack([level * np.cos(sky.azimuth), level * np.sin(sky.azimuth), -np.sin(sky.elevation)])
 
 
-def _strengths(sky: SkyView, system: int, t: FloatArray) -> tuple[Series, ...]:
-    """Return C/N0 of every satellite of a system that was received, NaN where it was not."""
+def draw_satellites(
+    system: int, sat: IntArray, t: FloatArray, values: FloatArray, epochs: FloatArray, *, marks: bool = False
+) -> tuple[Series, ...]:
+    """Return a line, or dots, for each satellite of a system from rows (K,); NaN at other ``epochs`` (M,)."""
     series = []
-    for sat in np.unique(sky.sat[(sky.system == system) & np.isfinite(sky.cn0)]):
-        mine = (sky.system == system) & (sky.sat == sat)
-        values = np.full(len(t), np.nan)
-        values[np.searchsorted(t, sky.t[mine])] = sky.cn0[mine]
-        name = name_satellite(system, int(sat))
-        hue = colorsys.hsv_to_rgb(0.618 * float(sat) % 1.0, 0.7, 0.95)  # neighbours far apart
+    for number in np.unique(sat).tolist():
+        mine = sat == number
+        name = name_satellite(system, number)
+        hue = colorsys.hsv_to_rgb(0.618 * float(number) % 1.0, 0.7, 0.95)  # neighbours far apart
         colour = (int(255 * hue[0]), int(255 * hue[1]), int(255 * hue[2]))
-        series.append(draw_line(name, t, values, name, colour))
+        if marks:
+            series.append(draw_dots(name, t[mine], values[mine], name, colour))
+            continue
+        column = np.full(len(epochs), np.nan)
+        column[np.searchsorted(epochs, t[mine])] = values[mine]
+        series.append(draw_line(name, epochs, column, name, colour))
     return tuple(series)
 
 

@@ -1,0 +1,94 @@
+"""The fixes of a receiver and its satellites: errors with the computed sigma, C/N0, residuals, DOP."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bench import earth
+from bench.arrays import FloatArray
+from bench.data import SkyView
+from bench.exchange.rinex_fixes import RinexFixes
+from bench.findings import series
+from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
+from bench.orbit_sets import SYSTEM_NAMES
+from bench.plots.tabs.satellites import draw_satellites, plot_sky
+
+SIGMA = "±3σ, as computed"
+
+
+def count_seconds(solved: RinexFixes) -> FloatArray:
+    """Return the times of the epochs (M,) since the first [s]."""
+    t = solved.observations.t
+    return np.asarray(t - t[0])
+
+
+def find_errors(solved: RinexFixes) -> FloatArray:
+    """Return where the fixes lie (M, 3) [m], n: from the known antenna, or from their median."""
+    if solved.compared:
+        return solved.errors()
+    lla, good = solved.fixes.lla, solved.fixes.valid
+    if not good.any():
+        return np.full((len(lla), 3), np.nan)
+    return earth.difference_n(lla, np.median(lla[good], axis=0))
+
+
+def name_reference(solved: RinexFixes) -> str:
+    """Return in words what the errors are relative to."""
+    if not solved.compared:
+        return "the median of the fixes"
+    return "the position in the header of the file" if solved.truth is None else "the truth"
+
+
+def make_sky_view(solved: RinexFixes) -> SkyView:
+    """Return the satellites above the horizon of the epochs whose position is known."""
+    seen, los_n = solved.seen, solved.solution.los_n
+    rows = np.flatnonzero(np.isfinite(los_n[:, 2]) & (los_n[:, 2] < 0.0))
+    n, e, d = los_n[rows].T
+    return SkyView(
+        t=count_seconds(solved)[seen.epoch[rows]],
+        system=seen.system[rows],
+        sat=seen.sat[rows],
+        azimuth=np.arctan2(e, n),
+        elevation=np.arcsin(-d),
+        cn0=seen.cn0[rows, 0],
+        used=solved.solution.used[rows],
+    )
+
+
+def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:
+    """Yield the errors (M, 3) of position with the computed sigma, and the velocity if there is any."""
+    fixes, good = solved.fixes, solved.fixes.valid
+    t, sd = count_seconds(solved), np.sqrt(np.einsum("mii->mi", fixes.cov_pos_n))
+    for k, axis in enumerate(series.AXES_N):
+        bounds = Series(
+            "bounds", t[good], 3.0 * np.column_stack([sd[good, k], -sd[good, k]]), (SIGMA,) * 2,
+            (series.BAND,) * 2, (1.0, 1.0), band=(0, 1),
+        )  # fmt: skip
+        dots = series.draw_dots("fix", t[good], error[good, k], "fix", FIX)
+        yield Plot(("fixes", axis), f"{axis} position [m]", (bounds, dots))
+    moving = np.isfinite(fixes.vel_n).all(axis=1) & good
+    if moving.any():
+        lines = tuple(
+            series.draw_dots(axis, t[moving], fixes.vel_n[moving, k], axis, AXIS_COLOURS[k])
+            for k, axis in enumerate(series.AXES_N)
+        )
+        yield Plot(("fixes", "velocity"), "velocity [m/s]", lines)
+
+
+def plot_satellites(solved: RinexFixes) -> list[Plot]:
+    """Return C/N0 of each satellite by system if it is known, the number of satellites, and DOP."""
+    sky = make_sky_view(solved)
+    return plot_sky(sky, "the horizon") if len(sky) else []
+
+
+def plot_residuals(solved: RinexFixes) -> Iterator[Plot]:
+    """Yield the residuals of the ranges that are used, by system; those of satellites left out are none."""
+    seen, residual = solved.seen, solved.solution.residual
+    t = count_seconds(solved)
+    for system, name in enumerate(SYSTEM_NAMES):
+        rows = (seen.system == system) & solved.solution.used & np.isfinite(residual)
+        if rows.any():
+            dots = draw_satellites(system, seen.sat[rows], t[seen.epoch[rows]], residual[rows], t, marks=True)
+            yield Plot(("fixes", "residuals", name), f"residuals of {name} ranges [m]", dots)

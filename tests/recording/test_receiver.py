@@ -1,0 +1,76 @@
+"""The recording of the fixes of real files: what it holds is what was solved."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench.cli import main
+from bench.data import SkyView
+from bench.errors import NothingToShowError
+from bench.plots import receiver
+from bench.recording import column
+from bench.recording.receiver import write_fixes
+from tests.data import gnss_file
+
+FILES = ("ESBC00DNK_2020177_GREC_1800s.rnx", "ESBC00DNK_2020177_GREC_MN.rnx")
+
+
+@pytest.fixture(scope="module")
+def solved():
+    return bench.solve_rinex(*map(gnss_file, FILES))
+
+
+def test_the_recording_holds_track_errors_residuals_and_c_n0(solved, tmp_path):
+    write_fixes(tmp_path / "fixes.rrd", solved)
+    error, good = solved.errors(), solved.fixes.valid
+    t, track = column(tmp_path / "fixes.rrd", "/track/fix", "Points2D:positions")
+    assert_allclose(t, (solved.observations.t - solved.observations.t[0])[good], atol=1e-6)
+    assert_allclose(track, np.column_stack([error[good, 1], -error[good, 0]]), atol=1e-5)
+    _, north = column(tmp_path / "fixes.rrd", "/fixes/north/fix", "Scalars:scalars")
+    assert_allclose(north[:, 0], error[good, 0])
+    _, bounds = column(tmp_path / "fixes.rrd", "/fixes/north/bounds", "Scalars:scalars")
+    assert_allclose(bounds[:, 0], 3 * np.sqrt(solved.fixes.cov_pos_n[good, 0, 0]))
+    seen, rows = solved.seen, solved.seen.system == 2
+    sat = int(seen.sat[rows & solved.solution.used][0])
+    rows &= (seen.sat == sat) & solved.solution.used
+    _, residual = column(tmp_path / "fixes.rrd", f"/fixes/residuals/Galileo/E{sat:02d}", "Scalars:scalars")
+    assert_allclose(residual[:, 0], solved.solution.residual[rows])
+    _, strength = column(tmp_path / "fixes.rrd", f"/satellites/cn0/Galileo/E{sat:02d}", "Scalars:scalars")
+    heard = (seen.system == 2) & (seen.sat == sat) & (solved.solution.los_n[:, 2] < 0)
+    assert_allclose(strength[np.isfinite(strength)], seen.cn0[heard & np.isfinite(seen.cn0[:, 0]), 0])
+
+
+def test_the_sky_of_a_receiver_has_the_directions_of_its_satellites(solved):
+    """Of elevation and azimuth again the line of sight, above the horizon only; used are those of the fix."""
+    sky: SkyView = receiver.make_sky_view(solved)
+    level = np.cos(sky.elevation)
+    los_n = np.column_stack(
+        [level * np.cos(sky.azimuth), level * np.sin(sky.azimuth), -np.sin(sky.elevation)]
+    )
+    above = solved.solution.los_n[:, 2] < 0
+    assert_allclose(los_n, solved.solution.los_n[above], atol=1e-9)
+    assert np.array_equal(
+        np.bincount(np.searchsorted(np.unique(sky.t), sky.t[sky.used])), solved.fixes.satellites
+    )
+
+
+def test_without_a_fix_there_is_nothing_to_record(solved, tmp_path):
+    nothing = bench.solve_rinex(*map(gnss_file, FILES), mask_deg=60, systems="gps")
+    if nothing.fixes.valid.any():
+        pytest.skip("a fix above 60 deg")
+    with pytest.raises(NothingToShowError, match="no epoch has a fix"):
+        write_fixes(tmp_path / "none.rrd", nothing)
+
+
+def test_a_recording_is_replaced_only_when_told(tmp_path, capsys):
+    place = tmp_path / "fixes.rrd"
+    arguments = ["fixes", *(str(gnss_file(name)) for name in FILES), "--recording", str(place)]
+    assert main(arguments) == 0
+    assert f"rerun {place}" in " ".join(capsys.readouterr().out.split())
+    assert main(arguments) == 2
+    assert "fixes.rrd" in capsys.readouterr().err
+    assert main([*arguments[:-1], str(tmp_path / "fixes.txt")]) == 2
+    assert "a recording is an .rrd file" in capsys.readouterr().err
