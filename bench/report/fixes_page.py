@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.plots import receiver
+from bench.plots import receiver_plots
 from bench.report import page, svg
 from bench.wording import format_number
 
@@ -12,11 +12,11 @@ def make_page(solved: RinexFixes) -> str:
     """Return the report of the fixes of a RINEX file as HTML."""
     figures = solved.figures()
     fixes, good = solved.fixes, solved.fixes.valid
-    error, t = receiver.find_errors(solved), receiver.count_seconds(solved)
+    error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
     plots = [
-        *receiver.plot_fixes(solved, error),
-        *receiver.plot_residuals(solved),
-        *receiver.plot_satellites(solved),
+        *receiver_plots.plot_fixes(solved, error),
+        *receiver_plots.plot_residuals(solved),
+        *receiver_plots.plot_satellites(solved),
     ]
     return page.render(
         "fixes.html.jinja",
@@ -31,7 +31,7 @@ def make_page(solved: RinexFixes) -> str:
             (name, format_number(value) if isinstance(value, float) else str(value))
             for name, value in figures.items()
         ],
-        against=receiver.name_reference(solved),
+        against=receiver_plots.name_reference(solved),
         track=svg.draw_track([], error[good, :2]) if good.any() else "",
         plots=[page.make_figure(plot, (0.0, float(max(t[-1], 1.0))), ()) for plot in plots]
         if good.any()

@@ -70,7 +70,7 @@ def solve_fixes(
         durable.write(report, fixes_page.make_page(solved))
         console.print(f"Report: {report}", soft_wrap=True)
     if recording is not None:
-        from bench.recording.receiver import write_fixes
+        from bench.recording.fixes_recording import write_fixes
 
         write_fixes(recording, solved)
         console.print(f"Recording: {recording}; look at it with: rerun {recording}", soft_wrap=True)

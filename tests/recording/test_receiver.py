@@ -10,9 +10,9 @@ import bench
 from bench.cli import main
 from bench.data import SkyView
 from bench.errors import NothingToShowError
-from bench.plots import receiver
+from bench.plots import receiver_plots
 from bench.recording import column
-from bench.recording.receiver import write_fixes
+from bench.recording.fixes_recording import write_fixes
 from tests.data import gnss_file
 
 FILES = ("ESBC00DNK_2020177_GREC_1800s.rnx", "ESBC00DNK_2020177_GREC_MN.rnx")
@@ -45,7 +45,7 @@ def test_the_recording_holds_track_errors_residuals_and_c_n0(solved, tmp_path):
 
 def test_the_sky_of_a_receiver_has_the_directions_of_its_satellites(solved):
     """Of elevation and azimuth again the line of sight, above the horizon only; used are those of the fix."""
-    sky: SkyView = receiver.make_sky_view(solved)
+    sky: SkyView = receiver_plots.make_sky_view(solved)
     level = np.cos(sky.elevation)
     los_n = np.column_stack(
         [level * np.cos(sky.azimuth), level * np.sin(sky.azimuth), -np.sin(sky.elevation)]

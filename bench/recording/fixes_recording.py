@@ -16,7 +16,7 @@ from bench.arrays import FloatArray
 from bench.errors import NothingToShowError
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.findings.series import BAND, FIX, Plot, round_number
-from bench.plots import receiver
+from bench.plots import receiver_plots
 from bench.recording import drawing, layout, sky_view
 from bench.recording.drawing import TIMELINE
 from bench.wording import format_number
@@ -38,11 +38,11 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     good = solved.fixes.valid
     if not good.any():
         raise NothingToShowError("no epoch has a fix: there is nothing to record")
-    error, t = receiver.find_errors(solved), receiver.count_seconds(solved)
+    error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
     plots = {
-        "Errors": list(receiver.plot_fixes(solved, error)),
-        "Residuals": list(receiver.plot_residuals(solved)),
-        "Satellites": receiver.plot_satellites(solved),
+        "Errors": list(receiver_plots.plot_fixes(solved, error)),
+        "Residuals": list(receiver_plots.plot_residuals(solved)),
+        "Satellites": receiver_plots.plot_satellites(solved),
     }
     end = float(max(t[-1], 1.0))
     stream = rr.RecordingStream("bench fixes", batcher_config=rr.ChunkBatcherConfig.NEVER())
@@ -50,7 +50,7 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     stream.send_blueprint(_make_blueprint(solved, plots, error[good], end))
     stream.send_recording_name(f"{solved.name}, {solved.day}")
     _send_track(stream, t[good], error[good], solved.fixes.lla[good])
-    sky_view.send_satellites(stream, receiver.make_sky_view(solved), 0.0)
+    sky_view.send_satellites(stream, receiver_plots.make_sky_view(solved), 0.0)
     stream.log("/summary", rr.TextDocument(_write_summary(solved), media_type="text/markdown"), static=True)
     for plot in chain.from_iterable(plots.values()):
         drawing.send(stream, plot, ())
@@ -97,7 +97,7 @@ def _make_blueprint(solved: RinexFixes, plots: dict[str, list[Plot]], error: Flo
     far = 1.1 * max(float(np.nanmax(np.abs(error[:, :2]))), 1e-3)
     track = rrb.Spatial2DView(
         origin=TRACK,
-        name=f"Fixes from above, north up, from {receiver.name_reference(solved)}",
+        name=f"Fixes from above, north up, from {receiver_plots.name_reference(solved)}",
         visual_bounds=rrb.VisualBounds2D(x_range=[-far, far], y_range=[-far, far]),
     )
     lat = float(np.nanmedian(solved.fixes.lla[:, 0]))
