@@ -58,6 +58,10 @@ STUDIES: Mapping[str, StudyEntry] = {
         "bench.studies.recorded_logs",
         "Which filter does better on many recordings?",
     ),
+    "closed-loop": StudyEntry(
+        "bench.studies.flown_by_filters",
+        "Where does the aircraft end that a filter flies, and how far off its path, by filter and unit?",
+    ),
     "rnp": StudyEntry(
         "bench.studies.rnp",
         "Are accuracy, integrity, continuity and availability those that a procedure requires?",

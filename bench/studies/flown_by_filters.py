@@ -1,0 +1,205 @@
+"""Where an aircraft ends that a filter flies, and how far off its path it was, by filter and unit.
+
+Each draw is a flight of its own (`bench.closed_loop`). The miss distance is that from where the same flight ends
+when the truth guides it: an estimate without error flies the same bits, so the miss is what navigation did. A
+flight with a flare is held at its touch-down, others at their end. A crash has missed by more than any distance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bench import closed_loop, earth, pipeline
+from bench.arrays import FloatArray
+from bench.config import load_profile
+from bench.data import Trajectory
+from bench.errors import ConfigError
+from bench.evaluation.ensemble import Quantile, estimate_quantile, pool_rmse
+from bench.evaluation.error_series import error_series
+from bench.evaluation.total_system import PARTS, resolve_along
+from bench.findings import Findings, FindingTable, make_table
+from bench.findings.series import ESTIMATORS, Plot, draw_line
+from bench.flight.desired_path import measure_steered
+from bench.flight.legs.landing import Flare
+from bench.specs import FlightSpec, Profile
+from bench.studies.catalog_units import find_units
+from bench.studies.study import Count, FlightOptions, StudyWorkers, Words
+from bench.wording import format_number
+
+_SMALLEST = 1e-3  # misses below this are alike [m]
+
+
+class Options(FlightOptions):
+    """What may be asked."""
+
+    profile: str
+    """shipped profile with ``[guidance]``, or the path of a .toml file"""
+    estimators: Words = ("loose-15", "loose-full")
+    """filters that fly; the others are compared with the first"""
+    units: Words | None = None
+    """IMUs of the catalog, or .toml files of your own; left out: that of the profile"""
+    draws: Count = 10
+    """flights of each filter with each unit, the same draws for all"""
+
+
+@dataclass(frozen=True)
+class _FlownTask:
+    """One flight, as a worker gets it."""
+
+    profile: Profile
+    run: int
+
+
+@dataclass(frozen=True, slots=True)
+class FlownByFilter:
+    """What came of one flight."""
+
+    miss: float  # horizontal, infinite after a crash [m]
+    crashed: bool
+    errors: Mapping[str, float]  # tse, fte, nse: mean square across the path [m^2]; empty without a path
+
+
+def run(options: Options, work: StudyWorkers) -> Findings:
+    """Return the miss distance and the total system error by filter and unit."""
+    units: tuple[str | None, ...] = (None,)
+    if options.units is not None:
+        units = tuple(find_units("closed-loop", options.units))
+    cases = {(unit, use): _load_case(options, unit, use) for unit in units for use in options.estimators}
+    work.map("flying by the truth", _fly_open, list(cases.values())[:1])
+    tasks = [_FlownTask(profile, k) for profile in cases.values() for k in range(options.draws)]
+    found = work.map("flying by filters", fly_draw, tasks, first=[0])
+    n = options.draws
+    flown = {case: found[k * n : (k + 1) * n] for k, case in enumerate(cases)}
+    return Findings(
+        verdicts=tuple(_tell_flown(flown)),
+        tables=(_tabulate(flown),),
+        figures=(_plot_misses(flown),),
+        draws=n,
+    )
+
+
+def fly_draw(task: _FlownTask) -> FlownByFilter:
+    """Fly one draw and return what came of it."""
+    profile = task.profile
+    closed = closed_loop.fly(profile, task.run)
+    truth, answers = closed.truth, closed.answers
+    crashed = bool(truth.events.select("crash"))
+    miss = np.inf if crashed else measure_miss(profile, truth, _fly_open(profile))
+    errors = error_series(truth, answers)
+    path = measure_steered(profile.flight, truth, errors.t)
+    squares = dict[str, float]()
+    if path is not None:
+        resolved = resolve_along(path, errors.pos_n)
+        on = np.isfinite(path.right) & (errors.t >= profile.evaluation.begin)
+        if on.any():
+            squares = {part: float(np.mean(resolved[part]["across"][on] ** 2)) for part in PARTS}
+    return FlownByFilter(float(miss), crashed, squares)
+
+
+def measure_miss(profile: Profile, truth: Trajectory, by_truth: Trajectory) -> float:
+    """Return how far from each other two flights of a profile end, or touch down, horizontally [m]."""
+    ends = []
+    for one in (truth, by_truth):
+        t = float(one.t[-1])
+        legs = profile.flight.legs if isinstance(profile.flight, FlightSpec) else ()
+        for leg, (_, end, _) in zip(legs, one.events.select("leg"), strict=False):
+            if isinstance(leg, Flare):
+                t = float(end)
+        ends.append(one.lla[np.searchsorted(one.t, t - 1e-6)])
+    north, east, _ = earth.difference_n(ends[0], ends[1])
+    return float(np.hypot(north, east))
+
+
+def _fly_open(profile: Profile) -> Trajectory:
+    return pipeline.fly(replace(profile, guidance=None))
+
+
+def _load_case(options: Options, unit: str | None, use: str) -> Profile:
+    profile = load_profile(options.profile, options.settings, options.seed)
+    if profile.guidance is None:
+        raise ConfigError(f"study closed-loop: {profile.name} has no [guidance]: no filter flies it")
+    changes: dict[str, Any] = {"guidance.navigation": use, "guidance.options": {}, **options.settings}
+    changes |= {} if unit is None else {"sensors.imu": unit}
+    return load_profile(options.profile, changes, options.seed)
+
+
+def compare_misses(one: FloatArray, first: FloatArray) -> tuple[str, Quantile]:
+    """Return a word for misses (R,) of the same draws, and the median of their ratio; crashes are infinite."""
+    with np.errstate(invalid="ignore"):
+        ratio = np.maximum(one, _SMALLEST) / np.maximum(first, _SMALLEST)
+    found = estimate_quantile(np.where(np.isnan(ratio), 1.0, ratio), 0.5)
+    if found.high is not None and found.high < 1.0:
+        return "better", found
+    if found.low is not None and found.low > 1.0:
+        return "worse", found
+    return "undecided", found
+
+
+def _collect(flights: list[FlownByFilter]) -> FloatArray:
+    return np.array([one.miss for one in flights])
+
+
+def _finite(value: float | None) -> float | None:
+    return value if value is not None and np.isfinite(value) else None
+
+
+def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> FindingTable:
+    rows = []
+    first = _collect(next(iter(flown.values())))
+    for (unit, use), flights in flown.items():
+        miss = _collect(flights)
+        middle = estimate_quantile(miss, 0.5)
+        row: list[Any] = [unit or "of the profile", use, len(flights), sum(one.crashed for one in flights)]
+        row += [_finite(one) for one in (middle.value, middle.low, middle.high, float(miss.max()))]
+        for part in PARTS:
+            squares = np.array([one.errors[part] for one in flights if part in one.errors])
+            rms = pool_rmse(squares) if len(squares) > 1 else None
+            row += [None] * 3 if rms is None else [rms.value, rms.low, rms.high]
+        rows.append([*row, "" if miss is first else compare_misses(miss, first)[0]])
+    rows[0][-1] = "the first"
+    spread = [f"{part}_across{end}_m" for part in PARTS for end in ("_rms", "_low", "_high")]
+    names = ("imu", "filter", "draws", "crashed", "miss_m", "miss_low_m", "miss_high_m", "miss_max_m")
+    title = "Miss distance (median, 95 %, largest; none: a crash) and errors across the path (95 %)"
+    return make_table("closed-loop", title, (*names, *spread, "miss_is"), rows)
+
+
+def _plot_misses(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Plot:
+    lines = []
+    for k, (case, flights) in enumerate(flown.items()):
+        miss = np.sort(_collect(flights))
+        share = 100.0 * np.arange(1, len(miss) + 1) / len(miss)
+        kept, name = np.isfinite(miss), _name(case)
+        lines.append(draw_line(name, miss[kept], share[kept], name, ESTIMATORS[k % len(ESTIMATORS)]))
+    title = "flights that miss by less [%]"
+    return Plot(("closed-loop", "miss"), title, tuple(lines), across="m", over="miss distance")
+
+
+def _name(case: tuple[str | None, str]) -> str:
+    return case[1] if case[0] is None else f"{case[1]} with {case[0]}"
+
+
+def _tell_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[str]:
+    first = next(iter(flown))
+    for case, flights in flown.items():
+        miss, crashes = _collect(flights), sum(one.crashed for one in flights)
+        middle = estimate_quantile(miss, 0.5)
+        told = f"{_name(case)}: "
+        if np.isfinite(middle.value):
+            told += f"half of {len(flights)} flights miss by less than {format_number(middle.value, 3)} m"
+        else:
+            told += f"most of {len(flights)} flights crash"
+        told += f"; {crashes} crashed" if crashes and np.isfinite(middle.value) else ""
+        squares = [one.errors["tse"] for one in flights if one.errors]
+        if squares:
+            told += (
+                f"; total system error {format_number(np.sqrt(np.mean(squares)), 3)} m rms across its path"
+            )
+        if case != first:
+            word, ratio = compare_misses(miss, _collect(flown[first]))
+            value = f", {format_number(ratio.value, 3)} times its miss" if np.isfinite(ratio.value) else ""
+            told += f"; against {_name(first)} {word}{value}"
+        yield told + "."

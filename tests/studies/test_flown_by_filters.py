@@ -1,0 +1,89 @@
+"""The study closed-loop: where the aircraft ends, on a short flight and by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench import config, earth, pipeline
+from bench.errors import ConfigError
+from bench.studies import flown_by_filters
+from bench.studies.flown_by_filters import compare_misses, measure_miss
+from tests.test_closed_loop import PROFILE
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    begin, end = PROFILE.index('[[leg]]\nkind = "turn"'), PROFILE.index("[sensors]")
+    path = tmp_path_factory.mktemp("closed") / "closed.toml"
+    path.write_text((PROFILE[:begin] + PROFILE[end:]).replace("from_s = 10.0", "from_s = 5.0"))
+    return path
+
+
+def test_each_filter_flies_the_same_draws_and_is_held_against_the_flight_by_the_truth(path):
+    found = bench.study("closed-loop", profile=str(path), jobs=1, draws=2, estimators="loose-15,loose-22")
+    table = found.tables["closed-loop"].columns
+    assert table["filter"] == ["loose-15", "loose-22"]
+    assert table["crashed"] == [0, 0]
+    profile = config.load_profile(path, {"guidance.navigation": "loose-22"})
+    misses = []
+    for run in range(2):
+        by_filter, by_truth = (
+            pipeline.fly(one, run=run).lla[-1] for one in (profile, replace(profile, guidance=None))
+        )
+        misses.append(np.hypot(*earth.local_ned(by_filter, by_truth)[:2]))
+    assert table["miss_max_m"][1] == pytest.approx(max(misses), rel=1e-4)
+    assert 0.01 < max(misses) < 30.0
+    assert table["tse_across_rms_m"] == [None, None]  # a straight leg has no path
+    assert table["miss_is"] == ["the first", "undecided"]  # two draws
+    assert "half of 2 flights miss by less than" in found.verdicts[0]
+
+
+def test_the_miss_of_a_landing_is_that_of_its_touch_down():
+    profile = config.load_profile("approach-closed")
+    truth = pipeline.fly(replace(profile, guidance=None))
+    flare = truth.events.select("leg")[3]
+    down = int(np.searchsorted(truth.t, flare[1] - 1e-6))
+    lla = truth.lla.copy()
+    lla[down] = earth.displace(truth.lla[down], np.array([30.0, -40.0, 0.0]))
+    lla[-1] = earth.displace(truth.lla[-1], np.array([900.0, 0.0, 0.0]))
+    assert_allclose(measure_miss(profile, replace(truth, lla=lla), truth), 50.0, atol=1e-3)
+
+
+def test_misses_of_the_same_draws_are_compared_by_the_median_of_their_ratio():
+    first = np.linspace(10.0, 20.0, 12)
+    word, ratio = compare_misses(0.5 * first, first)
+    assert (word, ratio.value) == ("better", 0.5)
+    assert compare_misses(2.0 * first, first)[0] == "worse"
+    assert compare_misses(first[::-1], first)[0] == "undecided"
+    crashed = np.full(12, np.inf)
+    assert compare_misses(crashed, first)[0] == "worse"
+    assert compare_misses(crashed, crashed)[1].value == 1.0
+
+
+def test_a_crash_has_no_miss_and_is_counted(path, monkeypatch):
+    fly = flown_by_filters.fly_draw
+    monkeypatch.setattr(
+        flown_by_filters,
+        "fly_draw",
+        lambda task: replace(fly(task), miss=np.inf, crashed=True) if task.run else fly(task),
+    )
+    options = flown_by_filters.Options(profile=str(path), draws=3, estimators="loose-15")
+
+    class Work:
+        progress = staticmethod(lambda *args: None)
+        map = staticmethod(lambda what, do, items, first=(): [do(one) for one in items])
+
+    found = flown_by_filters.run(options, Work)
+    table = found.tables[0].columns
+    assert (table["crashed"], table["miss_m"], table["miss_max_m"]) == ([2], [None], [None])
+    assert "most of 3 flights crash" in found.verdicts[0]
+
+
+def test_a_profile_that_the_truth_flies_is_refused():
+    with pytest.raises(ConfigError, match=r"approach has no \[guidance\]: no filter flies it"):
+        bench.study("closed-loop", profile="approach", jobs=1, draws=2)
