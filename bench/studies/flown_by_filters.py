@@ -1,8 +1,9 @@
 """Where an aircraft ends that a filter flies, and how far off its path it was, by filter and unit.
 
-Each draw is a flight of its own (`bench.closed_loop`). The miss distance is that from where the same flight ends
-when the truth guides it: an estimate without error flies the same bits, so the miss is what navigation did. A
-flight with a flare is held at its touch-down, others at their end. A crash has missed by more than any distance.
+Each draw is a flight of its own (`bench.closed_loop`). The miss distance is that from where the same flight
+ends when the truth guides it: an estimate without error flies the same bits, so the miss is what navigation
+did. It is that of the touch-down if the flight has a flare, else of the end. A crash has missed by more than
+any distance.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def _load_case(options: Options, unit: str | None, use: str) -> Profile:
 
 
 def compare_misses(one: FloatArray, first: FloatArray) -> tuple[str, Quantile]:
-    """Return a word for misses (R,) of the same draws, and the median of their ratio; crashes are infinite."""
+    """Return a word for misses (R,) of the same draws, and the median of their ratio; infinite: a crash."""
     with np.errstate(invalid="ignore"):
         ratio = np.maximum(one, _SMALLEST) / np.maximum(first, _SMALLEST)
     found = estimate_quantile(np.where(np.isnan(ratio), 1.0, ratio), 0.5)
@@ -159,7 +160,7 @@ def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Fi
             squares = np.array([one.errors[part] for one in flights if part in one.errors])
             rms = pool_rmse(squares) if len(squares) > 1 else None
             row += [None] * 3 if rms is None else [rms.value, rms.low, rms.high]
-        rows.append([*row, "" if miss is first else compare_misses(miss, first)[0]])
+        rows.append([*row, compare_misses(miss, first)[0]])
     rows[0][-1] = "the first"
     spread = [f"{part}_across{end}_m" for part in PARTS for end in ("_rms", "_low", "_high")]
     names = ("imu", "filter", "draws", "crashed", "miss_m", "miss_low_m", "miss_high_m", "miss_max_m")
