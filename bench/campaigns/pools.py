@@ -16,6 +16,8 @@ from multiprocessing import connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from bench.campaigns.heap import keep_freed_memory
+
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Environment variables for the number of threads of the libraries; each worker works alone."""
 
@@ -184,6 +186,7 @@ def _one_thread() -> Iterator[None]:
 def _prepare(path: Sequence[str]) -> None:
     """Make a new worker ready: the import path of the driver, and an end with the driver."""
     sys.path[:] = path
+    keep_freed_memory()
     signal.signal(signal.SIGTERM, _stop)
     threading.Thread(target=_follow_parent, daemon=True).start()
 

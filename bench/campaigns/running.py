@@ -209,6 +209,7 @@ def run_campaign(
     jobs: int | None = None,
     executor: Executor | None = None,
     scheduler: str | None = None,
+    pool: Pool | None = None,
     folder: Path | None = None,
     force: bool = False,
     resume: bool = False,
@@ -229,6 +230,8 @@ def run_campaign(
         Use the ``jobs`` workers of this executor instead of processes of its own.
     scheduler : str or None
         Use the workers of the Dask scheduler at this address; it needs the extra "cluster".
+    pool : Pool or None
+        Workers that run already, and go on afterwards.
     folder : Path or None
         Where journal and tables are written; None leaves nothing behind.
     force : bool
@@ -273,8 +276,12 @@ def run_campaign(
         if (place / PRINTED).is_file():
             printed.add((place / PRINTED).read_bytes())
         try:
-            with _open_pool(plan, jobs or count_processors(), executor, scheduler) as pool:
-                _work(plan, journal, pool, printed, progress)
+            with (
+                contextlib.nullcontext(pool)
+                if pool
+                else _open_pool(plan, jobs or count_processors(), executor, scheduler) as workers
+            ):
+                _work(plan, journal, workers, printed, progress)
             interrupted = False
         except KeyboardInterrupt:
             interrupted = True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bench
@@ -43,6 +43,28 @@ class Findings:
     draws: int = 0  # noise draws behind each figure with an interval; 0: nothing is drawn
     good: bool = True  # no verdict is negative
     undecided: bool = False  # what was asked cannot be told from so few draws
+
+
+def join_findings(found: Mapping[str, Findings]) -> Findings:
+    """Return findings of several cases as one: sentences, tables and figures with the name of their case."""
+    if len(found) == 1:
+        return next(iter(found.values()))
+    return Findings(
+        tuple(f"{name}: {text}" for name, one in found.items() for text in one.verdicts),
+        tuple(
+            replace(table, name=f"{table.name}-{name}", title=f"{name}: {table.title}")
+            for name, one in found.items()
+            for table in one.tables
+        ),
+        tuple(
+            replace(plot, path=(*plot.path[:-1], f"{plot.path[-1]}-{name}"), title=f"{name}: {plot.title}")
+            for name, one in found.items()
+            for plot in one.figures
+        ),
+        max(one.draws for one in found.values()),
+        all(one.good for one in found.values()),
+        any(one.undecided for one in found.values()),
+    )
 
 
 @dataclass(frozen=True)

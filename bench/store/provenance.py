@@ -7,6 +7,7 @@ import hashlib
 import json
 import platform
 import subprocess
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -41,12 +42,21 @@ def _to_plain(value: Any) -> Any:
 
 def list_versions() -> dict[str, str]:
     """Return the versions of bench, Python and every package in `PACKAGES`."""
+    return dict(_read_versions())
+
+
+@cache
+def _read_versions() -> dict[str, str]:
     packages = {name: version(name) for name in PACKAGES}
     return {"bench": bench.__version__, "python": platform.python_version(), **packages}
 
 
+@cache
 def find_commit() -> str | None:
-    """Return the commit of the source tree, with ``-dirty`` if files differ from it; None outside a tree."""
+    """Return the commit of the source tree, with ``-dirty`` if files differ from it; None outside a tree.
+
+    It is looked up once in a process: what is loaded does not change later.
+    """
     tree = PACKAGE.parent
     if not (tree / ".git").exists():
         return None

@@ -36,26 +36,26 @@ from bench.studies.drawn_errors import (
     output_times,
     split_draws,
 )
-from bench.studies.study import Count, FlightOptions, StudyWorkers, Words
+from bench.studies.study import Count, StudyWorkers, UnitOptions, Words, ask_each
 
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str
-    """name of a shipped profile, or the path of a .toml file"""
     estimators: Words | None = None
     """estimators to hold against the bound; left out: those of the profile"""
-    imu: str | None = None
-    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
     draws: Count = 20
     """noise draws of each estimator"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the bound and the ratio of each estimator to it."""
+    return ask_each(options, work, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     flight = UnitFlight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
     profile, truth = flight.load()
     built = pipeline.build_estimators(profile)

@@ -38,7 +38,7 @@ from bench.studies.drawn_errors import (
     output_times,
     split_draws,
 )
-from bench.studies.study import Count, FlightOptions, StudyWorkers
+from bench.studies.study import Count, StudyWorkers, UnitOptions, ask_each
 
 _PARTS = 8  # of the draws of a source, so that all workers have something to do
 _WIDE = 1.5  # an interval of a variance whose upper end is so many times its lower end squared tells nothing
@@ -48,21 +48,21 @@ _SHOWN = 5  # sources with an area of their own
 _ALL, _OTHERS = "all sources", "all others"
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str
-    """name of a shipped profile, or the path of a .toml file"""
     estimator: str | None = None
     """a loose filter: label of the profile, or built-in name; left out: the first of the profile"""
-    imu: str | None = None
-    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
     draws: Count = 200
     """noise draws of each source that matters"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the contributions by covariance and by Monte Carlo."""
+    return ask_each(options, work, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     asked = None if options.estimator is None else (options.estimator,)
     flight = UnitFlight(options.profile, options.imu, asked, options.overrides, options.seed)
     profile, truth = flight.load()

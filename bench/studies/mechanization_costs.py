@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from itertools import chain
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -94,23 +95,19 @@ class _TrueFlight(NamedTuple):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Fly every algorithm and return the tables and figures."""
-    parts: Sequence[Callable[[Options, _TrueFlight], tuple[list[str], FindingTable, list[Plot]]]] = (
-        _compare_attitudes,
-        _compare_frames,
-        _compare_series,
-        _compare_accelerometers,
-    )
+    found = work.map("flying", _compare, [(options, k) for k in range(4)])
+    verdicts, tables, figures = zip(*found, strict=True)
+    return Findings(tuple(chain(*verdicts)), tables, tuple(chain(*figures)))
+
+
+def _compare(asked: tuple[Options, int]) -> tuple[list[str], FindingTable, list[Plot]]:
+    """Return sentences, table and figures of a part of the study."""
+    options, part = asked
     interval = 1.0 / options.rate_hz
     flight = _TrueFlight(*SwingingFlight().fly(options.duration_s, options.rate_hz), interval)
     navigate("ned", flight.nav[0], interval, flight.dtheta[:100], flight.dvel[:100])  # compiles it
-    told, tables, figures = [], [], []
-    for k, part in enumerate(parts):
-        work.progress("flying", k, len(parts))
-        verdicts, table, plots = part(options, flight)
-        told += verdicts
-        tables.append(table)
-        figures += plots
-    return Findings(tuple(told), tuple(tables), tuple(figures))
+    parts = (_compare_attitudes, _compare_frames, _compare_series, _compare_accelerometers)
+    return parts[part](options, flight)
 
 
 def _list_attitudes() -> list[tuple[str, str, int]]:

@@ -15,6 +15,7 @@ import numpy as np
 
 from bench import sensors
 from bench.arrays import BoolArray, FloatArray
+from bench.errors import ConfigError
 from bench.evaluation.linear.directions import (
     Observed,
     describe_direction,
@@ -26,7 +27,7 @@ from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot
 from bench.studies.drawn_errors import UnitFlight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
-from bench.studies.study import FlightOptions, StudyWorkers
+from bench.studies.study import StudyWorkers, UnitOptions, Words, ask_each
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
@@ -41,22 +42,26 @@ _FIGURES = (  # column -> states of `FIGURES`, SI over unit
 )
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str = "s-turns"
-    """name of a shipped profile, or the path of a .toml file"""
-    imu: str | None = None
-    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
+    profiles: Words = ("s-turns",)
+    """names of shipped profiles, or .toml files of your own, separated by commas"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return what is known before, in and after turns."""
+    return ask_each(options, work, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     profile, truth = UnitFlight(options.profile, options.imu, None, options.overrides, options.seed).load()
     work.progress("the best linear estimator", 0, 2)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)
     seen = observe(bound_flight(truth, profile.sensors, data, profile.seed, t, smooth=False))
+    if not seen.left.size:
+        raise ConfigError(f"study observability: on {profile.name} start and unit have no error to observe")
     turning = _smooth_phases(find_turns(truth, seen.t), seen.t)
     phases = _split_phases(turning)
     work.progress("the reference flight", 1, 2)

@@ -1,19 +1,24 @@
-"""Numbers of the register that take a flight: what the filter's innovations say of it, over a few draws."""
+"""Numbers of the register that take a flight: what filters make of it, over a few draws."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from bench import pipeline
+from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import Trajectory
+from bench.data import NavSolution, Trajectory
 from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
+from bench.navigation.engine.record_cuts import take_piece
+from bench.navigation.open_filters import PieceFilter
 from bench.specs import Profile
+from bench.studies import rnp
 from bench.studies.register_measures import RowFinding
+from bench.studies.study import StudyWorkers
 from bench.units import STANDARD_GRAVITY
 
 _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 10 Hz
@@ -27,6 +32,8 @@ _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 
     "sensors.gnss.rate_hz": 10.0,
     "estimator": [{"use": "loose-15", "options": {"compensate_latency": False}}],
 }
+_FIXES = ("gnss_position", "gnss_velocity")
+_NOSE, _TAIL = (2.0, 0.3, -0.4), (-9.0, 0.0, -1.5)  # antennas [m], b
 _DRAWS = 4
 _STEP_S = 12.0  # from the rise of the force on [s]
 
@@ -48,15 +55,19 @@ def measure_step(**values: object) -> dict[str, MeanNis]:
     """Return the mean NIS of loose-15 by sensor through the step, with its 99.9 % band, over draws."""
     profile = load_step(**values)
     truth, begin = fly_step()
+    sensed = [pipeline.sense(profile, truth, draw) for draw in range(_DRAWS)]
+    solutions = [pipeline.navigate(profile.estimators[0], one.data, one.initial) for one in sensed]
+    return average_nis(solutions, begin, begin + _STEP_S)
+
+
+def average_nis(solutions: Iterable[NavSolution], begin: float, end: float) -> dict[str, MeanNis]:
+    """Return the mean NIS by sensor of what is valid in [begin, end) [s], with its 99.9 % band."""
     found: dict[str, list[Any]] = {}
-    for draw in range(_DRAWS):
-        sensed = pipeline.sense(profile, truth, draw)
-        solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
+    for solution in solutions:
         for name, one in nis_by_sensor(solution.innovations, begin).items():
-            inside = one.t < begin + _STEP_S
-            found.setdefault(name, []).append((one.nis[inside], one.dof[inside]))
+            found.setdefault(name, []).append(one.take(one.t < end))
     return {
-        name: mean_nis(np.concatenate([one[0] for one in rows]), np.concatenate([one[1] for one in rows]))
+        name: mean_nis(np.concatenate([one.nis for one in rows]), np.concatenate([one.dof for one in rows]))
         for name, rows in found.items()
     }
 
@@ -64,8 +75,68 @@ def measure_step(**values: object) -> dict[str, MeanNis]:
 def step_of_2_g() -> RowFinding:
     """#31: NIS through a step of 2 g, and with a receiver whose loops of 1 Hz are behind by it."""
     whole, behind = measure_step(), measure_step(**{"sensors.gnss.tracking_bandwidth_hz": 1.0})
-    texts = [f"{name.removeprefix('gnss_')} {one.mean:.2f} ({one.low:.2f} to {one.high:.2f})"
-             for name, one in whole.items() if name.startswith("gnss_")]  # fmt: skip
-    noticed = all(one.mean > one.high for name, one in behind.items() if name.startswith("gnss_"))
-    text = f"{', '.join(texts)}; loops of 1 Hz {behind['gnss_position'].mean:.0f}"
+    noticed = all(behind[name].mean > behind[name].high for name in _FIXES)
+    text = f"{_tell_nis(whole)}; loops of 1 Hz {behind['gnss_position'].mean:.0f}"
     return RowFinding(text, noticed and all(one.inside for one in whole.values()))
+
+
+def _tell_nis(found: Mapping[str, MeanNis]) -> str:
+    rows = {name.removeprefix("gnss_"): found[name] for name in _FIXES}
+    return ", ".join(f"{name} {one.mean:.2f} ({one.low:.2f} to {one.high:.2f})" for name, one in rows.items())
+
+
+def go_over(told: tuple[float, float, float]) -> dict[str, MeanNis]:
+    """Return the mean NIS of loose-15 in the step after its receiver went over from nose to tail there.
+
+    ``told`` is where the filter takes the second antenna to be [m], b.
+    """
+    profile, (truth, begin) = load_step(), fly_step()
+    solutions = []
+    for draw in range(_DRAWS):
+        nose, tail = (
+            sensors.sense(truth, replace(profile.sensors, antenna_b=at), profile.seed, draw)
+            for at in (_NOSE, _TAIL)
+        )
+        built = pipeline.build_estimator(profile.estimators[0])
+        one = PieceFilter("loose-15", {}, built, nose.initial, 1.0)
+        later = replace(tail.data, antenna_b=np.array(told))
+        solutions += [one.feed(take_piece(nose.data, -1.0, begin))]
+        solutions += [one.feed(take_piece(later, begin, np.inf)), one.finish()]
+    return average_nis(solutions, begin + 0.05, begin + _STEP_S)
+
+
+def switch_antenna() -> RowFinding:
+    """#30: NIS of the fixes after a change of the antenna, and of a filter that keeps the first arm."""
+    right, wrong = go_over(_TAIL), go_over(_NOSE)
+    noticed = all(wrong[name].mean > wrong[name].high for name in _FIXES)
+    text = f"NIS {_tell_nis(right)}; with the first arm {wrong['gnss_position'].mean:.0f}"
+    return RowFinding(text, noticed and all(right[name].inside for name in _FIXES))
+
+
+def require_performance() -> RowFinding:
+    """#33: the lines of a procedure by two flights of tight, each with its bounds."""
+    with StudyWorkers(1) as work:
+        found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", draws=2), work)
+    table = found.tables[0].columns
+    rows = dict(
+        zip(table["figure"], zip(table["value"], table["low"], table["high"], strict=True), strict=True)
+    )
+    told = {
+        name: rows[f"{figure}, horizontal"]
+        for name, figure in (
+            ("availability", "availability"),
+            ("continuity risk", "risk of an alert in 15 s"),
+            ("hazards per hour", "hazardously misleading, per hour"),
+        )
+    }
+    text = ", ".join(
+        f"{name} {value:.2g} ({low:.2g} to {high:.2g})" for name, (value, low, high) in told.items()
+    )
+    bounded = all(low <= value <= high and low < high for value, low, high in told.values())
+    return RowFinding(f"2 flights: {text}", bounded and found.good and found.undecided)
+
+
+def come_back() -> RowFinding:
+    """#60: the increments of ten minutes, integrated, against the truth."""
+    found = pipeline.fly_over(load_profile("figure-eight", {}, None, None))
+    return RowFinding(f"{1e3 * found['replay_position_m']:.1g} mm", found["replay_position_m"] < 1.0)

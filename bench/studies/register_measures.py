@@ -15,10 +15,12 @@ from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.evaluation.route_errors import cross_track_error
 from bench.flight.closed_form import SwingingFlight
 from bench.navigation.engine import integrity
+from bench.navigation.register import vector_matching
 from bench.navigation.register.mechanizations import attitude
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.mechanizations.solving import IntervalMotion, Rates, navigate
 from bench.signals import delays
+from bench.studies import alignment_errors
 from bench.studies.mechanization_costs import (
     coning_drift,
     gravity_error,
@@ -91,6 +93,22 @@ def fly_attitude(name: str, most: float) -> RowFinding:
     nav, dtheta, dvel = _fly(300.0, 100.0, banked=False)
     off = _apart(navigate("nhe", nav[0], 0.01, dtheta, dvel, attitude=name), nav[-1])[2]
     return RowFinding(f'{off:.2g}"', off <= most)
+
+
+def fly_euler() -> RowFinding:
+    """#6: after level turns, and past both verticals with and without the guard."""
+    level = fly_attitude("euler", 0.02)
+    rate, C = np.array([1e-3, 1e-3, 40.0 * DEG]), attitude.nhe_matrix(0.3, 0.0, 0.02)
+    true = C @ rotation.matrix(rotation.from_rotvec(9.0 * rate))
+    x, y, z = (0.01 * rate).tolist()
+    lost = []
+    for guard in (math.inf, attitude.EULER_GUARD):
+        body = attitude.Euler(C, np.eye(3), guard=guard)
+        for _ in range(900):
+            body.step((x, y, z), (0.0, 0.0, 0.0))
+        lost.append(float(np.linalg.norm(rotation.to_rotvec(rotation.from_matrix(body.C @ true.T)))) / DEG)
+    text = f"{level.ours}; past 90 deg {lost[0]:.2g} deg, guarded {lost[1]:.1g}"
+    return RowFinding(text, level.holds and lost[0] > 0.05 and lost[1] < lost[0] / 30.0)
 
 
 def take_picard_step() -> RowFinding:
@@ -193,6 +211,33 @@ def integrate_quaternion_error() -> RowFinding:
     error = quaternion_error(t, q, np.tile(dw, (len(t), 1)))
     off = float(np.abs(error - 0.5 * (more - less)).max())
     return RowFinding(f"{off:.1g}", off < 1.2e-11)
+
+
+def describe_attitude_error() -> RowFinding:
+    """#19: alpha, delta and delta_u along a steady course of 5000 s."""
+    _, _, apart = alignment_errors.travel(alignment_errors.Options())
+    return RowFinding(f"{apart:.1g} rad", apart < 1e-15)
+
+
+def match_directions() -> RowFinding:
+    """#59: a misalignment of 3.7 mrad by vectors of position and velocity 57.6 deg apart, 300 draws."""
+    position = np.array([0.314, 0.949, 0.03]) / np.linalg.norm([0.314, 0.949, 0.03])
+    across = np.cross(position, [0.0, 0.0, 1.0])
+    across /= np.linalg.norm(across)
+    angle = 57.6 * DEG
+    second = np.array([206.0 * (math.cos(angle) * position + math.sin(angle) * across), 316e3 * position])
+    sd = np.array([0.05 * math.sqrt(2.0), math.hypot(5.0, 10.0)])
+    turn = np.array([2.0e-3, -2.5e-3, 1.86e-3])
+    ins, rng = rotation.matrix(rotation.from_rotvec(turn)), np.random.default_rng(2)
+    found = []
+    for noise in rng.standard_normal((300, 2, 3)):
+        match = vector_matching.match_vectors(second + sd[:, None] * noise, second, sd)
+        found.append(vector_matching.misalignment(ins, match.matrix))
+    spread = np.sqrt(np.diag(match.cov))
+    off = np.abs(np.mean(found, axis=0) - turn) / (spread / math.sqrt(300.0))
+    holds = bool((np.abs(spread / [1.3e-4, 3.8e-4, 3.7e-5] - 1.0) < 0.1).all() and (off < 4.0).all())
+    size = 1e3 * float(np.linalg.norm(np.mean(found, axis=0)))
+    return RowFinding(f"{size:.2f} mrad; {', '.join(f'{one:.1e}' for one in spread)} rad", holds)
 
 
 def cross_track() -> RowFinding:

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench.findings import Findings, FindingTable
+from bench.studies.register_measures import RowFinding
 from bench.studies.register_proofs import find_root, group_tests, run_tests
 from bench.studies.register_rows import ROWS
 from bench.studies.study import StudyOptions, StudyWorkers
@@ -34,16 +35,16 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     rows = [row for row in ROWS if options.row in (0, row.number)]
     tests = [row.test for row in rows if row.measure is None and row.test] if options.prove else []
     groups = group_tests(find_root(), tests) if tests else []
-    proofs = {name: proof for found in work.map("tests", run_tests, groups) for name, proof in found.items()}
+    proofs = {name: proof for one in work.map("tests", run_tests, groups) for name, proof in one.items()}
+    computed = [row.number for row in rows if row.measure is not None]
+    found = dict(zip(computed, work.map("rows", measure_row, computed), strict=True))
     parts: dict[str, dict[str, list[Any]]] = {}
     failed, opened = [], []
     states = Counter[str]()
-    for k, row in enumerate(rows):
-        work.progress(f"row {row.number}", k, len(rows))
+    for row in rows:
         ours, holds = ("by its test", "test") if row.test else (row.open_because, "open")
-        if row.measure is not None:
-            found = row.measure()
-            ours, holds = found.ours, "yes" if found.holds else "no"
+        if row.number in found:
+            ours, holds = found[row.number].ours, "yes" if found[row.number].holds else "no"
         elif row.test in proofs:
             proof = proofs[row.test]
             ours = f"{proof.cases - proof.failed} of {proof.cases} cases of its test, {proof.seconds:.0f} s"
@@ -76,3 +77,10 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         verdicts.append(f"Open: {'; '.join(opened)}.")
     tables = tuple(FindingTable(name, title, parts[name]) for _, name, title in _PARTS if name in parts)
     return Findings(tuple(verdicts), tables, (), good=not failed)
+
+
+def measure_row(number: int) -> RowFinding:
+    """Return what the bench finds for a row that has a function."""
+    (measure,) = (row.measure for row in ROWS if row.number == number)
+    assert measure is not None
+    return measure()

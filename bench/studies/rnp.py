@@ -56,7 +56,7 @@ from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
 from bench.specs import FlightSpec, Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
-from bench.studies.study import Count, FlightOptions, Positive, StudyWorkers, Words
+from bench.studies.study import Count, Positive, StudyWorkers, UnitOptions, Words, ask_each
 from bench.units import HOUR
 from bench.wording import format_number, suggest
 
@@ -69,15 +69,13 @@ LINES = ("accuracy", "containment", "availability", "continuity", "integrity")
 _Probability = Annotated[float, Field(gt=0, lt=1)]
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str
-    """shipped profile, or the path of a .toml file; legs ``waypoints`` and ``approach`` have tracks"""
+    profiles: Words
+    """shipped profiles, or .toml files of your own; legs ``waypoints`` and ``approach`` have tracks"""
     estimator: str = "tight"
     """built-in name; it flies, too, where the profile lets a filter fly"""
-    imu: str | None = None
-    """IMU of the catalog, or a .toml file of your own, instead of that of the profile"""
     gnss: str | None = None
     """receiver of the catalog instead of that of the profile; ``tight`` needs one with a sky, as sky-l1"""
     rnp_nm: Positive = 0.3
@@ -126,6 +124,10 @@ class _DrawWatch:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return accuracy, integrity, continuity and availability."""
+    return ask_each(options, work, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     if wrong := [
         f"study rnp: lines: {name!r} is unknown{suggest(name, LINES, 'lines')}"
         for name in options.lines
@@ -230,7 +232,6 @@ def _load(options: Options, number: int) -> tuple[Profile, Trajectory, NavSoluti
     """
     overrides = options.settings
     overrides |= {} if options.gnss is None else {"sensors.gnss": options.gnss}
-    overrides |= {} if options.imu is None else {"sensors.imu": options.imu}
     profile = load_profile(options.profile, overrides, options.seed, (options.estimator,))
     _check(options, profile)
     if profile.guidance is not None:

@@ -29,9 +29,10 @@ from bench.findings.series import Plot, Series
 from bench.places import PACKAGE
 from bench.studies.study import (
     Count,
-    FlightOptions,
     StudyWorkers,
+    UnitOptions,
     Words,
+    ask_each,
     count_looks,
     format_estimate,
 )
@@ -46,10 +47,9 @@ _FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of the value of its own, unless others are given."""
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str
     key: str
     values: Words | None = None
     """values of KEY; a quarter to four times its own if left out"""
@@ -85,6 +85,10 @@ class Swept:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors of each filter over the values."""
+    return ask_each(options, work, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     values = find_values(options)
     looks = count_looks(options.draws, options.most_draws)
     rows: list[Mapping[str, Any]] = []

@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from pathlib import PurePath
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
@@ -20,6 +21,7 @@ from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.evaluation.ensemble import Estimate
+from bench.findings import Findings, join_findings
 from bench.wording import as_toml, describe_error, format_number, suggest
 
 _Item = TypeVar("_Item")
@@ -102,6 +104,47 @@ class FlightOptions(StudyOptions):
         return read_settings(self.overrides)
 
 
+class UnitOptions(FlightOptions):
+    """The options of a study that asks the same of every flight with every unit, one after the other."""
+
+    profiles: Words
+    """names of shipped profiles, or .toml files of your own, separated by commas"""
+    units: Words | None = None
+    """IMUs of the catalog, or .toml files of your own, instead of that of the profile; each is asked alone"""
+
+    @property
+    def profile(self) -> str:
+        """The flight of options from `ask_each`."""
+        return self.profiles[0]
+
+    @property
+    def imu(self) -> str | None:
+        """The unit of options from `ask_each`; None: that of the profile."""
+        return self.units[0] if self.units else None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """The values that are replaced, the unit among them, by dotted key."""
+        return super().settings | ({"sensors.imu": self.imu} if self.units else {})
+
+
+_Asked = TypeVar("_Asked", bound=UnitOptions)
+
+
+def ask_each(
+    options: _Asked, work: StudyWorkers, ask: Callable[[_Asked, StudyWorkers], Findings]
+) -> Findings:
+    """Return what is found on every flight with every unit, each of which gets options of its own."""
+    cases = [(profile, unit) for profile in options.profiles for unit in options.units or (None,)]
+    found: dict[str, Findings] = {}
+    for profile, unit in cases:
+        several = ((profile, options.profiles), (unit, options.units or ()))
+        name = "-".join(PurePath(one).stem for one, every in several if one and len(every) > 1)
+        one = options.model_copy(update={"profiles": (profile,), "units": unit and (unit,)})
+        found[f"{name}-{len(found) + 1}" if name in found else name] = ask(one, work)
+    return join_findings(found)
+
+
 def read_settings(overrides: Sequence[str]) -> dict[str, Any]:
     """Return the values of texts KEY=VALUE by key."""
     pairs = (text.partition("=") for text in overrides)
@@ -166,7 +209,7 @@ class StudyWorkers:
 
         plan = plan_campaign(spec)
         plan = dataclasses.replace(plan, runs=tuple(one for one in plan.runs if one.run >= first))
-        found = run_campaign(plan, jobs=self.jobs, progress=tell)
+        found = run_campaign(plan, pool=self._pool, progress=tell)
         if found.interrupted:
             raise KeyboardInterrupt
         return found

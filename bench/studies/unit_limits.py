@@ -19,7 +19,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import bound_flight, check_aiding, variance_of
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
-from bench.studies.drawn_errors import UnitFlight, find_choice, key_instants, output_times
+from bench.studies.drawn_errors import UnitFlight, key_instants, output_times
 from bench.wording import format_number
 
 _PARTS: Mapping[str, str] = {
@@ -59,14 +59,15 @@ class VarianceShares:
         )
 
 
-def find_limit(flight: UnitFlight, label: str) -> VarianceShares | None:
-    """Return what limits a filter on a flight at the end of its longest outage, or of the flight.
+def find_limit(flight: UnitFlight) -> VarianceShares | None:
+    """Return what limits the filter of a flight at the end of its longest outage, or of the flight.
 
     None if flight or filter have no linear model: other aiding, faults, a start that is not given.
     """
     try:
         profile, truth = flight.load()
-        one = pipeline.build_estimator(find_choice(profile, label))
+        (choice,) = profile.estimators
+        label, one = choice.label, pipeline.build_estimator(choice)
         if not isinstance(one, Loose):
             return None
         check_aiding(label, one)

@@ -140,11 +140,14 @@ def _find_limits(
     if not front:
         return
     chosen = [(ranking.recommended or front[0]).best.unit, front[-1].best.unit]
-    for name in dict.fromkeys(chosen):
-        work.progress(f"what limits {name}", 0, 1)
-        overrides = (*options.overrides, *write_settings(units[name].filled))
-        flight = UnitFlight(profile, name, (label,), overrides, options.seed)
-        found = find_limit(flight, label)
+    names = list(dict.fromkeys(chosen))
+    flights = [
+        UnitFlight(
+            profile, name, (label,), (*options.overrides, *write_settings(units[name].filled)), options.seed
+        )
+        for name in names
+    ]
+    for name, found in zip(names, work.map("what limits", find_limit, flights), strict=True):
         if found is not None:
             yield name, found
 

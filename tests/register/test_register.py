@@ -26,6 +26,7 @@ from bench.navigation.models.classic import (
 from bench.navigation.models.classic.navigator import R3, Nav
 from bench.navigation.register import attitude_errors
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
+from bench.studies.register_linear import draw_consistency
 from bench.units import DEG
 from bench.units import STANDARD_GRAVITY as G0
 from tests.register import equations
@@ -206,40 +207,15 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
 # --- the filter: #34 to #36 ---------------------------------------------------------------------------------
 
 
-def check_consistency(runs=200, seconds=900, seed=5, believed=None):
-    """Mean NIS over all epochs and mean NEES over runs and epochs of a linear flight, grade 3."""
-    rng = np.random.default_rng(seed)
-    sig = GRADE.sigmas
-    P = FLIGHT.start(GRADE)
-    x = np.sqrt(np.diag(P))[:, None] * rng.standard_normal((22, runs))
-    estimate = np.zeros((22, runs))
-    nis, nees = [], []
-    for k in range(1, seconds + 1):
-        Phi, G = FLIGHT.move(sig, k)
-        x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
-        estimate = Phi @ estimate
-        P = Phi @ P @ Phi.T + G @ G.T
-        H, R = FLIGHT.measure(sig, k)
-        z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((7, runs))
-        K, S, P = update(P, H, FLIGHT.measure(believed or sig, k)[1])
-        innovation = z - H @ estimate
-        nis.append(np.sum(innovation * np.linalg.solve(S, innovation), axis=0).mean())
-        estimate = estimate + K @ innovation
-        error = (x - estimate) / np.sqrt(np.diag(P))[:, None]
-        correlation = P / np.sqrt(np.outer(np.diag(P), np.diag(P)))
-        nees.append(np.sum(error * np.linalg.solve(correlation, error), axis=0).mean())
-    return np.mean(nis), np.mean(nees)
-
-
 def test_34_a_linear_flight_is_consistent():
     """Grade 3, 200 runs of 900 s: NIS 7 +- 0.1, NEES 22 +- 1.5 (3.3 sigma of 200 runs: 1.55).
 
     A receiver twice as noisy in velocity as the filter believes leaves both.
     """
-    nis, nees = check_consistency()
+    nis, nees = draw_consistency(200)
     assert abs(nis - 7) < 0.1
     assert abs(nees - 22) < 1.5
-    nis, nees = check_consistency(runs=20, believed=replace(GRADE.sigmas, white=(2.0, 2.75, 0.015)))
+    nis, nees = draw_consistency(20, believed=replace(GRADE.sigmas, white=(2.0, 2.75, 0.015)))
     assert nis > 7.1
     assert nees > 23.5
 

@@ -12,14 +12,12 @@ from bench import rotation, sensors
 from bench.earth import difference_n
 from bench.errors import EstimatorError
 from bench.navigation.built_in import load
-from bench.navigation.models.classic import Classic22, filter_loop, process_model
+from bench.navigation.models.classic import Classic22, filter_loop
 from bench.navigation.models.classic.extrapolation import extrapolate
 from bench.navigation.register import vector_matching
-from bench.studies.linear_flight import GRADES, LinearFlight, update
+from bench.studies.register_linear import draw_outage
 from bench.units import DEG
 from tests.weaving import units, weaving
-
-FLIGHT, GRADE = LinearFlight(turns=False), GRADES["grade-3"]
 
 
 @pytest.fixture(scope="module", params=[(0.0, 0.0, 0.0), (0.8, 0.3, -0.4)], ids=["no-arm", "arm"])
@@ -56,33 +54,6 @@ def test_58_the_generic_filter_is_the_first_one(minute):
 # --- in-flight calibration: #46 -----------------------------------------------------------------------------
 
 
-def outage_errors(runs=50, known=300, lost=60, seed=7):
-    """RMS horizontal error [m] after an outage of linear flights, as the INS has it and by method."""
-    rng = np.random.default_rng(seed)
-    sig, P = GRADE.sigmas, FLIGHT.start(GRADE)
-    x = np.sqrt(np.diag(P))[:, None] * rng.standard_normal((22, runs))
-    found, kept = np.zeros((22, runs)), []
-    for k in range(1, known + lost + 1):
-        Phi, G = FLIGHT.move(sig, k)
-        x = Phi @ x + G @ rng.standard_normal((process_model.NOISES, runs))
-        found, P = Phi @ found, Phi @ P @ Phi.T + G @ G.T
-        H, R = FLIGHT.measure(sig, k)
-        rows = slice(0, 7 if k <= known else 1)
-        H, R = H[rows], R[rows, rows]
-        z = H @ x + np.sqrt(np.diag(R))[:, None] * rng.standard_normal((len(R), runs))
-        K, _, P = update(P, H, R)
-        found = found + K @ (z - H @ found)
-        if known - 120 <= k <= known:
-            kept.append((float(k), found[:2].copy()))
-    t, values = zip(*kept, strict=True)
-    east = np.array([[FLIGHT.reduced[0]], [FLIGHT.reduced[1]]])
-    answers = {"ins": np.zeros((2, runs)), "prediction": found[:2]}
-    answers |= {curve: extrapolate(curve, t, values, float(known + lost)) for curve in CURVES}
-    return {
-        name: np.sqrt(np.mean(np.sum(((one - x[:2]) / east) ** 2, axis=0))) for name, one in answers.items()
-    }
-
-
 CURVES = ("line", "parabola", "schuler")
 
 
@@ -91,7 +62,7 @@ def test_46_a_curve_through_the_errors_goes_on_through_an_outage():
 
     For a matched model it does not beat the filter's own prediction; a curve drawn through noise goes astray.
     """
-    found = outage_errors()
+    found = draw_outage()
     assert found["parabola"] < 0.3 * found["ins"]
     assert found["prediction"] <= 1.02 * min(found[curve] for curve in CURVES)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from bench.findings import series
 from bench.studies import budget as budget_study
 from bench.studies.budget import _give_colours
 from bench.workbench.result_table import print_bound
+from tests.studies.made_units import write_unit
 
 FLIGHT = """
 aircraft = "aerosonde"
@@ -70,7 +72,7 @@ def flight(tmp_path_factory):
 
 
 def test_the_budget_of_a_short_flight(flight):
-    found = bench.study("budget", profile=flight, draws=140, jobs=1)
+    found = bench.study("budget", profiles=flight, draws=140, jobs=1)
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t
@@ -120,7 +122,7 @@ def test_draws_and_covariance_agree_by_an_interval_that_can_fail():
 
 def test_a_budget_of_few_draws_is_undecided(flight):
     found = bench.study(
-        "budget", profile=flight, draws=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
+        "budget", profiles=flight, draws=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
     )
     assert found.findings.undecided
     assert found.findings.good
@@ -130,7 +132,7 @@ def test_a_budget_of_few_draws_is_undecided(flight):
 
 
 def test_the_bound_of_a_short_flight(flight):
-    found = bench.study("bound", profile=flight, draws=6, jobs=1)
+    found = bench.study("bound", profiles=flight, draws=6, jobs=1)
     table = found.tables["bound"].columns
     assert set(table["estimator"]) == {"loose-full", "smoother"}
     for name, low, ratio, high in zip(
@@ -181,20 +183,20 @@ def test_what_has_no_linear_model_is_refused(flight):
     for given, message in (
         ({"estimator": "tight"}, "was asked for tight"),
         ({"estimator": "smoother"}, "budget takes loose-15"),
-        ({"imu": "grade-9"}, "grade-9"),
+        ({"units": "grade-9"}, "grade-9"),
     ):
         with pytest.raises(ConfigError, match=message):
-            bench.study("budget", profile=flight, draws=2, jobs=1, **given)
+            bench.study("budget", profiles=flight, draws=2, jobs=1, **given)
     with pytest.raises(ConfigError, match="position level"):
-        bench.study("bound", profile="gnss-jammed", draws=2, jobs=1)
+        bench.study("bound", profiles="gnss-jammed", draws=2, jobs=1)
     behind = {"sensors.gnss.tracking_bandwidth_hz": 2.0}
     with pytest.raises(ConfigError, match="no lag of the receiver, tracking_bandwidth_hz = 0"):
-        bench.study("bound", profile=flight, draws=2, jobs=1, overrides=behind)
+        bench.study("bound", profiles=flight, draws=2, jobs=1, overrides=behind)
 
 
 def test_the_observability_of_a_short_flight(flight):
     """And #49 of the register on the reference flight: before and after the first S-turn, without turns."""
-    found = bench.study("observability", profile=flight, jobs=1)
+    found = bench.study("observability", profiles=flight, jobs=1)
     phases = found.tables["phases"].columns
     assert phases["phase"] == ["straight", "turn", "straight"]
     heading = phases["heading_before_deg"]
@@ -228,6 +230,11 @@ def test_directions_of_a_standing_start():
     assert_allclose(seen.left[0], 1.0)
     assert_allclose(seen.left[1, 0], np.sqrt(0.5e-6), rtol=1e-3)
     assert_allclose(seen.left[1, 1:], 1.0)
+    known = replace(bound, start=start * (np.arange(n) != n - 1) * (np.arange(n) != n - 1)[:, None])
+    fewer = observe(known)
+    assert fewer.left.shape == (2, 8)
+    assert_allclose(fewer.directions[:, 8], 0.0, atol=0)
+    assert_allclose(fewer.left, seen.left[:, :8], rtol=1e-6)
     assert describe_direction(seen.directions[1][:, 0]) in (
         "heading 0.71, gyro bias z 0.71", "gyro bias z 0.71, heading 0.71",
     )  # fmt: skip
@@ -241,3 +248,19 @@ def test_a_source_keeps_its_colour_unless_two_of_one_figure_have_the_same():
     assert (colours["gyro bias"], colours["heading"], colours["tilt"]) == (first, second, second)
     _give_colours(colours, ["gyro bias", "white noise"])
     assert colours["gyro bias"] != colours["white noise"]
+
+
+def test_each_unit_of_ones_own_is_asked_alone(flight, tmp_path):
+    """Two files, one with ten times the gyro noise: tables and sentences as if it were alone."""
+    names = [
+        write_unit(tmp_path, name, 1.0, figures=f"[gyro]\nnoise_deg_sqrt_h = {noise}\n")
+        for name, noise in (("quiet", 0.1), ("loud", 1.0))
+    ]
+    both = bench.study("observability", profiles=flight, units=names, jobs=1, seed=2)
+    alone = bench.study("observability", profiles=flight, units=names[1], jobs=1, seed=2)
+    quiet, loud = (both.tables[f"phases-{name}"].columns["heading_after_deg"] for name in ("quiet", "loud"))
+    assert (np.array(loud) > np.array(quiet)).all()
+    assert loud == alone.tables["phases"].columns["heading_after_deg"]
+    assert f"loud: {alone.verdicts[0]}" in both.verdicts
+    assert "heading-quiet" in both.figures
+    assert f"--units {','.join(names)}" in both.command

@@ -40,7 +40,7 @@ def test_a_row_that_does_not_hold_is_said(monkeypatch):
         ROWS[16]._replace(test="", open_because="nobody"),
     )
     monkeypatch.setattr("bench.studies.register_study.ROWS", rows)
-    found = bench.study("register")
+    found = bench.study("register", jobs=1)
     assert not found.findings.good
     holds = {name: table.columns["holds"] for name, table in found.tables.items()}
     assert holds == {"sensors": ["open"], "filters": ["test"], "second-source": ["no"]}

@@ -65,11 +65,11 @@ def flight(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(flight):
-    return bench.study("rnp", jobs=1, profile=flight, draws=2, vertical_limit_m=60.0)
+    return bench.study("rnp", jobs=1, profiles=flight, draws=2, vertical_limit_m=60.0)
 
 
 def test_a_satellite_that_runs_away_is_left_out_and_misleads_nobody(flight, result):
-    one = rnp.watch_run(rnp._Run(rnp.Options(profile=flight), 0))
+    one = rnp.watch_run(rnp._Run(rnp.Options(profiles=flight), 0))
     assert not one.alarm.any()
     assert (one.error < one.level).all()
     assert np.isfinite(one.level).all()
@@ -86,7 +86,7 @@ def test_a_satellite_that_creeps_away_is_followed_by_its_own_state(tmp_path):
     for name, text in (("creeps", FLIGHT.replace("ramp_mps = 20.0", "ramp_mps = 0.3")), ("sound", sound)):
         path = tmp_path / f"{name}.toml"
         path.write_text(text)
-        one = rnp.watch_run(rnp._Run(rnp.Options(profile=str(path)), 0))
+        one = rnp.watch_run(rnp._Run(rnp.Options(profiles=str(path)), 0))
         assert not one.alarm.any()
         assert (one.error < one.level).all()
         errors.append(one.error)
@@ -94,7 +94,7 @@ def test_a_satellite_that_creeps_away_is_followed_by_its_own_state(tmp_path):
 
 
 def test_levels_of_a_filter_that_trusts_its_fixes_do_not_allow_for_the_fault(flight):
-    one = rnp.watch_run(rnp._Run(rnp.Options(profile=flight, estimator="loose-22"), 0))
+    one = rnp.watch_run(rnp._Run(rnp.Options(profiles=flight, estimator="loose-22"), 0))
     assert not one.alarm.any()
     assert np.isfinite(one.level).all()
 
@@ -117,7 +117,7 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, **more):
     work = SimpleNamespace(
         progress=lambda *args: None, map=lambda what, do, items, first: [fly(one.number) for one in items]
     )
-    return rnp.run(rnp.Options(profile="made", **more), work)
+    return rnp.run(rnp.Options(profiles="made", **more), work)
 
 
 def words(found):
@@ -190,7 +190,7 @@ def test_flights_have_turbulence_of_their_own_if_there_is_any(monkeypatch):
         flown.clear()
         rnp._load.cache_clear()
         options = rnp.Options(
-            profile="waypoints", estimator="loose-15", seed=3, imu="stim300",
+            profiles="waypoints", estimator="loose-15", seed=3, units="stim300",
             overrides={"wind.turbulence": severity},
         )  # fmt: skip
         loaded = [rnp._load(options, k)[0] for k in range(3)]
@@ -207,7 +207,7 @@ def test_levels_and_limits_of_kilometres_have_no_power_of_ten(monkeypatch):
 
 def test_a_line_that_is_none_is_named():
     with pytest.raises(ConfigError, match=r"lines: 'accurancy' is unknown\. Did you mean 'accuracy'"):
-        bench.study("rnp", profile="waypoints", lines="accurancy")
+        bench.study("rnp", profiles="waypoints", lines="accurancy")
 
 
 def test_without_satellites_tight_is_refused(tmp_path):
@@ -216,7 +216,7 @@ def test_without_satellites_tight_is_refused(tmp_path):
         FLIGHT.partition("[[fault]]")[0].replace("sky-l1", "l1-code") + "[[estimator]]\nuse = 'loose-15'\n"
     )
     with pytest.raises(ConfigError, match="--gnss sky-l1"):
-        bench.study("rnp", jobs=1, profile=str(path), draws=2)
+        bench.study("rnp", jobs=1, profiles=str(path), draws=2)
 
 
 def fly_by_hand(side, apart, wind_layers=()):
@@ -279,7 +279,7 @@ def test_where_a_filter_flies_the_total_error_is_that_of_the_truth_and_the_parts
     points = text.index("  { north_m = -1900.0, east_m = 1000.0 }"), text.index("]\n\n[[leg]]")
     path = tmp_path / "short.toml"
     path.write_text((text[: points[0]] + text[points[1] :]).replace("rate_hz  = 200", "rate_hz  = 100"))
-    options = rnp.Options(profile=str(path), estimator="loose-15", lines="accuracy")
+    options = rnp.Options(profiles=str(path), estimator="loose-15", lines="accuracy")
     one = rnp.watch_run(rnp._Run(options, 1))
     profile, truth, steered = rnp._load(options, 1)
     assert profile.guidance.navigation.use == "loose-15"

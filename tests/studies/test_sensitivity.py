@@ -22,7 +22,7 @@ def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_
     short.write_text(text.replace("duration_s = 600.0", "duration_s = 150.0"))
     key = "sensors.imu.gyro.turn_on_bias_sd_deg_h"
     asked = {"key": key, "values": "300,600", "estimators": "free-inertial", "draws": 2}
-    result = bench.study("sensitivity", profile=str(short), jobs=1, **asked)
+    result = bench.study("sensitivity", profiles=str(short), jobs=1, **asked)
     table = result.tables["sensitivity"].columns
     error = [v for v, name in zip(table["value"], table["metric"], strict=True) if name == "pos_rmse_h_m"]
     assert error[1] / error[0] == pytest.approx(2.0, rel=0.1)
@@ -33,7 +33,7 @@ def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_
 
 def test_the_values_are_around_the_own_one_unless_given():
     def values(key, **more):
-        return find_values(read_options("sensitivity", Options, {"profile": "s-turns", "key": key, **more}))
+        return find_values(read_options("sensitivity", Options, {"profiles": "s-turns", "key": key, **more}))
 
     assert values("sensors.gnss.rate_hz") == [0.25, 0.5, 1.0, 2.0, 4.0]
     assert values("leg.1.duration_s", values="1,2") == [1, 2]

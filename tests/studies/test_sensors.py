@@ -32,6 +32,9 @@ class Flights:
     def progress(self, what, done, of):
         pass
 
+    def map(self, what, function, items):
+        return [function(one) for one in items]
+
     def campaign(self, what, spec, first=0):
         rows = []
         for number, values in enumerate(spec.varied):

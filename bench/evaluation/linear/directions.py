@@ -30,8 +30,8 @@ class Observed:
 
     t: FloatArray  # (M,) [s]
     sd: FloatArray  # (M, 9)
-    left: FloatArray  # (M, 9) standard deviation along the eigen-directions over that at the start, rising
-    directions: FloatArray  # (M, 9, 9) unit vectors in units of the start, a column for each
+    left: FloatArray  # (M, D) standard deviation along the eigen-directions over that at the start, rising
+    directions: FloatArray  # (M, 9, D) unit vectors in units of the start, a column for each
 
 
 def observe(bound: Bound) -> Observed:
@@ -39,8 +39,11 @@ def observe(bound: Bound) -> Observed:
     M = np.vstack([np.eye(9, bound.bias.shape[1])[6:], bound.bias])
     P = M @ bound.causal @ M.T
     start = np.sqrt(np.diag(M @ bound.start @ M.T))
-    scale = np.divide(1.0, start, out=np.zeros(9), where=start > 0)
-    values, vectors = np.linalg.eigh(P * scale[:, None] * scale)
+    unknown = np.flatnonzero(start > 0)
+    within = P[:, unknown[:, None], unknown] / np.outer(start[unknown], start[unknown])
+    values, own = np.linalg.eigh(within)
+    vectors = np.zeros((len(P), 9, len(unknown)))
+    vectors[:, unknown] = own
     sd = np.sqrt(np.einsum("mii->mi", P))
     return Observed(bound.t, sd, np.sqrt(np.maximum(values, 0.0)), vectors)
 
