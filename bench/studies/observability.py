@@ -8,6 +8,7 @@ register's section 7.1: level at 200 m/s, an S-turn of two minutes from 240 s on
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -56,7 +57,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
     profile, truth = UnitFlight(options.profile, options.imu, None, options.overrides, options.seed).load()
-    work.progress("the best linear estimator", 0, 2)
+    work.progress("the best linear estimator", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)
     seen = observe(bound_flight(truth, profile.sensors, data, profile.seed, t, smooth=False))
@@ -64,8 +65,9 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
         raise ConfigError(f"study observability: on {profile.name} start and unit have no error to observe")
     turning = _smooth_phases(find_turns(truth, seen.t), seen.t)
     phases = _split_phases(turning)
-    work.progress("the reference flight", 1, 2)
-    reference, lines = _fly_reference()
+    cases = [(name, turns) for name in GRADES for turns in (True, False)]
+    headings = dict(zip(cases, work.map("the reference flight", _fly_reference, cases), strict=True))
+    reference, lines = _tabulate_reference(headings)
     return Findings(
         verdicts=(*_tell(profile.name, seen, phases), *_tell_reference(reference)),
         tables=(_tabulate_phases(seen, phases), _tabulate_directions(seen, phases), reference),
@@ -168,15 +170,19 @@ def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list
     return told
 
 
-def _fly_reference() -> tuple[FindingTable, Plot]:
-    """Return the heading on the reference flight by grade, with and without turns."""
+def _fly_reference(case: tuple[str, bool]) -> FloatArray:
+    """Return the heading (seconds + 1,) of a grade on the reference flight, with turns or without [deg]."""
+    grade, turns = case
+    return np.asarray(LinearFlight(turns=turns).predict_sd(GRADES[grade], _LATE)[:, _HEADING] / DEG)
+
+
+def _tabulate_reference(headings: Mapping[tuple[str, bool], FloatArray]) -> tuple[FindingTable, Plot]:
+    """Return the heading on the reference flight by grade, with turns and without."""
     lines = []
     found: dict[str, list[float]] = {name: [] for name in ("before", "after", "late", "straight")}
     seconds = np.arange(_LATE + 1.0)
-    for name, grade in GRADES.items():
-        heading, straight = (
-            LinearFlight(turns=turns).predict_sd(grade, _LATE)[:, _HEADING] / DEG for turns in (True, False)
-        )
+    for name in GRADES:
+        heading, straight = headings[name, True], headings[name, False]
         values = (heading[_BEFORE], heading[_AFTER], heading[_LATE], straight[_LATE])
         for column, value in zip(found.values(), values, strict=True):
             column.append(float(value))

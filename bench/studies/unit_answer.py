@@ -68,7 +68,7 @@ def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str
     yield from _tell_required(answer) if answer.required else ()
     yield f"{answer.where}, {answer.what}, from the cheapest class on: {'; '.join(_tell_steps(ranking))}."
     if ranking.alike:
-        most = 100.0 * ((ranking.spread or 1.0) - 1.0)
+        most = 100.0 * (ranking.spread - 1.0)
         yield (
             f"{answer.where}: here the IMU does not matter, the errors of all "
             f"{sum(not one.lost for one in ranking.flown.values())} usable units are within {most:.1f} %; "
@@ -104,7 +104,7 @@ def _tell_steps(ranking: Ranking) -> Iterator[str]:
         told += [
             f"{pair.first} not told from it: about {pair.deciding - pair.draws} more draws would"
             if pair.deciding
-            else f"{pair.first} not told from it"
+            else f"{pair.first} not told from it, and more draws would hardly"
             for pair in step.beside
             if pair.word == "undecided"
         ]

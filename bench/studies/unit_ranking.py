@@ -7,6 +7,7 @@ beside it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -91,15 +92,15 @@ class Ranking:
         return next((step for step in self.steps if step.best.verdict == MET), None)
 
     @property
-    def spread(self) -> float | None:
-        """The largest over the smallest error of usable units; None of fewer than two."""
+    def spread(self) -> float:
+        """The largest over the smallest error of usable units; infinite of fewer than two."""
         found = [one.rms.value for one in self.flown.values() if not one.lost and one.rms]
-        return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else None
+        return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else math.inf
 
     @property
     def alike(self) -> bool:
         """Whether the unit does not matter: the errors of all usable units are the same."""
-        return self.spread is not None and self.spread <= 1.0 + SAME
+        return self.spread <= 1.0 + SAME
 
     def list_open(self) -> list[PairedRatio]:
         """Return the pairs that more draws would tell, of classes that pay or may."""

@@ -217,6 +217,9 @@ def test_without_satellites_tight_is_refused(tmp_path):
     )
     with pytest.raises(ConfigError, match="--gnss sky-l1"):
         bench.study("rnp", jobs=1, profiles=str(path), draws=2)
+    bare = SimpleNamespace(name="bare", sensors=SimpleNamespace(gnss=None))
+    with pytest.raises(ConfigError, match="bare has none"):
+        rnp._check(rnp.Options(profiles="bare"), bare)
 
 
 def fly_by_hand(side, apart, wind_layers=()):

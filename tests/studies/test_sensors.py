@@ -149,7 +149,9 @@ def test_where_all_err_the_same_the_imu_does_not_matter(tmp_path):
     names = write(tmp_path, a="consumer", b="tactical", c="navigation")
     found, answer = ask(names, Flights(steady(a=1.01, b=1.0, c=1.005)))
     assert answer.ranking.alike
-    assert any("here the IMU does not matter" in one for one in found.verdicts)
+    assert any("all 3 usable units are within 1.0 %" in one for one in found.verdicts)
+    _, lone = ask(names[:1], Flights(steady(a=1.0)))
+    assert not lone.ranking.alike
     _, other = ask(names, Flights(steady(a=1.1, b=1.0, c=1.0)))
     assert not other.ranking.alike
 
