@@ -18,6 +18,8 @@ from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, read_log
 from bench.navigation.built_in import load
 from bench.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
+from bench.sensors.draws import SensorDraws
+from bench.sensors.gnss import compute_antenna_motion
 from bench.store import make_start_document
 from tests.navigation.test_tight import taken
 from tests.weaving import units, weaving
@@ -91,6 +93,22 @@ def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
     assert np.abs(earth.difference_n(other.lla, own.lla)).max() < 3e-3
     assert np.abs(other.vel_n - own.vel_n).max() < 2e-4
     np.testing.assert_allclose(other.cov, own.cov, rtol=1e-3, atol=1e-6)
+
+
+def test_fixes_of_ranges_without_errors_are_the_truth_to_the_rounding(tmp_path):
+    """With Klobuchar and Saastamoinen, by the defaults of `bench fixes`; with half of the humidity not."""
+    off = ("space_sd", "_sd", "clock_g", "bandwidth", "share")
+    figures = {name for name in GNSS.sky.__slots__ if name.endswith(off) and not name.startswith("clock_")}
+    sky = replace(GNSS.sky, bands=1, clock_g=0.0, **dict.fromkeys(figures, 0.0))
+    truth = weaving(20.0)
+    sensed = sensors.sense(truth, units(gnss=replace(GNSS, sky=sky), baro=None), 3, 0)
+    export(tmp_path, sensed.data, sensed.initial)
+    files = tmp_path / "run.obs", tmp_path / "run.nav"
+    rows = np.searchsorted(truth.t, sensed.data.fixes.t - 1e-6)
+    lla, _ = compute_antenna_motion(truth, rows, (0.8, 0.3, -0.4), SensorDraws(1, 0))
+    solved, dry = (bench.solve_rinex(*files, mask_deg=5, humidity_pct=one) for one in (50.0, 25.0))
+    assert np.abs(earth.difference_n(solved.fixes.lla, lla)).max() < 3e-3
+    assert np.abs(earth.difference_n(dry.fixes.lla, lla)).max() > 0.05
 
 
 def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
