@@ -282,7 +282,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
         },
         records={
             "spec": spec,
-            "sensed": Sensed(data, session.initial, no_sensor_truth(), events),
+            "sensed": Sensed(data, session.initial, no_sensor_truth(), events, log.records.sky),
             "withheld": withheld,
             "printed": pipeline.collect_printed(log.estimators),
             **({} if log.reference is None else {"reference": log.reference}),

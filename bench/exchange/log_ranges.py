@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.config.log import SourceSpec
-from bench.data import GnssObservations
+from bench.data import GnssObservations, SkyView
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
 from bench.exchange.rows import LogRows
 from bench.navigation.engine.kept_rows import take_observations
@@ -20,8 +21,16 @@ from bench.signals.processing import Processing
 from bench.specs import GnssSpec, SkySpec
 
 
-def read_ranges(source: SourceSpec, gnss: GnssSpec) -> tuple[LogRows, GnssObservations | None]:
-    """Solve the files of a receiver; return its fixes, and its observations if ``gnss`` has a [sky].
+class RecordedRanges(NamedTuple):
+    """What the ranges of a receiver tell, on the clock of a log [s]."""
+
+    fixes: LogRows
+    observations: GnssObservations | None  # if the datasheet that is assumed has a [sky]
+    sky: SkyView
+
+
+def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
+    """Solve the files of a receiver.
 
     Times are those of validity: by the receiver's clock, less its offset as the fixes have it, in GPS time
     since 1980-01-06 with the offset of the source [s]. Noise, masks, systems and carriers are those of the
@@ -53,7 +62,8 @@ def read_ranges(source: SourceSpec, gnss: GnssSpec) -> tuple[LogRows, GnssObserv
         observations = _take_whole(solved, sky, t)
         notes += [] if len(observations) else ["no satellite has both a range and a Doppler"]
     shown = solved.observations.shown
-    return LogRows(t[good], values, tuple(f"{shown}: {note}" for note in notes)), observations
+    rows = LogRows(t[good], values, tuple(f"{shown}: {note}" for note in notes))
+    return RecordedRanges(rows, observations, solved.view_sky(t))
 
 
 def _make_processing(sky: SkySpec) -> Processing:

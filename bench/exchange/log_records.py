@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.config.log import RANGES, LogSpec, SourceSpec
-from bench.data import GnssFixes, GnssObservations, ImuData
+from bench.data import GnssFixes, GnssObservations, ImuData, SkyView
 from bench.errors import ConfigError
 from bench.exchange import imports
 from bench.exchange.imports.contents import AUTOPILOTS
@@ -47,6 +47,7 @@ class LogRecords:
     imu: ImuData
     fixes: GnssFixes  # in the order of the file
     observations: GnssObservations | None  # of a receiver whose ranges are there, too
+    sky: SkyView | None  # of such a receiver
     instruments: Mapping[str, Any]  # name -> record
     ground_alt: float  # ellipsoidal height of the ground below a radar [m]
     reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
@@ -63,10 +64,11 @@ def read_records(spec: LogSpec) -> LogRecords:
         If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
     assert spec.gnss is not None
-    imu_rows, observations = _read_rows(spec.imu, "imu"), None
+    imu_rows, observations, sky = _read_rows(spec.imu, "imu"), None, None
     if spec.gnss.format == RANGES:
         assert spec.assumed.gnss is not None
-        gnss_rows, observations = read_ranges(spec.gnss, spec.assumed.gnss)
+        gnss_rows, observations, sky = read_ranges(spec.gnss, spec.assumed.gnss)
+        sky = replace(sky, t=sky.t - float(imu_rows.t[0]))
     else:
         gnss_rows = _read_rows(spec.gnss, "gnss")
     others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
@@ -97,6 +99,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     return LogRecords(
         imu=imu,
         fixes=fixes,
+        sky=sky,
         observations=observations if observations is not None and len(observations) else None,
         instruments=instruments,
         ground_alt=_find_ground(spec, instruments, fixes),

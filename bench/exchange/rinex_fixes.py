@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import durable, earth
 from bench.arrays import FloatArray, IntArray
-from bench.data import GnssFixes, GnssObservations
+from bench.data import GnssFixes, GnssObservations, SkyView
 from bench.errors import ConfigError
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
@@ -181,6 +181,21 @@ class RinexFixes:
     def count_lost(self) -> dict[str, int]:
         """Return how many epochs have no fix for each reason."""
         return {reason: int((self.reason == k).sum()) for k, reason in enumerate(self.reasons)}
+
+    def view_sky(self, t: FloatArray) -> SkyView:
+        """Return the satellites above the horizon, at epochs with a position, whose times are t (M,) [s]."""
+        los_n = self.solution.los_n
+        rows = np.flatnonzero(np.isfinite(los_n[:, 2]) & (los_n[:, 2] < 0.0))
+        n, e, d = los_n[rows].T
+        return SkyView(
+            t=t[self.seen.epoch[rows]],
+            system=self.seen.system[rows],
+            sat=self.seen.sat[rows],
+            azimuth=np.arctan2(e, n),
+            elevation=np.arcsin(-d),
+            cn0=self.seen.cn0[rows, 0],
+            used=self.solution.used[rows],
+        )
 
     def list_satellites(self) -> list[SatelliteUse]:
         """Return how each satellite was used at epochs with a fix."""

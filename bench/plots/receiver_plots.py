@@ -8,7 +8,6 @@ import numpy as np
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import SkyView
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.findings import series
 from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
@@ -41,22 +40,6 @@ def name_reference(solved: RinexFixes) -> str:
     return "the position in the header of the file" if solved.truth is None else "the truth"
 
 
-def make_sky_view(solved: RinexFixes) -> SkyView:
-    """Return the satellites above the horizon of the epochs whose position is known."""
-    seen, los_n = solved.seen, solved.solution.los_n
-    rows = np.flatnonzero(np.isfinite(los_n[:, 2]) & (los_n[:, 2] < 0.0))
-    n, e, d = los_n[rows].T
-    return SkyView(
-        t=count_seconds(solved)[seen.epoch[rows]],
-        system=seen.system[rows],
-        sat=seen.sat[rows],
-        azimuth=np.arctan2(e, n),
-        elevation=np.arcsin(-d),
-        cn0=seen.cn0[rows, 0],
-        used=solved.solution.used[rows],
-    )
-
-
 def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:
     """Yield the errors (M, 3) of position with the computed sigma, and the velocity if there is any."""
     fixes, good = solved.fixes, solved.fixes.valid
@@ -79,7 +62,7 @@ def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:
 
 def plot_satellites(solved: RinexFixes) -> list[Plot]:
     """Return C/N0 of each satellite by system if it is known, the number of satellites, and DOP."""
-    sky = make_sky_view(solved)
+    sky = solved.view_sky(count_seconds(solved))
     return plot_sky(sky, "the horizon") if len(sky) else []
 
 

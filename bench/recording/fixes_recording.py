@@ -50,7 +50,7 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     stream.send_blueprint(_make_blueprint(solved, plots, error[good], end))
     stream.send_recording_name(f"{solved.name}, {solved.day}")
     _send_track(stream, t[good], error[good], solved.fixes.lla[good])
-    sky_view.send_satellites(stream, receiver_plots.make_sky_view(solved), 0.0)
+    sky_view.send_satellites(stream, solved.view_sky(t), 0.0)
     stream.log("/summary", rr.TextDocument(_write_summary(solved), media_type="text/markdown"), static=True)
     for plot in chain.from_iterable(plots.values()):
         drawing.send(stream, plot, ())

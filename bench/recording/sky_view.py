@@ -29,12 +29,12 @@ _PACE = 1.0  # of the sky plot [Hz]
 
 
 def send(stream: Any, content: Content) -> None:
-    """Send the sky plot of a run: its satellites, and where the antenna ends to see."""
+    """Send the sky plot: satellites and, with a truth, where the antenna ends to see."""
     sky, truth, antenna_mask = content.sensed.sky, content.motion, content.antenna_mask
-    if sky is None or antenna_mask is None or not isinstance(truth, Trajectory):
+    if sky is None:
         return
     t, shown_from = send_satellites(stream, sky, float(truth.t[0]))
-    if not len(t):
+    if not len(t) or antenna_mask is None or not isinstance(truth, Trajectory):
         return
     circle = np.linspace(0.0, 2.0 * np.pi, 73)
     at = np.clip(np.searchsorted(truth.t, t - 1e-6), 0, len(truth) - 1)

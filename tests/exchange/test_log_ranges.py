@@ -73,7 +73,7 @@ def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
     """To the rounding of RINEX, 1 mm, 1 mHz, 1e-7 s and 12 digits; the messages fit to a millimetre."""
     folder, sensed, _ = flown
     o = sensed.data.observations
-    _, back = read_back(folder)
+    back = read_back(folder).observations
     assert {GLONASS, BEIDOU} < set(o.system.tolist())
     for name, most in {
         "sat": 0, "system": 0, "frequency": 0, "epoch_start": 0, "t": 5e-7, "pseudorange": 5.1e-4,
@@ -87,7 +87,7 @@ def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
 def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
     """3 mm and 0.2 mm/s; with times that are late by the clock of the receiver it would be a decimetre."""
     folder, sensed, _ = flown
-    _, back = read_back(folder)
+    back = read_back(folder).observations
     data = replace(sensed.data, observations=replace(back, gps_t0=sensed.data.observations.gps_t0))
     own, other = (load("tight", {}).run(one, sensed.initial) for one in (sensed.data, data))
     assert np.abs(earth.difference_n(other.lla, own.lla)).max() < 3e-3
@@ -116,6 +116,9 @@ def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
     result = bench.navigate_log(folder / "log.toml")
     seen = result.records["sensed"].data.observations
     withheld = result.records["withheld"]
+    sky = result.records["sensed"].sky
+    assert set(seen.t) <= set(sky.t)
+    assert sky.used.sum() > 3000
     assert len(withheld) > 20
     assert np.abs(np.unique(seen.t)[:, None] - withheld.t).min() > 0.5  # what judges is kept from tight
     assert result.metrics["tight"]["verdict"] == "consistent"
@@ -146,7 +149,7 @@ def test_epochs_with_too_few_satellites_for_a_fix_reach_tight(flown, tmp_path):
     few = (o.t < 60.0) | ((o.system == 0) & np.isin(o.sat, np.unique(o.sat[o.system == 0])[:3]))
     fixes = sensed.data.fixes.take(sensed.data.fixes.t < 60.0)
     export(tmp_path, replace(sensed.data, observations=taken(o, few), fixes=fixes), sensed.initial)
-    rows, back = read_back(tmp_path)
+    rows, back, _ = read_back(tmp_path)
     assert rows.t.max() < 60.0
     assert back.t.max() > 125.0
     assert "no fix at" in " ".join(rows.notes)

@@ -8,9 +8,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.cli import main
-from bench.data import SkyView
 from bench.errors import NothingToShowError
-from bench.plots import receiver_plots
 from bench.recording import column
 from bench.recording.fixes_recording import write_fixes
 from tests.data import gnss_file
@@ -45,7 +43,7 @@ def test_the_recording_holds_track_errors_residuals_and_c_n0(solved, tmp_path):
 
 def test_the_sky_of_a_receiver_has_the_directions_of_its_satellites(solved):
     """Of elevation and azimuth again the line of sight, above the horizon only; used are those of the fix."""
-    sky: SkyView = receiver_plots.make_sky_view(solved)
+    sky = solved.view_sky(solved.observations.t)
     level = np.cos(sky.elevation)
     los_n = np.column_stack(
         [level * np.cos(sky.azimuth), level * np.sin(sky.azimuth), -np.sin(sky.elevation)]
