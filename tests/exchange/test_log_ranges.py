@@ -84,6 +84,15 @@ def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
     assert np.abs(back.klobuchar / o.klobuchar - 1).max() < 1e-4
 
 
+def test_weeks_of_messages_are_those_of_their_system(flown):
+    """Of GPS since 1980-01-06; Galileo counts as GPS in RINEX, BeiDou since 2006-01-01 (table A14)."""
+    lines = (flown[0] / "run.nav").read_text().splitlines()
+    first = [k for k, line in enumerate(lines) if line[0] in "GEC" and line[1:3].isdecimal()]
+    weeks = {lines[k][0]: float(lines[k + 5][42:61].replace("D", "E")) for k in first}
+    week = BEGIN // 604800
+    assert weeks == {"G": week, "E": week, "C": week - 1356}
+
+
 def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
     """3 mm and 0.2 mm/s; with times that are late by the clock of the receiver it would be a decimetre."""
     folder, sensed, _ = flown
