@@ -40,6 +40,19 @@ def test_nominal_orbits_come_back_exactly(system):
             assert (position < 1e-6, velocity < 1e-9, clock < 1e-9) == (True, True, True)
 
 
+@pytest.mark.parametrize("system", [GPS, GALILEO, BEIDOU])
+def test_an_instant_away_from_the_reference_time_tells_a_circle(system):
+    nominal = orbits.make_nominal(system)
+    for row, sat in enumerate(nominal.sat.tolist()):
+        t = np.array([44900.0, 45100.0])
+        true = orbits.compute_states(nominal, np.array([row, row]), t)
+        one = [t[:1], true.pos_e[:1], true.vel_e[:1], np.zeros(1)]
+        found = orbits.compute_states(
+            fit_kepler(sat, system, 45000.0, 45000.0, *one), np.zeros(2, np.int64), t
+        )
+        assert np.abs(found.pos_e - true.pos_e).max() < 1e-5
+
+
 @pytest.mark.parametrize(
     ("system", "span"), [(GPS, 300.0), (GALILEO, 300.0), (BEIDOU, 300.0), (GLONASS, 120.0)]
 )
