@@ -52,7 +52,7 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the bound and the ratio of each estimator to it."""
-    return ask_each(options, work, _ask)
+    return ask_each("bound", options, work, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:

@@ -59,7 +59,7 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the contributions by covariance and by Monte Carlo."""
-    return ask_each(options, work, _ask)
+    return ask_each("budget", options, work, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:

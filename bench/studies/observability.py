@@ -52,7 +52,7 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return what is known before, in and after turns."""
-    return ask_each(options, work, _ask)
+    return ask_each("observability", options, work, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:

@@ -124,7 +124,7 @@ class _DrawWatch:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return accuracy, integrity, continuity and availability."""
-    return ask_each(options, work, _ask)
+    return ask_each("rnp", options, work, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:

@@ -85,7 +85,7 @@ class Swept:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors of each filter over the values."""
-    return ask_each(options, work, _ask)
+    return ask_each("sensitivity", options, work, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:

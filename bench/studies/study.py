@@ -22,6 +22,7 @@ from bench.campaigns.running import Progress as Runs
 from bench.errors import ConfigError, WorkersLostError
 from bench.evaluation.ensemble import Estimate
 from bench.findings import Findings, join_findings
+from bench.studies.catalog_units import find_units
 from bench.wording import as_toml, describe_error, format_number, suggest
 
 _Item = TypeVar("_Item")
@@ -132,9 +133,16 @@ _Asked = TypeVar("_Asked", bound=UnitOptions)
 
 
 def ask_each(
-    options: _Asked, work: StudyWorkers, ask: Callable[[_Asked, StudyWorkers], Findings]
+    study: str, options: _Asked, work: StudyWorkers, ask: Callable[[_Asked, StudyWorkers], Findings]
 ) -> Findings:
-    """Return what is found on every flight with every unit, each of which gets options of its own."""
+    """Return what is found on every flight with every unit, each of which gets options of its own.
+
+    Raises
+    ------
+    bench.errors.ConfigError
+        With a line for each unit that is wrong.
+    """
+    find_units(study, options.units or ())
     cases = [(profile, unit) for profile in options.profiles for unit in options.units or (None,)]
     found: dict[str, Findings] = {}
     for profile, unit in cases:

@@ -183,7 +183,7 @@ def test_what_has_no_linear_model_is_refused(flight):
     for given, message in (
         ({"estimator": "tight"}, "was asked for tight"),
         ({"estimator": "smoother"}, "budget takes loose-15"),
-        ({"units": "grade-9"}, "grade-9"),
+        ({"units": "grade-9"}, "study budget: units: imu = 'grade-9' is not in the catalog"),
     ):
         with pytest.raises(ConfigError, match=message):
             bench.study("budget", profiles=flight, draws=2, jobs=1, **given)

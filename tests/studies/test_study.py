@@ -19,14 +19,14 @@ from bench import store
 from bench.cli.group import commands
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.findings import FindingTable
+from bench.findings import Findings, FindingTable, join_findings
 from bench.findings.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.store.study_folder import save_study
 from bench.studies import STUDIES
 from bench.studies.conducting import find_study
-from bench.studies.study import format_estimate, make_command, read_options
+from bench.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.workbench.printing import print_finding_table
 
 SHORT = {"outages_s": (60, 300)}
@@ -215,3 +215,30 @@ def test_a_power_law_is_a_straight_line_on_logarithmic_axes():
     assert ">100<" in drawn
     path = drawn.split('class="line" d="')[1].split('"')[0]
     assert path.count(" ") <= 8
+
+
+def test_findings_of_several_cases_are_one_and_as_bad_as_the_worst(tmp_path):
+    one = Findings(("a",), (FindingTable("t", "T", {"x": [1]}),), (), draws=5)
+    other = dataclasses.replace(one, draws=7, good=False, undecided=True)
+    for both in (join_findings({"p": one, "q": other}), join_findings({"p": other, "q": one})):
+        assert both.verdicts == ("p: a", "q: a")
+        assert [(table.name, table.title) for table in both.tables] == [("t-p", "p: T"), ("t-q", "q: T")]
+        assert (both.draws, both.good, both.undecided) == (7, False, True)
+    assert join_findings({"": one}) is one
+    options = UnitOptions(
+        profiles=("a/f.toml", "b/f.toml"), units="stim300,vn-100", overrides={"rate_hz": 50}
+    )
+
+    def ask(asked, work):
+        return Findings((f"{asked.profile} {asked.imu} {asked.settings}",), (), ())
+
+    found = ask_each("made", options, None, ask).verdicts
+    assert [text.partition(":")[0] for text in found] == [
+        "f-stim300",
+        "f-vn-100",
+        "f-stim300-3",
+        "f-vn-100-4",
+    ]
+    assert found[3].endswith("b/f.toml vn-100 {'rate_hz': 50, 'sensors.imu': 'vn-100'}")
+    lone = ask_each("made", UnitOptions(profiles="f.toml"), None, ask).verdicts
+    assert lone == ("f.toml None {}",)
