@@ -152,7 +152,7 @@ def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
     """Return every second since the loss, and the times asked for, as far as the outage goes [s]."""
     start, stop = profile.sensors.gnss_outages[0]
     last = min(elapsed[-1], stop - start - SAME_INSTANT)
-    grid = np.union1d(np.arange(1.0, last + SAME_INSTANT), elapsed)
+    grid = np.union1d(np.arange(1.0, last), elapsed)
     return tuple(grid[grid <= last + SAME_INSTANT].tolist())
 
 
