@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ from bench.campaigns.outcome import POOLED, Outcome
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.metric_words import find_words
 from bench.evaluation.metrics import find_metric
 from bench.findings import series
 from bench.findings.looks import find_look
@@ -91,7 +93,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         facts=list(_list_facts(campaign)),
         cards=[] if several else [_make_card(one) for one in campaign.outcomes],
         sentences=[] if several else [one.sentence for one in campaign.comparisons],
-        errors=errors,
+        errors=[(name, _name_error(name)) for name in errors],
         rows=[_make_row(one, errors) for one in campaign.outcomes],
         confidence=f"{100 * CONFIDENCE:.0f} %",
         legend=[(label, svg.css_colour(colour), "line") for label, colour in colours.items()],
@@ -150,6 +152,12 @@ def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:
         found.word if found else "–",
         tuple(("–", "") if one is None else _format(one) for one in estimates),
     )
+
+
+def _name_error(name: str) -> str:
+    """Return an error over the runs in words with its unit; a circle of error is named as the field does."""
+    circle = re.fullmatch(r"cep(\d+)_m", name)
+    return f"CEP{circle[1]} [m]" if circle else page.name_metric(name)
 
 
 def _format(estimate: Estimate) -> tuple[str, str]:
@@ -261,7 +269,7 @@ def _plot_distributions(runs: Mapping[str, Any], colours: Mapping[str, Colour]) 
                 x, y = np.repeat(values, 2), np.repeat(share, 2)[1:-1]
                 lines.append(series.draw_line(label, x, y, label, colour))
         if lines and known is not None:
-            title = f"runs with at most this {metric} [%]"
+            title = f"runs with at most this {find_words(metric).words} [%]"
             yield Plot(("campaign", metric), title, tuple(lines), across=known.unit)
 
 
@@ -290,7 +298,7 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
                 lines.append(_make_line(label, x, estimates, colour, colour))
         if lines:
             yield Plot(
-                ("campaign", metric), f"{metric} by {key}", tuple(lines), far=_FAR, across=unit_of(key) or "1"
+                ("campaign", metric), f"{_name_error(metric)} by {key}", tuple(lines), far=_FAR, across=unit_of(key) or "1"
             )
 
 

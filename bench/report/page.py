@@ -150,12 +150,13 @@ def _fill_table(
 ) -> list[tuple[str, str, list[TableCell]]]:
     """Return words with the unit, identifier and meaning, and a cell for each estimator of the metrics."""
     return [
-        (_name_row(name), f"{name}: {_explain(name)}", [_make_cell(name, one) for one in measured.values()])
+        (name_metric(name), f"{name}: {_explain(name)}", [_make_cell(name, one) for one in measured.values()])
         for name in names
     ]
 
 
-def _name_row(name: str) -> str:
+def name_metric(name: str) -> str:
+    """Return a metric in words with its unit."""
     found = find_words(name)
     return f"{found.words} [{found.unit}]" if found.unit else found.words
 

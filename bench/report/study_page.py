@@ -12,6 +12,7 @@ from bench.findings.series import Plot
 from bench.notebook import format_cell
 from bench.report import page
 from bench.report.page import CaptionedPlot
+from bench.units import split_unit
 
 _LONG = 40  # text in a cell that is broken into lines
 
@@ -64,14 +65,19 @@ def _find_window(plot: Plot) -> tuple[float, float]:
 
 
 def _fill(table: FindingTable) -> dict[str, Any]:
-    """Return title, heads with their class, and rows of a table."""
+    """Return title, heads (identifier, words, class) and rows of a table."""
     columns = [[format_cell(value) for value in values] for values in table.columns.values()]
     kinds = [_find_kind(values, cells) for values, cells in zip(table.columns.values(), columns, strict=True)]
     return {
         "title": table.title,
-        "heads": list(zip(table.columns, kinds, strict=True)),
+        "heads": [(name, _name_column(name), kind) for name, kind in zip(table.columns, kinds, strict=True)],
         "rows": [list(zip(row, kinds, strict=True)) for row in zip(*columns, strict=True)],
     }
+
+
+def _name_column(name: str) -> str:
+    words, unit = split_unit(name)
+    return words.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def _find_kind(values: Sequence[object], cells: Sequence[str]) -> str:

@@ -225,7 +225,7 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
     rows = [row for row in read.epochs.to_pylist() if row["estimator"] == "loose-15" and row["t_s"] >= 5.0]
     means = [row["nees_mean"] for row in rows]
     assert f"loose-15 {min(means):.3g} to {max(means):.3g}" in nees
-    share = next(words for words in plots if words.startswith("runs with at most this pos_rmse_h_m"))
+    share = next(words for words in plots if words.startswith("runs with at most this horizontal error, rms"))
     assert "loose-22 0 to 100" in share
     (here / "damaged").mkdir()
     for name in (RUNS, EPOCHS):

@@ -107,8 +107,8 @@ def test_a_campaign_of_positions_only_has_its_report(here):
     bench.campaign("short.toml", 2, estimators=uses, executor=SerialExecutor(), out="positions")
     write_report(here / "positions")
     text = (here / "positions" / "report.html").read_text()
-    assert "runs with at most this pos_rmse_h_m" in text
-    assert "runs with at most this vel_rmse_3d_mps" not in text
+    assert "runs with at most this horizontal error, rms" in text
+    assert "runs with at most this 3D velocity error, rms" not in text
 
 
 def test_a_filter_without_values_of_its_innovations_is_judged_and_tuned(here):

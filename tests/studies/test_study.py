@@ -89,7 +89,7 @@ def test_text_stands_on_the_left_of_its_column_and_numbers_on_the_right(folder):
     read = bench.load_study(folder)
     found = dataclasses.replace(read.findings, tables=(FindingTable("t", "Title", columns),))
     page = study_page.make_page(dataclasses.replace(read, findings=found))
-    heads = dict(re.findall(r'<th scope="col" class="(\w+)">(\w+)</th>', page))
+    heads = dict(re.findall(r'<th scope="col" class="(\w+)" title="(\w+)">', page))
     assert heads == {"text": "unit", "number": "gyro_deg_h", "words": "remark"}
     assert re.findall(r'<td class="(\w+)">', page) == ["text", "number", "text", "words"]
 
