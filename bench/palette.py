@@ -21,13 +21,13 @@ class PaletteSlot(NamedTuple):
 
 
 SLOTS = (
-    PaletteSlot("green", (48, 155, 1), (35, 159, 121)),
-    PaletteSlot("blue", (167, 166, 242), (97, 9, 230)),
-    PaletteSlot("red", (227, 163, 152), (92, 15, 0)),
-    PaletteSlot("violet", (134, 50, 253), (61, 27, 84)),
-    PaletteSlot("teal", (173, 254, 250), (0, 98, 83)),
-    PaletteSlot("pink", (184, 65, 112), (139, 135, 179)),
-    PaletteSlot("yellow", (225, 244, 34), (137, 109, 0)),
+    PaletteSlot("green", (48, 155, 1), (49, 161, 126)),
+    PaletteSlot("blue", (167, 166, 242), (70, 0, 255)),
+    PaletteSlot("red", (227, 163, 152), (128, 1, 1)),
+    PaletteSlot("violet", (134, 50, 253), (70, 51, 96)),
+    PaletteSlot("teal", (173, 254, 250), (16, 104, 84)),
+    PaletteSlot("pink", (184, 65, 112), (153, 136, 179)),
+    PaletteSlot("yellow", (225, 244, 34), (183, 107, 19)),
 )
 """The first is the truth; the others are estimators."""
 
@@ -86,7 +86,7 @@ def write_variables(*, dark: bool) -> str:
     Examples
     --------
     >>> write_variables(dark=False)[:13]
-    '--s0:#239f79;'
+    '--s0:#31a17e;'
     """
     tones = (slot.dark if dark else slot.light for slot in SLOTS)
     return "".join(f"--s{k}:#{r:02x}{g:02x}{b:02x};" for k, (r, g, b) in enumerate(tones))

@@ -104,6 +104,10 @@ def test_any_two_colours_are_told_apart(ground, sight):
     assert min(apart.values()) >= 20.0, min(apart, key=lambda pair: apart[pair])
 
 
+def test_no_colour_on_light_ground_is_nearly_black():
+    assert min(to_lab(linearize(slot.light))[0] for slot in SLOTS) > 25.0
+
+
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_every_colour_stands_out_from_its_ground(ground):
     style = (PACKAGE / "report" / "page.css").read_text()
