@@ -73,6 +73,8 @@ class AircraftTable(Table):
     """Parts that a leg may move."""
     guidance: dict[str, float] = Field(default_factory=dict)
     """A table: gains of the autopilot, by their names in guidance.xml."""
+    rough_air: dict[str, float] = Field(default_factory=dict)
+    """A table: gains of [guidance] that are other ones from moderate turbulence on."""
 
 
 def find_profile(name: str | Path) -> tuple[Path, str]:
@@ -215,6 +217,9 @@ def _make_aircraft(
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is not a table of this file")
+    unknown = [name for name in table.rough_air if name not in table.guidance]
+    if unknown:
+        raise ConfigError(f"{shown}: [rough_air] {unknown[0]!r} is no gain of [guidance]")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:
@@ -224,6 +229,7 @@ def _make_aircraft(
         folder=folder.absolute(),  # it is read in a process that works elsewhere
         systems=with_guidance.absolute(),
         gains=table.guidance,
+        rough_gains=table.rough_air,
         **convert_figures(AircraftSpec, limits),
         antenna_b=_from_imu(table.antenna, imu),
         category=table.category,

@@ -29,6 +29,9 @@ GUSTS = ("u", "v", "w", "p", "q", "r")
 RATES = tuple(f"turbulence/{axis}-rad_sec" for axis in "pqr")
 """Properties of the aerodynamics of an aircraft of the bench that take the rates of the air."""
 
+MODERATE = 4
+"""Index of exceedance of moderate turbulence."""
+
 # Wind 20 ft above ground of MIL-F-8785C for light, moderate and severe turbulence (15, 30, 45 kt), at the
 # index of its figure 7 that fits each; a straight line between and beyond [ft/s].
 _INDEX = (0.0, 3.0, 4.0, 6.0, 7.0)

@@ -25,8 +25,10 @@ _THROTTLE = "guidance/throttle-cmd-norm"
 _CONTROLS = ("system", "autopilot", "flight_control")
 
 
-def load_aircraft(aircraft: AircraftSpec, dt: float) -> Any:
+def load_aircraft(aircraft: AircraftSpec, dt: float, *, rough: bool = False) -> Any:
     """Return a new, silent FGFDMExec with the aircraft and its guidance system, at step dt [s].
+
+    ``rough`` takes the gains that the aircraft has for rough air.
 
     Raises
     ------
@@ -54,7 +56,8 @@ def load_aircraft(aircraft: AircraftSpec, dt: float) -> Any:
             write_xml(model, copy / f"{aircraft.name}.xml")
         systems = aircraft.systems if aircraft.guided else root / "systems"
         fdm = _start(scratch, root / "engine", systems, dt, f"aircraft {aircraft.name}", start)
-    for name, gain in aircraft.gains.items():
+    gains = {**aircraft.gains, **aircraft.rough_gains} if rough else aircraft.gains
+    for name, gain in gains.items():
         if not NAME.fullmatch(name):
             raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
         find_property(fdm, f"guidance/{name}").set_double_value(gain)

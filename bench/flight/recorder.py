@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from bench.data import EventRow, Trajectory
 from bench.errors import FlightError
 from bench.flight.belief import Belief
-from bench.flight.dryden import through_turbulence
+from bench.flight.dryden import MODERATE, through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.flight.jsbsim_units import FT
 from bench.flight.model_files import script_facts
@@ -210,7 +210,8 @@ def prepare(
 ) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     say("loading")
-    fdm, guided = load_aircraft(spec.aircraft, dt), spec.aircraft.guided
+    fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= MODERATE)
+    guided = spec.aircraft.guided
     fdm["ic/terrain-elevation-ft"] = spec.ground_alt / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = TrimCondition(

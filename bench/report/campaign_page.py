@@ -298,7 +298,11 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
                 lines.append(_make_line(label, x, estimates, colour, colour))
         if lines:
             yield Plot(
-                ("campaign", metric), f"{_name_error(metric)} by {key}", tuple(lines), far=_FAR, across=unit_of(key) or "1"
+                ("campaign", metric),
+                f"{_name_error(metric)} by {key}",
+                tuple(lines),
+                far=_FAR,
+                across=unit_of(key) or "1",
             )
 
 

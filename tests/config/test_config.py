@@ -560,6 +560,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         ("speed_mps = 28.0", "speed_mps = 30.0", "[[trim]] 3: speed_mps = 30 m/s is outside [limits]"),
         ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is not a table of this file"),
         ('"runway", "g', '"imu", "g', "assumed names 'imu', which is not a table of this file"),
+        ("[rough_air]", "[rough_air]\nroll = 1.0", "[rough_air] 'roll' is no gain of [guidance]"),
     ):
         (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
         assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]
