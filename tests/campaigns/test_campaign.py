@@ -248,7 +248,7 @@ def test_a_swept_number_is_the_axis_of_a_plot(here):
     ]
     swept = replace(read, conditions=tuple(conditions), outcomes=tuple(outcomes))
     (plot,) = campaign_page._plot_sweep(swept, {"loose-22": (0, 0, 0)})
-    assert plot.title == "tilt_rmse_deg by sensors.imu.gyro.noise_deg_sqrt_h"
+    assert plot.title == "tilt error (roll and pitch), rms [deg] by sensors.imu.gyro.noise_deg_sqrt_h"
     assert plot.series[0].t.tolist() == [0.5, 2.0]
     assert plot.series[0].values.tolist() == [[3.0, 2.0, 4.0], [10.0, 9.0, 11.0]]
     assert list(campaign_page._plot_sweep(read, {"loose-22": (0, 0, 0)})) == []

@@ -20,7 +20,7 @@ from bench.places import PACKAGE
 WRONG = {"gyro": 5.0, "accel": 0.4, "pos": 0.3, "vel": 4.0}
 """Times the noise on board, in the datasheets that the filter assumes."""
 
-_FLIGHT: Mapping[str, Any] = {
+FLIGHT: Mapping[str, Any] = {
     "rate_hz": 100,
     "duration_s": 140.0,
     "gnss_outage": [],
@@ -80,7 +80,7 @@ def write_wrong(folder: Path) -> dict[str, str]:
 def repeat(count: int, runs: int = 8, first: int = 31_000) -> Iterator[Repetition]:
     """Yield so many tunings, each with the draws of a seed of its own."""
     with tempfile.TemporaryDirectory() as folder:
-        given = {**_FLIGHT, **write_wrong(Path(folder))}
+        given = {**FLIGHT, **write_wrong(Path(folder))}
         for seed in range(first, first + count):
             found = bench.tune(
                 "figure-eight-matched", "loose-15", runs=runs, seed=seed, overrides=given, jobs=1
