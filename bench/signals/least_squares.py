@@ -221,7 +221,7 @@ def _iterate(
     if full:
         WH = weigh(H, np.ones(M, bool))
         weighted = (W @ residual[..., None])[..., 0]
-        free = np.einsum("mss->ms", W) - np.einsum("msi,mij,msj->ms", WH, cov, WH)
+        free = np.einsum("mss->ms", W) - np.einsum("msi,msi->ms", WH @ cov, WH)
         told = padded.used & (free > 1e-6 * np.einsum("mss->ms", W))
         normalised = np.where(told, np.abs(weighted) / np.sqrt(np.where(told, free, 1.0)), 0.0)
         chi2 = np.maximum(np.einsum("ms,ms->m", residual, weighted), 0.0)

@@ -82,6 +82,12 @@ def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
     }.items():  # fmt: skip
         assert np.abs(getattr(back, name) - getattr(o, name)).max() <= most, name
     assert np.abs(back.klobuchar / o.klobuchar - 1).max() < 1e-4
+    worse = read_back(folder, replace(GNSS, sky=replace(GNSS.sky, gps_space_sd=3.0))).observations
+    gps, more = o.system == 0, 3.0**2 - GNSS.sky.gps_space_sd**2
+    np.testing.assert_allclose(
+        worse.sd_pseudorange[gps] ** 2, back.sd_pseudorange[gps] ** 2 + more, rtol=1e-9
+    )
+    assert np.array_equal(worse.sd_pseudorange[~gps], back.sd_pseudorange[~gps])
 
 
 def test_weeks_of_messages_are_those_of_their_system(flown):
@@ -124,7 +130,8 @@ def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
     folder, _, truth = flown
     result = bench.navigate_log(folder / "log.toml")
     seen = result.records["sensed"].data.observations
-    withheld = result.records["withheld"]
+    withheld, begin = result.records["withheld"], result.more["log"]["origin_s"]
+    assert abs(seen.gps_t0 - flown[1].data.observations.gps_t0 - begin) < 1e-6
     sky = result.records["sensed"].sky
     assert set(seen.t) <= set(sky.t)
     assert sky.used.sum() > 3000

@@ -155,7 +155,7 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
     return [
         Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units"),
         Figure("IMU record with every error term / the same", whole, 6.0, "units"),
-        Figure("GPS + GLONASS ranges and fixes / the same", sky_cost(profile, truth, unit), 1.5, "units"),
+        Figure("GPS + GLONASS ranges and fixes / the same", sky_cost(profile, truth, unit), 8.0, "units"),
     ]
 
 
