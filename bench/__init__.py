@@ -116,6 +116,7 @@ if TYPE_CHECKING:
     from bench.report.writing import write_figures as write_figures, write_report as write_report
     from bench.run_result import RunResult as RunResult
     from bench.saving import save as save
+    from bench.serving import serve as serve
     from bench.specs import Guard as Guard, Profile as Profile
     from bench.store import load as load, to_arrow as to_arrow, to_pandas as to_pandas
     from bench.store.filter_state import resume_filter as resume_filter, save_filter as save_filter
@@ -159,6 +160,7 @@ _PUBLIC = {
     "save_filter": "bench.store.filter_state",
     "score_solution": "bench.api",
     "sense": "bench.api",
+    "serve": "bench.serving",
     "solve_rinex": "bench.exchange.receiver_settings",
     "stream_run": "bench.api",
     "study": "bench.studies.conducting",

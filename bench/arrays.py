@@ -13,6 +13,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+_FEW = 1000  # rows that are looked at in one go
 Shape = tuple[int | None, ...]
 
 
@@ -43,13 +44,25 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
     Traceback (most recent call last):
     ValueError: vel_n must have shape (3); got (2,)
     """
-    array = np.ascontiguousarray(value, dtype=np.float64)
-    if np.ndim(value) == 0:
-        array = array.reshape(())  # ascontiguousarray makes a row of a scalar
+    if type(value) is np.ndarray and value.dtype == np.float64 and value.ndim and value.flags.c_contiguous:
+        array = value  # nothing to convert
+    else:
+        array = np.ascontiguousarray(value, dtype=np.float64)
+        if np.ndim(value) == 0:
+            array = array.reshape(())  # ascontiguousarray makes a row of a scalar
     _check_shape(name, array.shape, shape)
     if finite:
         _check_finite(name, np.atleast_1d(array))
     return array
+
+
+def is_ready(value: object, shape: Shape) -> bool:
+    """Tell whether a value is what `as_float` and :func:`read_only` make of it, finite or not."""
+    if type(value) is not np.ndarray or value.dtype != np.float64 or value.ndim != len(shape):
+        return False
+    if value.flags.writeable or not value.flags.c_contiguous:
+        return False
+    return _fits(value.shape, shape)
 
 
 def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:
@@ -83,6 +96,8 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_finite(name: str, array: FloatArray) -> None:
+    if len(array) <= _FEW and np.isfinite(array).all():
+        return
     for rows in disk_arrays.blocks(len(array)):
         sound = np.isfinite(array[rows])
         if not sound.all():
@@ -90,10 +105,16 @@ def _check_finite(name: str, array: FloatArray) -> None:
             raise ValueError(f"{name} must be finite; the first bad value is in row {row}")
 
 
+def _fits(got: tuple[int, ...], shape: Shape) -> bool:
+    if len(got) != len(shape):
+        return False
+    for want, have in zip(shape, got, strict=True):  # noqa: SIM110 - a generator takes twice as long
+        if want is not None and want != have:
+            return False
+    return True
+
+
 def _check_shape(name: str, got: tuple[int, ...], shape: Shape) -> None:
-    fits = len(got) == len(shape) and all(
-        want is None or want == have for want, have in zip(shape, got, strict=True)
-    )
-    if not fits:
+    if not _fits(got, shape):
         wanted = ", ".join("N" if n is None else str(n) for n in shape)
         raise ValueError(f"{name} must have shape ({wanted}); got {got}")

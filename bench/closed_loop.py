@@ -96,7 +96,7 @@ class _FilterOnBoard:
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
         if self._filter is None:
             self._filter = self._open(initial, self._look_back)
-        self._filter.feed(data)
+        self._filter.advance(data)
         return self._filter.answer()
 
 

@@ -24,7 +24,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -276,19 +276,48 @@ def watch_compiling(tell: Callable[[bool], object]) -> Iterator[None]:
         _CLOCK.watchers.remove(tell)
 
 
-def types_of(*arguments: Any) -> tuple[Any, ...]:
+class KernelTypes(NamedTuple):
+    """The types of arguments as kernels are compiled for them; equal ones are one object."""
+
+    kinds: tuple[Any, ...]
+    addresses: dict[Any, int]  # by kernel, of those that were looked up
+
+
+_KNOWN_TYPES: dict[Any, KernelTypes] = {}
+_SEEN_FLAGS = 0x1 | 0x2 | 0x100 | 0x400  # C, Fortran, aligned, writeable: what numba sees of an array
+
+
+def types_of(*arguments: Any) -> KernelTypes:
     """Return the types of arguments as kernels are compiled for them."""
-    import numba
+    look = _describe_types(arguments)
+    found = _KNOWN_TYPES.get(look)
+    if found is None:
+        import numba
 
-    return tuple(numba.typeof(one) for one in arguments)
+        found = KernelTypes(tuple(numba.typeof(one) for one in arguments), {})
+        _KNOWN_TYPES[look] = found
+    return found
 
 
-def find_address(function: Callable[..., object], kinds: tuple[Any, ...]) -> int:
+def _describe_types(value: Any) -> Any:
+    """Return what the type of a value follows from, without numba: of tuples, arrays and numbers."""
+    if isinstance(value, tuple):
+        return type(value), *map(_describe_types, value)
+    if isinstance(value, np.ndarray):
+        return type(value), value.dtype.num, value.ndim, value.flags.num & _SEEN_FLAGS
+    return type(value)
+
+
+def find_address(function: Callable[..., object], types: KernelTypes) -> int:
     """Return where the machine code of an inner kernel for arguments of such types lies (`bench.call_at`)."""
-    dispatcher = cast(Kernel, function).dispatcher
-    dispatcher.compile(kinds)
-    found = dispatcher.overloads[kinds]
-    return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+    at = types.addresses.get(function)
+    if at is None:
+        dispatcher = cast(Kernel, function).dispatcher
+        dispatcher.compile(types.kinds)
+        found = dispatcher.overloads[types.kinds]
+        at = int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
+        types.addresses[function] = at
+    return at
 
 
 def _hash_sources() -> str:

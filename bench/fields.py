@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
-from functools import partial
+from functools import cache, partial
+from types import MappingProxyType
 from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
-from bench.arrays import Shape, as_float, as_kind, read_only
+from bench.arrays import Shape, as_float, as_kind, is_ready, read_only
 from bench.units import unit_of
 
 _T = TypeVar("_T")
@@ -195,14 +196,10 @@ class Record(Rebuilt):
         ValueError
             If a column has the wrong shape or type, or the columns differ in length.
         """
-        rows: dict[str, int] = {}
         besides = besides or {}
-        for name, declaration in columns_of(type(self)).items():
-            if declaration.kind is not str:
-                row = (width if n is None else n for n in declaration.shape)
-                freeze_field(self, name, declaration.kind, besides.get(name, (None, *row)), finite=finite)
-            if name not in besides:
-                rows[name] = len(getattr(self, name))
+        for name, kind, shape in _frozen(type(self), width):
+            freeze_field(self, name, kind, besides.get(name, shape), finite=finite)
+        rows = {name: len(getattr(self, name)) for name in columns_of(type(self)) if name not in besides}
         if len(set(rows.values())) > 1:
             raise ValueError(f"{type(self).__name__}: columns differ in length: {rows}")
 
@@ -223,6 +220,18 @@ class Record(Rebuilt):
         return f"{len(self)} row{'' if len(self) == 1 else 's'}{span}"
 
 
+def _find_frozen(record: type, width: int | None) -> tuple[tuple[str, type, Shape], ...]:
+    """Return name, kind and shape of the columns of a record that are no text."""
+    return tuple(
+        (name, one.kind, (None, *(width if n is None else n for n in one.shape)))
+        for name, one in columns_of(record).items()
+        if one.kind is not str
+    )
+
+
+_frozen: Callable[[type, int | None], tuple[tuple[str, type, Shape], ...]] = cache(_find_frozen)
+
+
 def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite: bool = False) -> None:
     """Replace a field of a frozen record by a checked, read-only view.
 
@@ -231,7 +240,10 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
     ValueError
         If the shape or type is wrong or, with ``finite``, a value is not finite.
     """
-    place, value = f"{type(record).__name__}.{name}", getattr(record, name)
+    value = getattr(record, name)
+    if kind is float and not finite and is_ready(value, shape):
+        return
+    place = f"{type(record).__name__}.{name}"
     array: np.ndarray[Any, Any] = (
         as_float(place, value, shape, finite=finite)
         if kind is float
@@ -255,9 +267,17 @@ def describe_field(value: object) -> str:
     return text if len(text) <= _WIDTH else f"{type(value).__name__} (...)"
 
 
-def columns_of(record: type) -> dict[str, Column]:
+def columns_of(record: type) -> Mapping[str, Column]:
     """Return the declared columns of a record, by name of the field."""
-    return {f.name: f.metadata["column"] for f in fields(record) if "column" in f.metadata}
+    return _columns(record)
+
+
+def _find_columns(record: Any) -> Mapping[str, Column]:
+    found = {f.name: f.metadata["column"] for f in fields(record) if "column" in f.metadata}
+    return MappingProxyType(found)
+
+
+_columns: Callable[[type], Mapping[str, Column]] = cache(_find_columns)
 
 
 def figures_of(spec: type) -> dict[str, Figure]:

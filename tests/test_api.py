@@ -24,6 +24,7 @@ FUNCTIONS = {
     "report": "write_report",
     "run": "run",
     "score": "score_solution",
+    "serve": "serve",
     "stream": "stream_run",
     "study": "study",
     "tune": "tune",
@@ -34,7 +35,6 @@ WITHOUT = {
     "cache": "looks after files of this machine",
     "guide": "shows pages",
     "new": "writes a starting point to edit",
-    "serve": "flies with a program on a socket",
     "view": "opens a window",
     "warm": "compiles for this machine",
 }

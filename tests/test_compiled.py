@@ -6,7 +6,9 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
+import numba
 import numpy as np
 import pytest
 
@@ -164,6 +166,28 @@ def test_a_kernel_is_compiled_by_itself_only_where_its_address_is_asked_for():
     assert len(add_kernel.dispatcher.signatures) == 1
     assert call_kernel(at, 1.5, total) == 7
     assert total[0] == 3.0
+
+
+class Pair(NamedTuple):
+    left: object
+    right: object
+
+
+def test_types_are_those_of_numba_and_equal_ones_are_one():
+    """What makes another type for numba makes another one here: writing, order, shape, kind, nesting."""
+    table = np.zeros((3, 4))
+    frozen = table.view()
+    frozen.flags.writeable = False
+    values = [
+        1, 1.5, True, None, np.int64(1), table, frozen, table.T, table[:, ::2], table[0], np.zeros(3, int),
+        Pair(table, 1), Pair(frozen, 1), Pair(table, 1.0), Pair(Pair(1, 1), table), (table, 1),
+    ]  # fmt: skip
+    for one in values:
+        for other in values:
+            alike = numba.typeof(one) == numba.typeof(other)
+            assert (compiled.types_of(one) is compiled.types_of(other)) <= alike
+        assert compiled.types_of(one).kinds == (numba.typeof(one),)
+    assert compiled.types_of(Pair(table, 1)) is compiled.types_of(Pair(np.ones((2, 2)), 7))
 
 
 def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():

@@ -5,7 +5,7 @@ import pickle
 import numpy as np
 import pytest
 
-from bench.arrays import as_float, as_kind
+from bench.arrays import as_float, as_kind, read_only
 from bench.data import Events, ImuData, NavSolution, SensorData, Trajectory, no_events
 from bench.instruments import BaroData
 from bench.specs import AssumedSpecs, ImuSpec, TriadSpec, stream
@@ -108,3 +108,16 @@ def test_streams_differ_by_seed_run_and_name_and_by_nothing_else():
     }
     assert len(set(draws.values())) == 8
     assert all(stream(*key).normal() == value for key, value in draws.items())
+
+
+def test_a_column_that_is_frozen_already_is_taken_as_it_is_and_checked_all_the_same():
+    frozen = read_only(np.arange(6.0))
+    record = BaroData(t=frozen, t_arrival=frozen, valid=np.ones(6, bool), alt_baro=frozen, sd=frozen)
+    assert record.alt_baro is frozen
+    turned = read_only(np.zeros((6, 2)).T[0])  # every other number: not in one piece
+    assert BaroData(
+        t=frozen, t_arrival=frozen, valid=np.ones(6, bool), alt_baro=turned, sd=frozen
+    ).alt_baro.flags.c_contiguous
+    for wrong in (read_only(np.zeros((6, 2))), read_only(np.zeros(5)), read_only(np.array(1.0))):
+        with pytest.raises(ValueError, match=r"alt_baro must have shape|differ in length"):
+            BaroData(t=frozen, t_arrival=frozen, valid=np.ones(6, bool), alt_baro=wrong, sd=frozen)

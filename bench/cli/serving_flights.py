@@ -15,6 +15,7 @@ from bench.cli.group import (
     estimator_option,
     force_option,
     guard_options,
+    json_option,
     new_console,
     out_option,
     recording_option,
@@ -52,6 +53,7 @@ from bench.errors import NEGATIVE
 @set_option
 @seed_option
 @click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th noise draw")
+@json_option("the metrics")
 @recording_option
 @report_option
 @force_option()
@@ -64,6 +66,7 @@ def serve(
     gives: str | None,
     mavlink: bool,
     channels: str | None,
+    as_json: bool,
     **options: Any,
 ) -> int:
     """Fly a profile with a client, a program in any language, in lock-step over a socket.
@@ -94,6 +97,10 @@ def serve(
     if port is None:
         port = PORT if mavlink else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
-    result, ended = serve_profile(profile, console=new_console(), session=session, **options)
+    result, ended = serve_profile(profile, console=new_console(stderr=as_json), session=session, **options)
+    if as_json:
+        from bench.store import to_json
+
+        click.echo(to_json(result.metrics), nl=False)
     status = max(end_run(result.metrics), int(bool(result.events.select("crash"))))
     return max(status, NEGATIVE) if ended else status

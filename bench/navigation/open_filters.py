@@ -115,14 +115,18 @@ class PieceFilter(SessionState):
             If the piece does not follow on those before, or something comes later than ``look_back`` allows.
             The filter is then as before the piece.
         """
-        if self.finished:
-            raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
         after = self.copy()
-        with self._doubt_the_file():
-            after._check(piece)
-            solution = after._take(piece, last=False)
+        solution = after.advance(piece)
         self.__dict__.update(after.__dict__)
         return solution
+
+    def advance(self, piece: SensorData) -> NavSolution:
+        """Take the next piece as :meth:`feed` does; after an error the filter is of no further use."""
+        if self.finished:
+            raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
+        with self._doubt_the_file():
+            self._check(piece)
+            return self._take(piece, last=False)
 
     def answer(self) -> NavSolution:
         """Return state and covariance at the last IMU sample, by all that has arrived; no bit changes.

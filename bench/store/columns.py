@@ -70,7 +70,7 @@ def take_block(record: object, layout: Layout, rows: slice) -> object:
 
 def observation_layout(bands: int) -> Layout:
     """Return the layout of GNSS observations on one or more carriers."""
-    layout = columns_of(GnssObservations)
+    layout = dict(columns_of(GnssObservations))
     for stem, unit in _BANDED.items():
         names = [f"{stem}_{band + 1}_{unit}" for band in range(bands)]
         layout[stem] = _rename_columns(layout[stem], names, names)
@@ -79,12 +79,12 @@ def observation_layout(bands: int) -> Layout:
 
 def drawn_layout(on_board: Sequence[str]) -> Layout:
     """Return the layout of the drawn sensor errors, with the biases of the instruments on board."""
-    return columns_of(SensorTruth) | {name: INSTRUMENTS[name].bias for name in on_board}
+    return {**columns_of(SensorTruth)} | {name: INSTRUMENTS[name].bias for name in on_board}
 
 
 def solution_layout(extra_names: Sequence[str]) -> Layout:
     """Return the layout of a solution with the given states beyond position, velocity, attitude."""
-    layout = columns_of(NavSolution)
+    layout = dict(columns_of(NavSolution))
     for field, stem in (("extra", "state"), ("extra_sd", "sd")):
         layout[field] = _rename_columns(
             layout[field], [f"{stem}_{name}" for name in extra_names], extra_names

@@ -52,9 +52,7 @@ def run(
     begun = time.perf_counter()
     with show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch)
-    print_result(console, result, table=table)
-    _write(result, folder, recording=recording, report=report, force=force)
-    print_end(console, folder, begun, table=table)
+    _finish(console, result, folder, begun, table=table, recording=recording, report=report, force=force)
     return result, folder
 
 
@@ -92,19 +90,23 @@ def serve(
         console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
     if served.ended:
         console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
-    print_result(console, served.result, table=False)
-    _write(served.result, folder, recording=recording, report=report, force=force)
-    print_end(console, folder, begun, table=False)
+    options = {"recording": recording, "report": report, "force": force}
+    _finish(console, served.result, folder, begun, table=False, **options)
     return served.result, served.ended
 
 
-def _write(result: RunResult, folder: Path, **options: Any) -> None:
+def _finish(
+    console: Console, result: RunResult, folder: Path, begun: float, *, table: bool, **options: Any
+) -> None:
+    """Print a result, write it, and print where it is."""
     from bench.saving import save
 
+    print_result(console, result, table=table)
     store.leave_out_pandas()
     with show_stages() as watch:
         watch(Stage("writing"))
         save(result, folder, **options)
+    print_end(console, folder, begun, table=table)
 
 
 def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:

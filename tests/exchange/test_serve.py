@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import shutil
 import socket
@@ -305,10 +306,12 @@ def test_a_served_flight_is_recorded_like_a_run(path, tmp_path, capsys):
     thread = threading.Thread(target=_fly_high, args=(port,), daemon=True)
     thread.start()
     out, straight = tmp_path / "out", write_straight(tmp_path / "straight.toml", 45.0)
-    main(["serve", str(straight), "--no-rrd", "--no-report", "--port", str(port), "-o", str(out)])
+    main(["serve", str(straight), "--no-rrd", "--no-report", "--port", str(port), "-o", str(out), "--json"])
     thread.join()
-    assert "Flew 45 s with the client" in " ".join(capsys.readouterr().out.split())
+    said = capsys.readouterr()
+    assert "Flew 45 s with the client" in " ".join(said.err.split())
     found = bench.load(out)
+    assert json.loads(said.out)["in-flight"]["pos_rmse_h_m"] == found.metrics["in-flight"]["pos_rmse_h_m"]
     truth, answers = found.truth, found.solutions["in-flight"]
     assert found.provenance["served"]["ended"] == ""
     rows = np.searchsorted(truth.t, answers.t - 1e-9)

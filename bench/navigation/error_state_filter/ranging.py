@@ -282,11 +282,12 @@ def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: SkyRows) -> 
 
     ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
     """
-    at, types = np.zeros(max(ROWS) + 1, np.int64), types_of(0, 0, *arguments)
+    at, types = np.zeros(max(ROWS) + 1, np.int64), None
     for kind in kinds.tolist():
         if kind == SATELLITE_ROWS:
-            at[kind] = find_address(satellites_kernel, types + types_of(sky))
+            at[kind] = find_address(satellites_kernel, types_of(0, 0, *arguments, sky))
         else:
+            types = types or types_of(0, 0, *arguments)
             at[kind] = find_address(ROWS[kind], types)
     return at
 
