@@ -196,7 +196,7 @@ def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
 from bench import sensors
 from bench.navigation.error_state_filter import measurement_rows
 from bench.navigation import built_in
-from bench.navigation.error_state_filter import ranging
+from bench.navigation.error_state_filter.ranges import ranging
 from tests.weaving import units, weaving
 sensed = sensors.sense(weaving(5.0, rate=100.0), units(), 1, 0)
 built_in.load("loose-22", {}).run(sensed.data, sensed.initial)

@@ -10,8 +10,8 @@ import pytest
 from bench import sensors
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
-from bench.navigation.error_state_filter import ranging
-from bench.navigation.error_state_filter.ranging import Channels
+from bench.navigation.error_state_filter.ranges import ranging
+from bench.navigation.error_state_filter.ranges.ranging import Channels
 from bench.navigation.models.loose_tight import Tight
 from bench.specs import Fault
 from tests.builders import band, ensemble

@@ -17,11 +17,12 @@ from bench.data import GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation.built_in import load
-from bench.navigation.error_state_filter import error_state, measurement_rows, ranging
+from bench.navigation.error_state_filter import error_state, measurement_rows
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
-from bench.navigation.error_state_filter.range_states import CLOCK, RANGES
+from bench.navigation.error_state_filter.ranges import ranging
+from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
+from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGES
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.models.loose_tight import Loose, Tight

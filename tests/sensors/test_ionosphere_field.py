@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth
-from bench.navigation.error_state_filter import ionosphere_anchors
+from bench.navigation.error_state_filter.ranges import ionosphere_anchors
 from bench.sensors import ionosphere_field as field
 from bench.signals import least_squares
 from bench.signals.look import Look

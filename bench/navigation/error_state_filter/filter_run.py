@@ -32,7 +32,7 @@ from bench.navigation.error_state_filter.propagation import (
     pending_for,
     work_for,
 )
-from bench.navigation.error_state_filter.ranging import SkyRows, place_fillers, renew_kernel
+from bench.navigation.error_state_filter.ranges.ranging import SkyRows, place_fillers, renew_kernel
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
 from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel

@@ -19,11 +19,11 @@ from bench.navigation.engine.piecewise import refuse
 from bench.navigation.engine.session import Kept, SessionState, require, require_range
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
 from bench.navigation.engine.velocity_consistency import MovedFixes
-from bench.navigation.error_state_filter import ranging
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
-from bench.navigation.error_state_filter.range_states import list_range_errors
+from bench.navigation.error_state_filter.ranges import ranging
+from bench.navigation.error_state_filter.ranges.range_states import list_range_errors
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.specs import GnssSpec, ImuSpec

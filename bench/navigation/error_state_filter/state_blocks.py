@@ -19,7 +19,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import InitialState, SensorData
 from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
-from bench.navigation.error_state_filter.range_states import CLOCK, RANGE_ERRORS
+from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE_ERRORS
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
     SQUARE,

@@ -31,7 +31,7 @@ from bench.navigation.engine.piecewise import InPieces, KnowsImuErrors, answer_n
 from bench.navigation.engine.session import Kept, SessionState, require, require_range
 from bench.navigation.engine.timeline import empty_epochs
 from bench.navigation.engine.velocity_consistency import MovedFixes
-from bench.navigation.error_state_filter import measurement_rows, ranging
+from bench.navigation.error_state_filter import measurement_rows
 from bench.navigation.error_state_filter.aiding_sensors import (
     AIDING,
     FIXES,
@@ -47,7 +47,8 @@ from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
-from bench.navigation.error_state_filter.range_states import RANGES
+from bench.navigation.error_state_filter.ranges import ranging
+from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (

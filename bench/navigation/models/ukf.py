@@ -59,7 +59,7 @@ from bench.navigation.error_state_filter.propagation import (
     pending_for,
     work_for,
 )
-from bench.navigation.error_state_filter.ranging import empty_sky, place_fillers
+from bench.navigation.error_state_filter.ranges.ranging import empty_sky, place_fillers
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
     Index,

@@ -23,11 +23,6 @@ from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.engine.session import Growing, Kept, SessionState, require
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
-from bench.navigation.error_state_filter.ionosphere_anchors import (
-    ANCHORS,
-    ionosphere_kernel,
-    whiten_anchors,
-)
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
@@ -37,7 +32,12 @@ from bench.navigation.error_state_filter.measurement_rows import (
     Measurements,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
-from bench.navigation.error_state_filter.range_states import RANGES, multipath_sd
+from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
+    ANCHORS,
+    ionosphere_kernel,
+    whiten_anchors,
+)
+from bench.navigation.error_state_filter.ranges.range_states import RANGES, multipath_sd
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, name_satellite
 from bench.signals import receiver

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from bench.navigation.error_state_filter.ionosphere_anchors import ANCHORS
+from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.state_processes import Block, States, assumed
 from bench.orbit_sets import GPS, SYSTEM_NAMES
 from bench.signals.orbits import C
