@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated, Any
 
@@ -120,6 +120,7 @@ class _DrawWatch:
     alarm: BoolArray  # (M,)
     across: FloatArray  # (M,) error across track, to the right [m]; NaN without a track
     off: FloatArray  # (M,) flight technical error [m]; NaN without a track
+    crashed: bool = False  # at the last of the instants
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
@@ -150,7 +151,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     title = f"{options.estimator} on {profile.name}, {flights} flights, {hours:.3g} h: bounds of 95 % each"
     words = [row["word"] for row in rows]
     return Findings(
-        verdicts=tuple(_tell(errors, planes, options, rows, hours)),
+        verdicts=(*_tell_crashes(watches), *_tell(errors, planes, options, rows, hours)),
         tables=(FindingTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
         figures=tuple(plot_stanford(watches[0].t, planes)),
         draws=flights,
@@ -162,12 +163,12 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
 def _gather(watches: Sequence[_DrawWatch], options: Options) -> list[Watched]:
     """Return what is watched in the plane and in height; a flight that is shorter ends in no instant."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
-    alarm = np.array([one.alarm for one in _trim(watches)])
+    alarm = np.array([one.alarm for one in _align(watches)])
     return [
         Watched(
             _INTERVAL,
-            np.array([one.error[:, k] for one in _trim(watches)]),
-            np.array([one.level[:, k] for one in _trim(watches)]),
+            np.array([one.error[:, k] for one in _align(watches)]),
+            np.array([one.level[:, k] for one in _align(watches)]),
             alarm,
             limit,
         )
@@ -175,14 +176,34 @@ def _gather(watches: Sequence[_DrawWatch], options: Options) -> list[Watched]:
     ]
 
 
-def _trim(watches: Sequence[_DrawWatch]) -> list[_DrawWatch]:
-    """Return flights of equal length: turbulence lets each end a little earlier or later."""
-    shortest = min(len(one.t) for one in watches)
-    return [_DrawWatch(*(getattr(one, part.name)[:shortest] for part in fields(one))) for one in watches]
+def _align(watches: Sequence[_DrawWatch]) -> list[_DrawWatch]:
+    """Return flights of equal length: turbulence lets each end a little earlier or later.
+
+    A crash shortens no other flight: from there on, and in the last instant at least, its own has no solution
+    and is infinitely far off.
+    """
+    whole = [len(one.t) for one in watches if not one.crashed]
+    length = min(whole) if whole else max(len(one.t) for one in watches)
+    return [_fit(one, length) for one in watches]
+
+
+def _fit(one: _DrawWatch, length: int) -> _DrawWatch:
+    kept = min(len(one.t), length - one.crashed)
+    rows = np.minimum(np.arange(length), max(kept - 1, 0))
+    lost = np.arange(length) >= kept
+    return replace(
+        one,
+        t=one.t[rows],
+        error=np.where(lost[:, None], np.nan, one.error[rows]),
+        level=one.level[rows],
+        alarm=one.alarm[rows],
+        across=one.across[rows],
+        off=np.where(lost, np.inf, one.off[rows]),
+    )
 
 
 def _stack(watches: Sequence[_DrawWatch], name: str) -> FloatArray:
-    return np.array([getattr(one, name) for one in _trim(watches)])
+    return np.array([getattr(one, name) for one in _align(watches)])
 
 
 def watch_run(run: _Run) -> _DrawWatch:
@@ -214,6 +235,7 @@ def watch_run(run: _Run) -> _DrawWatch:
         protection.alarm,
         across,
         off if steered is None else off + across,
+        bool(truth.events.select("crash")),
     )
 
 
@@ -296,7 +318,7 @@ def _list_rows(
 
 def _list_accuracy(errors: dict[str, FloatArray], rnp: float) -> Iterator[dict[str, Any]]:
     """Yield the rows of what is across track."""
-    on = np.isfinite(errors["FTE"]).all(axis=0)
+    on = ~np.isnan(errors["FTE"]).any(axis=0)
     if not on.any():
         return
     for name, values in errors.items():
@@ -310,7 +332,7 @@ def _list_accuracy(errors: dict[str, FloatArray], rnp: float) -> Iterator[dict[s
 
 def _list_containment(errors: dict[str, FloatArray], rnp: float) -> Iterator[dict[str, Any]]:
     """Yield the rate of flights that went beyond twice RNP."""
-    on = np.isfinite(errors["FTE"]).all(axis=0)
+    on = ~np.isnan(errors["FTE"]).any(axis=0)
     if not on.any():
         return
     outside = known_size(np.abs(errors["TSE"][:, on])) > 2.0 * rnp
@@ -379,6 +401,15 @@ def _row(
     }
 
 
+def _tell_crashes(watches: Sequence[_DrawWatch]) -> Iterator[str]:
+    if lost := [one for one in watches if one.crashed]:
+        first = min(float(one.t[-1]) for one in lost)
+        yield (
+            f"{len(lost)} of {len(watches)} flights crashed, the first at {first:.0f} s: from there on they "
+            "have no solution and are infinitely far off."
+        )
+
+
 def _tell(
     errors: dict[str, FloatArray],
     planes: list[Watched],
@@ -392,7 +423,7 @@ def _tell(
         yield "No leg is along waypoints or to a runway, which a total system error would need."
     elif within is not None:
         total = by_figure["TSE across track, 95 %"]["value"]
-        flown, navigated = (float(np.nanmean(np.square(errors[name]))) for name in ("FTE", "NSE"))
+        flown, navigated = (_mean_square(errors[name]) for name in ("FTE", "NSE"))
         share = flown / max(flown + navigated, 1e-12)
         yield (
             f"RNP {options.rnp_nm:g} ({options.rnp_nm * _NM:.0f} m): {within['word']}; across track, turns "
@@ -416,6 +447,11 @@ def _tell(
         )
     if options.estimator != "tight":
         yield "The levels hold while nothing is faulty; only those of tight allow for a faulty satellite."
+
+
+def _mean_square(values: FloatArray) -> float:
+    """Return that of what is known, without flights that have crashed."""
+    return float(np.mean(np.square(values[np.isfinite(values)])))
 
 
 def _tell_more(row: dict[str, Any]) -> str:

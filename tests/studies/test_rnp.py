@@ -99,19 +99,22 @@ def test_levels_of_a_filter_that_trusts_its_fixes_do_not_allow_for_the_fault(fli
     assert np.isfinite(one.level).all()
 
 
-def ask(monkeypatch, across, off, level=10.0, error=2.0, **more):
-    """Return the findings of flights of 100 s with errors of navigation and of the flight by number."""
+def ask(monkeypatch, across, off, level=10.0, error=2.0, crashes=(), **more):
+    """Return the findings of flights of 100 s with errors of navigation and of the flight by number.
+
+    Those in ``crashes`` end after 40 s.
+    """
     truth = SimpleNamespace(t=np.arange(0.0, 100.0))
     monkeypatch.setattr(
         rnp, "_load", lambda *args: (SimpleNamespace(name="made", evaluation=EvaluationWindow()), truth, None)
     )
 
     def fly(number):
-        t = truth.t
-        one = error(number) if callable(error) else error
+        t = truth.t[:40] if number in crashes else truth.t
+        one, n = error(number) if callable(error) else error, len(t)
         return rnp._DrawWatch(
-            t, np.full((100, 2), one), np.full((100, 2), level), np.zeros(100, bool),
-            np.full(100, across(number)), np.full(100, off(number)),
+            t, np.full((n, 2), one), np.full((n, 2), level), np.zeros(n, bool),
+            np.full(n, across(number)), np.full(n, off(number)), number in crashes,
         )  # fmt: skip
 
     work = SimpleNamespace(
@@ -168,6 +171,22 @@ def test_one_flight_that_misleads_hazardously_misses_integrity(monkeypatch):
     assert words(found)["hazardously misleading, per hour, horizontal"] == "undecided"
     assert words(found)["flights whose errors beyond the limit are told in 10 s, vertical"] == "missed"
     assert any("Vertical" in one and "hazardously in 1" in one for one in found.verdicts)
+
+
+def test_a_crash_counts_as_one_and_shortens_no_other_flight(monkeypatch):
+    """One of 60: it is beyond twice RNP, and where no alarm tells of it, it misleads hazardously."""
+    found = ask(monkeypatch, lambda k: 3.0, lambda k: -1.0, crashes=(7,))
+    table = next(one for one in found.tables if one.name == "rnp")
+    assert "60 flights, 1.67 h" in table.title  # of 100 s each
+    judged = words(found)
+    assert judged["TSE beyond twice RNP, per hour"] == "missed"
+    assert judged["hazardously misleading, per hour, horizontal"] == "missed"
+    assert judged["time with TSE within RNP"] == "undecided"  # 99 %, of which one flight has 40
+    assert "1 of 60 flights crashed, the first at 39 s" in found.verdicts[0]
+    assert "10 % of its mean square by the flight" in found.verdicts[1]
+    alone = ask(monkeypatch, lambda k: 3.0, lambda k: -1.0, crashes=range(60), lines="accuracy,containment")
+    assert alone.verdicts[0].startswith("60 of 60 flights crashed")
+    assert words(alone) == {"time with TSE within RNP": "met", "TSE beyond twice RNP, per hour": "missed"}
 
 
 def test_the_total_error_is_divided_between_navigation_and_flight(monkeypatch):
