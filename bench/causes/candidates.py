@@ -29,6 +29,7 @@ SENSOR_ERRORS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     WANDER: ("gnss", ("pos_h_markov_sd", "pos_v_markov_sd")),
     "time-correlated GNSS velocity error": ("gnss", ("vel_markov_sd",)),
     "GNSS latency": ("gnss", ("latency",)),
+    "lag of the receiver under acceleration": ("gnss", ("tracking_bandwidth",)),
     "jumps of the GNSS error where the satellites change": ("gnss", _JUMPS),
     "barometer quantization": ("baro", ("quantization",)),
     "barometer errors with height, airspeed and incidence": ("baro", ("physical",)),
@@ -55,6 +56,7 @@ SKY_ERRORS: Mapping[str, tuple[str, ...]] = {
     "g-sensitivity of the receiver's clock": ("clock_g",),
 }
 """The same of the ranges of a receiver at measurement level -> figures of `bench.specs.SkySpec`."""
+_OF_BOTH = ("GNSS latency", "lag of the receiver under acceleration")  # of fixes and of ranges
 _CLOCK = ("flicker of the receiver's clock", "g-sensitivity of the receiver's clock")
 
 Removal = Callable[[SensorsSpec], SensorsSpec]
@@ -110,7 +112,7 @@ def _list_errors(spec: SensorsSpec, unmodelled: Collection[str]) -> Iterator[Can
             yield Candidate(error, "imu", partial(_change_part, "imu", changed), error)
     for error, (part, names) in SENSOR_ERRORS.items():
         sensor = getattr(spec, part)
-        drawn = part != "gnss" or sensor is None or sensor.sky is None or error == "GNSS latency"
+        drawn = part != "gnss" or sensor is None or sensor.sky is None or error in _OF_BOTH
         if sensor is not None and error in unmodelled and drawn:
             changed = {name: None if name == "physical" else 0.0 for name in names}
             yield Candidate(error, part, partial(_change_part, part, changed), error)

@@ -23,7 +23,7 @@ import numpy as np
 from pydantic import Field
 
 from bench import closed_loop, pipeline
-from bench.arrays import BoolArray, FloatArray
+from bench.arrays import FloatArray
 from bench.config import load_profile
 from bench.data import NavSolution, Sensed, Trajectory
 from bench.errors import ConfigError
@@ -57,6 +57,7 @@ from bench.navigation.engine.kept_rows import take_observations
 from bench.specs import FlightSpec, Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import Count, Positive, StudyWorkers, UnitOptions, Words, ask_each
+from bench.studies.watched_flights import WatchedFlight, align_flights, tell_crashes
 from bench.units import HOUR
 from bench.wording import format_number, suggest
 
@@ -110,19 +111,6 @@ class _Run:
     number: int
 
 
-@dataclass(frozen=True, slots=True)
-class _DrawWatch:
-    """What one draw of M instants gives."""
-
-    t: FloatArray  # (M,) [s]
-    error: FloatArray  # (M, 2) horizontal, vertical [m]
-    level: FloatArray  # (M, 2)
-    alarm: BoolArray  # (M,)
-    across: FloatArray  # (M,) error across track, to the right [m]; NaN without a track
-    off: FloatArray  # (M,) flight technical error [m]; NaN without a track
-    crashed: bool = False  # at the last of the instants
-
-
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return accuracy, integrity, continuity and availability."""
     return ask_each("rnp", options, work, _ask)
@@ -151,7 +139,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     title = f"{options.estimator} on {profile.name}, {flights} flights, {hours:.3g} h: bounds of 95 % each"
     words = [row["word"] for row in rows]
     return Findings(
-        verdicts=(*_tell_crashes(watches), *_tell(errors, planes, options, rows, hours)),
+        verdicts=(*tell_crashes(watches), *_tell(errors, planes, options, rows, hours)),
         tables=(FindingTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
         figures=tuple(plot_stanford(watches[0].t, planes)),
         draws=flights,
@@ -160,15 +148,15 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     )
 
 
-def _gather(watches: Sequence[_DrawWatch], options: Options) -> list[Watched]:
+def _gather(watches: Sequence[WatchedFlight], options: Options) -> list[Watched]:
     """Return what is watched in the plane and in height; a flight that is shorter ends in no instant."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
-    alarm = np.array([one.alarm for one in _align(watches)])
+    alarm = np.array([one.alarm for one in align_flights(watches)])
     return [
         Watched(
             _INTERVAL,
-            np.array([one.error[:, k] for one in _align(watches)]),
-            np.array([one.level[:, k] for one in _align(watches)]),
+            np.array([one.error[:, k] for one in align_flights(watches)]),
+            np.array([one.level[:, k] for one in align_flights(watches)]),
             alarm,
             limit,
         )
@@ -176,37 +164,11 @@ def _gather(watches: Sequence[_DrawWatch], options: Options) -> list[Watched]:
     ]
 
 
-def _align(watches: Sequence[_DrawWatch]) -> list[_DrawWatch]:
-    """Return flights of equal length: turbulence lets each end a little earlier or later.
-
-    A crash shortens no other flight: from there on, and in the last instant at least, its own has no solution
-    and is infinitely far off.
-    """
-    whole = [len(one.t) for one in watches if not one.crashed]
-    length = min(whole) if whole else max(len(one.t) for one in watches)
-    return [_fit(one, length) for one in watches]
+def _stack(watches: Sequence[WatchedFlight], name: str) -> FloatArray:
+    return np.array([getattr(one, name) for one in align_flights(watches)])
 
 
-def _fit(one: _DrawWatch, length: int) -> _DrawWatch:
-    kept = min(len(one.t), length - one.crashed)
-    rows = np.minimum(np.arange(length), max(kept - 1, 0))
-    lost = np.arange(length) >= kept
-    return replace(
-        one,
-        t=one.t[rows],
-        error=np.where(lost[:, None], np.nan, one.error[rows]),
-        level=one.level[rows],
-        alarm=one.alarm[rows],
-        across=one.across[rows],
-        off=np.where(lost, np.inf, one.off[rows]),
-    )
-
-
-def _stack(watches: Sequence[_DrawWatch], name: str) -> FloatArray:
-    return np.array([getattr(one, name) for one in _align(watches)])
-
-
-def watch_run(run: _Run) -> _DrawWatch:
+def watch_run(run: _Run) -> WatchedFlight:
     """Return the errors and the protection levels of one draw."""
     options = run.options
     profile, truth, steered = _load(options, run.number)
@@ -228,7 +190,7 @@ def watch_run(run: _Run) -> _DrawWatch:
         off, course = path.right, path.course
     navigated = apart if steered is None else _find_steering_errors(truth, steered, truth.t[rows])
     across = navigated[:, 1] * np.cos(course) - navigated[:, 0] * np.sin(course)
-    return _DrawWatch(
+    return WatchedFlight(
         truth.t[rows],
         np.column_stack([np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])]),
         protection.level,
@@ -399,15 +361,6 @@ def _row(
         "word": judged.word if judged is not None else UNDECIDED if required else None,
         "more_h": None if judged is None else judged.more_h,
     }
-
-
-def _tell_crashes(watches: Sequence[_DrawWatch]) -> Iterator[str]:
-    if lost := [one for one in watches if one.crashed]:
-        first = min(float(one.t[-1]) for one in lost)
-        yield (
-            f"{len(lost)} of {len(watches)} flights crashed, the first at {first:.0f} s: from there on they "
-            "have no solution and are infinitely far off."
-        )
 
 
 def _tell(

@@ -19,6 +19,7 @@ from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
 from bench.specs import EvaluationWindow
 from bench.studies import rnp
+from bench.studies.watched_flights import WatchedFlight
 from bench.units import STANDARD_GRAVITY
 
 FLIGHT = """
@@ -112,7 +113,7 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, crashes=(), **more):
     def fly(number):
         t = truth.t[:40] if number in crashes else truth.t
         one, n = error(number) if callable(error) else error, len(t)
-        return rnp._DrawWatch(
+        return WatchedFlight(
             t, np.full((n, 2), one), np.full((n, 2), level), np.zeros(n, bool),
             np.full(n, across(number)), np.full(n, off(number)), number in crashes,
         )  # fmt: skip

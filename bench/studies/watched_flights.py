@@ -1,0 +1,59 @@
+"""Flights of one study side by side: those that turbulence makes a little longer, and those that crash."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.arrays import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedFlight:
+    """What one draw of M instants gives."""
+
+    t: FloatArray  # (M,) [s]
+    error: FloatArray  # (M, 2) horizontal, vertical [m]
+    level: FloatArray  # (M, 2)
+    alarm: BoolArray  # (M,)
+    across: FloatArray  # (M,) error across track, to the right [m]; NaN without a track
+    off: FloatArray  # (M,) flight technical error [m]; NaN without a track
+    crashed: bool = False  # at the last of the instants
+
+
+def align_flights(watches: Sequence[WatchedFlight]) -> list[WatchedFlight]:
+    """Return flights of equal length: turbulence lets each end a little earlier or later.
+
+    A crash shortens no other flight: from there on, and in the last instant at least, its own has no solution
+    and is infinitely far off.
+    """
+    whole = [len(one.t) for one in watches if not one.crashed]
+    length = min(whole) if whole else max(len(one.t) for one in watches)
+    return [_fit(one, length) for one in watches]
+
+
+def _fit(one: WatchedFlight, length: int) -> WatchedFlight:
+    kept = min(len(one.t), length - one.crashed)
+    rows = np.minimum(np.arange(length), max(kept - 1, 0))
+    lost = np.arange(length) >= kept
+    return replace(
+        one,
+        t=one.t[rows],
+        error=np.where(lost[:, None], np.nan, one.error[rows]),
+        level=one.level[rows],
+        alarm=one.alarm[rows],
+        across=one.across[rows],
+        off=np.where(lost, np.inf, one.off[rows]),
+    )
+
+
+def tell_crashes(watches: Sequence[WatchedFlight]) -> Iterator[str]:
+    """Yield how many flights crashed, if any did."""
+    if lost := [one for one in watches if one.crashed]:
+        first = min(float(one.t[-1]) for one in lost)
+        yield (
+            f"{len(lost)} of {len(watches)} flights crashed, the first at {first:.0f} s: from there on they "
+            "have no solution and are infinitely far off."
+        )
