@@ -46,9 +46,9 @@ use = "loose-full"
 """
 
 
-def export(folder, data, initial):
+def export(folder, data, initial, tracks=None):
     start = make_start_document(data, initial)
-    out = ExportData(data.imu, data.fixes, data.observations, {}, start, data.output_t)
+    out = ExportData(data.imu, data.fixes, data.observations, {}, start, data.output_t, tracks or {})
     for kind in ("csv", "rinex"):
         exports.write(folder, kind, out, "weaving")
 
@@ -159,16 +159,52 @@ def test_an_outage_takes_the_ranges_away_too(flown):
 
 
 def test_epochs_with_too_few_satellites_for_a_fix_reach_tight(flown, tmp_path):
-    """Three GPS satellites from 60 s on: no fix, and tight has their ranges."""
-    _, sensed, _ = flown
+    """Three GPS satellites from 60 s on: no fix, and tight has their ranges, by the place of a track."""
+    _, sensed, truth = flown
     o = sensed.data.observations
     few = (o.t < 60.0) | ((o.system == 0) & np.isin(o.sat, np.unique(o.sat[o.system == 0])[:3]))
     fixes = sensed.data.fixes.take(sensed.data.fixes.t < 60.0)
-    export(tmp_path, replace(sensed.data, observations=taken(o, few), fixes=fixes), sensed.initial)
+    data = replace(sensed.data, observations=taken(o, few), fixes=fixes)
+    export(tmp_path, data, sensed.initial, {"truth": truth})
     rows, back, _ = read_back(tmp_path)
     assert rows.t.max() < 60.0
-    assert back.t.max() > 125.0
     assert "no fix at" in " ".join(rows.notes)
+    assert "left out" not in " ".join(rows.notes)
+    assert np.array_equal(back.sat, o.sat[few])
+    assert np.abs(back.sat_pos_e - o.sat_pos_e[few]).max() < 2e-3
+
+
+def test_epochs_whose_place_nothing_tells_are_left_out_with_a_word(flown, tmp_path):
+    """A single fix that is missing is bridged."""
+    _, sensed, _ = flown
+    t = sensed.data.fixes.t
+    fixes = sensed.data.fixes.take((t < 59.5) & (np.abs(t - 30.0) > 0.5))
+    export(tmp_path, replace(sensed.data, fixes=fixes), sensed.initial)
+    seen = np.unique(sensed.data.observations.t)
+    words = " ".join((tmp_path / "README.md").read_text().split())
+    assert f"{(seen > 60.5).sum()} epochs more than 1 s from a fix are left out" in words
+    rows, back, _ = read_back(tmp_path)
+    assert "left out" not in " ".join(rows.notes)
+    assert len(np.unique(back.t)) == (seen < 60.5).sum()
+    none = replace(fixes, t=fixes.t + 1000.0)
+    with pytest.raises(bench.errors.ExportError, match="the place of none is known"):
+        export(tmp_path, replace(sensed.data, fixes=none), sensed.initial)
+
+
+def test_messages_of_glonass_are_at_quarters_of_an_hour_in_utc(flown, tmp_path):
+    """RTKLIB (`decode_geph`) rounds their times to these: others would put satellites kilometres away."""
+    folder, sensed, _ = flown
+    o = sensed.data.observations
+    export(tmp_path, replace(sensed.data, observations=replace(o, gps_t0=o.gps_t0 + 405.0)), sensed.initial)
+    for where, count in ((folder, 1), (tmp_path, 2)):
+        found = {
+            line[4:23] for line in (where / "run.nav").read_text().splitlines() if line[:1] == "R"
+            and line[1:3].isdecimal()
+        }  # fmt: skip
+        assert len(found) == count
+        assert {one[-5:] for one in found} <= {"00 00", "15 00", "30 00", "45 00"}
+    words = " ".join((folder / "README.md").read_text().split())
+    assert "mm with GLONASS" in words
 
 
 def test_a_datasheet_without_sky_gives_fixes_alone(flown, tmp_path):

@@ -5,7 +5,7 @@ RINEX 3.04 (IGS, RTCM-SC104, 2018), tables A2, A3, A5, A6, A8, A10, A14.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -34,9 +34,13 @@ _EPOCH = datetime(1980, 1, 6)
 _range = on_arrays(range_kernel)
 _CODES = {GPS: ("1C", "2W"), GLONASS: ("1C", "2C"), GALILEO: ("1C", "5Q"), BEIDOU: ("2I", "6I")}
 """Codes of the carriers of `orbits.carrier_frequencies`."""
-_VALID = {GLONASS: 120.0}
-"""Time for which a message is fitted [s]; the others `_KEPLER_VALID`."""
+_VALID = {GLONASS: 900.0}
+"""Time for which a message is fitted [s]; the others `_KEPLER_VALID`.
+
+Of GLONASS about a multiple of it in UTC: RTKLIB rounds the reference time to such a one.
+"""
 _KEPLER_VALID = 300.0
+_NEAR = 1.0  # an epoch so near to a fix has a place; in a gap of 2 s it is good to metres [s]
 _ACCURACY = {GPS: 2.0, GALILEO: 3.12, BEIDOU: 2.0}  # stated by a sound satellite [m]: URA 0, SISA 107
 _LEAST = 1e-99
 _INAV = 517.0  # data source of Galileo: I/NAV of E1, clock of E5b and E1, table A8
@@ -57,21 +61,26 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     if o is None:
         raise ExportError("the run has no ranges: its receiver must be one with [sky], such as 'sky-l1'")
     midnight = WEEK * out.calendar.week + out.calendar.second - o.gps_t0
-    ranges, frozen = _place_in_time(o, out, midnight)
+    ranges, frozen, lost = _place_in_time(o, out, midnight)
     where = earth.to_ecef(out.select_fixes().lla[:1])[0]
     durable.write(folder / OBSERVATIONS, "".join(_write_observations(o, ranges, where)))
     messages, far = _fit_messages(o, ranges)
     durable.write(folder / NAVIGATION, "".join(_write_navigation(o, messages, ranges.tag[0])))
     systems = ", ".join(LETTERS[system] for system in np.unique(o.system))
     left_out = f" {frozen} epochs that a frozen receiver repeats are left out." if frozen else ""
+    if lost:
+        left_out += (
+            f" {lost} epochs more than {_NEAR:g} s from a fix are left out, because their place is not "
+            "known: `--with solution:NAME` gives it."
+        )
     minutes = _KEPLER_VALID / 60, _VALID[GLONASS] / 60
     return f"""RINEX 3.04, for RTKLIB and other programs of GNSS. `bench fixes` solves both files.
 
 - `{OBSERVATIONS}`, {len(ranges.tag)} epochs: pseudorange [m], Doppler [Hz] and C/N0 [dB-Hz] of the systems
   {systems}. Times are GPS time by the clock of the receiver. Carrier phase is not simulated.{left_out}
 - `{NAVIGATION}`, {len(messages)} broadcast messages, one every {minutes[0]:g} minutes, of GLONASS every
-  {minutes[1]:g}. They are fitted to the satellites of the run, to {1e3 * far:.2g} mm. The ionosphere is the
-  Klobuchar model; group delays are 0, as in the ranges.
+  {minutes[1]:g}. They are fitted to the satellites of the run, to {_describe_errors(far)}. The ionosphere is
+  the Klobuchar model; group delays are 0, as in the ranges.
 
 The same ranges beside the IMU of the run, `imu.csv` of `bench export --to csv`, in a log:
 
@@ -83,10 +92,22 @@ time_offset_s = {-(WEEK * out.calendar.week + out.calendar.second):.6f}   # to t
 ```"""
 
 
-def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tuple[_Ranges, int]:
-    """Return the epochs by the receiver's clock, and how many a frozen receiver repeats.
+def _describe_errors(far: Mapping[int, float]) -> str:
+    """Return the largest error of the messages of each system [m] in words."""
+    others = [one for system, one in far.items() if system != GLONASS]
+    words = [f"{1e3 * max(others):.2g} mm"] if others else []
+    if GLONASS in far:
+        words.append(
+            f"{1e3 * far[GLONASS]:.2g} mm with GLONASS, whose messages know no change of the acceleration"
+        )
+    return ", ".join(words)
 
-    The distances follow from its fixes: their errors move neither clock nor satellites by a millimetre.
+
+def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tuple[_Ranges, int, int]:
+    """Return the epochs by the receiver's clock, how many a frozen receiver repeats, how many have no place.
+
+    The distances follow from its fixes: their errors move neither clock nor satellites by a millimetre. Where
+    it has none they follow from the tracks that are exported, too.
     """
     fixes = out.select_fixes()
     start = o.epoch_start
@@ -97,17 +118,31 @@ def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tup
     for m in range(1, len(first)):
         a, b, n = first[m - 1], first[m], count[m]
         same[m] = count[m - 1] == n and bool((o.sat_pos_e[a : a + n] == o.sat_pos_e[b : b + n]).all())
-    first, count, t = first[~same], count[~same], t[~same]
+    tracks = out.tracks.values()
+    known_t = np.concatenate([fixes.t, *(track.t for track in tracks)])
+    lla = np.concatenate([fixes.lla, *(track.lla for track in tracks)])
+    at = np.flatnonzero(np.isfinite(lla).all(axis=1))
+    known_t, first_of = np.unique(known_t[at], return_index=True)
+    lla = lla[at[first_of]]
+    after, last = np.searchsorted(known_t, t), len(known_t) - 1
+    far = np.abs(known_t[np.minimum([(after - 1).clip(0), after], last)] - t).min(axis=0) > _NEAR
+    keep = ~same & ~far
+    if not keep.any():
+        raise ExportError(f"no epoch with ranges is within {_NEAR:g} s of a fix: the place of none is known")
+    first, count, t = first[keep], count[keep], t[keep]
     rows = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)])
-    known = earth.to_ecef(fixes.lla)
-    pos_e = np.column_stack([np.interp(t, fixes.t, column) for column in known.T])
+    pos_e = np.column_stack([np.interp(t, known_t, column) for column in earth.to_ecef(lla).T])
     epoch = np.repeat(np.arange(len(first)), count)
     distance = np.asarray(_range(*o.sat_pos_e[rows].T, *pos_e[epoch].T, GPS_EARTH_RATE)[0])
     new = np.concatenate([[0], np.cumsum(count)])
     late = o.pseudorange[rows, 0] + o.sat_clock[rows] - distance
     clock = np.array([np.median(late[a:b]) for a, b in pairwise(new)]) / C
     received = midnight + o.gps_t0 + t
-    return _Ranges(received + clock, new, rows, received[epoch] - distance / C), int(same.sum())
+    return (
+        _Ranges(received + clock, new, rows, received[epoch] - distance / C),
+        int(same.sum()),
+        int((far & ~same).sum()),
+    )
 
 
 def _write_observations(o: GnssObservations, ranges: _Ranges, where: FloatArray) -> Iterator[str]:
@@ -158,11 +193,14 @@ def _find_channels(o: GnssObservations) -> list[tuple[int, int]]:
     return list(zip(sat.tolist(), channel.tolist(), strict=True))
 
 
-def _fit_messages(o: GnssObservations, ranges: _Ranges) -> tuple[list[KeplerSets | GlonassSets], float]:
-    """Return a message for each satellite and time, of one set each, and their largest error [m]."""
-    channels, found, far = dict(_find_channels(o)), list[KeplerSets | GlonassSets](), 0.0
+def _fit_messages(
+    o: GnssObservations, ranges: _Ranges
+) -> tuple[list[KeplerSets | GlonassSets], dict[int, float]]:
+    """Return a message for each satellite and time, of one set each, and the largest error by system [m]."""
+    channels, found, far = dict(_find_channels(o)), list[KeplerSets | GlonassSets](), dict[int, float]()
     sat, system = o.sat[ranges.rows], o.system[ranges.rows]
-    late = np.where(system == BEIDOU, BEIDOU_LATE, 0.0)
+    utc = leap_seconds(_find_calendar(ranges.tag[0]).date())
+    late = np.select([system == BEIDOU, system == GLONASS], [BEIDOU_LATE, utc - 0.5 * _VALID[GLONASS]], 0.0)
     valid = np.array([_VALID.get(s, _KEPLER_VALID) for s in system.tolist()])
     window = np.floor((ranges.sent - late) / valid)
     order = np.lexsort((window, sat, system))
@@ -181,7 +219,8 @@ def _fit_messages(o: GnssObservations, ranges: _Ranges) -> tuple[list[KeplerSets
         else:
             one = fit_kepler(number, which, reference, middle % WEEK, *states)
         again = orbits.compute_states(one, np.zeros(len(those), np.int64), states[0])
-        far = max(far, float(np.linalg.norm(again.pos_e - states[1], axis=1).max()))
+        error = float(np.linalg.norm(again.pos_e - states[1], axis=1).max())
+        far[which] = max(far.get(which, 0.0), error)
         found.append(one)
     return found, far
 
