@@ -72,6 +72,12 @@ def get_name(source: str) -> str:
     return Path(source).stem if source.endswith(_PATH) else source
 
 
+def is_same_source(one: str, other: str) -> bool:
+    """Return whether two names or paths of profiles mean the same one."""
+    paths = one.endswith(_PATH) and other.endswith(_PATH)
+    return Path(one).resolve() == Path(other).resolve() if paths else one == other
+
+
 def write_baseline(directory: Path, baseline: Baseline) -> Path:
     """Write a baseline into a folder, atomically, and return its path.
 
@@ -83,9 +89,7 @@ def write_baseline(directory: Path, baseline: Baseline) -> Path:
     path = directory / f"{get_name(baseline.profile)}.json"
     if path.is_file():
         there = read_baseline(path).profile
-        if there.endswith(_PATH) != baseline.profile.endswith(_PATH) or (
-            there.endswith(_PATH) and Path(there).resolve() != Path(baseline.profile).resolve()
-        ):
+        if not is_same_source(there, baseline.profile):
             raise ConfigError(
                 f"{path}: is the baseline of another profile, {there}; give one of them another name"
             )

@@ -14,6 +14,7 @@ from bench.baselines.baseline_file import (
     LEAST_DRAWS,
     Baseline,
     get_name,
+    is_same_source,
     read_baseline,
     write_baseline,
 )
@@ -140,21 +141,19 @@ def record_baselines(
     Raises
     ------
     ConfigError
-        If a profile is missing or wrong, there is none, or there are too few draws. This is checked before
-        anything is flown. If an estimator failed in every draw.
+        If a profile is missing or wrong, there is none, two have one name, or there are too few draws. This
+        is checked before anything is flown. If an estimator failed in every draw.
     """
     if runs is not None and runs < LEAST_DRAWS:
         raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
     directory = Path(directory)
     before = {path.stem: read_baseline(path) for path in sorted(directory.glob("*.json"))}
-    names = [get_name(profile) for profile in profiles] or list(before)
-    if not names:
+    asked = _name_sources(profiles or list(before), before)
+    if not asked:
         raise ConfigError(f"{directory}: no baseline to record again; name a profile")
-    asked = dict(zip(names, profiles, strict=True)) if profiles else {n: before[n].profile for n in names}
     measured = []
     for name, source in asked.items():
         old = before.get(name)
-        source = old.profile if old and source == name else source
         requested = old.requested if old and estimators is None else estimators
         given = (old.overrides if old else {}) if overrides is None else overrides
         timed = cpu or (old is not None and has_cpu(old))
@@ -168,6 +167,20 @@ def record_baselines(
             paths.append(write_baseline(directory, baseline))
             _write_change(directory, before.get(one.experiment.name), baseline, reason)
     return paths
+
+
+def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
+    """Return profiles and logs by name, a bare name as that of its baseline; ConfigError if two share one."""
+    named: dict[str, str] = {}
+    for source in given:
+        name = get_name(source)
+        whole = baselines[name].profile if source == name and name in baselines else source
+        first = named.setdefault(name, whole)
+        if not is_same_source(first, whole):
+            raise ConfigError(
+                f"{first} and {whole} have one name, {name!r}, and so one baseline; rename one of them"
+            )
+    return named
 
 
 def _open(
@@ -273,7 +286,8 @@ def check(
     Raises
     ------
     ConfigError
-        If a baseline or its profile is missing or malformed. This is checked before anything is flown.
+        If a baseline or its profile is missing or malformed, two profiles have one name, or a file is not
+        the one its baseline was recorded of. This is checked before anything is flown.
     """
     if runs is not None and runs < 2:
         raise ConfigError(f"runs = {runs} must be at least 2")
@@ -288,6 +302,13 @@ def check(
             *(f"{directory}: no baseline {name!r}{suggest(name, known, 'baselines')}" for name in unknown)
         )
     baselines = {name: read_baseline(directory / f"{name}.json") for name in wanted}
+    for name, source in _name_sources(profiles, baselines).items():
+        there = baselines[name].profile
+        if Path(source).is_file() and not is_same_source(source, there):
+            raise ConfigError(
+                f"{directory / name}.json: is the baseline of {there}, not of {source}; "
+                f"'bench check {name}' checks {there}, --baselines names another folder"
+            )
     measured = {}
     for name, baseline in baselines.items():
         chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")

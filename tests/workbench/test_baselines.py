@@ -434,6 +434,33 @@ def test_a_profile_has_one_name_and_is_found_from_any_folder(measure, tmp_path, 
         record_baselines(["survey.toml"], directory="../limits", runs=20)
 
 
+def test_two_files_of_one_name_are_refused_and_no_other_file_is_checked_instead(
+    measure, tmp_path, monkeypatch
+):
+    measured = measure()
+    monkeypatch.chdir(tmp_path)
+    for path in (Path("a/two.toml"), Path("b/two.toml")):
+        path.parent.mkdir()
+        path.touch()
+    with pytest.raises(ConfigError, match=r"^a/two\.toml and b/two\.toml have one name, 'two'"):
+        record_baselines(["a/two.toml", "b/two.toml"], directory="limits", runs=20)
+    assert measured == []
+    assert not Path("limits").exists()
+    assert len(record_baselines(["a/two.toml", "b/../a/two.toml"], directory="limits", runs=20)) == 1
+    measured.clear()
+    for others, message in (
+        (["a/two.toml", "b/two.toml"], r"^a/two\.toml and b/two\.toml have one name, 'two'"),
+        (["two", "b/two.toml"], r"^a/two\.toml and b/two\.toml have one name"),
+        (["b/two.toml"], r"two\.json: is the baseline of a/two\.toml, not of b/two\.toml"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            check(others, directory="limits")
+    assert measured == []
+    assert check(["two", "a/two.toml"], directory="limits")
+    with pytest.raises(ConfigError, match="have one name, 'two'"):
+        record_baselines(["two", "b/two.toml"], directory="limits", runs=20)
+
+
 def test_every_value_of_every_draw_is_stored_on_a_line_for_each_metric(recorded):
     lines = (recorded / "survey.json").read_text().splitlines()
     (line,) = (line for line in lines if '"pos_rmse_h_m"' in line)
