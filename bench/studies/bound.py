@@ -9,7 +9,7 @@ flight.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import astuple
 from typing import Any
 
@@ -28,6 +28,8 @@ from bench.evaluation.linear.held import (
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, compare_draws
 from bench.findings import Findings, FindingTable, series
 from bench.findings.series import Plot
+from bench.navigation.estimator import Estimator
+from bench.specs import Profile
 from bench.studies.drawn_errors import (
     Draws,
     UnitFlight,
@@ -52,14 +54,24 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the bound and the ratio of each estimator to it."""
-    return ask_each("bound", options, work, _ask)
+    return ask_each("bound", options, work, lambda one: _check(_choose(one).read()), _ask)
+
+
+def _choose(options: Options) -> UnitFlight:
+    return UnitFlight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
+
+
+def _check(profile: Profile) -> Mapping[str, Estimator]:
+    """Return the estimators by label; ConfigError if one has no linear model."""
+    built = pipeline.build_estimators(profile)
+    check_flight(profile.sensors, built)
+    return built
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
-    flight = UnitFlight(options.profile, options.imu, options.estimators, options.overrides, options.seed)
+    flight = _choose(options)
     profile, truth = flight.load()
-    built = pipeline.build_estimators(profile)
-    check_flight(profile.sensors, built)
+    built = _check(profile)
     labels, smoothing = list(built), {label: smooths(one) for label, one in built.items()}
     work.progress("the best linear estimator", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data

@@ -59,12 +59,16 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the contributions by covariance and by Monte Carlo."""
-    return ask_each("budget", options, work, _ask)
+    return ask_each("budget", options, work, lambda one: _choose(_choose_flight(one).read()), _ask)
+
+
+def _choose_flight(options: Options) -> UnitFlight:
+    asked = None if options.estimator is None else (options.estimator,)
+    return UnitFlight(options.profile, options.imu, asked, options.overrides, options.seed)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
-    asked = None if options.estimator is None else (options.estimator,)
-    flight = UnitFlight(options.profile, options.imu, asked, options.overrides, options.seed)
+    flight = _choose_flight(options)
     profile, truth = flight.load()
     label = _choose(profile)
     t = output_times(truth, profile)

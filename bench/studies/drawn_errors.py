@@ -33,6 +33,15 @@ class UnitFlight:
     overrides: tuple[str, ...] = ()  # KEY=VALUE of the profile
     seed: int | None = None  # of the profile if None
 
+    def read(self) -> Profile:
+        """Return the profile; ConfigError if it or its sensors have no linear model. Nothing is flown."""
+        overrides = read_settings(self.overrides)
+        if self.imu is not None:
+            overrides["sensors.imu"] = self.imu
+        profile = load_profile(self.profile, overrides, self.seed, self.estimators)
+        check_sensors(profile.sensors)
+        return profile
+
     def load(self) -> tuple[Profile, Trajectory]:
         """Return the profile and its truth, flown at most once in a process."""
         return _load(self)
@@ -40,11 +49,7 @@ class UnitFlight:
 
 @lru_cache(maxsize=2)
 def _load(flight: UnitFlight) -> tuple[Profile, Trajectory]:
-    overrides = read_settings(flight.overrides)
-    if flight.imu is not None:
-        overrides["sensors.imu"] = flight.imu
-    profile = load_profile(flight.profile, overrides, flight.seed, flight.estimators)
-    check_sensors(profile.sensors)
+    profile = flight.read()
     truth = pipeline.fly(profile)
     pipeline.check_times(profile, float(truth.t[-1]))
     return profile, truth

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -27,18 +28,25 @@ from bench.findings.series import ESTIMATORS, Plot, draw_line
 from bench.flight.desired_path import measure_steered
 from bench.flight.legs.landing import Flare
 from bench.specs import FlightSpec, Profile
-from bench.studies.catalog_units import find_units
-from bench.studies.study import Count, FlightOptions, StudyWorkers, Words
+from bench.studies.study import (
+    FLOWN_BY,
+    Count,
+    StudyWorkers,
+    UnitOptions,
+    Words,
+    ask_each,
+    refuse_navigation,
+)
 from bench.wording import format_number
 
 _SMALLEST = 1e-3  # misses below this are alike [m]
 
 
-class Options(FlightOptions):
+class Options(UnitOptions):
     """What may be asked."""
 
-    profile: str
-    """shipped profile with ``[guidance]``, or the path of a .toml file"""
+    profiles: Words
+    """shipped profiles with ``[guidance]``, or .toml files of your own, separated by commas"""
     estimators: Words = ("loose-15", "loose-full")
     """filters that fly; the others are compared with the first"""
     units: Words | None = None
@@ -66,10 +74,12 @@ class FlownByFilter:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the miss distance and the total system error by filter and unit."""
-    units: tuple[str | None, ...] = (None,)
-    if options.units is not None:
-        units = tuple(find_units("closed-loop", options.units))
-    cases = {(unit, use): _load_case(options, unit, use) for unit in units for use in options.estimators}
+    refuse_navigation("closed-loop", options, "--estimators")
+    return ask_each("closed-loop", options, work, _load_cases, _ask, together=True)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
+    cases = _load_cases(options)
     work.map("flying by the truth", _fly_open, list(cases.values())[:1])
     tasks = [_FlownTask(profile, k) for profile in cases.values() for k in range(options.draws)]
     found = work.map("flying by filters", fly_draw, tasks, first=[0])
@@ -119,13 +129,17 @@ def _fly_open(profile: Profile) -> Trajectory:
     return pipeline.fly(replace(profile, guidance=None))
 
 
-def _load_case(options: Options, unit: str | None, use: str) -> Profile:
+def _load_cases(options: Options) -> dict[tuple[str | None, str], Profile]:
+    """Return the profile by unit and filter."""
     profile = load_profile(options.profile, options.settings, options.seed)
     if profile.guidance is None:
         raise ConfigError(f"study closed-loop: {profile.name} has no [guidance]: no filter flies it")
-    changes: dict[str, Any] = {"guidance.navigation": use, "guidance.options": {}, **options.settings}
-    changes |= {} if unit is None else {"sensors.imu": unit}
-    return load_profile(options.profile, changes, options.seed)
+    cases = dict[tuple[str | None, str], Profile]()
+    for unit, use in product(options.units or (None,), options.estimators):
+        given: dict[str, Any] = {"guidance.options": {}, **options.settings, FLOWN_BY: use}
+        given |= {} if unit is None else {"sensors.imu": unit}
+        cases[unit, use] = load_profile(options.profile, given, options.seed)
+    return cases
 
 
 def compare_misses(one: FloatArray, first: FloatArray) -> tuple[str, Quantile]:

@@ -52,11 +52,15 @@ class Options(UnitOptions):
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return what is known before, in and after turns."""
-    return ask_each("observability", options, work, _ask)
+    return ask_each("observability", options, work, lambda one: _choose(one).read(), _ask)
+
+
+def _choose(options: Options) -> UnitFlight:
+    return UnitFlight(options.profile, options.imu, None, options.overrides, options.seed)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
-    profile, truth = UnitFlight(options.profile, options.imu, None, options.overrides, options.seed).load()
+    profile, truth = _choose(options).load()
     work.progress("the best linear estimator", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)

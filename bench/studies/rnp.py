@@ -56,7 +56,16 @@ from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
 from bench.specs import FlightSpec, Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
-from bench.studies.study import Count, Positive, StudyWorkers, UnitOptions, Words, ask_each
+from bench.studies.study import (
+    FLOWN_BY,
+    Count,
+    Positive,
+    StudyWorkers,
+    UnitOptions,
+    Words,
+    ask_each,
+    refuse_navigation,
+)
 from bench.studies.watched_flights import WatchedFlight, align_flights, tell_crashes
 from bench.units import HOUR
 from bench.wording import format_number, suggest
@@ -113,16 +122,17 @@ class _Run:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return accuracy, integrity, continuity and availability."""
-    return ask_each("rnp", options, work, _ask)
-
-
-def _ask(options: Options, work: StudyWorkers) -> Findings:
     if wrong := [
         f"study rnp: lines: {name!r} is unknown{suggest(name, LINES, 'lines')}"
         for name in options.lines
         if name not in LINES
     ]:
         raise ConfigError(*wrong)
+    refuse_navigation("rnp", options, "--estimator")
+    return ask_each("rnp", options, work, _read, _ask)
+
+
+def _ask(options: Options, work: StudyWorkers) -> Findings:
     work.progress("flying", 0, 1)
     profile, truth, _ = _load(options, 0)
     instants = len(_choose_rows(truth, profile))
@@ -214,31 +224,33 @@ def _load(options: Options, number: int) -> tuple[Profile, Trajectory, NavSoluti
 
     With turbulence each flight has its own, and so it has where the estimator flies; else one is that of all.
     """
-    overrides = options.settings
-    overrides |= {} if options.gnss is None else {"sensors.gnss": options.gnss}
-    profile = load_profile(options.profile, overrides, options.seed, (options.estimator,))
-    _check(options, profile)
+    profile = _read(options)
     if profile.guidance is not None:
-        overrides = {"guidance.navigation": options.estimator, "guidance.options": {}, **overrides}
-        profile = load_profile(options.profile, overrides, options.seed, (options.estimator,))
         flown = closed_loop.fly(profile, number)
         return profile, flown.truth, flown.answers
     if number and isinstance(profile.flight, FlightSpec):
         if profile.flight.severity == 0:
             return profile, _load(options, 0)[1], None
-        profile = load_profile(options.profile, overrides, profile.seed + number, (options.estimator,))
+        profile = _read(options, profile.seed + number)
     truth = pipeline.fly(profile)
     pipeline.check_times(profile, float(truth.t[-1]))
     return profile, truth, None
 
 
-def _check(options: Options, profile: Profile) -> None:
-    """Raise ConfigError if the estimator cannot use the receiver."""
+def _read(options: Options, seed: int | None = None) -> Profile:
+    """Return the profile, which the estimator flies if a filter does; ConfigError if it lacks satellites."""
+    given = options.settings | ({} if options.gnss is None else {"sensors.gnss": options.gnss})
+    seed, asked = options.seed if seed is None else seed, (options.estimator,)
+    profile = load_profile(options.profile, given, seed, asked)
     gnss = profile.sensors.gnss
     if options.estimator == "tight" and (gnss is None or gnss.sky is None):
         raise ConfigError(
             f"tight needs measurements of satellites, and {profile.name} has none; --gnss sky-l1 gives them"
         )
+    if profile.guidance is None:
+        return profile
+    given = {"guidance.options": {}, **given, FLOWN_BY: options.estimator}
+    return load_profile(options.profile, given, seed, asked)
 
 
 def _choose_rows(truth: Trajectory, profile: Profile) -> Any:

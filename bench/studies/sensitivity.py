@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
+from bench.campaigns.plan import plan_campaign
 from bench.config import load_profile
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
@@ -85,7 +86,7 @@ class Swept:
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors of each filter over the values."""
-    return ask_each("sensitivity", options, work, _ask)
+    return ask_each("sensitivity", options, work, lambda one: plan_campaign(_plan(one, 1)), _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
@@ -94,7 +95,8 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     rows: list[Mapping[str, Any]] = []
     draws, first = options.draws, 0
     while True:
-        rows += _fly(options, values, first, draws, work)
+        title = f"{options.key} of {options.profile}"
+        rows += work.campaign(title, _plan(options, draws), first).runs.to_pylist()
         swept = {
             label: tuple(
                 Swept(value, tuple(row for row in rows if (row["estimator"], row["condition"]) == (label, k)))
@@ -119,23 +121,17 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     )
 
 
-def _fly(
-    options: Options, values: Sequence[Any], first: int, draws: int, work: StudyWorkers
-) -> list[Mapping[str, Any]]:
-    """Return a row for each filter, value and draw from ``first`` on."""
-    spec = CampaignSpec(
+def _plan(options: Options, draws: int) -> CampaignSpec:
+    """Return the campaign of every filter and value."""
+    return CampaignSpec(
         name="sensitivity",
         profiles=(options.profile,),
         runs=draws,
         seed=options.seed,
         estimators=options.estimators,
         fixed=options.settings,
-        varied=tuple({options.key: value} for value in values),
+        varied=tuple({options.key: value} for value in find_values(options)),
     )
-    rows: list[Mapping[str, Any]] = work.campaign(
-        f"{options.key} of {options.profile}", spec, first
-    ).runs.to_pylist()
-    return rows
 
 
 def compare_ends(swept: Sequence[Swept], name: str, error: float) -> PairedRatio | None:

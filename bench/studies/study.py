@@ -8,6 +8,7 @@ import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import product
 from pathlib import PurePath
 from typing import Annotated, Any, TypeVar
 
@@ -133,24 +134,51 @@ _Asked = TypeVar("_Asked", bound=UnitOptions)
 
 
 def ask_each(
-    study: str, options: _Asked, work: StudyWorkers, ask: Callable[[_Asked, StudyWorkers], Findings]
+    study: str,
+    options: _Asked,
+    work: StudyWorkers,
+    check: Callable[[_Asked], object],
+    ask: Callable[[_Asked, StudyWorkers], Findings],
+    *,
+    together: bool = False,
 ) -> Findings:
     """Return what is found on every flight with every unit, each of which gets options of its own.
+
+    All are checked before the first is asked. If ``together``, the units of a flight are asked at once.
 
     Raises
     ------
     bench.errors.ConfigError
-        With a line for each unit that is wrong.
+        With a line for each unit and flight that is wrong.
     """
     find_units(study, options.units or ())
-    cases = [(profile, unit) for profile in options.profiles for unit in options.units or (None,)]
-    found: dict[str, Findings] = {}
-    for profile, unit in cases:
-        several = ((profile, options.profiles), (unit, options.units or ()))
+    alone = [(unit,) for unit in options.units or ()]
+    groups = [options.units] if together or not alone else alone
+    cases: dict[str, _Asked] = {}
+    for profile, units in product(options.profiles, groups):
+        several = ((profile, options.profiles), (units and units[0], groups))
         name = "-".join(PurePath(one).stem for one, every in several if one and len(every) > 1)
-        one = options.model_copy(update={"profiles": (profile,), "units": unit and (unit,)})
-        found[f"{name}-{len(found) + 1}" if name in found else name] = ask(one, work)
-    return join_findings(found)
+        one = options.model_copy(update={"profiles": (profile,), "units": units})
+        cases[f"{name}-{len(cases) + 1}" if name in cases else name] = one
+    wrong: dict[str, None] = {}
+    for one in cases.values():
+        try:
+            check(one)
+        except ConfigError as error:
+            wrong |= dict.fromkeys(error.messages)
+    if wrong:
+        raise ConfigError(*wrong)
+    return join_findings({name: ask(one, work) for name, one in cases.items()})
+
+
+FLOWN_BY = "guidance.navigation"
+"""Key of a profile that names the filter that flies."""
+
+
+def refuse_navigation(study: str, options: FlightOptions, option: str) -> None:
+    """Raise ConfigError if values to replace name a filter that flies, which an option of the study does."""
+    if FLOWN_BY in options.settings:
+        raise ConfigError(f"study {study}: --set {FLOWN_BY}: {option} says what flies; leave this one out")
 
 
 def read_settings(overrides: Sequence[str]) -> dict[str, Any]:

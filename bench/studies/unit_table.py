@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
+from bench.campaigns.plan import plan_campaign
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.errors import ConfigError
@@ -81,6 +82,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     if options.metric is not None and not is_metric(options.metric):
         raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
     units = find_units("sensors", options.units)
+    plan_campaign(_plan(options, options.profiles, units, _list_cases(units), options.draws))
     answers = [one for profile in options.profiles for one in _answer(options, units, profile, work)]
     asked = [one for one in answers if one.required]
     return Findings(
@@ -98,11 +100,35 @@ def find_law(name: str) -> float:
     return float(np.sqrt(2.0) * drift_sd(LAW_S, read_imu(*find_datasheet("imu", name, Path()))))
 
 
+def _list_cases(units: Mapping[str, CatalogImu]) -> list[UnitCase]:
+    return [UnitCase(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
+
+
+def _plan(
+    options: Options,
+    profiles: Sequence[str],
+    units: Mapping[str, CatalogImu],
+    cases: Sequence[UnitCase],
+    draws: int,
+) -> CampaignSpec:
+    return CampaignSpec(
+        name="sensors",
+        profiles=tuple(profiles),
+        runs=draws,
+        seed=options.seed,
+        estimators=options.estimators,
+        fixed=options.settings,
+        varied=tuple(
+            {"sensors.imu": case.unit} | (units[case.unit].filled if case.filled else {}) for case in cases
+        ),
+    )
+
+
 def _answer(
     options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
 ) -> Iterator[Answer]:
     """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
-    cases = [UnitCase(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
+    cases = _list_cases(units)
     looks = count_looks(options.draws, options.most_draws)
     flights = _Flights(options, units, profile, work)
     flights.fly(cases, options.draws)
@@ -176,18 +202,7 @@ class _Flights:
         for first, here in begun.items():
             if first >= draws:
                 continue
-            spec = CampaignSpec(
-                name="sensors",
-                profiles=(self._profile,),
-                runs=draws,
-                seed=self._options.seed,
-                estimators=self._options.estimators,
-                fixed=self._options.settings,
-                varied=tuple(
-                    {"sensors.imu": case.unit} | (self._units[case.unit].filled if case.filled else {})
-                    for case in here
-                ),
-            )
+            spec = _plan(self._options, (self._profile,), self._units, here, draws)
             found = self._work.campaign(f"units on {self._profile}", spec, first)
             self._document = found.conditions[0]["as_flown"]
             for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):

@@ -12,7 +12,7 @@ import bench
 from bench import config, earth, pipeline
 from bench.errors import ConfigError
 from bench.studies import flown_by_filters
-from bench.studies.flown_by_filters import compare_misses, measure_miss
+from bench.studies.flown_by_filters import FlownByFilter, compare_misses, measure_miss
 from tests.test_closed_loop import PROFILE
 
 
@@ -25,7 +25,7 @@ def path(tmp_path_factory):
 
 
 def test_each_filter_flies_the_same_draws_and_is_held_against_the_flight_by_the_truth(path):
-    found = bench.study("closed-loop", profile=str(path), jobs=1, draws=2, estimators="loose-15,loose-22")
+    found = bench.study("closed-loop", profiles=str(path), jobs=1, draws=2, estimators="loose-15,loose-22")
     table = found.tables["closed-loop"].columns
     assert table["filter"] == ["loose-15", "loose-22"]
     assert table["crashed"] == [0, 0]
@@ -72,7 +72,7 @@ def test_a_crash_has_no_miss_and_is_counted(path, monkeypatch):
         "fly_draw",
         lambda task: replace(fly(task), miss=np.inf, crashed=True) if task.run else fly(task),
     )
-    options = flown_by_filters.Options(profile=str(path), draws=3, estimators="loose-15")
+    options = flown_by_filters.Options(profiles=str(path), draws=3, estimators="loose-15")
 
     class Work:
         progress = staticmethod(lambda *args: None)
@@ -84,6 +84,44 @@ def test_a_crash_has_no_miss_and_is_counted(path, monkeypatch):
     assert "most of 3 flights crash" in found.verdicts[0]
 
 
+def test_the_filters_that_fly_are_those_of_the_option(path):
+    with pytest.raises(
+        ConfigError, match=r"^study closed-loop: --set guidance\.navigation: --estimators says"
+    ):
+        bench.study("closed-loop", profiles=str(path), overrides={"guidance.navigation": "loose-22"}, jobs=1)
+    whole = {"guidance": {"navigation": "loose-22", "period_s": 0.5}}
+    cases = flown_by_filters._load_cases(flown_by_filters.Options(profiles=str(path), overrides=whole))
+    assert [use for _, use in cases] == ["loose-15", "loose-full"]
+    for (_, use), profile in cases.items():
+        assert (profile.guidance.navigation.use, profile.guidance.period) == (use, 0.5)
+
+
+def test_several_flights_are_asked_in_turn_and_the_units_of_each_are_compared(path):
+    other = path.with_name("other.toml")
+    other.write_text(path.read_text())
+    missed = {"stim300": 2.0, "vn-100": 6.0}
+
+    class Work:
+        progress = staticmethod(lambda *args: None)
+
+        @staticmethod
+        def map(what, do, items, first=()):
+            if do is not flown_by_filters.fly_draw:
+                return items
+            return [
+                FlownByFilter(missed[task.profile.document["sensors"]["imu"]], False, {}) for task in items
+            ]
+
+    options = flown_by_filters.Options(
+        profiles=f"{path},{other}", draws=2, estimators="loose-15", units="stim300,vn-100"
+    )
+    found = flown_by_filters.run(options, Work)
+    assert [table.name for table in found.tables] == ["closed-loop-closed", "closed-loop-other"]
+    for table in found.tables:
+        assert table.columns["imu"] == ["stim300", "vn-100"]
+        assert table.columns["miss_m"] == [2.0, 6.0]
+
+
 def test_a_profile_that_the_truth_flies_is_refused():
     with pytest.raises(ConfigError, match=r"approach has no \[guidance\]: no filter flies it"):
-        bench.study("closed-loop", profile="approach", jobs=1, draws=2)
+        bench.study("closed-loop", profiles="approach", jobs=1, draws=2)

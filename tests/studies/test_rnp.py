@@ -106,9 +106,9 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, crashes=(), **more):
     Those in ``crashes`` end after 40 s.
     """
     truth = SimpleNamespace(t=np.arange(0.0, 100.0))
-    monkeypatch.setattr(
-        rnp, "_load", lambda *args: (SimpleNamespace(name="made", evaluation=EvaluationWindow()), truth, None)
-    )
+    made = SimpleNamespace(name="made", evaluation=EvaluationWindow())
+    monkeypatch.setattr(rnp, "_read", lambda options: made)
+    monkeypatch.setattr(rnp, "_load", lambda *args: (made, truth, None))
 
     def fly(number):
         t = truth.t[:40] if number in crashes else truth.t
@@ -225,12 +225,20 @@ def test_levels_and_limits_of_kilometres_have_no_power_of_ten(monkeypatch):
     assert any(text in one for one in found.verdicts)
 
 
+def test_the_filter_that_flies_is_that_of_the_option():
+    with pytest.raises(ConfigError, match=r"^study rnp: --set guidance\.navigation: --estimator says what"):
+        bench.study("rnp", profiles="waypoints-closed", overrides={"guidance.navigation": "loose-22"}, jobs=1)
+    whole = {"guidance": {"navigation": "loose-22", "period_s": 0.5}}
+    profile = rnp._read(rnp.Options(profiles="waypoints-closed", estimator="loose-15", overrides=whole))
+    assert (profile.guidance.navigation.use, profile.guidance.period) == ("loose-15", 0.5)
+
+
 def test_a_line_that_is_none_is_named():
     with pytest.raises(ConfigError, match=r"lines: 'accurancy' is unknown\. Did you mean 'accuracy'"):
         bench.study("rnp", profiles="waypoints", lines="accurancy")
 
 
-def test_without_satellites_tight_is_refused(tmp_path):
+def test_without_satellites_tight_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "fixes.toml"
     path.write_text(
         FLIGHT.partition("[[fault]]")[0].replace("sky-l1", "l1-code") + "[[estimator]]\nuse = 'loose-15'\n"
@@ -238,8 +246,9 @@ def test_without_satellites_tight_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="--gnss sky-l1"):
         bench.study("rnp", jobs=1, profiles=str(path), draws=2)
     bare = SimpleNamespace(name="bare", sensors=SimpleNamespace(gnss=None))
+    monkeypatch.setattr(rnp, "load_profile", lambda *_: bare)
     with pytest.raises(ConfigError, match="bare has none"):
-        rnp._check(rnp.Options(profiles="bare"), bare)
+        rnp._read(rnp.Options(profiles="bare"))
 
 
 def fly_by_hand(side, apart, wind_layers=()):

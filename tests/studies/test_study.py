@@ -229,10 +229,13 @@ def test_findings_of_several_cases_are_one_and_as_bad_as_the_worst(tmp_path):
         profiles=("a/f.toml", "b/f.toml"), units="stim300,vn-100", overrides={"rate_hz": 50}
     )
 
+    checked = []
+
     def ask(asked, work):
+        assert len(checked) in (4, 5)  # all before the first
         return Findings((f"{asked.profile} {asked.imu} {asked.settings}",), (), ())
 
-    found = ask_each("made", options, None, ask).verdicts
+    found = ask_each("made", options, None, checked.append, ask).verdicts
     assert [text.partition(":")[0] for text in found] == [
         "f-stim300",
         "f-vn-100",
@@ -240,5 +243,29 @@ def test_findings_of_several_cases_are_one_and_as_bad_as_the_worst(tmp_path):
         "f-vn-100-4",
     ]
     assert found[3].endswith("b/f.toml vn-100 {'rate_hz': 50, 'sensors.imu': 'vn-100'}")
-    lone = ask_each("made", UnitOptions(profiles="f.toml"), None, ask).verdicts
+    lone = ask_each("made", UnitOptions(profiles="f.toml"), None, checked.append, ask).verdicts
     assert lone == ("f.toml None {}",)
+
+
+@pytest.mark.parametrize(
+    ("name", "good", "options"),
+    [
+        ("bound", "s-turns", {}),
+        ("budget", "s-turns", {}),
+        ("observability", "s-turns", {}),
+        ("sensitivity", "s-turns", {"key": "rate_hz", "values": "100,200"}),
+        ("sensors", "s-turns", {"units": "stim300"}),
+        ("outages", "gnss-denied-leg", {}),
+        ("closed-loop", "approach-closed", {}),
+        ("rnp", "waypoints", {"estimator": "loose-15"}),
+    ],
+)
+def test_every_profile_is_read_before_the_first_is_flown(name, good, options, monkeypatch):
+    def refuse(*args, **options):
+        raise AssertionError("flown")
+
+    for module, function in (("pipeline", "fly"), ("closed_loop", "fly"), ("pipeline", "run")):
+        monkeypatch.setattr(f"bench.{module}.{function}", refuse)
+    with pytest.raises(ConfigError, match="nosuch") as raised:
+        bench.study(name, profiles=f"{good},nosuch,nosuch-either", jobs=1, **options)
+    assert len(raised.value.messages) == (1 if name in ("sensors", "outages") else 2)
