@@ -121,18 +121,26 @@ class ClientSession(ABC):
         return found
 
     def receive_until(self, due: float) -> Any:
-        """Return the next message, None if there is none at ``due``; meanwhile send away who else comes."""
+        """Return the next message, None if none is read by ``due``; meanwhile send away who else comes."""
         assert self._line is not None
         while not self._come:
-            left = due - time.monotonic()
-            ready = select.select([self._line, self._server], [], [], max(0.0, left))[0]
+            if (left := due - time.monotonic()) <= 0:
+                return None
+            ready = select.select([self._line, self._server], [], [], left)[0]
             if self._server in ready:
                 self._send_away()
             if self._line in ready:
                 self._read()
-            elif left <= 0:
-                return None
         return self._come.pop()
+
+    def receive_ready(self) -> list[Any]:
+        """Return the messages that are there at one look, without waiting."""
+        assert self._line is not None
+        if select.select([self._line], [], [], 0.0)[0]:
+            self._read()
+        found = self._come[::-1]
+        self._come.clear()
+        return found
 
     def keep_pace(self, t: float, rate: float) -> None:
         """Wait until the flight may go on from an instant [s] at a rate."""
@@ -161,7 +169,7 @@ class ClientSession(ABC):
             where = " in the middle of a message" if self.inside else ""
             self.refuse(f"has closed the connection{where}")
         try:
-            self._come = self.read(data)[::-1]
+            self._come = self.read(data)[::-1] + self._come
         except ValueError as error:
             self.refuse(str(error))
 

@@ -12,7 +12,8 @@ import importlib
 import math
 import socket
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,11 +35,13 @@ PORT = 4560
 
 # SensorSource of SimulatorMavlink.hpp; acceleration and rates are in every message
 _IMU, _UPDATES = 0b111111, {"mag": 0b111000000, "baro": 0b1101000000000, "airspeed": 0b10000000000}
+_STATE = "state"
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _GAUSS = 1e-4  # [T]
 _FASTEST = 327.67  # [m/s], of an int16 in cm/s
 _LARGEST = 655.34  # [m], of an uint16 in cm
 _BOOT_RATE = 1.0  # real time, until the autopilot commands
+_QUIET = 0.2  # without controls before lock-step begins [s]
 _WORDS = 50  # of a STATUSTEXT [bytes]
 
 
@@ -93,6 +96,7 @@ class _Readings:
     impact: float = 0.0  # [hPa]
     alt: float = 0.0  # [m]
     temperature: float = 0.0  # [degC]
+    updated: int = 0  # what the next one tells for the first time
 
 
 class MavlinkSession(ClientSession):
@@ -132,13 +136,13 @@ class MavlinkSession(ClientSession):
         self._readings = _Readings()
         self._answers = self._armed = False
         self._booted = math.inf  # when it must have commanded [s]
+        self._second = 0  # of the flight, that of the last HEARTBEAT
 
     def begin(self) -> None:
         """Wait for a HEARTBEAT, and answer with one."""
         self._mav = self._dialect.MAVLink(None)
-        self._wait_for(lambda message: message.get_type() == "HEARTBEAT")
+        self._wait_for(lambda message: message.get_type() == "HEARTBEAT", "sent no HEARTBEAT")
         self._send_heartbeat()
-        self._booted = time.monotonic() + self.patience
 
     def read(self, data: bytes) -> list[Any]:
         """Return the messages in the bytes."""
@@ -173,26 +177,24 @@ class MavlinkSession(ClientSession):
         EstimatorStoppedError
             If the autopilot sends what is no message, closes the connection, or is silent.
         """
-        if math.floor(end) > math.floor(end - float(data.imu.dt.sum())):
+        if math.isinf(self._booted):
+            self._booted = time.monotonic() + self.patience
+        if math.floor(end) > self._second:
+            self._second = math.floor(end)
             self._send_heartbeat()
-        if self._truth and self._flying is not None:
-            self.send(self._pack(self._make_state(self._flying)))
-        fixes = self._make_fixes(data)
-        if fixes:
-            self.send(fixes)
-        for message in self._make_samples(data):
+        waits = self._answers
+        for message in self._make_messages(data, end):
             self.send(self._pack(message))
-            if self._answers:
-                self._wait_for(self._take)
-        if not self._answers:
+            if waits and message.get_type() == "HIL_SENSOR":
+                self._wait_for(self._take, "not answered a HIL_SENSOR")
+        if self.rate or not waits:
             self.keep_pace(end, self.rate or _BOOT_RATE)
-            if time.monotonic() > self._booted:
-                self.refuse(f"has sent no HIL_ACTUATOR_CONTROLS for {self.patience:g} s")
-        elif self.rate:
-            self.keep_pace(end, self.rate)
-        now = time.monotonic()
-        while (message := self.receive_until(now)) is not None:
+        for message in self.receive_ready():
             self._take(message)
+        if self._answers and not waits:
+            self._wait_for_quiet()
+        elif not waits and time.monotonic() > self._booted:
+            self.refuse(f"has sent no HIL_ACTUATOR_CONTROLS for {self.patience:g} s")
         return nothing_known(np.array([end]))
 
     # --- what is sent
@@ -207,27 +209,39 @@ class MavlinkSession(ClientSession):
         kind, autopilot = dialect.MAV_TYPE_GENERIC, dialect.MAV_AUTOPILOT_INVALID
         self.send(self._pack(dialect.MAVLink_heartbeat_message(kind, autopilot, 0, 0, 0, 3)))
 
-    def _make_samples(self, data: SensorData) -> list[Any]:
-        """Return a HIL_SENSOR for each sample of the IMU, with what else has arrived by it."""
-        imu, made = data.imu, []
-        due: list[tuple[int, str, int]] = []
-        for name in _UPDATES:
-            record = getattr(data, name)
-            if record is not None:
-                at = np.searchsorted(imu.t, record.t_arrival - TIME_TOLERANCE)
-                due += [(int(k), name, row) for row, k in enumerate(at) if record.valid[row]]
-        due.sort(key=lambda one: (one[0], one[2]))
-        for k, t in enumerate(imu.t):
-            now, updated = self._readings, _IMU if imu.valid[k] else 0
-            while due and due[0][0] <= k:
-                _, name, row = due.pop(0)
-                self._take_reading(name, getattr(data, name), row)
-                updated |= _UPDATES[name]
+    def _make_messages(self, data: SensorData, end: float) -> Iterator[Any]:
+        """Yield a HIL_SENSOR for each sample of the IMU that counts; before it what has arrived by its time.
+
+        The truth is that of ``end``.
+        """
+        imu, readings = data.imu, self._readings
+        arrivals = [(end, _STATE, 0)] if self._truth else []
+        for name in (*_UPDATES, "fixes"):
+            if (record := getattr(data, name)) is not None:
+                rows = range(len(record.t)) if name == "fixes" else np.flatnonzero(record.valid).tolist()
+                arrivals += [(float(record.t_arrival[row]), name, row) for row in rows]
+        due = deque(sorted(arrivals, key=lambda one: one[0]))
+
+        def come(t: float) -> Iterator[Any]:
+            while due and due[0][0] <= t + TIME_TOLERANCE:
+                _, name, row = due.popleft()
+                if name == "fixes":
+                    yield self._make_fix(data, row)
+                elif name == _STATE:
+                    assert self._flying is not None
+                    yield self._make_state(self._flying)
+                else:
+                    self._take_reading(name, getattr(data, name), row)
+                    readings.updated |= _UPDATES[name]
+
+        for k in np.flatnonzero(imu.valid):
+            yield from come(imu.t[k])
             force, rate = imu.dvel_b[k] / imu.dt[k], imu.dtheta_b[k] / imu.dt[k]
-            air = now.pressure, now.impact, now.alt, now.temperature
-            values = *force.tolist(), *rate.tolist(), *now.mag, *air
-            made.append(self._dialect.MAVLink_hil_sensor_message(round(1e6 * t), *values, updated))
-        return made
+            air = readings.pressure, readings.impact, readings.alt, readings.temperature
+            values = *force.tolist(), *rate.tolist(), *readings.mag, *air
+            updated, readings.updated = _IMU | readings.updated, 0
+            yield self._dialect.MAVLink_hil_sensor_message(round(1e6 * imu.t[k]), *values, updated)
+        yield from come(math.inf)
 
     def _take_reading(self, name: str, record: Any, row: int) -> None:
         now = self._readings
@@ -242,26 +256,22 @@ class MavlinkSession(ClientSession):
             pressure, temperature, _ = standard_atmosphere(now.alt)
             now.impact = float(impact_pressure(record.airspeed_true[row], pressure, temperature)) / 100.0
 
-    def _make_fixes(self, data: SensorData) -> bytes:
-        """Return a HIL_GPS for each fix."""
-        made = b""
-        if (fixes := data.fixes) is None:
-            return made
-        for k, t in enumerate(fixes.t):
-            good = bool(fixes.valid[k])
-            lla = fixes.lla[k] if good else np.zeros(3)
-            north, east, down = fixes.vel_n[k].tolist() if good else (0.0, 0.0, 0.0)
-            variance = np.diagonal(fixes.cov_pos_n[k]) if good else np.full(3, math.inf)
-            accuracy = [math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])]
-            eph, epv = (round(100.0 * min(one, _LARGEST)) for one in accuracy)
-            speed, course = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0
-            velocity = [self._to_cm(one) for one in (speed, north, east, down)]
-            values = *_to_place(lla), eph, epv, *velocity, round(100.0 * course) % 36000
-            count = int(fixes.satellites[k])
-            used = min(count, 254) if count >= 0 else 255  # 255: not known
-            fix = self._dialect.MAVLink_hil_gps_message(round(1e6 * t), 3 if good else 0, *values, used)
-            made += self._pack(fix)
-        return made
+    def _make_fix(self, data: SensorData, k: int) -> Any:
+        """Return the HIL_GPS of a fix."""
+        fixes = data.fixes
+        assert fixes is not None
+        good = bool(fixes.valid[k])
+        lla = fixes.lla[k] if good else np.zeros(3)
+        north, east, down = fixes.vel_n[k].tolist() if good else (0.0, 0.0, 0.0)
+        variance = np.diagonal(fixes.cov_pos_n[k]) if good else np.full(3, math.inf)
+        accuracy = [math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])]
+        eph, epv = (round(100.0 * min(one, _LARGEST)) for one in accuracy)
+        speed, course = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0
+        velocity = [self._to_cm(one) for one in (speed, north, east, down)]
+        values = *_to_place(lla), eph, epv, *velocity, round(100.0 * course) % 36000
+        count = int(fixes.satellites[k])
+        used = min(count, 254) if count >= 0 else 255  # 255: not known
+        return self._dialect.MAVLink_hil_gps_message(round(1e6 * fixes.t[k]), 3 if good else 0, *values, used)
 
     def _make_state(self, piece: Trajectory) -> Any:
         """Return HIL_STATE_QUATERNION: the truth at the end of a piece."""
@@ -288,13 +298,26 @@ class MavlinkSession(ClientSession):
 
     # --- what comes
 
-    def _wait_for(self, take: Callable[[Any], bool]) -> None:
+    def _wait_for(self, take: Callable[[Any], bool], missed: str) -> None:
         """Give messages to a function until it returns True; others do not prolong the patience."""
-        until = time.monotonic() + self.patience
+        until, silent = time.monotonic() + self.patience, True
         while (message := self.receive_until(until)) is not None:
+            silent = False
             if take(message):
                 return
-        self.refuse(f"has been silent for {self.patience:g} s")
+        self.refuse(f"has {'been silent' if silent else missed} for {self.patience:g} s")
+
+    def _wait_for_quiet(self) -> None:
+        """Take the controls that answer what was sent before lock-step: they answer none of its samples."""
+        begun = time.monotonic()
+        quiet = begun + _QUIET
+        while (message := self.receive_until(quiet)) is not None:
+            now = time.monotonic()
+            if now > begun + self.patience:
+                self.refuse("sends HIL_ACTUATOR_CONTROLS that answer no HIL_SENSOR")
+            if self._take(message):
+                quiet = now + _QUIET
+        self._begun = math.nan  # that is no delay behind the rate
 
     def _take(self, message: Any) -> bool:
         """Take a message; return whether it held controls."""

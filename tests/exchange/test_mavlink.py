@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import threading
+import time
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pymavlink.dialects.v20 import common as dialect
 
-from bench import rotation
+from bench import rotation, serving
 from bench.errors import ConfigError
 from bench.exchange.mavlink_session import ActuatorChannels
 from tests.exchange.test_serve import Server, write_straight
@@ -25,7 +27,7 @@ class Autopilot(threading.Thread):
     def __init__(self, port, controls=None, armed_at=0.0):
         super().__init__(daemon=True)
         self._line = socket.create_connection(("127.0.0.1", port))
-        self._mav, self.told = dialect.MAVLink(None), {}
+        self._mav, self.told, self.order = dialect.MAVLink(None), {}, []
         self._controls, self._armed_at = controls, armed_at
         self.roll = self.pitch = self._sum = 0.0
         self.start()
@@ -42,6 +44,7 @@ class Autopilot(threading.Thread):
         while data := self._line.recv(1 << 16):
             for message in self._mav.parse_buffer(data) or []:
                 self.told.setdefault(message.get_type(), []).append(message)
+                self.order.append(message)
                 if message.get_type() == "HIL_SENSOR":
                     t = 1e-6 * message.time_usec
                     self.steer(t, t - last, message)
@@ -68,12 +71,13 @@ def path(tmp_path_factory):
     return write_straight(tmp_path_factory.mktemp("mavlink") / "straight.toml", 20.0)
 
 
-def serve(path, seconds, **options):
+def serve(path, seconds, changes=None, **options):
     changes = {
         "duration_s": seconds,
         "guidance.period_s": 0.05,
         "sensors.airspeed": "ms4525do",
         "sensors.mag.latency_s": 0.033,
+        **(changes or {}),
     }
     return Server(path, changes, mavlink=ActuatorChannels(), **options)
 
@@ -144,6 +148,56 @@ def test_an_autopilot_flies_by_mavlink_and_gets_what_is_recorded(path):
     assert [one.text for one in told["STATUSTEXT"]] == ["the flight is over"]
 
 
+def times(messages, *kinds):
+    return np.array([1e-6 * one.time_usec for one in messages if one.get_type() in kinds])
+
+
+def test_fixes_and_truth_come_just_before_the_first_sample_at_their_arrival(path):
+    """A fix arrives 0.12 s after its time, in the middle of a turn."""
+    changes = {"sensors.gnss.latency_s": 0.12, "sensors.baro": None}
+    server = serve(path, 2.0, changes, truth=True)
+    autopilot = Autopilot(server.port)
+    served = server.join()
+    autopilot.join(5.0)
+    order = [one for one in autopilot.order if one.get_type().startswith("HIL")]
+    sensed = np.array([one.get_type() == "HIL_SENSOR" for one in order])
+    assert sensed[-1]
+    following = np.minimum.accumulate(np.where(sensed, times(order, *autopilot.told), np.inf)[::-1])[::-1]
+    fixes = served.result.sensed.data.fixes
+    come = fixes.t_arrival <= 2.0 + 1e-9
+    of = {kind: [one.get_type() == kind for one in order] for kind in autopilot.told}
+    imu_t = served.result.sensed.data.imu.t
+    first = imu_t[np.searchsorted(imu_t, fixes.t_arrival[come] - 1e-9)]
+    assert len(first) >= 4
+    assert_allclose(following[of["HIL_GPS"]], first, atol=1e-6)
+    assert_allclose(following[of["HIL_STATE_QUATERNION"]], times(order, "HIL_STATE_QUATERNION"), atol=1e-6)
+
+
+class Late(Autopilot):
+    """Reads nothing for a while, then needs long; ``unread`` is how many bytes wait when it answers."""
+
+    def __init__(self, port):
+        self.unread = []
+        super().__init__(port)
+
+    def steer(self, t, dt, sensed):
+        time.sleep(0.003 if self.unread else 0.3)
+        with contextlib.suppress(BlockingIOError):
+            self.unread.append(0)
+            self.unread[-1] = len(self._line.recv(1 << 16, socket.MSG_PEEK | socket.MSG_DONTWAIT))
+        super().steer(t, dt, sensed)
+
+
+def test_answers_of_the_boot_count_for_no_later_sample(path):
+    """In lock-step the next HIL_SENSOR is sent after the answer to the one before."""
+    server = serve(path, 2.0)
+    autopilot = Late(server.port)
+    assert server.join().ended == ""
+    autopilot.join(5.0)
+    assert max(autopilot.unread[:50]) > 0
+    assert max(autopilot.unread[100:]) == 0
+
+
 def test_until_it_commands_the_aircraft_holds_and_time_is_real(path):
     """Disarmed controls, all 0, move nothing. The truth is sent where it is asked for, at each turn."""
     server = serve(path, 2.0, truth=True)
@@ -187,6 +241,69 @@ def test_what_an_autopilot_does_wrong_ends_the_flight_with_a_line(controls, word
     autopilot.join(5.0)
     assert served.ended.endswith(words)
     assert served.flown < 1.5
+
+
+def flood(line, message):
+    block = message.pack(dialect.MAVLink(None)) * 1000
+    with contextlib.suppress(OSError):
+        while True:
+            line.sendall(block)
+
+
+class Stubborn(Autopilot):
+    """Commands until an instant, then is silent or sends HEARTBEATs alone, as many as it can."""
+
+    def __init__(self, port, until, *, beats):
+        self._until, self._beats = until, beats
+        super().__init__(port)
+
+    def steer(self, t, dt, sensed):
+        if t < self._until:
+            super().steer(t, dt, sensed)
+        elif self._beats:
+            flood(self._line, dialect.MAVLink_heartbeat_message(0, 12, 0, 0, 0, 3))
+
+
+@pytest.mark.parametrize(
+    ("until", "beats", "words"),
+    [
+        (0.0, True, "the client has sent no HIL_ACTUATOR_CONTROLS for 0.5 s"),
+        (1.0, True, "the client has not answered a HIL_SENSOR for 0.5 s"),
+        (1.0, False, "the client has been silent for 0.5 s"),
+    ],
+)
+def test_who_floods_or_is_silent_holds_the_flight_for_no_longer_than_the_patience(until, beats, words, path):
+    server = serve(path, 20.0, patience=0.5)
+    begun = time.monotonic()
+    autopilot = Stubborn(server.port, until, beats=beats)
+    served = server.join()
+    autopilot.join(5.0)
+    assert served.ended.endswith(words)
+    assert 0.3 < served.flown < 1.5  # turns went on
+    assert time.monotonic() - begun < 20.0
+
+
+def test_who_floods_without_a_heartbeat_is_sent_away(path):
+    server = serve(path, 1.5, patience=0.5)
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        text = dialect.MAVLink_statustext_message(6, b"y")
+        threading.Thread(target=flood, args=(line, text), daemon=True).start()
+        assert server.listen() == "the client has sent no HEARTBEAT for 0.5 s; waiting for another"
+    Autopilot(server.port)
+    assert server.join().ended == ""
+
+
+def test_the_patience_of_the_boot_does_not_count_the_loading_of_the_flight(path, monkeypatch):
+    fly = serving.closed_loop.serve
+
+    def load_slowly(*args):
+        time.sleep(0.7)
+        return fly(*args)
+
+    monkeypatch.setattr(serving.closed_loop, "serve", load_slowly)
+    server = serve(path, 1.5, patience=0.5)
+    Autopilot(server.port)
+    assert server.join().ended == ""
 
 
 @pytest.mark.parametrize(
