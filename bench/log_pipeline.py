@@ -221,8 +221,9 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     ends = np.array([end for _, end in gaps])
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t, ends]))
     present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
+    place = ": ".join(filter(None, [spec.name, log.records.no_ranges]))  # instruments are checked before
     for label, one in log.estimators.items():
-        estimator.check_needs(one, label, present, spec.name)
+        estimator.check_needs(one, label, present, place)
     solutions, errors, metrics, drifts = {}, {}, {}, []
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     for number, (label, one) in enumerate(log.estimators.items(), 1):
@@ -330,13 +331,14 @@ class Session:
         begun = o.t > self.initial.t if self.initial.alignment == "given" else o.t >= self.initial.t
         return take_observations(o, np.asarray(begun & (o.t <= self.last)))
 
-    def _keep_observations(self, keep: BoolArray) -> GnssObservations | None:
+    def _keep_observations(self, keep: BoolArray, outage: tuple[float, float]) -> GnssObservations | None:
         """Return the satellites that filters get: an epoch goes with the first fix at its time or later."""
         o = self.observations
         if o is None:
             return None
         with_fix = np.searchsorted(self.fixes.t, o.t - SAME_INSTANT)
-        return take_observations(o, np.append(keep, True)[with_fix])
+        out = (o.t > outage[0] + SAME_INSTANT) & (o.t <= outage[1] + SAME_INSTANT)
+        return take_observations(o, np.append(keep, True)[with_fix] & ~out)
 
     def make_output_times(self) -> FloatArray:
         """Return the output instants [s], a whole number of output intervals after t = 0."""
@@ -350,11 +352,16 @@ class Session:
             keep[self.spec.withhold - 1 :: self.spec.withhold] = False
         return keep, self.fixes.take(~keep)
 
-    def make_data(self, keep: BoolArray, output_t: FloatArray) -> SensorData:
-        """Return the data for an estimator; IMU intervals are divided to end at each fix and output."""
+    def make_data(
+        self, keep: BoolArray, output_t: FloatArray, outage: tuple[float, float] = (np.inf, np.inf)
+    ) -> SensorData:
+        """Return the data for an estimator; IMU intervals are divided to end at each fix and output.
+
+        ``keep`` (M,) are the fixes it gets; it gets no ranges after the begin of ``outage`` to its end [s].
+        """
         fixes, output_t = self.fixes.take(keep), np.unique(output_t)
         others = self.recorded.instruments
-        observations = self._keep_observations(keep)
+        observations = self._keep_observations(keep, outage)
         seen = [] if observations is None else [np.unique(observations.t)]
         cuts = [output_t, fixes.t, *seen, *(record.t for record in others.values())]
         return SensorData(
@@ -403,9 +410,10 @@ class Session:
         drifts = []
         for begin in place_outages(self.first, float(t[-1]), duration, places):
             before = max(int(np.searchsorted(t, begin + SAME_INSTANT, "right")) - 1, 0)
-            end = int(np.searchsorted(t, t[before] + duration + SAME_INSTANT, "right")) - 1
+            outage = float(t[before]), float(t[before]) + duration
+            end = int(np.searchsorted(t, outage[1] + SAME_INSTANT, "right")) - 1
             keep = (t <= t[before]) | (t > t[end])
-            data = self.make_data(keep, self._list_ends(float(t[end]), duration))
+            data = self.make_data(keep, self._list_ends(float(t[end]), duration), outage)
             solution = estimator.answer(one, label, data, self.initial)
             if self.reference is None:
                 last = self.fixes.take(np.arange(len(t)) == end)

@@ -27,6 +27,7 @@ class RecordedRanges(NamedTuple):
     fixes: LogRows
     observations: GnssObservations | None  # if the datasheet that is assumed has a [sky]
     sky: SkyView
+    lack: str  # why there are no observations, in words; empty: there are some
 
 
 def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
@@ -55,15 +56,15 @@ def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
         "cov_vel": fixes.cov_vel_n[good].reshape(-1, 9),
         "satellites": fixes.satellites[good].astype(float),
     }
-    observations, notes = None, list(solved.notes)
+    observations, lack = None, ""
     if sky is None:
-        notes.append("[sensors.assumed] gnss has no [sky]: filters get its fixes, not its ranges")
+        lack = "[sensors.assumed] gnss has no [sky]: filters get its fixes, not its ranges"
     else:
         observations = _take_whole(solved, sky, t)
-        notes += [] if len(observations) else ["no satellite has both a range and a Doppler"]
-    shown = solved.observations.shown
-    rows = LogRows(t[good], values, tuple(f"{shown}: {note}" for note in notes))
-    return RecordedRanges(rows, observations, solved.view_sky(t))
+        lack = "" if len(observations) else "no satellite has both a range and a Doppler"
+    notes = [f"{solved.observations.shown}: {note}" for note in (*solved.notes, lack) if note]
+    rows = LogRows(t[good], values, tuple(notes))
+    return RecordedRanges(rows, observations, solved.view_sky(t), lack)
 
 
 def _make_processing(sky: SkySpec) -> Processing:

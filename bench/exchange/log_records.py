@@ -28,6 +28,7 @@ from bench.exchange.row_selection import drop_others, drop_repeated, drop_unrepo
 from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
 from bench.instruments import INSTRUMENTS, BaroData
+from bench.navigation.engine.kept_rows import take_rows
 from bench.rotation import from_euler, multiply, rotate
 from bench.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
 from bench.signals.orbits import DAY
@@ -53,6 +54,7 @@ class LogRecords:
     reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
+    no_ranges: str  # why a receiver with ranges has no observations, in words; empty otherwise
 
 
 def read_records(spec: LogSpec) -> LogRecords:
@@ -64,11 +66,10 @@ def read_records(spec: LogSpec) -> LogRecords:
         If a file cannot be read, lacks columns, or has an impossible value: one line with file and row.
     """
     assert spec.gnss is not None
-    imu_rows, observations, sky = _read_rows(spec.imu, "imu"), None, None
+    imu_rows, observations, sky, no_ranges = _read_rows(spec.imu, "imu"), None, None, ""
     if spec.gnss.format == RANGES:
         assert spec.assumed.gnss is not None
-        gnss_rows, observations, sky = read_ranges(spec.gnss, spec.assumed.gnss)
-        sky = replace(sky, t=sky.t - float(imu_rows.t[0]))
+        gnss_rows, observations, sky, no_ranges = read_ranges(spec.gnss, spec.assumed.gnss)
     else:
         gnss_rows = _read_rows(spec.gnss, "gnss")
     others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
@@ -83,6 +84,9 @@ def read_records(spec: LogSpec) -> LogRecords:
             f"{spec.gnss.path.name}: its times, {there}, do not overlap those of {spec.imu.path.name}, "
             f"{origin:.9g} to {last + origin:.9g} s; both files must use one clock"
         )
+    if sky is not None:
+        t = sky.t - origin
+        sky = take_rows(replace(sky, t=t), (t >= 0.0) & (t <= min(last, spec.until)))
     if observations is not None:
         t = observations.t - origin
         day = float((origin - spec.gnss.time_offset) % DAY)
@@ -106,6 +110,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         reported=_find_report(gnss_rows.values, spec),
         origin=origin,
         notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
+        no_ranges=no_ranges,
     )
 
 

@@ -313,6 +313,9 @@ def solve_files(
     if raw.others:
         notes.append(f"not used: {', '.join(raw.others)}")
     notes += _describe_unsolved(solved)
+    fixes = solved.fixes.valid
+    if truth is not None and (covered := int(np.isfinite(solved.errors()[fixes, 0]).sum())) < fixes.sum():
+        notes.append(f"the truth covers {covered} of {fixes.sum()} fixes: the others are not judged")
     return replace(solved, notes=tuple(notes))
 
 

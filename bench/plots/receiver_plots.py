@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from bench import earth
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.findings import series
 from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
@@ -31,6 +31,11 @@ def find_errors(solved: RinexFixes) -> FloatArray:
     if not good.any():
         return np.full((len(lla), 3), np.nan)
     return earth.difference_n(lla, np.median(lla[good], axis=0))
+
+
+def find_placed(error: FloatArray, solved: RinexFixes) -> BoolArray:
+    """Return the epochs (M,) with a fix whose error (M, 3) is known: a truth may not cover all."""
+    return np.asarray(solved.fixes.valid & np.isfinite(error).all(axis=1))
 
 
 def name_reference(solved: RinexFixes) -> str:

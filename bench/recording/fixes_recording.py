@@ -12,7 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from bench import durable
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.errors import NothingToShowError
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.findings.series import BAND, FIX, Plot, round_number
@@ -33,11 +33,9 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     OSError
         If the file cannot be written.
     bench.errors.NothingToShowError
-        If there is no fix.
+        If there is no fix, or none where the truth tells the place.
     """
-    good = solved.fixes.valid
-    if not good.any():
-        raise NothingToShowError("no epoch has a fix: there is nothing to record")
+    good = find_shown(solved)
     error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
     plots = {
         "Errors": list(receiver_plots.plot_fixes(solved, error)),
@@ -55,6 +53,16 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     for plot in chain.from_iterable(plots.values()):
         drawing.send(stream, plot, ())
     durable.write(path, memory.drain_as_bytes())
+
+
+def find_shown(solved: RinexFixes) -> BoolArray:
+    """Return the epochs (M,) with a fix that lies somewhere; raise NothingToShowError if there is none."""
+    shown = receiver_plots.find_placed(receiver_plots.find_errors(solved), solved)
+    if not solved.fixes.valid.any():
+        raise NothingToShowError("no epoch has a fix: there is nothing to record")
+    if not shown.any():
+        raise NothingToShowError("the truth covers no epoch with a fix: there is nothing to record")
+    return shown
 
 
 def _send_track(stream: Any, t: FloatArray, error: FloatArray, lla: FloatArray) -> None:

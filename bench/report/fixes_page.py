@@ -13,11 +13,14 @@ def make_page(solved: RinexFixes) -> str:
     figures = solved.figures()
     fixes, good = solved.fixes, solved.fixes.valid
     error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
-    plots = [
-        *receiver_plots.plot_fixes(solved, error),
-        *receiver_plots.plot_residuals(solved),
-        *receiver_plots.plot_satellites(solved),
-    ]
+    placed = error[receiver_plots.find_placed(error, solved), :2]
+    plots = []
+    if good.any():
+        plots = [
+            *receiver_plots.plot_fixes(solved, error),
+            *receiver_plots.plot_residuals(solved),
+            *receiver_plots.plot_satellites(solved),
+        ]
     return page.render(
         "fixes.html.jinja",
         title=f"Fixes of {solved.name}",
@@ -32,8 +35,6 @@ def make_page(solved: RinexFixes) -> str:
             for name, value in figures.items()
         ],
         against=receiver_plots.name_reference(solved),
-        track=svg.draw_track([], error[good, :2]) if good.any() else "",
-        plots=[page.make_figure(plot, (0.0, float(max(t[-1], 1.0))), ()) for plot in plots]
-        if good.any()
-        else [],
+        track=svg.draw_track([], placed) if len(placed) else "",
+        plots=[page.make_figure(plot, (0.0, float(max(t[-1], 1.0))), ()) for plot in plots],
     )

@@ -58,9 +58,13 @@ def solve_fixes(
     figures = solved.figures()
     title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"
     summary = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
-    tables = [_tabulate_satellites(solved), summary]
+    tables = [*_tabulate_satellites(solved), summary]
     verdict = solved.verdict()
     print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables)
+    if recording is not None:
+        from bench.recording import fixes_recording
+
+        fixes_recording.find_shown(solved)  # refused before anything is written
     if out is not None:
         solved.write_csv(out, datum)
         console.print(f"fixes in {datum}: {out}")
@@ -70,16 +74,16 @@ def solve_fixes(
         durable.write(report, fixes_page.make_page(solved))
         console.print(f"Report: {report}", soft_wrap=True)
     if recording is not None:
-        from bench.recording.fixes_recording import write_fixes
-
-        write_fixes(recording, solved)
+        fixes_recording.write_fixes(recording, solved)
         console.print(f"Recording: {recording}; look at it with: rerun {recording}", soft_wrap=True)
     return figures | {"no_fix": solved.count_lost(), "verdict": verdict}
 
 
-def _tabulate_satellites(solved: rinex_fixes.RinexFixes) -> FindingTable:
-    """Return how often the satellites with the largest residuals were used and left out."""
+def _tabulate_satellites(solved: rinex_fixes.RinexFixes) -> list[FindingTable]:
+    """Return how often the satellites with the largest residuals were used and left out, if any were."""
     all_of_them = solved.list_satellites()
+    if not all_of_them:
+        return []
     worst = sorted(all_of_them, key=lambda one: (-one.excluded, -one.residual_rms))[:_MOST]
     title = f"The {len(worst)} of {len(all_of_them)} satellites left out most often or with most residual"
-    return make_table("satellites", title, _COLUMNS, worst)
+    return [make_table("satellites", title, _COLUMNS, worst)]

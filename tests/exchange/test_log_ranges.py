@@ -158,6 +158,29 @@ def test_an_outage_takes_the_ranges_away_too(flown):
     assert set(t[41:51]) <= set(log.records.observations.t.tolist())
 
 
+class Listener:
+    """Keeps what a filter gets, and answers as `tight`."""
+
+    def run(self, sensors, initial):
+        self.sensors = sensors
+        return load("tight", {}).run(sensors, initial)
+
+
+def test_an_outage_ends_when_it_ends_not_with_the_last_fix_in_it(flown):
+    """Without fixes from the middle of a cut to 5 s after it: its ranges are gone, those behind are there."""
+    folder, _, _ = flown
+    log = read_log(folder / "log.toml")
+    t = log.records.fixes.t
+    begin, end = float(t[40]), float(t[60])
+    fixes = log.records.fixes.take((t <= begin + 10.5) | (t > end + 5.5))
+    session = Session(log.spec, replace(log.records, fixes=fixes), replace(flown[1].initial, t=float(t[20])))
+    session.first, one = begin, Listener()
+    session.run_outages(one, "tight", end - begin, 1)
+    seen = one.sensors.observations.t
+    assert not ((seen > begin + 0.5) & (seen < end + 0.5)).any()
+    assert set(t[61:66]) <= set(seen)
+
+
 def test_epochs_with_too_few_satellites_for_a_fix_reach_tight(flown, tmp_path):
     """Three GPS satellites from 60 s on: no fix, and tight has their ranges, by the place of a track."""
     _, sensed, truth = flown
@@ -166,7 +189,7 @@ def test_epochs_with_too_few_satellites_for_a_fix_reach_tight(flown, tmp_path):
     fixes = sensed.data.fixes.take(sensed.data.fixes.t < 60.0)
     data = replace(sensed.data, observations=taken(o, few), fixes=fixes)
     export(tmp_path, data, sensed.initial, {"truth": truth})
-    rows, back, _ = read_back(tmp_path)
+    rows, back, *_ = read_back(tmp_path)
     assert rows.t.max() < 60.0
     assert "no fix at" in " ".join(rows.notes)
     assert "left out" not in " ".join(rows.notes)
@@ -183,7 +206,7 @@ def test_epochs_whose_place_nothing_tells_are_left_out_with_a_word(flown, tmp_pa
     seen = np.unique(sensed.data.observations.t)
     words = " ".join((tmp_path / "README.md").read_text().split())
     assert f"{(seen > 60.5).sum()} epochs more than 1 s from a fix are left out" in words
-    rows, back, _ = read_back(tmp_path)
+    rows, back, *_ = read_back(tmp_path)
     assert "left out" not in " ".join(rows.notes)
     assert len(np.unique(back.t)) == (seen < 60.5).sum()
     none = replace(fixes, t=fixes.t + 1000.0)
@@ -207,12 +230,36 @@ def test_messages_of_glonass_are_at_quarters_of_an_hour_in_utc(flown, tmp_path):
     assert "mm with GLONASS" in words
 
 
+def test_the_sky_ends_with_the_imu(flown, tmp_path):
+    """And begins with it; the receiver looks on for half a minute at both ends."""
+    folder, _, _ = flown
+    for name in ("run.obs", "run.nav"):
+        (tmp_path / name).symlink_to(folder / name)
+    head, *rows = (folder / "imu.csv").read_text().splitlines()
+    (tmp_path / "imu.csv").write_text("\n".join([head, *rows[6000:20000]]) + "\n")
+    (tmp_path / "log.toml").write_text(LOG)
+    records = read_records(load_log(str(tmp_path / "log.toml")))
+    assert 0.0 <= records.sky.t.min() < 1.0
+    assert 69.0 < records.sky.t.max() <= records.imu.t[-1] < 71.0
+
+
+def test_without_doppler_the_reason_is_told(flown, tmp_path):
+    folder, _, _ = flown
+    for name in ("run.nav", "imu.csv"):
+        (tmp_path / name).symlink_to(folder / name)
+    text = (folder / "run.obs").read_text()
+    (tmp_path / "run.obs").write_text(text.replace(" D1C", " L1C").replace(" D2I", " L2I"))
+    (tmp_path / "log.toml").write_text(LOG)
+    with pytest.raises(EstimatorError, match="there is none in log: no satellite has both a range and a Dop"):
+        bench.navigate_log(tmp_path / "log.toml")
+
+
 def test_a_datasheet_without_sky_gives_fixes_alone(flown, tmp_path):
     folder, _, _ = flown
     for name in ("run.obs", "run.nav", "imu.csv"):
         (tmp_path / name).symlink_to(folder / name)
     (tmp_path / "log.toml").write_text(LOG.replace("sky-multi", "zed-f9p"))
-    with pytest.raises(EstimatorError, match="'tight' needs a gnss at measurement level"):
+    with pytest.raises(EstimatorError, match=r"in log: \[sensors.assumed\] gnss has no \[sky\]"):
         bench.navigate_log(tmp_path / "log.toml")
     records = read_records(load_log(str(tmp_path / "log.toml")))
     assert records.observations is None

@@ -11,6 +11,7 @@ from bench.cli import main
 from bench.errors import NothingToShowError
 from bench.recording import column
 from bench.recording.fixes_recording import write_fixes
+from bench.report.fixes_page import make_page
 from tests.data import gnss_file
 
 FILES = ("ESBC00DNK_2020177_GREC_1800s.rnx", "ESBC00DNK_2020177_GREC_MN.rnx")
@@ -55,12 +56,37 @@ def test_the_sky_of_a_receiver_has_the_directions_of_its_satellites(solved):
     )
 
 
-def test_without_a_fix_there_is_nothing_to_record(solved, tmp_path):
-    nothing = bench.solve_rinex(*map(gnss_file, FILES), mask_deg=60, systems="gps")
-    if nothing.fixes.valid.any():
-        pytest.skip("a fix above 60 deg")
-    with pytest.raises(NothingToShowError, match="no epoch has a fix"):
-        write_fixes(tmp_path / "none.rrd", nothing)
+def test_without_a_fix_there_is_nothing_to_record(tmp_path, capsys):
+    """The line comes before fixes and page are written; without a recording they are, and say why."""
+    out, page, place = (tmp_path / name for name in ("fixes.csv", "fixes.html", "fixes.rrd"))
+    arguments = ["fixes", *(str(gnss_file(name)) for name in FILES), "--mask-deg", "60", "--systems", "gps"]
+    arguments += ["-o", str(out), "--report", str(page)]
+    assert main([*arguments, "--recording", str(place)]) != 0
+    assert "error: no epoch has a fix: there is nothing to record" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+    assert main(arguments) == 1
+    assert "no fix: too few satellites" in page.read_text()
+    assert "no fix: too few satellites" in capsys.readouterr().out
+
+
+def test_a_truth_of_a_part_of_the_fixes_draws_that_part(solved, tmp_path):
+    """Of none: a page without a track, and no recording."""
+    solved.write_csv(tmp_path / "all.csv")
+    head, *rows = (tmp_path / "all.csv").read_text().splitlines()
+    for name, some in (("part", rows[5:20]), ("none", [row.replace("2020", "2019", 1) for row in rows])):
+        (tmp_path / f"{name}.csv").write_text("\n".join([head, *some]))
+    part, none = (
+        bench.solve_rinex(*map(gnss_file, FILES), truth=str(tmp_path / f"{name}.csv"))
+        for name in ("part", "none")
+    )
+    assert "the truth covers 15 of 48 fixes: the others are not judged" in part.notes
+    write_fixes(tmp_path / "part.rrd", part)
+    t, _ = column(tmp_path / "part.rrd", "/track/fix", "Points2D:positions")
+    assert_allclose(t, 1800.0 * np.arange(5, 20))
+    assert 'class="track"' in make_page(part)
+    assert 'class="track"' not in make_page(none)
+    with pytest.raises(NothingToShowError, match="the truth covers no epoch with a fix"):
+        write_fixes(tmp_path / "none.rrd", none)
 
 
 def test_a_recording_is_replaced_only_when_told(tmp_path, capsys):

@@ -51,7 +51,7 @@ _BARO_SD = ("EK3_ALT_M_NSE", "EK2_ALT_M_NSE", "EKF_ALT_NOISE")
 """Parameters that say the noise of the barometer [m]: AP_NavEKF3, AP_NavEKF2, AP_NavEKF."""
 _MOST_SD = 1e3  # a larger one is damage [m]
 _UBLOX_DELAY = 0.12  # where the parameter leaves it to the driver: AP_GPS_UBLOX::get_lag of M8 and later [s]
-_HIGHEST = 1e5  # the least number of a height says that it is not known [m]
+_HIGHEST = 1e5  # a height farther from 0 is not known: ArduPilot writes -2e7 then [m]
 _RANGE_GOOD = 4.0  # RangeFinder::Status::Good
 
 
