@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import bench
 from bench.errors import ConfigError
-from bench.studies import register_proofs, register_rows
+from bench.evaluation.ensemble import Estimate
+from bench.evaluation.required_performance import JudgedFigure, count_windows
+from bench.specs import EvaluationWindow
+from bench.studies import register_flights, register_proofs, register_rows, rnp
 from bench.studies.register_measures import RowFinding
 from bench.studies.register_rows import ROWS
+from bench.studies.watched_flights import WatchedFlight
 
 ROOT = Path(__file__).parents[2]
 
@@ -31,6 +38,47 @@ def test_every_row_names_a_test_that_exists_or_says_why_it_is_open(row):
 def test_what_takes_seconds_is_computed_and_holds(row):
     found = row.measure()
     assert found.holds, found.ours
+
+
+def watch_by_hand(run, alerts=0):
+    """Return a flight of ten minutes that is known to 3 m, with an alert in some of its last seconds."""
+    n = 600
+    level = np.full((n, 2), 10.0)
+    level[n - alerts :] = 9999.0
+    nothing = np.zeros(n)
+    return WatchedFlight(np.arange(n), np.full((n, 2), 3.0), level, nothing > 0, nothing, nothing)
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("hours_flown", lambda shape, interval: math.prod(shape) * interval / 60.0),
+        ("judge_share", lambda inside, least, hours: JudgedFigure(Estimate(0.9, 0.2, 1.0), "undecided")),
+        ("judge_share", lambda inside, least, hours: JudgedFigure(Estimate(1.0, 0.05**0.5, 1.0), "met")),
+        (
+            "judge_rate",
+            lambda events, hours, most: JudgedFigure(Estimate(0.0, 0.0, 3.7 / hours), "undecided"),
+        ),
+        ("count_windows", lambda watched, window: count_windows(watched, 2.0 * window)),
+    ],
+)
+def test_row_33_holds_a_count_of_the_seconds_against_the_study(monkeypatch, name, wrong):
+    made = SimpleNamespace(name="made", evaluation=EvaluationWindow())
+    monkeypatch.setattr(rnp, "_read", lambda options: made)
+    monkeypatch.setattr(rnp, "_load", lambda *args: (made, SimpleNamespace(t=np.arange(600.0)), None))
+    monkeypatch.setattr(rnp, "watch_run", watch_by_hand)
+    found = register_flights.require_performance()
+    assert found.holds, found.ours
+    monkeypatch.setattr(rnp, name, wrong)
+    assert not register_flights.require_performance().holds
+
+
+def test_seconds_are_counted():
+    """Of 80 operations one begins in the alert of 20 s at the end, and one is broken off by it."""
+    late = watch_by_hand(0, alerts=20)
+    late.error[100:103, 0], late.error[590:, 0] = 600.0, 600.0
+    found = register_flights.count_seconds([late, watch_by_hand(1)])
+    assert [row[0] for row in found.values()] == pytest.approx([1180 / 1200, 1 / 79, 3.0])
 
 
 def test_a_row_that_does_not_hold_is_said(monkeypatch):
