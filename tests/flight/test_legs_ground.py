@@ -152,9 +152,9 @@ def land_in(severity: int, across: float, seed: int, kind: Kind, rest: float = 5
 def test_gusts_do_not_tip_a_landing(kind, severity, across, seed):
     """Gusts along the ground have 3 m/s in moderate turbulence, and meet what rolls or stands from anywhere.
 
-    Seed 1 tipped an Aerosonde whose tables went on beyond the stall, where a gust from behind had the drag of
-    a barn door and one from the side the dihedral of 90 deg; parked it rocked by 0.2 m/s, and such a Navion
-    by 0.9 m/s. The bound across is the edge of the runway, 20 m, which ends the flight.
+    Beyond the angle of stall moments and side force stay what they are there, so that no gust lifts a wing,
+    and what has come to rest stands still. The bound across is the edge of the runway, 20 m, which ends the
+    flight.
     """
     truth = land_in(severity, across, seed, KINDS[kind])
     assert np.abs(truth.vel_n[truth.t > truth.t[-1] - 3.0]).max() < 0.1

@@ -155,12 +155,16 @@ def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
     return [
         Figure("IMU record / drawing 6 normals per sample", cost, 3.0, "units"),
         Figure("IMU record with every error term / the same", whole, 6.0, "units"),
-        Figure("GPS + GLONASS ranges and fixes / the same", sky_cost(profile, truth, unit), 8.0, "units"),
+        Figure("GPS + GLONASS ranges and fixes / the same", sky_cost(profile, truth, unit), 7.0, "units"),
     ]
 
 
 def sky_cost(profile: Profile, truth: Trajectory, unit: Callable[[], object]) -> float:
-    """Return the cost of the measurement level, both systems, 1 Hz over the whole flight."""
+    """Return the cost of the measurement level, both systems, 1 Hz over the whole flight.
+
+    40 % are fixes, whose ranges are weighed by the inverse of their covariance in each epoch; 17 % the waves
+    of the ionosphere, 64 for each range; 8 % the satellites' orbits, twice.
+    """
     from bench.sensors import sky
     from bench.sensors.draws import SensorDraws
 

@@ -190,7 +190,7 @@ def test_what_has_no_linear_model_is_refused(flight):
     with pytest.raises(ConfigError, match="position level"):
         bench.study("bound", profiles="gnss-jammed", draws=2, jobs=1)
     behind = {"sensors.gnss.tracking_bandwidth_hz": 2.0}
-    with pytest.raises(ConfigError, match="no lag of the receiver, tracking_bandwidth_hz = 0"):
+    with pytest.raises(ConfigError, match="no lag of the receiver; set tracking_bandwidth_hz = 0"):
         bench.study("bound", profiles=flight, draws=2, jobs=1, overrides=behind)
 
 

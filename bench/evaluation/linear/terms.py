@@ -188,7 +188,7 @@ def check_sensors(spec: SensorsSpec) -> None:
             f"the linear model needs a GNSS unit of position level such as 'l1-code', not {spec.gnss.name!r}"
         )
     if spec.gnss is not None and spec.gnss.tracking_bandwidth > 0:
-        raise ConfigError("the linear model has no lag of the receiver, tracking_bandwidth_hz = 0")
+        raise ConfigError("the linear model has no lag of the receiver; set tracking_bandwidth_hz = 0")
     late = [one.name for one in (spec.gnss, spec.baro) if one is not None and one.latency > 0]
     if late:
         raise ConfigError(f"the linear model needs sensors without latency, not {', '.join(late)}")
