@@ -187,8 +187,8 @@ def _prepare(path: Sequence[str]) -> None:
     """Make a new worker ready: the import path of the driver, and an end with the driver."""
     sys.path[:] = path
     keep_freed_memory()
-    signal.signal(signal.SIGTERM, _stop)
     threading.Thread(target=_follow_parent, daemon=True).start()
+    signal.signal(signal.SIGTERM, _stop)  # last: until then SIGTERM ends it at once, without a traceback
 
 
 def _stop(number: int, frame: object) -> None:

@@ -112,3 +112,22 @@ def test_batches_last_a_few_seconds_and_the_last_ones_are_small():
     assert pool.sizes[:4] == [1, 1, 1, 1]
     assert pool.sizes[-1] == 1
     assert _Pace().choose_size(100, 2) == 1
+
+
+STOPPED_WHILE_IT_BEGINS = """
+import os, signal, sys
+from bench.campaigns import pools
+
+class Thread:
+    def __init__(self, **options): pass
+    def start(self): os.kill(os.getpid(), signal.SIGTERM)
+
+pools.threading.Thread = Thread
+pools._prepare(sys.path)
+"""
+
+
+def test_a_worker_that_is_stopped_while_it_begins_says_nothing():
+    """The executor would print an exception there, before the line of the error that ends the work."""
+    done = subprocess.run([sys.executable, "-c", STOPPED_WHILE_IT_BEGINS], capture_output=True, timeout=60)
+    assert (done.returncode, done.stderr) == (-signal.SIGTERM, b"")
