@@ -180,6 +180,18 @@ def jacobian(lla, vel, C, f_b, w_b):
     return np.swapaxes((growth[:, :15] - growth[:, 15:]) / (2 * STEP)[:, None], 1, 2)
 
 
+def move_by_motion(F, lla, vel, C, f_b, variance):
+    """Let a heading error turn the force of the motion alone, in F (15, 15).
+
+    Beyond the force of a steady flight that is what noise of a variance on each axis leaves: James and Stein.
+    """
+    earth, transport = frame_rates(lla[0], lla[2], vel)
+    steady = cross(2 * earth + transport, vel)
+    more = (C @ f_b - steady)[:2]
+    north, east = steady[:2] + max(1 - 9 * variance / (more @ more), 0) * more
+    F[3, 8], F[4, 8] = -east, north
+
+
 # --- the datasheets -----------------------------------------------------------------------------------
 
 
@@ -506,7 +518,8 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
         if not (asked or k in fixes_at or k in baro_at or k in epochs_at):
             continue
         *states, spans = (np.array(column) for column in zip(*points, strict=True))
-        for F, T in zip(jacobian(*states), spans, strict=True):
+        for F, T, *at in zip(jacobian(*states), spans, *states[:4], strict=True):
+            move_by_motion(F, *at, q[3] / T)
             Phi, Q = transition(F, T, np.exp(-decay_rate * T)), np.diag(q * T)
             if tight:
                 Phi[clock, clock + 1] = T

@@ -26,7 +26,7 @@ from bench.navigation.error_state_filter.error_state import (
     mirror_kernel,
     transition_kernel,
 )
-from bench.navigation.error_state_filter.rough_heading import stand_kernel
+from bench.navigation.error_state_filter.rough_heading import stand_kernel, steady_kernel
 from bench.navigation.error_state_filter.state_blocks import Index, Process
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
 from bench.wide_rows import wide, widened
@@ -369,6 +369,7 @@ def advance_kernel(
         for i in range(fading, n):
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
+        steady_kernel(reference, dv_sum, noise[VEL] / (T * T), F)
         lost_heading = stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:

@@ -12,11 +12,13 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray
 from bench.compiled import inner, kernel
+from bench.earth import EARTH_RATE, radii_kernel
 
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
 _ROUGH = 0.05  # sd from which on motion that may be none does not tell it [rad]
 _SIGMAS = 3.0  # a velocity within these of zero may be none
+NOISE_SIGMAS = 3.0  # a force within these of a steady flight's may be noise
 _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s]
 
 
@@ -33,6 +35,36 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
     variance = cov[:, 3, 3] + cov[:, 4, 4]
     slow: BoolArray = np.square(vel_n[:, :2]).sum(axis=1) < _SIGMAS**2 * variance
     return slow & (variance < _VEL_SD**2)
+
+
+@kernel
+def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArray) -> None:
+    """Let a heading error turn the force of a motion, and not the noise of the accelerometers.
+
+    It turns that noise, too, but nobody knows how much of a measured force it is: a filter that takes it for
+    motion finds a heading where nothing tells it. What is beyond the force of a steady flight is taken for
+    motion less the part that noise may be (James and Stein, with ``NOISE_SIGMAS``).
+
+    Parameters
+    ----------
+    nav : (10,) array
+        Navigation state.
+    f_n : (3,) array
+        Mean specific force of the interval [m/s^2], n.
+    variance : float
+        Of that mean, along an axis, by noise.
+    F : (9, 15) array
+        Dynamics of position, velocity and attitude errors; overwritten.
+    """
+    s, c = np.sin(nav[0]), np.cos(nav[0])
+    meridian, prime = radii_kernel(s)
+    e_n, e_e = nav[4] / (prime + nav[2]), -nav[3] / (meridian + nav[2])
+    k_n, k_e, k_d = 2.0 * EARTH_RATE * c + e_n, e_e, -2.0 * EARTH_RATE * s - e_n * s / c
+    north, east = k_e * nav[5] - k_d * nav[4], k_d * nav[3] - k_n * nav[5]
+    more_n, more_e = f_n[0] - north, f_n[1] - east
+    size2 = more_n * more_n + more_e * more_e
+    told = max(1.0 - NOISE_SIGMAS * NOISE_SIGMAS * variance / size2, 0.0) if size2 > 0.0 else 0.0
+    F[3, 8], F[4, 8] = -(east + told * more_e), north + told * more_n
 
 
 @kernel

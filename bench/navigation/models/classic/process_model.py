@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
+from bench.earth import EARTH_RATE
+from bench.navigation.error_state_filter.rough_heading import NOISE_SIGMAS
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix, noise_matrix
 from bench.navigation.models.classic.navigator import Earth, Nav, Vector, reduced
 from bench.specs import AssumedSpecs, TriadSpec
@@ -107,14 +109,16 @@ def model(
 
     Phi = E + F T and G sqrt(T); the GNSS block is exact and its noise G_S holds T already.
     """
-    return _first_order(nav, earth, dynamics_matrix(nav, a, earth), _noise(nav, sig), sig, T, jump=jump)
+    F = _turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
+    return _first_order(nav, earth, F, _noise(nav, sig), sig, T, jump=jump)
 
 
 def model_van_loan(
     nav: Nav, earth: Earth, a: ArrayLike, sig: Sigmas, T: float, *, jump: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Return Phi_p (22, 22) and Q_p = G_p G_p' (22, 22), the inertial block by van Loan (A-5.1.D)."""
-    F, noise = dynamics_matrix(nav, a, earth), _noise(nav, sig)
+    F = _turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
+    noise = _noise(nav, sig)
     Phi, G = _first_order(nav, earth, F, noise, sig, T, jump=jump)
     Q = G @ G.T
     joint = np.zeros((30, 30))
@@ -123,6 +127,21 @@ def model_van_loan(
     Phi[:15, :15] = joint[15:, 15:].T
     Q[:15, :15] = Phi[:15, :15] @ joint[:15, 15:]
     return Phi, Q
+
+
+def _turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
+    """Return F where a heading error turns the force of the motion, and not noise of a variance an axis.
+
+    As in `bench.navigation.error_state_filter.rough_heading.steady_kernel`.
+    """
+    s, c = math.sin(nav.lat), math.cos(nav.lat)
+    v_e, v_n, v_h = (float(v) for v in nav.V)
+    U = 2.0 * EARTH_RATE + v_e / (earth.r1 * c)
+    steady = np.array([U * (c * v_h - s * v_n), U * s * v_e + v_n / earth.r2 * v_h])
+    more = np.asarray(a, float)[:2] - steady
+    a_e, a_n = steady + max(1.0 - NOISE_SIGMAS**2 * variance / max(float(more @ more), 1e-30), 0.0) * more
+    F[3, 8], F[4, 8] = a_n, -a_e
+    return F
 
 
 def _first_order(
