@@ -369,7 +369,7 @@ def advance_kernel(
         for i in range(fading, n):
             state[i + 1] *= decay[i]
         dynamics_kernel(reference, C_mean, dv_sum, F)
-        steady_kernel(reference, dv_sum, noise[VEL] / (T * T), F)
+        steady_kernel(reference, dv_sum, process.q[VEL] / T, F)
         lost_heading = stand_kernel(state, T, P, F, noise)
         transition_kernel(F, T, G)
         if clock >= 0:

@@ -109,7 +109,7 @@ def model(
 
     Phi = E + F T and G sqrt(T); the GNSS block is exact and its noise G_S holds T already.
     """
-    F = _turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
+    F = turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
     return _first_order(nav, earth, F, _noise(nav, sig), sig, T, jump=jump)
 
 
@@ -117,7 +117,7 @@ def model_van_loan(
     nav: Nav, earth: Earth, a: ArrayLike, sig: Sigmas, T: float, *, jump: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Return Phi_p (22, 22) and Q_p = G_p G_p' (22, 22), the inertial block by van Loan (A-5.1.D)."""
-    F = _turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
+    F = turn_motion(dynamics_matrix(nav, a, earth), nav, a, earth, sig.accel**2 / T)
     noise = _noise(nav, sig)
     Phi, G = _first_order(nav, earth, F, noise, sig, T, jump=jump)
     Q = G @ G.T
@@ -129,7 +129,7 @@ def model_van_loan(
     return Phi, Q
 
 
-def _turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
+def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
     """Return F where a heading error turns the force of the motion, and not noise of a variance an axis.
 
     As in `bench.navigation.error_state_filter.rough_heading.steady_kernel`.
