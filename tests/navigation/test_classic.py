@@ -92,8 +92,7 @@ def test_it_says_what_loose_22_says(sensed, solution):
 def test_it_says_what_loose_22_says_on_whole_flights(name):
     """4 to 10 minutes, GNSS lost, spoofed and frozen: 5 mm, 0.05 mm/s, 1.5 microradian RMS.
 
-    Both step their covariance by the mean attitude and force of 50 ms: what noise may be of a force depends on
-    that time.
+    Both step their covariance by the mean attitude and force of 50 ms, by which noise is told from a force.
     """
     profile = load_profile(name)
     flown = pipeline.sense(profile, pipeline.fly(profile))
