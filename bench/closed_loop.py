@@ -197,7 +197,7 @@ def serve(
         duration = find_length(profile)
         spec = replace(spec, legs=(Commanded(duration, commands),), duration=duration)
     truth, pilot = _fly(replace(profile, flight=spec), run, session, None, watch)
-    answers = pilot.collect() if session.estimates else None
+    answers = pilot.collect() if session.estimates and pilot.answers else None
     failed = next((row[3] for row in pilot.events if row[2] == FAILED), "")
     return ServedFlight(truth, answers, session.ended or failed)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 from bench import closed_loop, pipeline
+from bench.config.served import load_served
 from bench.errors import ConfigError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
@@ -31,9 +33,11 @@ class ServedRun:
 
 
 def serve(
-    profile: Profile,
+    profile: str | Path | Profile,
     run: int = 0,
     *,
+    seed: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
     address: str = "127.0.0.1:5700",
     remote: bool = False,
     gives: Gives = "estimate",
@@ -47,10 +51,13 @@ def serve(
 
     Parameters
     ----------
-    profile : Profile
-        With ``[guidance]`` ``navigation = "client"``.
+    profile : str, Path or Profile
+        Shipped name or path of a TOML file; or a profile already read, with ``[guidance]``
+        ``navigation = "client"``.
     run : int
         Number of the noise draw.
+    seed, overrides : int or None, mapping or None
+        As for `bench.load_profile`; not with a profile already read.
     address : str
         ``IP:PORT`` to wait at; port 0 takes any free port.
     remote : bool
@@ -72,14 +79,23 @@ def serve(
     Raises
     ------
     bench.errors.ConfigError
-        If the profile, the address or the rate is wrong.
-    bench.errors.EstimatorStoppedError
-        If the client was refused before it flew.
+        If the profile or an argument is wrong, or pymavlink is not there.
+    bench.errors.EstimatorError
+        If an estimator of the profile cannot be built.
+    bench.errors.FlightError
+        If the aircraft cannot be loaded or trimmed.
     OSError
         If the address cannot be used.
     """
+    if not isinstance(profile, Profile):
+        profile = load_served(profile, overrides, seed=seed, mavlink=mavlink is not None)
+    elif seed is not None or overrides is not None:
+        raise ConfigError("bench.serve: with a profile already read, seed and overrides change nothing")
     if profile.guidance is None or profile.guidance.navigation.use != CLIENT:
-        raise ConfigError(f'{profile.name}: bench serve needs [guidance] navigation = "{CLIENT}"')
+        raise ConfigError(
+            f'{profile.name}: bench serve needs [guidance] navigation = "{CLIENT}"; '
+            "by its name or path a profile is read so"
+        )
     if math.isnan(rate) or rate < 0:
         raise ConfigError(f"--rate {rate:g} must not be negative; 0 or inf flies as fast as possible")
     if not (math.isfinite(patience) and patience > 0):
@@ -99,7 +115,8 @@ def serve(
         if mavlink is None:
             session = FlightSession(server, facts, commands, rate, patience, steers=steers)
         else:
-            session = MavlinkSession(server, commands, rate, patience, channels=mavlink, truth=truth)
+            alt = profile.flight.alt
+            session = MavlinkSession(server, commands, rate, patience, channels=mavlink, truth=truth, alt=alt)
         watch = session.watch if truth and isinstance(session, MavlinkSession) else None
         try:
             session.wait(say)

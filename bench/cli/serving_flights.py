@@ -79,8 +79,8 @@ def serve(
     Examples:
       bench serve approach-closed
       bench serve approach-closed --set guidance.period_s=0.05 --rate 1
-      bench serve figure-eight --give commands --set duration_s=120
-      bench serve figure-eight --mavlink --set duration_s=120
+      bench serve s-turns --give commands --set duration_s=120
+      bench serve s-turns --mavlink --set duration_s=120
     """
     if mavlink and gives == "estimate":
         raise click.UsageError("--mavlink takes commands: leave --give estimate out")

@@ -42,6 +42,7 @@ _FASTEST = 327.67  # [m/s], of an int16 in cm/s
 _LARGEST = 655.34  # [m], of an uint16 in cm
 _BOOT_RATE = 1.0  # real time, until the autopilot commands
 _QUIET = 0.2  # without controls before lock-step begins [s]
+_SHOWN = 20  # of a wrong text, in a message
 _WORDS = 50  # of a STATUSTEXT [bytes]
 
 
@@ -64,17 +65,22 @@ class ActuatorChannels:
         Raises
         ------
         ConfigError
-            If it is none.
+            If the text is not such a list.
         """
         found: dict[str, int] = {}
         names = tuple(cls.__slots__)
         for part in filter(None, text.split(",")):
             name, _, number = part.partition("=")
             sign, digits = number[:1], number.removeprefix("-")
-            if name not in names or name in found:
-                raise ConfigError(f"--channels: {part!r} begins with none of {', '.join(names)}, or not once")
-            if not (digits.isascii() and digits.isdecimal() and 1 <= int(digits) <= 16):
-                raise ConfigError(f"--channels: {part!r} must end on a channel, 1 to 16 or -1 to -16")
+            if name not in names:
+                raise ConfigError(f"--channels: {name[:_SHOWN]!r} is none of {', '.join(names)}")
+            if name in found:
+                raise ConfigError(f"--channels: {name} is given twice")
+            short = digits.isascii() and digits.isdecimal() and len(digits) <= 2
+            if not (short and 1 <= int(digits) <= 16):
+                raise ConfigError(
+                    f"--channels: {name}={number[:_SHOWN]!r} must be a channel, 1 to 16 or -1 to -16"
+                )
             found[name] = -int(digits) if sign == "-" else int(digits)
         return cls(**found)
 
@@ -91,6 +97,7 @@ class ActuatorChannels:
 class _Readings:
     """What a HIL_SENSOR repeats until it is measured again."""
 
+    air: float  # height of the air that the pitot tube feels [m]
     mag: tuple[float, float, float] = (0.0, 0.0, 0.0)  # [gauss]
     pressure: float = 0.0  # [hPa]
     impact: float = 0.0  # [hPa]
@@ -108,6 +115,8 @@ class MavlinkSession(ClientSession):
         Which control moves what.
     truth : bool
         Whether HIL_STATE_QUATERNION is sent: it holds the truth.
+    alt : float
+        Height at the start [m], that of the air until a barometer tells it.
 
     Raises
     ------
@@ -124,6 +133,7 @@ class MavlinkSession(ClientSession):
         *,
         channels: ActuatorChannels,
         truth: bool,
+        alt: float,
     ) -> None:
         super().__init__(server, commands, rate, patience)
         try:
@@ -133,7 +143,7 @@ class MavlinkSession(ClientSession):
         self._channels, self._truth = channels, truth
         self._mav = self._dialect.MAVLink(None)
         self._flying: Trajectory | None = None
-        self._readings = _Readings()
+        self._readings = _Readings(alt)
         self._answers = self._armed = False
         self._booted = math.inf  # when it must have commanded [s]
         self._second = 0  # of the flight, that of the last HEARTBEAT
@@ -249,11 +259,11 @@ class MavlinkSession(ClientSession):
             x, y, z = (record.field_b[row] / _GAUSS).tolist()
             now.mag = x, y, z
         elif name == "baro":
-            now.alt = float(record.alt_baro[row])
+            now.air = now.alt = float(record.alt_baro[row])
             pressure, temperature, _ = standard_atmosphere(now.alt)
             now.pressure, now.temperature = float(pressure) / 100.0, float(temperature) - 273.15
         else:  # what the pitot tube has felt, if the air is that of the standard at this height
-            pressure, temperature, _ = standard_atmosphere(now.alt)
+            pressure, temperature, _ = standard_atmosphere(now.air)
             now.impact = float(impact_pressure(record.airspeed_true[row], pressure, temperature)) / 100.0
 
     def _make_fix(self, data: SensorData, k: int) -> Any:

@@ -12,8 +12,8 @@ from typing import Any
 from rich.console import Console
 
 from bench import config, store
+from bench.config.served import load_served
 from bench.run_result import RunResult
-from bench.specs import CLIENT
 from bench.stages import FLYING, Stage, Watcher
 from bench.wording import one_line
 from bench.workbench.console import PlainConsole
@@ -74,10 +74,7 @@ def serve(
     ``session`` is for `bench.serving.serve`.
     """
     find_own_estimators()
-    changes = {"guidance.navigation": CLIENT, "guidance.options": {}, **overrides}
-    if session["mavlink"] is not None:  # an autopilot's loops do not wait for the 0.2 s of [guidance]
-        changes = {"guidance.period_s": 0.05, **changes}
-    profile = config.load_profile(name, changes, **profile_options)
+    profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
     folder = out or RUNS / f"{profile.name}-{profile.seed}-served"
     store.check_folder(folder, force=force)
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))

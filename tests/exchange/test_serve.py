@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import shlex
 import shutil
 import socket
 import struct
@@ -19,11 +20,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config, rotation, serving
-from bench.cli import main
+from bench import closed_loop, config, rotation, serving
+from bench.cli import commands, main
 from bench.errors import ConfigError
 from bench.exchange import flight_client
+from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_client import FlightClient
+from bench.exchange.mavlink_session import ActuatorChannels
 from bench.instruments import INSTRUMENTS
 from tests.exchange.test_stream import crc16, decoded
 from tests.test_closed_loop import PROFILE
@@ -254,6 +257,15 @@ def test_a_client_steers_only_where_it_may(path):
     assert served.ended == "the client sent ATTITUDE; bench serve --give commands lets a client steer"
 
 
+def test_an_estimate_whose_turn_was_never_ended_is_no_answer(tmp_path):
+    server = Server(write_straight(tmp_path / "straight.toml", 2.0), {"duration_s": 2.0})
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        line.sendall(frame(16, 1.0) + frame(19, 0.5, *GOOD) + frame(22, 0.4))
+        served = server.join()
+    assert (served.ended, served.flown) == ("the client sent DONE for 0.4 s at the turn of 0.5 s", 2.0)
+    assert "in-flight" not in served.result.solutions
+
+
 def test_a_client_that_never_stops_sending_does_not_hold_the_server(path):
     """It is refused, and the end is not waited for longer than two seconds."""
     server, begun = Server(path, patience=1.0), time.monotonic()
@@ -354,10 +366,52 @@ def test_wrong_options_are_refused_before_a_client_comes(options, message, path)
         serving.serve(config.load_profile(path, SHORT), **options)
 
 
+def test_the_commands_of_the_guide_and_the_help_are_right(tmp_path, monkeypatch, capsys):
+    """Each is taken until a client would come."""
+    page = Path(bench.__file__).with_name("guide") / "serve.md"
+    lines = [*page.read_text().splitlines(), *commands.commands["serve"].help.splitlines()]
+    found = {line.strip() for line in lines if line.strip().startswith("bench serve ")}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(serving, "listen", stop)
+    for line in sorted(found):
+        assert main(shlex.split(line)[1:]) == 2, line
+        assert capsys.readouterr().err.strip().endswith("would wait"), line
+    assert len(found) >= 4
+
+
+def stop(*_):
+    raise ConfigError("would wait")
+
+
 def test_a_profile_for_a_client_is_no_run(path):
     with pytest.raises(ConfigError, match="bench serve flies it"):
         bench.run(path, overrides=SHORT)
     with pytest.raises(ConfigError, match="say how long"):
         serving.serve(config.load_profile(path, SHORT), gives="commands")
-    with pytest.raises(ConfigError, match=r"needs \[guidance\] navigation"):
+    with pytest.raises(ConfigError, match=r"needs \[guidance\] navigation = \"client\"; by its name"):
         serving.serve(config.load_profile(path))
+    with pytest.raises(ConfigError, match="seed and overrides change nothing"):
+        serving.serve(config.load_profile(path, SHORT), seed=1)
+
+
+@pytest.mark.parametrize("mavlink", [None, ActuatorChannels()])
+def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
+    """`approach-closed` is flown by a filter at turns of 0.2 s; an autopilot has turns of 50 ms."""
+    flown = []
+
+    def fly(profile, *_):
+        flown.append(profile)
+        raise ConfigError("it would fly")
+
+    monkeypatch.setattr(closed_loop, "serve", fly)
+    monkeypatch.setattr(ClientSession, "wait", lambda self, say: None)
+    options = [] if mavlink is None else ["--mavlink"]
+    overrides = {"duration_s": 120.0}
+    with pytest.raises(ConfigError, match="it would fly"):
+        bench.serve("approach-closed", address="127.0.0.1:0", mavlink=mavlink, seed=3, overrides=overrides)
+    changes = ["--set", "duration_s=120", "--seed", "3", "--port", "0"]
+    assert main(["serve", "approach-closed", *options, *changes]) == 2
+    by_python, by_verb = flown
+    assert by_python == by_verb
+    assert (by_python.guidance.navigation.use, by_python.seed) == ("client", 3)
+    assert by_python.guidance.period == (0.2 if mavlink is None else 0.05)
