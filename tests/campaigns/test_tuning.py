@@ -196,14 +196,15 @@ def test_four_wrong_values_are_found_again(tmp_path):
 def test_intervals_hold_the_right_noises_on_flights():
     """100 tunings, each on draws of its own; the accelerometers' noise does not show.
 
-    95 % of the intervals are to hold: 88 to 99 of 100 are its band of 99.2 %.
+    95 % of the intervals are to hold: 88 to 99 of 100 are its band of 99.2 %. Noises that show are found
+    nearer than the one that does not, whose interval mostly has no lower end.
     """
     rows = list(tune_power.repeat(100))
     assert all(row.converged for row in rows)
     counts = tune_power.count(rows)
     assert all(88 <= held <= 99 for held, *_ in counts.values())
-    assert all(counts[noise][1] >= 90 for noise in ("gyro", "pos", "vel"))
-    assert counts["accel"][2] >= 90
+    assert all(counts[noise][1] > counts["accel"][1] for noise in ("gyro", "pos", "vel"))
+    assert counts["accel"][2] > len(rows) / 2
     told = [" ".join(row.sentences) for row in rows if row.intervals["accel"][0] is None]
     assert all("imu.accel.noise" in text and "these data cannot tell: at most" in text for text in told)
 

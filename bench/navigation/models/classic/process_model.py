@@ -132,7 +132,8 @@ def model_van_loan(
 def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
     """Return F where a heading error turns the force of the motion, and not noise of a variance an axis.
 
-    As in `bench.navigation.error_state_filter.rough_heading.steady_kernel`.
+    A-5.1.10 turns the measured force, noise included (`dynamics_matrix`). As in
+    `bench.navigation.error_state_filter.rough_heading.steady_kernel`.
     """
     s, c = math.sin(nav.lat), math.cos(nav.lat)
     v_e, v_n, v_h = (float(v) for v in nav.V)
