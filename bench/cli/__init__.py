@@ -36,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command line and return its exit status; a bug prints its traceback.
 
     SIGINT, SIGTERM and SIGHUP interrupt it. Whatever exception follows an interruption, the status says
-    interrupted: code in C may turn KeyboardInterrupt into an exception of its own.
+    interrupted: code in C may print KeyboardInterrupt and turn it into an exception of its own.
 
     Parameters
     ----------
@@ -54,8 +54,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         n for n in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN
     ]
     before = {number: signal.signal(number, interrupt) for number in numbers}
-    hook, threshold = sys.unraisablehook, gc.get_threshold()
+    hook, printer, threshold = sys.unraisablehook, sys.excepthook, gc.get_threshold()
     sys.unraisablehook = lambda event: _raise_again(event, hook)
+    sys.excepthook = lambda kind, *rest: None if kind is KeyboardInterrupt else printer(kind, *rest)
     gc.set_threshold(1_000_000, 9, 9)  # collecting during imports takes a tenth of a run and frees nothing
     status = DONE
     try:
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if arguments is None:
             gc.freeze()  # the process ends: nothing of it is worth a last collection
         gc.set_threshold(*threshold)
-        sys.unraisablehook = hook
+        sys.unraisablehook, sys.excepthook = hook, printer
         for number, handler in before.items():
             signal.signal(number, handler)
     if interrupted.is_set() and status != INTERRUPTED:
