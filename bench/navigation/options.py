@@ -72,7 +72,7 @@ class Options(BaseModel):
         return []
 
 
-FixAccuracy = Literal["datasheet", "reported", "larger"]
+FixAccuracy = Literal["auto", "datasheet", "reported", "larger"]
 
 
 class GateOptions(Options):
@@ -92,9 +92,10 @@ class GateOptions(Options):
 class FixOptions(GateOptions):
     """Options of the filters that weigh every fix by itself."""
 
-    fix_accuracy: FixAccuracy = "datasheet"
-    """What the noise of a fix comes from: the datasheet, what the receiver reported with it, or the larger; a
-    log whose fixes come with standard deviations takes "reported"."""
+    fix_accuracy: FixAccuracy = "auto"
+    """What the noise of a fix comes from: the datasheet, what the receiver reported with it, or the larger.
+    By itself it is the larger for a receiver with `[sky]`, whose fixes get worse with its geometry, else the
+    datasheet; a log whose fixes come with standard deviations takes "reported"."""
 
 
 class AidingOptions(FixOptions):

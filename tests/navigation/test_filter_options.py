@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from bench import earth, rotation, sensors
+from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.data import GnssFixes, Trajectory
 from bench.evaluation import error_series as judge
@@ -395,13 +395,57 @@ def test_a_fix_is_weighed_by_the_accuracy_it_reports(truth, name):
 def test_a_report_of_nothing_is_the_datasheet(truth):
     """A variance that is zero or not finite is none."""
     data = sensors.sense(truth, units(), 14, 0).data
-    white = fix_variance(data.specs.gnss, gnss_markov=False)
+    gnss = data.specs.gnss
+    white = fix_variance(gnss, gnss_markov=False)
     cov = data.fixes.cov_pos_n.copy()
     cov[:, 0, 0], cov[:, 1, 1], cov[:, 2, 2] = 0.0, np.nan, 49.0
     fixes = replace(data.fixes, cov_pos_n=cov)
-    assert_allclose(weigh_fixes(fixes, white, "reported")[:, :3], [[white[0], white[1], 49.0]] * len(fixes))
-    assert_allclose(weigh_fixes(fixes, white, "larger")[:, 2], max(49.0, white[2]))
-    assert_allclose(weigh_fixes(fixes, white, "datasheet"), [white] * len(fixes))
+    reported = weigh_fixes(fixes, gnss, white, "reported")
+    assert_allclose(reported[:, :3], [[white[0], white[1], 49.0]] * len(fixes))
+    assert_allclose(weigh_fixes(fixes, gnss, white, "larger")[:, 2], max(49.0, white[2]))
+    for accuracy in ("datasheet", "auto"):
+        assert_array_equal(weigh_fixes(fixes, gnss, white, accuracy), [white] * len(fixes))
+
+
+def test_slow_errors_that_have_states_count_once_in_a_report(truth):
+    """A report of noise and slow errors together is the datasheet's noise; what it says beyond is added."""
+    gnss = replace(GNSS, pos_h_markov_sd=1.5, pos_v_markov_sd=2.0, pos_decay_time=600.0)
+    fixes = sensors.sense(truth, units(gnss=gnss), 14, 0).data.fixes
+    white, total = (fix_variance(gnss, gnss_markov=modelled) for modelled in (True, False))
+    assert_allclose(weigh_fixes(fixes, gnss, white, "larger"), [white] * len(fixes), rtol=1e-12)
+    more = replace(fixes, cov_pos_n=fixes.cov_pos_n + 7.0 * np.eye(3), cov_vel_n=0.5 * fixes.cov_vel_n)
+    beyond = np.array([7.0, 7.0, 7.0, 0.0, 0.0, 0.0])
+    for known in (white, total):
+        assert_allclose(weigh_fixes(more, gnss, known, "larger"), [known + beyond] * len(fixes), rtol=1e-12)
+    sky = replace(gnss, sky=load_profile("gnss-jammed").sensors.gnss.sky)
+    assert_allclose(weigh_fixes(more, sky, white, "auto"), [white + beyond] * len(fixes), rtol=1e-12)
+
+
+def test_satellites_behind_the_wing_make_a_fix_worse_and_the_filter_knows():
+    """Circles at 45 deg of bank with a receiver of the level of measurements: by the datasheet mean NIS of
+    position is 4, and an IMU of navigation grade turns what the jumps seem to say into attitude."""
+    profile = load_profile("gnss-jammed", {"sensors.imu": "hg9900", "evaluation.output_hz": 1.0})
+    flown = pipeline.fly(profile)
+    circles = first_rows(flown, int(np.searchsorted(flown.t, 90.0)) + 1)
+    nis, attitude = {}, {}
+    for accuracy in ("datasheet", "auto"):
+        one = load("loose-full", {"fix_accuracy": accuracy, "covariance_hz": 20.0})
+        found = []
+        for run in range(10):
+            drawn = sensors.sense(circles, profile.sensors, 4711, run)
+            solution = one.run(drawn.data, drawn.initial)
+            late = solution.t >= 60.0
+            series = judge.error_series(circles, solution)
+            squares = np.einsum(
+                "mi,mij,mj->m", series.phi_n, np.linalg.inv(solution.cov[:, 6:9, 6:9]), series.phi_n
+            )
+            rows = of(solution, "gnss_position") & (solution.innovations.t > 45.0)
+            found.append((solution.innovations.nis[rows].mean() / 3.0, squares[late].mean()))
+        nis[accuracy], attitude[accuracy] = np.transpose(found)
+    assert nis["datasheet"].mean() > 2.5
+    assert 0.6 < nis["auto"].mean() < 1.5
+    gain = np.log(attitude["datasheet"] / attitude["auto"])
+    assert stats.ttest_1samp(gain, 0.0, alternative="greater").pvalue < 0.001
 
 
 @pytest.mark.parametrize("raised", [0.01, 5.0])

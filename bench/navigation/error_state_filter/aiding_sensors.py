@@ -86,24 +86,31 @@ def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
     return np.array([h, h, v, *s])
 
 
-def weigh_fixes(fixes: GnssFixes, white: FloatArray, accuracy: FixAccuracy) -> FloatArray:
+def weigh_fixes(fixes: GnssFixes, gnss: GnssSpec, white: FloatArray, accuracy: FixAccuracy) -> FloatArray:
     """Return the variances (M, 6) of the fixes of a record.
 
     Parameters
     ----------
     fixes : GnssFixes
         Record; what it reports and is not above 0 is not used.
+    gnss : GnssSpec
+        The receiver, as it is assumed.
     white : (6,) array
         Variances by the datasheet, as :func:`fix_variance` returns them.
     accuracy : str
-        "datasheet", "reported" by the receiver with each fix, or the "larger" of both.
+        "datasheet", "reported" by the receiver with each fix, or the "larger" of both: what it reports above
+        the datasheet in all is added, so that an error with a state counts once. "auto": the larger for a
+        receiver with [sky], whose geometry changes, and the datasheet for others.
     """
     stated = np.tile(white, (len(fixes), 1))
-    if accuracy == "datasheet":
+    if accuracy == "datasheet" or (accuracy == "auto" and gnss.sky is None):
         return stated
     found = np.hstack([np.einsum("mii->mi", cov) for cov in (fixes.cov_pos_n, fixes.cov_vel_n)])
     found = np.where(np.isfinite(found) & (found > 0), found, stated)
-    return found if accuracy == "reported" else np.maximum(found, stated)
+    if accuracy == "reported":
+        return found
+    total: FloatArray = np.maximum(fix_variance(gnss, gnss_markov=False), white)
+    return stated + np.maximum(found - total, 0.0)
 
 
 def jumps(gnss: GnssSpec) -> FloatArray:

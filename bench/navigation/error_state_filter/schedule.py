@@ -195,7 +195,7 @@ class Schedule(SessionState):
         values, white = sensor.read(record, spec, sensors, initial, layout)
         white = white + more
         if isinstance(record, GnssFixes):
-            variance, needed = weigh_fixes(record, white, self._accuracy), record.lla
+            variance, needed = weigh_fixes(record, spec, white, self._accuracy), record.lla
         else:
             variance, needed = np.broadcast_to(white, values.shape), values
         sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
@@ -205,8 +205,9 @@ class Schedule(SessionState):
             self.events += timeline.without_velocity(record, rows)
             if self._watch is not None:
                 values = np.array(values)
-                own = weigh_fixes(record, fix_variance(spec, gnss_markov=True), self._accuracy)[rows]
-                moved, events = self._watch.take(record.take(rows), own, last=self.last)
+                used, own = record.take(rows), fix_variance(spec, gnss_markov=True)
+                own = weigh_fixes(used, spec, own, self._accuracy)
+                moved, events = self._watch.take(used, own, last=self.last)
                 values[rows[moved], :3] = np.nan
                 self.events += events
         self._wait(sensor.kind, t, arrival, values[rows], variance[rows])

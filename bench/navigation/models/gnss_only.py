@@ -180,8 +180,9 @@ class FixPassage(SessionState):
         self.waiting = fixes.take(~use & ~left)
         used = np.flatnonzero(use)
         self.events += timeline.without_velocity(fixes, used)
-        white = fix_variance(assumed(piece.specs, "gnss"), gnss_markov=False)
-        r, begin = weigh_fixes(fixes, white, self.options.fix_accuracy), 0
+        gnss = assumed(piece.specs, "gnss")
+        white = fix_variance(gnss, gnss_markov=False)
+        r, begin = weigh_fixes(fixes, gnss, white, self.options.fix_accuracy), 0
         if self.track is None and len(used):
             first, begin = used[0], max(int(at[used[0]]), 0)
             self.track = FixTrack.begin(

@@ -67,6 +67,7 @@ class Coast(SessionState):
     offset: Kept[FloatArray]  # (6,) variance of what all fixes have in common
     _names: Kept[tuple[str, ...]]
     _accuracy: Kept[FixAccuracy]
+    _gnss: Kept[GnssSpec]  # as assumed
     _total: Kept[FloatArray]  # (6,) variance of a fix
     _white: Kept[FloatArray]  # (6,) its white part
     _antenna_b: Kept[FloatArray]  # (3,) it follows the antenna
@@ -78,7 +79,7 @@ class Coast(SessionState):
 
     def __init__(self, head: SensorData, end: End, names: tuple[str, ...], accuracy: FixAccuracy) -> None:
         self.end, self._names, self._accuracy = end, names, accuracy
-        gnss = assumed(head.specs, "gnss")
+        self._gnss = gnss = assumed(head.specs, "gnss")
         self._total = fix_variance(gnss, gnss_markov=False)
         self._white = np.where(_lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
         self.offset = self._total - self._white
@@ -129,7 +130,7 @@ class Coast(SessionState):
         """Use the first fixes that wait."""
         assert self._fixes is not None
         used, self._fixes = (take_rows(self._fixes, rows) for rows in (slice(count), slice(count, None)))
-        r = np.maximum(weigh_fixes(used, self._total, self._accuracy) - self.offset, self._white)
+        r = np.maximum(weigh_fixes(used, self._gnss, self._total, self._accuracy) - self.offset, self._white)
         self._used = self._used or count > 0
         for k in range(count):
             if self._track is None:

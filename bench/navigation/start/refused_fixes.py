@@ -106,6 +106,6 @@ class RefusedFixes(SessionState):
         fixes = self._fixes.take(inside)
         if len(fixes) < _FEWEST or not np.isfinite(fixes.vel_n).all():
             return False
-        variance = weigh_fixes(fixes, fix_variance(self._gnss, gnss_markov=True), self._accuracy)
+        variance = weigh_fixes(fixes, self._gnss, fix_variance(self._gnss, gnss_markov=True), self._accuracy)
         moved, _ = MovedFixes(self._gnss, _FALSE_ALARM).take(fixes, variance, last=True)
         return not moved.any()
