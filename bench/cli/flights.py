@@ -16,7 +16,7 @@ from bench.cli.group import (
     FiniteRange,
     code_option,
     commands,
-    end_run,
+    end_flight,
     estimator_option,
     force_option,
     guard_options,
@@ -26,8 +26,7 @@ from bench.cli.group import (
     make_guard,
     new_console,
     out_option,
-    recording_option,
-    report_option,
+    results_options,
     seed_option,
     set_option,
     table_option,
@@ -60,11 +59,7 @@ from bench.errors import DONE, NEGATIVE
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
 @json_option("the metrics")
 @table_option
-@recording_option
-@report_option
-@force_option()
-@code_option("profile")
-@guard_options
+@results_options("profile")
 @junit_option
 def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
@@ -98,7 +93,7 @@ def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **opti
     write_findings(junit, result.name, judge_result(result.profile, result.metrics))
     if then_view:
         view_folder(folder, web=False, console=console)
-    return max(end_run(result.metrics), int(bool(result.events.select("crash"))))
+    return end_flight(result)
 
 
 @commands.command(epilog=STATUS)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from bench.evaluation.required_metrics import Finding
+    from bench.run_result import RunResult
 
 _LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
 STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
@@ -189,6 +190,12 @@ def guard_options(function: Callable[..., Any]) -> Callable[..., Any]:
     return run
 
 
+def results_options(file: str) -> Decorator:
+    """Return the options of a verb that runs the filters of this kind of file and writes a results folder."""
+    options = (recording_option, report_option, force_option(), code_option(file), guard_options)
+    return lambda function: functools.reduce(lambda made, one: one(made), reversed(options), function)
+
+
 def estimator_option(which: str) -> Decorator:
     """Return the option -e, which may be repeated: use only these estimators."""
     return click.option(
@@ -270,6 +277,11 @@ def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
         return BUG
     good = all(values["converged"] and values.get("required") != "missed" for values in metrics.values())
     return DONE if good else NEGATIVE
+
+
+def end_flight(result: RunResult) -> int:
+    """Do the same of a flight; one that crashed has status 1 at least."""
+    return max(end_run(result.metrics), NEGATIVE if result.events.select("crash") else DONE)
 
 
 def new_console(*, stderr: bool = False) -> Console:

@@ -11,19 +11,16 @@ from bench.cli import completion
 from bench.cli.group import (
     FILE,
     STATUS,
-    code_option,
     commands,
     end_run,
     estimator_option,
     force_option,
-    guard_options,
     json_option,
     new_console,
     out_option,
     parse_durations,
     rates_option,
-    recording_option,
-    report_option,
+    results_options,
     set_option,
     table_option,
 )
@@ -67,11 +64,7 @@ class _LogCommand(click.Command):
     help="assume the noise of the IMU while it moves if it is larger than that of its datasheet",
 )
 @rates_option
-@recording_option
-@report_option
-@force_option()
-@code_option("log")
-@guard_options
+@results_options("log")
 @set_option
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")

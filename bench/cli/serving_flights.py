@@ -9,21 +9,17 @@ import click
 from bench.cli import completion
 from bench.cli.group import (
     STATUS,
-    code_option,
     commands,
-    end_run,
+    end_flight,
     estimator_option,
-    force_option,
-    guard_options,
     json_option,
     new_console,
     out_option,
-    recording_option,
-    report_option,
+    results_options,
     seed_option,
     set_option,
 )
-from bench.errors import NEGATIVE
+from bench.errors import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)
@@ -54,11 +50,7 @@ from bench.errors import NEGATIVE
 @seed_option
 @click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th noise draw")
 @json_option("the metrics")
-@recording_option
-@report_option
-@force_option()
-@code_option("profile")
-@guard_options
+@results_options("profile")
 def serve(
     profile: str,
     port: int | None,
@@ -102,5 +94,4 @@ def serve(
         from bench.store import to_json
 
         click.echo(to_json(result.metrics), nl=False)
-    status = max(end_run(result.metrics), int(bool(result.events.select("crash"))))
-    return max(status, NEGATIVE) if ended else status
+    return max(end_flight(result), NEGATIVE if ended else DONE)

@@ -267,13 +267,15 @@ class MavlinkSession(ClientSession):
             now.impact = float(impact_pressure(record.airspeed_true[row], pressure, temperature)) / 100.0
 
     def _make_fix(self, data: SensorData, k: int) -> Any:
-        """Return the HIL_GPS of a fix."""
+        """Return the HIL_GPS of a fix; without a velocity it is none, for HIL_GPS has no value for that."""
         fixes = data.fixes
         assert fixes is not None
-        good = bool(fixes.valid[k])
+        good = bool(fixes.valid[k]) and bool(np.isfinite([*fixes.lla[k], *fixes.vel_n[k]]).all())
         lla = fixes.lla[k] if good else np.zeros(3)
         north, east, down = fixes.vel_n[k].tolist() if good else (0.0, 0.0, 0.0)
-        variance = np.diagonal(fixes.cov_pos_n[k]) if good else np.full(3, math.inf)
+        variance = np.diagonal(fixes.cov_pos_n[k])
+        if not (good and (variance >= 0).all()):
+            variance = np.full(3, math.inf)
         accuracy = [math.sqrt(variance[0] + variance[1]), math.sqrt(variance[2])]
         eph, epv = (round(100.0 * min(one, _LARGEST)) for one in accuracy)
         speed, course = math.hypot(north, east), math.degrees(math.atan2(east, north)) % 360.0

@@ -189,25 +189,46 @@ def test_without_a_barometer_the_air_is_that_at_the_height_of_the_start(flown):
     assert not (updated & 0x1A00).any()
 
 
+def talk(data, initial):
+    """Give a record to an autopilot in one turn; return what it was told, by kind."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        autopilot = Autopilot(server.getsockname()[1])
+        options = {"channels": ActuatorChannels(), "truth": False, "alt": 1200.0}
+        session = MavlinkSession(server, Commands(), 0.0, 5.0, **options)
+        session.wait(lambda text: None)
+        session.answer(data, initial, 2.0)
+        session.close("over", good=True)
+    autopilot.join(5.0)
+    return autopilot.told
+
+
 def test_a_sample_of_the_imu_that_does_not_count_is_not_sent(flown):
     """What has arrived meanwhile is told with the next one."""
     data, kept = flown[0].data, np.ones(200, bool)
     kept[90:111] = kept[195:] = False
     increments = (np.where(kept[:, None], one, np.nan) for one in (data.imu.dtheta_b, data.imu.dvel_b))
     imu = replace(data.imu, **dict(zip(("dtheta_b", "dvel_b"), increments, strict=True)), valid=kept)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        autopilot = Autopilot(server.getsockname()[1])
-        options = {"channels": ActuatorChannels(), "truth": False, "alt": 1200.0}
-        session = MavlinkSession(server, Commands(), 0.0, 5.0, **options)
-        session.wait(lambda text: None)
-        session.answer(replace(data, imu=imu), flown[0].initial, 2.0)
-        session.close("over", good=True)
-    autopilot.join(5.0)
-    told = autopilot.told["HIL_SENSOR"]
+    gave = talk(replace(data, imu=imu), flown[0].initial)
+    told = gave["HIL_SENSOR"]
     assert_allclose(times(told, "HIL_SENSOR"), imu.t[kept], atol=1e-6)
     assert np.isfinite(columns(told, "xacc", "ygyro")).all()
     assert told[90].fields_updated & 0x1C0
-    assert len(autopilot.told["HIL_GPS"]) == len(data.fixes.t)
+    assert len(gave["HIL_GPS"]) == len(data.fixes.t)
+
+
+def test_a_fix_that_is_not_whole_is_told_as_none(flown):
+    """HIL_GPS has no value for a velocity that is not known: PX4 would take 0 for one. A position without
+    its covariance is told with the largest that it holds."""
+    sensed, fixes = flown[0], flown[0].data.fixes
+    vel_n, cov, lla = fixes.vel_n.copy(), fixes.cov_pos_n.copy(), fixes.lla.copy()
+    vel_n[0], vel_n[1, 2], lla[2, 0], cov[3, 1, 1] = np.nan, np.nan, np.inf, np.nan
+    data = replace(sensed.data, fixes=replace(fixes, vel_n=vel_n, lla=lla, cov_pos_n=cov))
+    told = talk(data, sensed.initial)["HIL_GPS"]
+    assert len(told) == len(fixes.t)
+    assert [one.fix_type for one in told[:5]] == [0, 0, 0, 3, 3]
+    assert_array_equal(columns(told[:3], "lat", "lon", "vn", "vd", "vel"), 0)
+    assert (told[3].eph, told[3].epv) == (65534, 65534)
+    assert max(told[4].eph, told[4].epv) < 2000
 
 
 class Late(Autopilot):
