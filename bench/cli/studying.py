@@ -24,6 +24,9 @@ from bench.errors import DONE, NEGATIVE, UNDECIDED, ConfigError
 _SHARED = {"overrides": set_option, "seed": seed_option}
 """Options of studies that other verbs have, too."""
 
+_OF_FLIGHTS = {"profiles": "--profiles", "units": "--units", "overrides": "--set", "seed": "--seed"}
+"""Options of studies that fly profiles -> their flags."""
+
 
 class _Studies(click.Group):
     """Makes the command of a study when it is asked for."""
@@ -94,8 +97,20 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
     shared = [key for key in fields if key in _SHARED]
     for key in [*reversed(shared), *(key for key in reversed(fields) if key not in shared)]:
         command = _make_parameter(key, fields[key])(command)
+    for key in _OF_FLIGHTS.keys() - fields.keys():
+        command = _refuse_option(name, _OF_FLIGHTS[key])(command)
     text = f"{question}\n\n{module.__doc__.partition(chr(10))[2].strip()}"
     return click.command(name, help=text, epilog=STATUS)(command)
+
+
+def _refuse_option(study: str, flag: str) -> Callable[[Any], Any]:
+    """Return an option that no help lists, of studies that fly profiles; given to another it ends with why."""
+
+    def refuse(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
+        if value is not None:
+            raise ConfigError(f"study {study}: {flag} is for studies that fly profiles; this one flies none")
+
+    return click.option(flag, expose_value=False, hidden=True, callback=refuse)
 
 
 def _make_parameter(key: str, field: Any) -> Callable[[Any], Any]:

@@ -264,8 +264,8 @@ def _judge_claim(budget: Budget, at: dict[str, int], label: str, refused: int) -
     for words, k in at.items():
         ratio = {q.title: float(q.sd(budget.total[k]) / q.sd(budget.claimed[k])) for q in QUANTITIES}
         worst = max(ratio, key=lambda name: ratio[name])
-        texts.append(f"{ratio[worst]:.3g} times the {worst} it claims at {words}")
-    told = [f"{label} errs by {join_words(texts)}, its worst claims."]
+        texts.append(f"at {words}, its {worst} error is {ratio[worst]:.3g} times what it claims")
+    told = [f"The worst claims of {label}: {'; '.join(texts)}."]
     if refused:
         told.append(
             f"In the recorded run it refused {refused} scalar measurements; the gains are those of the rest."

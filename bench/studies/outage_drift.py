@@ -11,7 +11,7 @@ claims. By grade: the covariance of the 22-state filter on the flight of section
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,10 @@ from bench import pipeline, rotation, store
 from bench.arrays import FloatArray
 from bench.campaigns.worker import fly, get_truth
 from bench.config import load_profile
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorFailedError
 from bench.evaluation.drift_laws import split_drift
+from bench.evaluation.error_series import error_series
+from bench.evaluation.failures import make_failed_solution
 from bench.findings import Findings
 from bench.specs import Profile
 from bench.studies.catalog_units import find_units
@@ -157,17 +159,22 @@ def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
 
 
 def measure_growth(task: _Task) -> FloatArray:
-    """Return (D, 5) of a run: growth north, east, down [m]; horizontal error squared and its claim [m^2]."""
-    truth = get_truth(task.truth_key, task.profile)
-    result = pipeline.run(task.profile, task.run, truth=truth)
-    (label,) = result.metrics
-    errors, solution = result.errors[label], result.solutions[label]
-    loss = task.profile.sensors.gnss_outages[0][0]
-    rows = np.searchsorted(errors.t, np.array([0.0, *task.grid]) + loss + SAME_INSTANT, "right") - 1
-    claimed = np.einsum("kii->ki", solution.cov)[np.searchsorted(solution.t, errors.t[rows] - SAME_INSTANT)]
-    pos = errors.pos_n[rows]
+    """Return (D, 5) of a run: growth north, east, down [m]; horizontal error squared and its claim [m^2].
+
+    NaN if the estimator failed.
+    """
+    profile, truth = task.profile, get_truth(task.truth_key, task.profile)
+    pipeline.check_times(profile, float(truth.t[-1]))
+    sensed = pipeline.sense(profile, truth, task.run)
+    at = profile.sensors.gnss_outages[0][0] + np.array([0.0, *task.grid])
+    try:
+        solution = pipeline.navigate(profile.estimators[0], replace(sensed.data, output_t=at), sensed.initial)
+    except EstimatorFailedError as error:
+        solution = make_failed_solution(at, str(error))
+    pos = error_series(truth, solution).pos_n
     squares = np.square(pos[:, :2]).sum(axis=1)
-    return np.column_stack([pos - pos[0], squares, claimed[:, 0] + claimed[:, 1]])[1:]
+    claimed = solution.cov[:, 0, 0] + solution.cov[:, 1, 1]
+    return np.column_stack([pos - pos[0], squares, claimed])[1:]
 
 
 def find_law(profile: Profile, grid: Sequence[float]) -> dict[str, FloatArray]:

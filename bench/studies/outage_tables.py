@@ -101,19 +101,21 @@ def tell_drifts(
     """Yield drift, time to the limit, what makes it, pairs, claims and lost draws in sentences."""
     near = min(elapsed, key=lambda T: abs(T - 60.0))
     for phase, told in pairs.items():
-        parts, times, made = [], [], []
+        parts, times = [], []
+        made: dict[str, list[str]] = {}
         for unit in units:
             drift = drifts[unit, phase]
             k = int(np.argmin(np.abs(drift.grid - near)))
             known = len(drift.good) > 1
             text = format_estimate(Estimate(*drift.rms[k])) if known else "no two draws"
-            parts.append(f"{unit} {text}, law {format_number(drift.whole_law[k], 3)}")
+            parts.append(f"{unit} {text}, {format_number(drift.whole_law[k], 3)}")
             times.append(f"{unit} {_say_time(drift, limit)}")
             source = max(drift.law, key=lambda name: float(drift.law[name][k]), default="nothing")
-            made.append(f"{unit} {source}")
-        yield f"Drift after {near:g} s without GNSS, {phase} [m]: {'; '.join(parts)}."
+            made.setdefault(source, []).append(unit)
+        yield f"Drift after {near:g} s without GNSS, {phase}, RMS and by the closed form [m]: {'; '.join(parts)}."
         yield f"The drift is {limit:g} m RMS, {phase}, after: {'; '.join(times)}."
-        yield f"By the closed form most of it is made by: {'; '.join(made)}."
+        sources = "; ".join(f"{source} ({', '.join(of)})" for source, of in made.items())
+        yield f"By the closed form most of it comes from: {sources}."
         if told:
             yield f"On the same draws, {phase}: {'; '.join(pair.sentence for pair in told)}."
     yield from _tell_claims(label, drifts, elapsed)

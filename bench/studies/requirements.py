@@ -213,8 +213,8 @@ def _tell(
     for T in at:
         k = int(np.flatnonzero(t == T)[0])
         accel, gyro = (format_number(allowed[name][k]) for name in ("accel", "gyro"))
-        texts.append(f"{T:g} s without GNSS leave {accel} ug or {gyro} deg/h")
-    yield f"For {error:g} m, {'; '.join(texts)}: each alone takes all of it."
+        texts.append(f"{T:g} s without GNSS allow {accel} ug or {gyro} deg/h")
+    yield f"For {error:g} m, {'; '.join(texts)}: each if it is the only error."
     share = 100.0 / math.sqrt(len(options.split))
     words = ", ".join(ERRORS[name].words for name in options.split)
     yield f"If {words} share the variance equally, each may be {share:.0f} % of that (table split)."
@@ -231,7 +231,7 @@ def _tell(
             "the rate of the Earth."
         )
     parts = [f"{unit} {_say(known)} calibrated, {_say(raw)} as turned on" for unit, known, raw in held]
-    yield f"By their datasheets and a perfect start these stay within {error:g} m: {'; '.join(parts)}."
+    yield f"By their datasheets, from a perfect start, these stay within {error:g} m for: {'; '.join(parts)}."
 
 
 def _say(seconds: float | None) -> str:

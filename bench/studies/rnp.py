@@ -420,4 +420,4 @@ def _mean_square(values: FloatArray) -> float:
 
 
 def _tell_more(row: dict[str, Any]) -> str:
-    return "" if row["more_h"] is None else f", {format_number(row['more_h'], 2)} h more would decide"
+    return "" if row["more_h"] is None else f" ({format_number(row['more_h'], 2)} h more would decide)"

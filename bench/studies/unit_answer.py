@@ -220,7 +220,7 @@ def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:
                 rows.append((name, gap, one.key, one.value, ", ".join(one.units), there))
             if not mine:
                 rows.append((name, gap, "", None, "", "zero"))
-    names = ("unit", "absent", "key", "typical", "median_of", "there")
+    names = ("unit", "absent", "key", "typical", "median_of", "basis")
     return make_table("gaps", "Figures that no source states, and what is typical of the class", names, rows)
 
 

@@ -249,6 +249,8 @@ WRONG = [
     (["run", "short.toml", "--set", "x"], "error: Invalid value for '--set': 'x' must be KEY=VALUE"),
     (["run", "short.toml", "--view", "--no-rrd"], "error: --view needs the recording"),
     (["run", "nowhere.toml"], "error: nowhere.toml: no such file"),
+    (["study", "requirements", "--seed", "1"], "error: study requirements: --seed is for studies that fly"),
+    (["study", "alignment", "--units", "x"], "error: study alignment: --units is for studies that fly"),
     (["run", "figure-nine"], "error: no shipped profile 'figure-nine'"),
     (["cache", "--limit", "nan"], "error: Invalid value for '--limit': nan is not a finite number."),
     (["cache", "--limit", "inf"], "error: Invalid value for '--limit': inf is not a finite number."),

@@ -66,7 +66,7 @@ def test_a_gyro_is_allowed_less_where_gravity_is_larger():
 
 def test_the_answer_is_for_one_five_and_ten_minutes(found):
     for seconds, accel, gyro in ((60, 283.4, 2.922), (300, 11.46, 0.02353), (600, 2.967, 0.003003)):
-        assert f"{seconds} s without GNSS leave {accel} ug or {gyro} deg/h" in found.verdicts[0]
+        assert f"{seconds} s without GNSS allow {accel} ug or {gyro} deg/h" in found.verdicts[0]
 
 
 def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, columns):
@@ -82,7 +82,7 @@ def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, colum
 
 def test_the_answer_has_no_power_of_ten():
     found = bench.study("requirements", error_m=2e4, outages_s=[100])
-    assert "100 s without GNSS leave 408400 ug or 2526 deg/h" in found.verdicts[0]
+    assert "100 s without GNSS allow 408400 ug or 2526 deg/h" in found.verdicts[0]
     assert "2532 s: 1600 ug" in found.verdicts[2]
 
 

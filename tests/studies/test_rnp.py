@@ -149,8 +149,8 @@ def test_what_hours_cannot_show_is_undecided_and_says_how_many_would(monkeypatch
     assert words(found)["TSE beyond twice RNP, per hour"] == "undecided"
     assert words(found)["hazardously misleading, per hour, vertical"] == "undecided"
     (text,) = [one for one in found.verdicts if one.startswith("Undecided by 180 flights, 5 h")]
-    assert "TSE beyond twice RNP, per hour, 300000 h more would decide" in text
-    assert "risk of an alert in 15 s, horizontal, 120 h more would decide" in text  # of 29957 operations
+    assert "TSE beyond twice RNP, per hour (300000 h more would decide)" in text
+    assert "risk of an alert in 15 s, horizontal (120 h more would decide)" in text  # of 29957 operations
 
 
 def test_a_total_error_beyond_rnp_misses_it_though_each_part_is_within(monkeypatch):

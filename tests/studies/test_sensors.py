@@ -171,7 +171,7 @@ def test_the_answer_says_if_it_rests_on_figures_that_no_source_states(tmp_path):
     (text,) = [one for one in found.verdicts if "rests on figures" in one]
     assert "full.toml, with zero in their place" in text
     gaps = next(one for one in found.tables if one.name == "gaps").columns
-    rows = list(zip(gaps["unit"], gaps["absent"], gaps["key"], gaps["there"], strict=True))
+    rows = list(zip(gaps["unit"], gaps["absent"], gaps["key"], gaps["basis"], strict=True))
     assert (names[0], "gyro bias instability", "gyro.bias_instability_deg_h", "assumed") in rows
     assert (names[0], "gyro bandwidth", "", "zero") in rows
     same, _ = ask(names, Flights(steady(bare=1.0, full=3.0)))
