@@ -104,7 +104,7 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
 
 
 def _refuse_option(study: str, flag: str) -> Callable[[Any], Any]:
-    """Return an option that no help lists, of studies that fly profiles; given to another it ends with why."""
+    """Return a hidden option that ends with why a study has none of this name."""
 
     def refuse(ctx: click.Context, parameter: click.Parameter, value: Any) -> None:
         if value is not None:

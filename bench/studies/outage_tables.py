@@ -112,7 +112,8 @@ def tell_drifts(
             times.append(f"{unit} {_say_time(drift, limit)}")
             source = max(drift.law, key=lambda name: float(drift.law[name][k]), default="nothing")
             made.setdefault(source, []).append(unit)
-        yield f"Drift after {near:g} s without GNSS, {phase}, RMS and by the closed form [m]: {'; '.join(parts)}."
+        what = f"Drift after {near:g} s without GNSS, {phase}, RMS and by the closed form [m]"
+        yield f"{what}: {'; '.join(parts)}."
         yield f"The drift is {limit:g} m RMS, {phase}, after: {'; '.join(times)}."
         sources = "; ".join(f"{source} ({', '.join(of)})" for source, of in made.items())
         yield f"By the closed form most of it comes from: {sources}."

@@ -131,25 +131,22 @@ def _answer(
     cases = _list_cases(units)
     looks = count_looks(options.draws, options.most_draws)
     flights = _Flights(options, units, profile, work)
-    flights.fly(cases, options.draws)
-    draws = options.draws
-    while True:
+    again = set(units)
+    while flights.fly([case for case in cases if case.unit in again]):
         ranked = {label: flights.rank(label, looks) for label in flights.labels}
         again = {name for one in ranked.values() for name in _list_open(one[0], options.most_draws)}
-        if not again or draws >= options.most_draws:
-            break
-        draws = min(2 * draws, options.most_draws)
-        flights.fly([case for case in cases if case.unit in again], draws)
     for label, (ranking, bare) in ranked.items():
         limits = tuple(_find_limits(options, units, profile, label, ranking, work))
         yield Answer(profile, label, flights.metric(label), flights.required(label), ranking, bare, limits)
 
 
 def _list_open(ranking: Ranking, most: int) -> Iterator[str]:
-    """Yield the units that more draws may decide."""
+    """Yield the units that more draws may decide: of a pair the one with fewer, or both."""
     for pair in ranking.list_open():
         if pair.deciding is not None and pair.deciding <= _FAR * most:
-            yield from (pair.first, pair.second)
+            for name in (pair.first, pair.second):
+                if len(ranking.flown[name].values) == pair.draws:
+                    yield name
     yield from (one.unit for one in ranking.list_undecided())
 
 
@@ -193,20 +190,23 @@ class _Flights:
         """The filters."""
         return list(dict.fromkeys(label for label, _ in self._rows))
 
-    def fly(self, cases: Sequence[UnitCase], draws: int) -> None:
-        """Fly these units up to so many draws; those that are there are not flown again."""
-        begun: dict[int, list[UnitCase]] = {}
+    def fly(self, cases: Sequence[UnitCase]) -> bool:
+        """Fly units for the first time, or draws as many as they have, up to the most; return if any flew."""
+        flown, begun = False, dict[int, list[UnitCase]]()
         for case in cases:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
             begun.setdefault(known, []).append(case)
         for first, here in begun.items():
+            draws = min(2 * first, self._options.most_draws) if first else self._options.draws
             if first >= draws:
                 continue
+            flown = True
             spec = _plan(self._options, (self._profile,), self._units, here, draws)
             found = self._work.campaign(f"units on {self._profile}", spec, first)
             self._document = found.conditions[0]["as_flown"]
             for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):
                 self._rows.setdefault((row["estimator"], here[row["condition"]]), []).append(row)
+        return flown
 
     def required(self, label: str) -> list[Mapping[str, Any]]:
         """Return what the profile and the command require of a filter."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.navigation.models.classic import process_model
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
+from bench.studies.linear_flight import GRADES, LOST, Grade, LinearFlight, make_sigmas, update
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h, accelerometer ug; E at
@@ -19,6 +19,13 @@ TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro d
     "MEMS": ("6.01 3.45 0.063 0.024 0.094 0.505 205.8", "12.6 44.3 226.9 684.8", "11.2 227", 38),
 }
 """As printed; of MEMS what the text below the table gives to more digits."""
+
+FIGURES = {  # deg/sqrt(h), m/s/sqrt(h), deg/h, ug (tables 2.4.1, 2.4.2); at the start tilt and heading, deg
+    "grade-1": (0.0005, 0.009, 0.005, 10.0, 0.1, 0.5),
+    "grade-2": (0.001, 0.01, 0.01, 50.0, 0.1, 0.5),
+    "grade-3": (0.01, 0.02, 0.1, 100.0, 0.1, 0.5),
+    "MEMS": (0.3, 0.1, 10.0, 5000.0, 1.0, 3.0),
+}
 
 PERCENT = {("grade-3", "73.5"): 3.0}
 """What is not within 2 %: our 75.5 m. It hangs on the walk of the accelerometer: 66.9 m without it."""
@@ -35,7 +42,12 @@ def check(grade: str, found: list[float], printed: str) -> None:
 @pytest.fixture(scope="module")
 def flown():
     flight = LinearFlight()
-    return {name: flight.predict_sd(grade, LOST + 600) for name, grade in GRADES.items()}
+    made = {
+        name: Grade(make_sigmas(*figures), tilt * DEG, heading * DEG)
+        for name, (*figures, tilt, heading) in FIGURES.items()
+    }
+    assert made == GRADES
+    return {name: flight.predict_sd(grade, LOST + 600) for name, grade in made.items()}
 
 
 @pytest.mark.parametrize("grade", TABLE)

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
+from bench import pipeline
 from bench.config.listing import PROFILES
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd, split_drift
@@ -95,7 +96,7 @@ def test_units_are_paired_from_the_best_on_and_one_with_a_lost_draw_is_not():
     lost[3] = np.nan
     drifts = {
         ("worse", "straight"): make_drift(2.0 * noise * t),
-        ("best", "straight"): make_drift(noise * t),
+        ("best", "straight"): make_drift(noise * np.where(np.abs(t - 60.0) < 20.0, t, 5.0 * t)),
         ("lost", "straight"): make_drift(0.1 * lost),
     }
     (pair,) = pair_units(drifts, ("worse", "lost", "best"), "straight")
@@ -121,6 +122,13 @@ def test_a_flight_of_ones_own_is_lost_from_its_outage_on(tmp_path):
     assert 60.5 in grid
     with pytest.raises(ConfigError, match=r"survey has no \[\[gnss_outage"):
         outage_drift.make_profile(options, "stim300", "survey", 60.0)
+
+
+@pytest.mark.parametrize("phase", ["turn", "climb"])
+def test_a_phase_lasts_as_long_as_the_outage(phase):
+    profile = outage_drift.make_profile(outage_drift.Options(), "stim300", phase, 10.0)
+    ((_, stop),) = profile.sensors.gnss_outages
+    assert stop < pipeline.fly(profile).t[-1] < stop + 60.0
 
 
 @pytest.fixture(scope="module")

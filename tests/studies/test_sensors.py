@@ -93,20 +93,20 @@ def test_from_cheap_to_dear_a_class_is_on_the_front_only_if_it_is_better(tmp_pat
 
 
 def test_a_unit_that_lost_a_draw_is_never_recommended(tmp_path):
-    names = write(tmp_path, good="consumer", lost="consumer", dear="tactical")
-    whole = steady(good=4.0, lost=1.0, dear=3.0)
+    names = write(tmp_path, good="consumer", lost="consumer", dear="tactical", gone="consumer")
+    whole = steady(good=4.0, lost=1.0, dear=3.0, gone=1.0)
 
     def law(unit, run, filled):
-        return np.nan if (unit, run) == ("lost", 4) else whole(unit, run, filled)
+        return np.nan if (unit, run) == ("lost", 4) or unit == "gone" else whole(unit, run, filled)
 
     found, answer = ask(names, Flights(law))
     assert {Path(step.best.unit).stem for step in answer.ranking.steps} == {"good", "dear"}
     assert not any("lost" in pair.first for step in answer.ranking.steps for pair in step.beside)
     table = next(one for one in found.tables if one.name == "units").columns
-    assert table["verdict"] == ["usable", "not usable", "usable"]
-    assert table["lost"] == [0, 1, 0]
+    assert table["verdict"] == ["usable", "not usable", "usable", "not usable"]
+    assert table["lost"] == [0, 1, 0, 6]
     assert any("not usable on this flight" in one and "lost.toml 1 of 6" in one for one in found.verdicts)
-    assert found.figures[0].series[1].labels == ("lost",)
+    assert found.figures[0].series[1].labels == ("lost",), "of the other no error is known"
 
 
 @pytest.mark.parametrize("size", [0.999, 1.001])
@@ -143,6 +143,21 @@ def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(
     assert max(run for unit, run, _ in flights.flown if unit == "cheap") == 5, "it is missed for certain"
     assert any("80 runs would decide it" in one for one in found.verdicts)
     assert "no unit is shown to meet it" in found.verdicts[0]
+
+
+def test_of_an_undecided_pair_the_unit_with_fewer_draws_flies_again():
+    """A fifth apart. A pair that takes far more draws than the most is left as it is."""
+    draws = np.hypot(*np.random.default_rng(3).standard_normal((2, 2, 12)))
+    one, other = draws[0], 1.2 * draws[0] * np.exp(0.2 * (draws[1] - 1.25))
+
+    def list_open(first, second, most):
+        flown = [UnitFlown("a", "consumer", first), UnitFlown("b", "consumer", second)]
+        return set(unit_table._list_open(rank_units(flown, 0.017), most))
+
+    assert list_open(one[:6], other[:6], 24) == {"a", "b"}
+    assert list_open(one, other[:6], 24) == {"b"}
+    assert list_open(one[:6], other, 24) == {"a"}
+    assert list_open(one[:6], other[:6], 3) == set()
 
 
 def test_where_all_err_the_same_the_imu_does_not_matter(tmp_path):
