@@ -1,8 +1,8 @@
 """What every study costs on its defaults: ``python -m tests.studies.time_all [NAME...]``.
 
 One after the other, each a command as a user types it, with all processors; a line each with its CPU and wall
-seconds and its exit status, and the sum. Kernels and flights come from the caches of the machine, so the first
-time is dearer. `logs` needs recordings and is left out. The exit status is 1 if a study failed.
+seconds and its exit status, and the sum. Kernels and flights come from the caches of the machine, so that the
+first time is dearer. `logs` needs recordings and is left out. The exit status is 1 if a study failed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,7 @@ def time_study(name: str) -> tuple[float, float, int]:
     """Return the CPU and wall times [s] of a study with its workers, and its exit status."""
     command = (sys.executable, "-m", "bench", "study", name, *ARGUMENTS.get(name, ()))
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
-    status = subprocess.run(
-        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, check=False
-    ).returncode
+    status = subprocess.run(command, capture_output=True, check=False).returncode
     wall, after = time.monotonic() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall, status
 
