@@ -11,7 +11,7 @@ from bench.navigation.models.classic import observation_model, process_model
 from bench.navigation.models.classic.extrapolation import Curve, extrapolate
 from bench.navigation.models.classic.process_model import Sigmas
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
-from bench.studies.register_measures import RowFinding
+from bench.studies.register_measures import RowFinding, below, near
 from bench.units import DEG
 
 _GRADE = GRADES["grade-3"]
@@ -34,7 +34,7 @@ def keep_step() -> RowFinding:
             P = Phi @ P @ Phi.T + Q
         sd.append(np.sqrt(np.diag(P)))
     off = float(np.abs(sd[0] / sd[1] - 1.0).max())
-    return RowFinding(f"1 and 0.1 s within {100.0 * off:.2g} %", off < 0.01)
+    return RowFinding(f"1 and 0.1 s within {100.0 * off:.2g} %", (below(off, 0.01),))
 
 
 def draw_consistency(
@@ -67,7 +67,7 @@ def draw_consistency(
 def be_consistent() -> RowFinding:
     """#34: the filter with 22 states over 200 draws of 900 s."""
     nis, nees = draw_consistency(200)
-    return RowFinding(f"NIS {nis:.2f}, NEES {nees:.1f}", abs(nis - 7.0) < 0.1 and abs(nees - 22.0) < 1.5)
+    return RowFinding(f"NIS {nis:.2f}, NEES {nees:.1f}", (near(nis, 7.0, 0.1), near(nees, 22.0, 1.5)))
 
 
 def count_rank() -> RowFinding:
@@ -79,9 +79,8 @@ def count_rank() -> RowFinding:
     S = H @ flight.start(_GRADE) @ H.T + R
     ranks = [int(np.linalg.matrix_rank(one)) for one in (H, R, S)]
     same = float(np.abs(H[7] - (H[3] - H[0])).max())
-    return RowFinding(
-        f"{', '.join(map(str, ranks))} of 8; row 8 is 4 less 1", ranks == [7] * 3 and same == 0.0
-    )
+    checks = (*(near(rank, 7.0, 0.0) for rank in ranks), below(same, 0.0))
+    return RowFinding(f"{', '.join(map(str, ranks))} of 8; row 8 is 4 less 1", checks)
 
 
 def draw_outage(runs: int = 50, known: int = 300, lost: int = 60, seed: int = 7) -> dict[str, float]:
@@ -119,23 +118,24 @@ def go_on() -> RowFinding:
     """#46: a parabola through the estimates, 60 s into an outage, over the INS; and the prediction."""
     found = draw_outage()
     ratio, own = (found[name] / found["ins"] for name in ("parabola", "prediction"))
-    return RowFinding(f"parabola {ratio:.2f}, prediction {own:.2f} of the INS", ratio < 0.3 and own <= ratio)
+    text = f"parabola {ratio:.2f}, prediction {own:.2f} of the INS"
+    return RowFinding(text, (below(ratio, 0.3), below(own, ratio)))
 
 
 def grow() -> RowFinding:
     """#47: growth east in 300 s without GNSS by grade."""
-    texts, off = [], 0.0
+    texts, checks = [], []
     for name, printed in _GROWN.items():
         sd = LinearFlight().predict_sd(GRADES[name], LOST + 300)[:, 0]
         grown = float(np.sqrt(sd[-1] ** 2 - sd[LOST] ** 2))
         texts.append(f"{grown:.3g}")
-        off = max(off, abs(grown / printed - 1.0))
-    return RowFinding(f"{', '.join(texts)} m after 300 s", off < 0.15)
+        checks.append(near(grown, printed, 0.15 * printed))
+    return RowFinding(f"{', '.join(texts)} m after 300 s", tuple(checks))
 
 
 def turn_for_heading() -> RowFinding:
     """#49: heading of grade 3 after an S-turn, and without turns."""
     after = float(LinearFlight().predict_sd(_GRADE, 400)[-1, 8]) / DEG
     straight = float(LinearFlight(turns=False).predict_sd(_GRADE, LOST)[-1, 8]) / DEG
-    holds = abs(after / 0.0075 - 1.0) < 0.02 and abs(straight / 0.31 - 1.0) < 0.02
-    return RowFinding(f"{after:.2g} deg, {straight:.2g} without", holds)
+    checks = (near(after, 0.0075, 1.5e-4), near(straight, 0.31, 6.2e-3))
+    return RowFinding(f"{after:.2g} deg, {straight:.2g} without", checks)

@@ -15,7 +15,7 @@ from bench.evaluation.ensemble import Estimate
 from bench.evaluation.required_performance import JudgedFigure, count_windows
 from bench.specs import EvaluationWindow
 from bench.studies import register_flights, register_proofs, register_rows, rnp
-from bench.studies.register_measures import RowFinding
+from bench.studies.register_measures import Check, RowFinding, below
 from bench.studies.register_rows import ROWS
 from bench.studies.watched_flights import WatchedFlight
 
@@ -34,10 +34,51 @@ def test_every_row_names_a_test_that_exists_or_says_why_it_is_open(row):
         assert f"\ndef {name}(" in (ROOT / path).read_text(encoding="utf-8")
 
 
+INF = math.inf
+LIMITS = {
+    1: [(0, 0.01), (0, 1e-6)],  # m, m/s
+    3: [(0, 0.01)],
+    4: [(0, 0.4), (0.5, 0.7)],
+    5: [(0, 0.02)],  # arcsec, to #7
+    6: [(0, 0.02), (0.05, INF), (0, None)],
+    7: [(0, 0.2)],
+    8: [(0.98, 1.02), (1.97e-4, 2.01e-4)],
+    9: [(0.96 * one, 1.04 * one) for one in (9.60, 2.72, 2.55, 0.196, 0.65, 0.013)],
+    10: [(0.29, 0.31), (44.5, 45.5), (0, 0.33), (15, 21)],
+    11: [(0, 1e-14)],
+    12: [(3.95, 4.05), (2, 3.5)],
+    16: [(11.455, 11.465), (0.023525, 0.023535)],
+    19: [(0, 1e-15)],
+    20: [(0, 0.01)],
+    29: [(156.2, 156.4), (0, 1e-3)],
+    30: [(None, None)] * 2 + [(None, INF)] * 2,
+    31: [(None, None)] * 2 + [(None, INF)] * 2,
+    33: [(0, 1e-9)] * 12,
+    34: [(6.9, 7.1), (20.5, 23.5)],
+    35: [(7, 7)] * 3 + [(0, 0)],
+    41: [(0.9997, 0.9999), (0.0013, 0.0027)],
+    43: [(172.1, 172.3)],
+    46: [(0, 0.3), (0, None)],
+    47: [(0.85 * one, 1.15 * one) for one in (9.2, 10.6, 27.5, 227.0)],
+    49: [(0.98 * one, 1.02 * one) for one in (0.0075, 0.31)],
+    52: [(0, 1e-9)],
+    53: [(0, 1e-11)],
+    54: [(1738.15, 1738.25)],
+    55: [(23.7835, 23.7845)],
+    59: [(3.6, 3.8), *((0.9 * one, 1.1 * one) for one in (1.3e-4, 3.8e-4, 3.7e-5)), *[(0, 4)] * 3],
+    60: [(0, 1)],
+}
+"""Row -> between what its numbers must lie by the register; None: what is found tells."""
+
+
 @pytest.mark.parametrize("row", [row for row in ROWS if row.measure], ids=lambda row: str(row.number))
 def test_what_takes_seconds_is_computed_and_holds(row):
     found = row.measure()
     assert found.holds, found.ours
+    for one, limits in zip(found.checks, LIMITS[row.number], strict=True):
+        for end, wanted in zip(one[1:], limits, strict=True):
+            assert wanted is None or end == pytest.approx(wanted, rel=1e-6, abs=0.0)
+    assert not RowFinding("", (*found.checks, Check(math.nan, 0.0, 1.0))).holds
 
 
 def watch_by_hand(run, alerts=0):
@@ -83,7 +124,7 @@ def test_seconds_are_counted():
 
 def test_a_row_that_does_not_hold_is_said(monkeypatch):
     rows = (
-        ROWS[53]._replace(measure=lambda: RowFinding("1745.3 m", holds=False)),
+        ROWS[53]._replace(measure=lambda: RowFinding("1745.3 m", (below(1745.3, 1738.25),))),
         ROWS[41],
         ROWS[16]._replace(test="", open_because="nobody"),
     )
