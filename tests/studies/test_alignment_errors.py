@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -52,6 +54,44 @@ def test_53_the_integral_is_the_difference_of_two_integrations(found):
     assert table["apart_arcsec"].max() < 1e-4 * table["exact_arcsec"].max()
     assert table["exact_arcsec"][-1] > 5.0
     assert (np.diff(table["exact_arcsec"]) > 0).all()
+
+
+def test_53_the_turn_is_that_of_a_constant_error_along_a_turning_body(found):
+    """By hand: along the axis of the turn the error grows with time, across it as a chord of the turn."""
+    table, turn = columns(found, "quaternion"), np.array([0.05, -0.02, 0.1])
+    rate, error = np.linalg.norm(turn), np.full(3, np.deg2rad(0.01) / 3600.0)
+    along = error @ turn / rate
+    across = np.linalg.norm(error - along * turn / rate)
+    t = table["t_s"]
+    assert t[-1] == pytest.approx(600.0)
+    size = np.hypot(along * t, across * 2.0 * np.sin(0.5 * rate * t) / rate)
+    assert_allclose(table["exact_arcsec"], np.rad2deg(size) * 3600.0, atol=1e-3)
+
+
+def test_the_words_and_pictures_are_those_of_the_tables(found):
+    def digits(text):
+        return [float(one) for one in re.findall(r"\d+(?:\.\d+)?(?:e-\d+)?", text)]
+
+    course, quaternion, vectors = (columns(found, name) for name in ("course", "quaternion", "vectors"))
+    sizes = {
+        name: np.linalg.norm([course[f"{name}_{k}_arcsec"] for k in "123"], axis=0)
+        for name in ("alpha", "delta_u")
+    }
+    leg, along, turned, told, _ = found.verdicts
+    assert leg.startswith("0.1 deg of heading lead across track: 50 km 87.27 m, 100 km 174.5 m,")
+    expected = [1200.0, 0.01, *sizes["alpha"][[0, -1]], sizes["delta_u"][-1]]
+    assert_allclose(digits(along)[:5], expected, rtol=1e-3)
+    end = [quaternion[name][-1] for name in ("integral_arcsec", "t_s", "exact_arcsec")]
+    assert_allclose(digits(turned)[:3], end, rtol=1e-3)
+    rows = np.column_stack([vectors[name][1:] for name in ("angle_deg", "largest_mrad", "drawn_mrad")])
+    assert_allclose(digits(told), rows.astype(float).ravel(), rtol=6e-3)
+    plots = {plot.path[1]: plot for plot in found.findings.figures}
+    for name, key in (("alpha", "alpha"), ("delta", "delta"), ("delta_u", "delta-u")):
+        for k, line in enumerate(plots[key].series, 1):
+            drawn = np.interp(course["t_s"], line.t, np.ravel(line.values))
+            assert_allclose(drawn, course[f"{name}_{k}_arcsec"], atol=1e-9)
+    (route,) = plots["route"].series
+    assert np.interp(1000.0, route.t, np.ravel(route.values)) == pytest.approx(1738.2, rel=1e-3)
 
 
 def test_59_two_vectors_tell_the_attitude_as_their_angle_allows(found):

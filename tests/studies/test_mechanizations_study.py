@@ -10,10 +10,12 @@ import bench
 from bench.navigation.register.mechanizations.accelerometers import drift_by_angular_acceleration
 from bench.studies.mechanization_costs import (
     acceleration_error,
+    coning_drift,
     gravity_error,
     radii_error,
     simulate_accelerometers,
 )
+from bench.units import STANDARD_GRAVITY
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,64 @@ def test_every_algorithm_has_a_row(found):
     slow = np.array([rates == "100/50/10" for rates in frames["rates_hz"]])
     position = np.array(frames["position_m"])
     assert position[lead & slow].sum() < 0.2 * position[~lead & slow].sum()
+
+
+@pytest.mark.parametrize(("rate", "half", "cone"), [(100, 0.1, 20.0), (400, 0.2, 20.0), (200, 0.1, 45.0)])
+def test_9_one_increment_in_a_step_drifts_as_the_closed_form(rate, half, cone):
+    """Half the square of the half angle times the frequency, less what the sums see of it: 1 - sin x / x."""
+    w = 2.0 * np.pi * cone
+    expected = 0.5 * np.deg2rad(half) ** 2 * w * (1.0 - np.sinc(w / rate / np.pi))
+    found = np.deg2rad(coning_drift(rate, 1, "two-quaternions", half, cone)) / 3600.0
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_the_words_and_pictures_are_those_of_the_tables(found):
+    attitudes, frames, alone = (
+        found.tables[name].columns for name in ("attitudes", "frames", "accelerometers")
+    )
+    ends = attitudes["attitude_arcsec"]
+    assert f"off by {min(ends):.2g} arcsec" in found.verdicts[0]
+    assert f"and by {max(ends):.2g} with" in found.verdicts[0]
+    plots = {
+        plot.path[1]: {one.key: np.ravel(one.values) for one in plot.series}
+        for plot in found.findings.figures
+    }
+    for name, samples, off in zip(
+        attitudes["attitude"], attitudes["samples"], attitudes["position_m"], strict=True
+    ):
+        if samples == 1:
+            assert plots["growth"][name][-1] == pytest.approx(off)
+    cones = dict(
+        zip(
+            zip(attitudes["attitude"], attitudes["samples"], strict=True),
+            attitudes["coning_100_hz_deg_h"],
+            strict=True,
+        )
+    )
+    assert plots["coning"]["sum"] == pytest.approx(cones["two-quaternions", 1])
+    assert plots["coning"]["vector, 3"] == pytest.approx(cones["rotation-vector", 3])
+    rows = list(zip(*(frames[name] for name in ("frame", "lead", "rates_hz", "position_m")), strict=True))
+    for name in ("nhe", "ecef", "inertial"):
+        for lead in (True, False):
+            offs = [off for one, ahead, _, off in rows if (one, ahead) == (name, lead)]
+            assert plots["rates"][f"{name}{'' if lead else ', lagging'}"] == pytest.approx(offs[::-1])
+    assert [one for name, lead, one, _ in rows if (name, lead) == ("nhe", True)] == [
+        "100/100/100",
+        "100/50/10",
+        "100/10/1",
+    ]
+    assert (rows[0][0], rows[0][2]) == ("ned", "100/100/100")
+    error = 1e-5 * STANDARD_GRAVITY / np.array([0.5, 1.0])  # 10 ug over the base
+    assert_allclose(alone["level_lost_s"], np.sqrt(0.2 / error))
+    for T in (10.0, 60.0):
+        assert_allclose(alone[f"position_{T:g}_s_m"], STANDARD_GRAVITY * error * T**4 / 24.0, rtol=2e-3)
+    assert_allclose(
+        alone["position_then_m"], STANDARD_GRAVITY / 24.0 * error * np.square(0.2 / error), rtol=1e-3
+    )
+    strapdown = next(one for one in found.findings.figures if one.path[1] == "accelerometers").series[-1]
+    assert_allclose(
+        np.ravel(strapdown.values)[:5], STANDARD_GRAVITY * error[1] * strapdown.t[:5] ** 4 / 24.0, rtol=0.01
+    )
 
 
 def test_series_are_as_good_as_the_register_says():
