@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -175,6 +176,27 @@ def test_names_of_dots_and_places_and_what_is_undecided_are_read_back(tmp_path):
 def test_an_unknown_study_names_the_known():
     with pytest.raises(ConfigError, match="Did you mean 'requirements'"):
         bench.study("requirement")
+
+
+DEFAULTS = {
+    "requirements": "error_m 5 outages_s 10,30,60,100,120,180,300,600,900,1800,2532,3600 lat_deg 45",
+    "outages": "outages_s 10,30,60,120,300,600 error_m 5",
+    "alignment": "heading_deg .1 lengths_km 50,100,300,1000,3000 cross_track_m 1000 lat_deg 45 course_deg 50 "
+    "speed_mps 200 duration_s 5000 gyro_deg_h .01 angles_deg 0,1,10,57.6,90 position_m 11.2 "
+    "velocity_mps .0707 range_km 316",
+    "mechanizations": "coning_deg .1 coning_hz 20 bases_m .2,.5,1 accel_bias_ug 10",
+    "rnp": "rnp_nm .3 vertical_limit_m 50 time_to_alert_s 10 continuity_s 15 availability .95 "
+    "false_alarm 3.33e-7 missed 1e-3",
+}
+"""What a study takes where nothing is asked."""
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_what_is_taken_where_nothing_is_asked(name):
+    words = DEFAULTS[name].split()
+    fields = import_module(STUDIES[name].module).Options.model_fields
+    for key, text in zip(words[::2], words[1::2], strict=True):
+        assert np.ravel(fields[key].default).tolist() == [float(one) for one in text.split(",")], key
 
 
 @pytest.mark.parametrize("name", STUDIES)
