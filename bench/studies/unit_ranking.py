@@ -80,6 +80,7 @@ class Ranking:
 
     steps: tuple[ClassStep, ...]
     flown: Mapping[str, UnitFlown] = field(default_factory=dict)  # by unit
+    alike: bool = False  # the unit does not matter: all usable ones are shown to err by the same
 
     @property
     def front(self) -> tuple[ClassStep, ...]:
@@ -96,11 +97,6 @@ class Ranking:
         """The largest over the smallest error of usable units; infinite of fewer than two."""
         found = [one.rms.value for one in self.flown.values() if not one.lost and one.rms]
         return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else math.inf
-
-    @property
-    def alike(self) -> bool:
-        """Whether the unit does not matter: the errors of all usable units are the same."""
-        return self.spread <= 1.0 + SAME
 
     def list_open(self) -> list[PairedRatio]:
         """Return the pairs that more draws would tell, of classes that pay or may."""
@@ -143,7 +139,14 @@ def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
         gain = None if best is None else _compare(top, best, share)
         steps.append(ClassStep(grade, top, beside, gain))
         best = min((one for one in (best, *usable) if one is not None), key=_measure)
-    return Ranking(tuple(steps), {one.unit: one for one in flown})
+    return Ranking(tuple(steps), {one.unit: one for one in flown}, _are_alike(flown, error))
+
+
+def _are_alike(flown: Sequence[UnitFlown], error: float) -> bool:
+    """Return whether no usable unit may err by more than `SAME` over the best, by the interval of its ratio."""
+    usable = sorted((one for one in flown if not one.lost and len(one.values) >= _LEAST), key=_measure)
+    ratios = [_compare(one, usable[0], error / len(usable)).ratio for one in usable[1:]]
+    return bool(ratios) and all(one.high <= 1.0 + SAME for one in ratios)
 
 
 def _measure(one: UnitFlown) -> float:

@@ -169,6 +169,15 @@ def test_where_all_err_the_same_the_imu_does_not_matter(tmp_path):
     assert not lone.ranking.alike
     _, other = ask(names, Flights(steady(a=1.1, b=1.0, c=1.0)))
     assert not other.ranking.alike
+    noise = np.random.default_rng(2).uniform(0.7, 1.3, (2, 24))
+    (noisy,) = unit_table._answer(
+        Options(units=names[:2]),
+        find_units("sensors", names[:2]),
+        "gnss-denied-leg",
+        Flights(lambda unit, run, filled: float(noise["ab".index(unit), run])),
+    )
+    assert noisy.ranking.spread < 1.05, "so few draws do not show it"
+    assert not noisy.ranking.alike
 
 
 def test_the_answer_says_if_it_rests_on_figures_that_no_source_states(tmp_path):
