@@ -143,7 +143,7 @@ def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
 
 
 def _are_alike(flown: Sequence[UnitFlown], error: float) -> bool:
-    """Return whether no usable unit may err by more than `SAME` over the best, by the interval of its ratio."""
+    """Return whether no usable unit may err by more than `SAME` over the best: the ends of the ratios."""
     usable = sorted((one for one in flown if not one.lost and len(one.values) >= _LEAST), key=_measure)
     ratios = [_compare(one, usable[0], error / len(usable)).ratio for one in usable[1:]]
     return bool(ratios) and all(one.high <= 1.0 + SAME for one in ratios)
