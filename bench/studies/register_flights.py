@@ -18,7 +18,7 @@ from bench.navigation.engine.record_cuts import take_piece
 from bench.navigation.open_filters import PieceFilter
 from bench.specs import Profile
 from bench.studies import rnp
-from bench.studies.register_measures import Check, RowFinding, below
+from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.study import StudyWorkers
 from bench.studies.watched_flights import WatchedFlight
 from bench.units import HOUR, STANDARD_GRAVITY
@@ -82,10 +82,10 @@ def step_of_2_g() -> RowFinding:
     return RowFinding(text, _check_nis(whole, behind))
 
 
-def _check_nis(right: Mapping[str, MeanNis], wrong: Mapping[str, MeanNis]) -> tuple[Check, ...]:
+def _check_nis(right: Mapping[str, MeanNis], wrong: Mapping[str, MeanNis]) -> tuple[Bounded, ...]:
     """Return that the fixes of a filter are in the band, and those of one that is told wrong above it."""
-    inside = (Check(right[name].mean, right[name].low, right[name].high) for name in _FIXES)
-    return (*inside, *(Check(wrong[name].mean, wrong[name].high, math.inf) for name in _FIXES))
+    inside = (Bounded(right[name].mean, right[name].low, right[name].high) for name in _FIXES)
+    return (*inside, *(Bounded(wrong[name].mean, wrong[name].high, math.inf) for name in _FIXES))
 
 
 def _tell_nis(found: Mapping[str, MeanNis]) -> str:

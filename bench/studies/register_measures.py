@@ -32,7 +32,7 @@ from bench.units import DEG, HOUR, STANDARD_GRAVITY
 _ARCSEC = DEG / 3600
 
 
-class Check(NamedTuple):
+class Bounded(NamedTuple):
     """A number that must lie between two others."""
 
     value: float
@@ -45,21 +45,21 @@ class Check(NamedTuple):
         return self.low <= self.value <= self.high
 
 
-def below(value: float, most: float) -> Check:
+def below(value: float, most: float) -> Bounded:
     """Return that a size is at most so large."""
-    return Check(value, 0.0, most)
+    return Bounded(value, 0.0, most)
 
 
-def near(value: float, wanted: float, within: float) -> Check:
+def near(value: float, wanted: float, within: float) -> Bounded:
     """Return that a number is the one that is wanted, within so much."""
-    return Check(value, wanted - within, wanted + within)
+    return Bounded(value, wanted - within, wanted + within)
 
 
 class RowFinding(NamedTuple):
     """What the bench finds for a row."""
 
     ours: str
-    checks: tuple[Check, ...]
+    checks: tuple[Bounded, ...]
 
     @property
     def holds(self) -> bool:
@@ -136,7 +136,7 @@ def fly_euler() -> RowFinding:
             body.step((x, y, z), (0.0, 0.0, 0.0))
         lost.append(float(np.linalg.norm(rotation.to_rotvec(rotation.from_matrix(body.C @ true.T)))) / DEG)
     text = f"{level.ours}; past 90 deg {lost[0]:.2g} deg, guarded {lost[1]:.1g}"
-    return RowFinding(text, (*level.checks, Check(lost[0], 0.05, math.inf), below(lost[1], lost[0] / 30.0)))
+    return RowFinding(text, (*level.checks, Bounded(lost[0], 0.05, math.inf), below(lost[1], lost[0] / 30.0)))
 
 
 def take_picard_step() -> RowFinding:
@@ -165,7 +165,7 @@ def expand_series() -> RowFinding:
     """#10: errors of the series."""
     long, short = radii_error("long"), radii_error("short", 0.0)
     fine, simple = gravity_error("fine"), gravity_error("simple")
-    checks = (near(long, 0.3, 0.01), near(short, 45.0, 0.5), below(fine, 0.33), Check(simple, 15.0, 21.0))
+    checks = (near(long, 0.3, 0.01), near(short, 45.0, 0.5), below(fine, 0.33), Bounded(simple, 15.0, 21.0))
     return RowFinding(f"{long:.2g} ppm, {short:.0f} ppm; {fine:.2g} ug, {simple:.0f} ug", checks)
 
 
@@ -183,7 +183,7 @@ def drift_without_gyros() -> RowFinding:
     early, late = simulate_accelerometers(np.array([30.0, 60.0, 1800.0, 3600.0])).reshape(2, 2)
     first, last = (math.log2(pair[1] / pair[0]) for pair in (early, late))
     text = f"t^{first:.2f} to 60 s, t^{last:.2f} to 1 h"
-    return RowFinding(text, (near(first, 4.0, 0.05), Check(last, 2.0, 3.5)))
+    return RowFinding(text, (near(first, 4.0, 0.05), Bounded(last, 2.0, 3.5)))
 
 
 def require() -> RowFinding:

@@ -15,7 +15,7 @@ from bench.evaluation.ensemble import Estimate
 from bench.evaluation.required_performance import JudgedFigure, count_windows
 from bench.specs import EvaluationWindow
 from bench.studies import register_flights, register_proofs, register_rows, rnp
-from bench.studies.register_measures import Check, RowFinding, below
+from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.register_rows import ROWS
 from bench.studies.watched_flights import WatchedFlight
 
@@ -78,7 +78,7 @@ def test_what_takes_seconds_is_computed_and_holds(row):
     for one, limits in zip(found.checks, LIMITS[row.number], strict=True):
         for end, wanted in zip(one[1:], limits, strict=True):
             assert wanted is None or end == pytest.approx(wanted, rel=1e-6, abs=0.0)
-    assert not RowFinding("", (*found.checks, Check(math.nan, 0.0, 1.0))).holds
+    assert not RowFinding("", (*found.checks, Bounded(math.nan, 0.0, 1.0))).holds
 
 
 def watch_by_hand(run, alerts=0):
