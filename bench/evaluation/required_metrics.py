@@ -67,7 +67,7 @@ def judge_run(label: str, values: Values, rows: Sequence[Mapping[str, Any]]) -> 
         shown = "has no value" if value is None else f"is {_show(row, value)}"
         if not values.get("converged", True):
             shown += " in a run that did not converge"
-        text = f"{label}: {row['metric']} {shown}, {_describe(row)} is required: {word}."
+        text = f"{label}: {row['metric']} {shown}, {describe_limit(row)} is required: {word}."
         found.append(Finding(label, row["metric"], word, text))
     return found
 
@@ -92,7 +92,7 @@ def judge_runs(
         held = _bound(count, n, looks)
         word = decide(count, n, share, looks)
         text = (
-            f"{label}: {row['metric']} is {_describe(row)} in {count} of {n} runs, "
+            f"{label}: {row['metric']} is {describe_limit(row)} in {count} of {n} runs, "
             f"{100 * held.low:.3g} to {100 * held.high:.3g} % of all, {100 * share:g} % are required: {word}"
         )
         if word == UNDECIDED:
@@ -151,7 +151,8 @@ def _keeps(row: Mapping[str, Any], values: Values) -> bool:
     return bool(value <= row.get("most", math.inf) and value >= row.get("least", -math.inf))
 
 
-def _describe(row: Mapping[str, Any]) -> str:
+def describe_limit(row: Mapping[str, Any]) -> str:
+    """Return the limit of a requirement in words, as "at most 12 m"."""
     word = "most" if "most" in row else "least"
     return f"at {word} {_show(row, float(row[word]))}"
 

@@ -10,14 +10,13 @@ import numpy as np
 
 from bench.evaluation.ensemble import estimate_quantile
 from bench.evaluation.metrics import find_metric
-from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED
+from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED, describe_limit
 from bench.findings import FindingTable, make_table, series
 from bench.findings.series import Plot, Series
 from bench.studies.catalog_units import CLASSES, CatalogImu
 from bench.studies.study import format_estimate
 from bench.studies.unit_limits import VarianceShares
 from bench.studies.unit_ranking import ClassStep, Ranking, UnitFlown
-from bench.wording import format_number
 
 
 @dataclass(frozen=True)
@@ -37,6 +36,12 @@ class Answer:
         """Whether every unit misses what is required, or is not usable."""
         words = {one.verdict for one in self.ranking.flown.values()}
         return bool(self.required) and not words & {MET, UNDECIDED}
+
+    @property
+    def undecided(self) -> bool:
+        """Whether a cheaper class may meet what is required, or none is shown to and not all miss it."""
+        none = self.ranking.recommended is None and not self.missed
+        return none or bool(self.ranking.list_undecided())
 
     @property
     def unit_of_metric(self) -> str:
@@ -124,8 +129,7 @@ def _tell_pair(step: ClassStep) -> str:
 def _tell_required(answer: Answer) -> Iterator[str]:
     ranking = answer.ranking
     asked = " and ".join(
-        f"{row['metric']} at {'most' if 'most' in row else 'least'} "
-        f"{format_number(row.get('most', row.get('least')))} in {100.0 * row['share']:g} % of the runs"
+        f"{row['metric']} {describe_limit(row)} in {100.0 * row['share']:g} % of the runs"
         for row in answer.required
     )
     found = ranking.recommended
@@ -135,9 +139,12 @@ def _tell_required(answer: Answer) -> Iterator[str]:
     else:
         margin = find_margin(found.best, answer.required, answer.metric)
         shown = f", margin {margin:.2g}" if margin else ""
+        open_ones = ", ".join(one.unit for one in ranking.list_undecided())
+        meets = "is shown to meet" if open_ones else "meets"
+        maybe = f"; undecided of cheaper classes: {open_ones}" if open_ones else ""
         yield (
-            f"{answer.where}: required is {asked}; the cheapest class that meets it is {found.grade}: "
-            f"{found.best.unit}{shown}."
+            f"{answer.where}: required is {asked}; the cheapest class that {meets} it is {found.grade}: "
+            f"{found.best.unit}{shown}{maybe}."
         )
     for one in ranking.list_undecided():
         yield from (

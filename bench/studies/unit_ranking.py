@@ -105,13 +105,13 @@ class Ranking:
         return [pair for pair in pairs if pair.word == "undecided" and pair.deciding is not None]
 
     def list_undecided(self) -> list[UnitFlown]:
-        """Return the units that may meet what is required, of classes up to the cheapest that does."""
+        """Return the units that may meet what is required, of classes below the cheapest that does."""
         found = self.recommended
         top = len(CLASSES) if found is None else CLASSES.index(found.grade)
         return [
             one
             for one in self.flown.values()
-            if one.verdict == UNDECIDED and one.grade in CLASSES and CLASSES.index(one.grade) <= top
+            if one.verdict == UNDECIDED and one.grade in CLASSES and CLASSES.index(one.grade) < top
         ]
 
 

@@ -91,7 +91,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         figures=tuple(plot for one in answers for plot in draw_units(one, units)),
         draws=options.draws,
         good=not any(one.missed for one in asked),
-        undecided=any(one.ranking.recommended is None and not one.missed for one in asked),
+        undecided=any(one.undecided for one in asked),
     )
 
 

@@ -145,6 +145,23 @@ def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(
     assert "no unit is shown to meet it" in found.verdicts[0]
 
 
+def test_a_cheaper_class_that_may_meet_is_not_passed_over_in_silence(tmp_path):
+    """Eight draws do not decide of a unit that keeps the limit in half of them; the dear one keeps it."""
+    names = write(tmp_path, cheap="consumer", dear="industrial", beside="industrial")
+    document = {"requirement": [{"metric": METRIC, "most": 12.0, "share": 0.5}]}
+    sizes = {"dear": 5.0, "beside": 6.0}
+    flights = Flights(lambda unit, run, filled: sizes.get(unit, 10.0 + 4.0 * (run % 2)), document)
+    found, answer = ask(names, flights, draws=8, most_draws=8)
+    assert (found.good, found.undecided, answer.undecided) == (True, True, True)
+    assert (
+        "at most 12 m in 50 % of the runs; the cheapest class that is shown to meet it" in found.verdicts[0]
+    )
+    assert "undecided of cheaper classes: " + names[0] in found.verdicts[0]
+    found, answer = ask(names[1:], flights, draws=8, most_draws=8)
+    assert (found.good, found.undecided) == (True, False)
+    assert "the cheapest class that meets it is industrial" in found.verdicts[0]
+
+
 def test_of_an_undecided_pair_the_unit_with_fewer_draws_flies_again():
     """A fifth apart. A pair that takes far more draws than the most is left as it is."""
     draws = np.hypot(*np.random.default_rng(3).standard_normal((2, 2, 12)))
