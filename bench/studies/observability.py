@@ -166,9 +166,9 @@ def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list
             f"On {name} there is no turn: the heading goes from {heading[0]:.3g} to {heading[-1]:.3g} deg."
         )
     told += [
-        f"{when.capitalize()} ({seen.t[k]:g} s), {100.0 * seen.left[k, -1]:.0f} % is left along "
-        f"{describe_direction(seen.directions[k][:, -1])}; condition "
-        f"{seen.left[k, -1] / seen.left[k, 0]:.0f}."
+        f"{when.capitalize()} ({seen.t[k]:g} s) least is told of "
+        f"{describe_direction(seen.directions[k][:, -1])}: {100.0 * seen.left[k, -1]:.0f} % of its "
+        f"uncertainty at the start; condition {seen.left[k, -1] / seen.left[k, 0]:.0f}."
         for when, k in at.items()
     ]
     return told
@@ -210,10 +210,8 @@ def _tell_reference(table: FindingTable) -> list[str]:
     texts = []
     for name in _SHOWN:
         before, after, _, straight = rows[name]
-        texts.append(
-            f"{name} from {before:.2g} to {after:.2g} deg, where straight flight ends at {straight:.2g} deg"
-        )
-    return [f"Heading needs turns: an S-turn of the reference flight takes it, {'; '.join(texts)}."]
+        texts.append(f"{name} from {before:.2g} to {after:.2g} deg ({straight:.2g} in straight flight)")
+    return [f"Heading needs turns: an S-turn of the reference flight takes that of {', '.join(texts)}."]
 
 
 def _plot(seen: Observed, turning: BoolArray) -> list[Plot]:

@@ -210,6 +210,19 @@ def test_the_observability_of_a_short_flight(flight):
     ratio = np.divide(directions["left_percent"], directions["best_percent"])
     assert_allclose(directions["condition"], ratio)
     assert (ratio > 1.0).all()
+    left = [100.0 * phases["heading_after_deg"][k] / heading[k] for k in (1, 2)]
+    told = "A turn leaves {:.0f} % of the heading uncertainty, straight flight after it {:.0f} %".format(
+        *left
+    )
+    assert found.verdicts[1].startswith(told)
+    keys = ("least_observable", "left_percent", "condition")
+    rows = zip(found.verdicts[2:-1], *(directions[key] for key in keys), strict=True)
+    for text, name, percent, condition in rows:
+        said = f"{name}: {percent:.0f} % of its uncertainty at the start; condition {condition:.0f}."
+        assert text.endswith(said)
+    assert (
+        "takes that of grade-3 from 0.41 to 0.0075 deg (0.31 in straight flight), MEMS" in found.verdicts[-1]
+    )
     grade, *columns = found.tables["reference"].columns.values()
     for name, printed in {"grade-3": (0.42, 0.0075, 0.0084, 0.31), "MEMS": (3.06, 0.079, 0.094, 4.9)}.items():
         assert_allclose([column[list(grade).index(name)] for column in columns], printed, rtol=0.03)

@@ -69,6 +69,16 @@ def test_the_answer_is_for_one_five_and_ten_minutes(found):
         assert f"{seconds} s without GNSS allow {accel} ug or {gyro} deg/h" in found.verdicts[0]
 
 
+def test_the_answer_says_how_well_closed_form_and_strapdown_agree(found, columns):
+    pairs = (("accel_ug", "accel_simulated_ug"), ("gyro_deg_h", "gyro_simulated_deg_h"))
+    off = 100.0 * np.max([np.abs(np.divide(columns[b], columns[a]) - 1.0) for a, b in pairs], axis=0)
+    t = np.array(columns["outage_s"])
+    near = off[(t >= 60.0) & (t <= 600.0)].max()
+    assert (
+        f"within {near:.2g} % from 60 to 600 s, and within {off.max():.2g} % everywhere" in found.verdicts[3]
+    )
+
+
 def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, columns):
     assert len(found.figures) == 2
     for figure, limit in zip(found.figures.values(), ("accel_ug", "gyro_deg_h"), strict=True):
