@@ -99,10 +99,10 @@ class Ranking:
         return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else math.inf
 
     def list_open(self) -> list[PairedRatio]:
-        """Return the pairs that more draws would tell, of classes that pay or may."""
+        """Return the pairs that are undecided, of classes that pay or may."""
         gains = [step.gain for step in self.steps if step.gain is not None]
         pairs = [*gains, *(pair for step in self.front for pair in step.beside)]
-        return [pair for pair in pairs if pair.word == "undecided" and pair.deciding is not None]
+        return [pair for pair in pairs if pair.word == "undecided"]
 
     def list_undecided(self) -> list[UnitFlown]:
         """Return the units that may meet what is required, of classes below the cheapest that does."""
