@@ -1,110 +1,176 @@
-// Cursor values, zoom that all plots share, and tables sorted by a click. The page is complete without it.
+// Plots that move, legends that switch lines off, tables sorted and filtered. The page is complete without it:
+// each drawing stays for print, and the lines of a plot are read back from the paths of its drawing.
 "use strict";
-const areas = [...document.querySelectorAll("svg.area")].map((svg) => {
-  const [t0, t1, low, high] = svg.dataset.edges.split(" ").map(Number);
-  const box = svg.viewBox.baseVal;
-  const { unit, log } = svg.dataset;
-  return { svg, t0, t1, low, high, unit, log, width: box.width, height: box.height, lines: null };
-});
-const cursor = document.getElementById("cursor");
-const toValue = (area, axis, x) => area.log.includes(axis) ? 10 ** x : x;
+const FONT = "11px system-ui, sans-serif", cursor = document.getElementById("cursor");
 const short = (x) => String(Number(x.toPrecision(4))).replace("-", "−");
+const colourOf = (path) => { const style = getComputedStyle(path); return path.matches(".band") ? style.fill : style.stroke; };
+const inkOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
+const off = new Set(), views = new Map(), charts = [];
 
-// The points of each line, read back from its path: [[x, y], ...] in steps.
-function readLines(area) {
-  if (area.lines) return area.lines;
-  const keys = [...area.svg.closest("figure").querySelectorAll(".legend .key")];
-  area.lines = [...area.svg.querySelectorAll("path.line")].map((path) => {
-    const points = [];
-    for (const run of path.getAttribute("d").split("M").slice(1)) {
-      const n = run.match(/-?\d+/g).map(Number);
-      let [x, y] = n;
-      points.push([x, y]);
-      if (run.includes("h")) continue;
-      for (let k = 2; k < n.length; k += 2) points.push([(x += n[k]), (y += n[k + 1])]);
-    }
-    const colour = path.style.getPropertyValue("--c");
-    const key = keys.find((one) => one.firstChild.style.getPropertyValue("--c") === colour && one.firstChild.className === path.getAttribute("class"));
-    return { points, name: key ? key.textContent : "" };
+// Runs of points of a path in steps, [[[x, y], ...], ...]; a stroke of dots becomes the dots.
+function readRuns(path) {
+  const dots = path.matches(".dots");
+  return path.getAttribute("d").split(/[ML]/).slice(1).map((run) => {
+    const n = run.match(/-?\d+/g).map(Number), points = [[n[0], n[1]]];
+    if (dots) for (let y = n[1] + 30; y <= n[1] + n[2]; y += 30) points.push([n[0], y]);
+    else if (!run.includes("h")) for (let k = 2; k < n.length; k += 2) points.push([points.at(-1)[0] + n[k], points.at(-1)[1] + n[k + 1]]);
+    return points;
   });
-  return area.lines;
 }
 
-function findValue(points, x) {
-  let a = 0, b = points.length - 1;
-  if (b < 0 || x < points[0][0] - 5 || x > points[b][0] + 5) return NaN;
-  while (b - a > 1) { const m = (a + b) >> 1; if (points[m][0] <= x) a = m; else b = m; }
-  const [p, q] = [points[a], points[b]];
-  return q[0] === p[0] ? p[1] : p[1] + (q[1] - p[1]) * Math.min(Math.max((x - p[0]) / (q[0] - p[0]), 0), 1);
-}
-
-function showCursor(area, event) {
-  const rect = area.svg.getBoundingClientRect(), view = area.svg.viewBox.baseVal;
-  const x = view.x + (event.clientX - rect.left) / rect.width * view.width;
-  const t = area.t0 + x / area.width * (area.t1 - area.t0);
-  const texts = [`${short(toValue(area, "x", t))} ${area.unit}`];
-  for (const { points, name } of readLines(area)) {
-    const value = area.high - findValue(points, x) / area.height * (area.high - area.low);
-    if (Number.isFinite(value)) texts.push(`${name} ${short(toValue(area, "y", value))}`);
-  }
-  cursor.textContent = texts.join(", ");
-  cursor.hidden = false;
-  cursor.style.left = `${Math.min(event.clientX + 14, innerWidth - 240)}px`;
-  cursor.style.top = `${event.clientY + 14}px`;
-}
-
-// Plots over time are looked at together, others alone.
-function zoom(chosen, from, to) {
-  for (const area of areas) {
-    if (area !== chosen && (chosen.unit !== "s" || area.unit !== "s" || chosen.log !== area.log)) continue;
-    const scale = area.width / (area.t1 - area.t0);
-    area.svg.setAttribute("viewBox", `${(from - area.t0) * scale} 0 ${(to - from) * scale} ${area.height}`);
-    markTimes(area, from, to);
-  }
-}
-
-function markTimes(area, from, to) {
-  const group = area.svg.parentNode.querySelector(".times"), left = area.svg.x.baseVal.value, wide = area.svg.width.baseVal.value;
-  let step = 10 ** Math.floor(Math.log10((to - from) / 6));
-  for (const factor of [2, 2.5, 2]) if ((to - from) / step > 7) step *= factor;
-  const bottom = group.dataset.y || (group.dataset.y = group.firstChild.getAttribute("y"));
-  group.replaceChildren();
-  const write = (x, anchor, words) => {
-    const text = document.createElementNS("http://www.w3.org/2000/svg", "text");
-    text.setAttribute("x", x);
-    text.setAttribute("y", bottom);
-    text.setAttribute("text-anchor", anchor);
-    text.textContent = words;
-    group.append(text);
-  };
-  const timed = area.unit === "s" && !area.log, last = timed ? to - 0.12 * (to - from) : to + 1e-9;
-  for (let k = Math.ceil(from / step - 1e-9); k * step <= last; k++)
-    write(left + (k * step - from) / (to - from) * wide, "middle", short(toValue(area, "x", k * step)));
-  if (timed) write(left + wide + 12, "end", `${short(to)} s`);
-}
-
-let dragged = null;
-for (const area of areas) {
-  const timeAt = (event) => {
-    const rect = area.svg.getBoundingClientRect(), view = area.svg.viewBox.baseVal;
-    const x = view.x + (event.clientX - rect.left) / rect.width * view.width;
-    return area.t0 + Math.min(Math.max(x / area.width, 0), 1) * (area.t1 - area.t0);
-  };
-  const plot = area.svg.parentNode;
-  plot.addEventListener("pointermove", (event) => showCursor(area, event));
-  plot.addEventListener("pointerleave", () => { cursor.hidden = true; });
-  plot.addEventListener("pointerdown", (event) => { dragged = { area, from: timeAt(event), x: event.clientX }; });
-  plot.addEventListener("pointerup", (event) => {
-    if (dragged && dragged.area === area && Math.abs(event.clientX - dragged.x) > 8) {
-      const ends = [dragged.from, timeAt(event)].sort((a, b) => a - b);
-      if (ends[1] > ends[0]) zoom(area, ...ends);
+// Columns and rows of runs [steps], with a gap after each; null if a run goes back in time.
+function readTable(runs) {
+  const xs = [], ys = [];
+  for (const run of runs) {
+    if (xs.length) { xs.push(xs.at(-1) + 1e-3); ys.push(null); }
+    for (const [x, y] of run) {
+      if (xs.length && x < Math.floor(xs.at(-1))) return null;
+      xs.push(xs.length && x <= xs.at(-1) ? xs.at(-1) + 1e-3 : x);
+      ys.push(y);
     }
-    dragged = null;
+  }
+  return [xs, ys];
+}
+
+// Fill what other tables have more columns for: between two points of a line everything lies on it.
+function interpolate(xs, ys) {
+  let last = -1;
+  ys.forEach((y, k) => {
+    if (y === undefined) return;
+    if (y !== null && last >= 0 && ys[last] !== null)
+      for (let j = last + 1; j < k; j++) ys[j] = ys[last] + (y - ys[last]) * (xs[j] - xs[last]) / (xs[k] - xs[last]);
+    last = k;
   });
-  plot.addEventListener("dblclick", () => zoom(area, area.t0, area.t1));
+}
+
+function logSplits(low, high) {
+  const all = [];
+  for (let k = Math.floor(Math.log10(low)); k <= Math.log10(high); k++) for (const part of [1, 2, 5]) all.push(part * 10 ** k);
+  const within = all.filter((v) => v >= low && v <= high), tens = within.filter((v) => Math.abs(Math.log10(v) % 1) < 1e-9);
+  const kept = tens.length > 2 ? tens : within;
+  return kept.filter((_, k) => k % Math.ceil(kept.length / 6) === 0);
+}
+
+function makeChart(area) {
+  const still = area.parentNode, [x0, x1, y0, y1] = area.dataset.edges.split(" ").map(Number);
+  const { width, height } = area.viewBox.baseVal, { unit, log } = area.dataset;
+  const real = (axis, v) => log.includes(axis) ? 10 ** v : v;
+  const toX = (x) => real("x", x0 + x / width * (x1 - x0)), toY = (y) => real("y", y1 - y / height * (y1 - y0));
+  const tables = [], series = [{}], bands = [], full = { x: [toX(0), toX(width)], y: [toY(height), toY(0)] };
+  for (const path of area.querySelectorAll("path[data-name]")) {
+    const stroke = () => colourOf(path), name = path.dataset.name, show = !off.has(name), runs = readRuns(path);
+    const kinds = path.matches(".band") ? [runs.filter((_, k) => k % 2 === 0), runs.filter((_, k) => k % 2).map((run) => run.reverse())] : [runs];
+    if (kinds.length === 2) bands.push({ series: [series.length, series.length + 1], fill: () => { const c = document.createElement("canvas").getContext("2d"); c.fillStyle = colourOf(path); return `color-mix(in srgb, ${c.fillStyle} 28%, transparent)`; } });
+    for (const one of kinds) {
+      const table = readTable(one);
+      if (!table) return;
+      tables.push(table);
+      const dots = path.matches(".dots");
+      series.push({ label: name, show, stroke, scale: "y", width: kinds.length === 2 ? 0 : 1.4, dash: path.matches(".dashed") ? [5, 4] : undefined,
+        paths: dots ? () => null : undefined, points: { show: dots, size: 3, fill: stroke, width: 0 } });
+    }
+  }
+  if (!tables.length) return;
+  const [xs, ...columns] = uPlot.join(tables);
+  columns.forEach((column, k) => { if (!series[k + 1].points.show) interpolate(xs, column); });
+  const data = [xs.map(toX), ...columns.map((column) => column.map((y) => y == null ? y : toY(y)))];
+  const kind = unit === "s" && !log.includes("x") ? "time" : Symbol("alone");
+  const viewOf = () => views.get(kind) || full.x;
+  const rangeY = (u, low, high) => {
+    const all = full.x[0] === viewOf()[0] && full.x[1] === viewOf()[1] && series.every((one) => !off.has(one.label));
+    if (all || low === null || !(high > low)) return full.y;
+    if (log.includes("y")) return [Math.max(low / 1.1, full.y[0]), Math.min(high * 1.1, full.y[1])];
+    const margin = Math.max(0.06 * (high - low), (full.y[1] - full.y[0]) / 200);
+    return [Math.max(low - margin, full.y[0]), Math.min(high + margin, full.y[1])];
+  };
+  const axis = (name, more) => ({ stroke: () => inkOf("--soft"), font: FONT, ticks: { show: false }, ...more,
+    ...(log.includes(name) ? { splits: (u, k, low, high) => logSplits(low, high), filter: (u, splits) => splits } : {}) });
+  const grid = { stroke: () => inkOf("--rule"), width: 1 };
+  const host = document.createElement("div");
+  host.className = "chart";
+  still.after(host);
+  const size = () => ({ width: host.clientWidth, height: Math.round(Math.max(host.clientWidth * 170 / 420, 150)) });
+  const u = new uPlot({
+    ...size(), legend: { show: false }, padding: [6, 18, 0, 0], series, bands,
+    scales: { x: { time: false, auto: false, range: viewOf, distr: log.includes("x") ? 3 : 1 }, y: { range: rangeY, distr: log.includes("y") ? 3 : 1 } },
+    axes: [
+      axis("x", { grid: { show: false }, size: 22, gap: 3, space: 48, values: (_, splits) => splits.map((v, k) => short(v) + (k === splits.length - 1 && unit === "s" ? " s" : "")) }),
+      axis("y", { grid, size: 52, space: 26, values: (_, splits) => splits.map((v) => Math.abs(v) >= 1e4 ? `${short(v / 1e3)}k` : short(v)) })],
+    cursor: { y: false, drag: { x: true, setScale: false, dist: 8 }, points: { size: 6 }, sync: kind === "time" ? { key: "time", setSeries: false, filters: { pub: (type) => /mouse(move|leave)/.test(type) } } : {},
+      bind: { dblclick: () => () => { zoom(kind, null); return null; } } },
+    hooks: {
+      setSelect: [() => { if (u.select.width > 8) zoom(kind, [u.select.left, u.select.left + u.select.width].map((x) => u.posToVal(x, "x"))); u.setSelect({ width: 0 }, false); }],
+      setCursor: [() => { if (u.cursor.event && host.matches(":hover")) showCursor(u, unit, bands); }],
+      drawClear: [() => shade(u, area, toX)],
+    },
+  }, data, host);
+  still.classList.add("moving");
+  u.over.addEventListener("mouseleave", () => { cursor.hidden = true; });
+  new ResizeObserver(() => { if (host.clientWidth && host.clientWidth !== u.width) u.setSize(size()); }).observe(host);
+  charts.push({ u, kind, names: series.map((one) => one.label) });
+}
+
+// The intervals that the drawing shades.
+function shade(u, area, toX) {
+  for (const group of area.querySelectorAll(":scope > g")) for (const rect of group.querySelectorAll("rect")) {
+    const [left, right] = [rect.x.baseVal.value, rect.x.baseVal.value + rect.width.baseVal.value].map((x) => u.valToPos(toX(x), "x", true));
+    const { ctx, bbox } = u, from = Math.max(left, bbox.left), to = Math.min(right, bbox.left + bbox.width);
+    ctx.globalAlpha = 0.18;
+    ctx.fillStyle = inkOf(group.matches(".fault") ? "--fault" : "--shade");
+    if (to > from) ctx.fillRect(from, bbox.top, to - from, bbox.height);
+    ctx.globalAlpha = 1;
+  }
+}
+
+function showCursor(u, unit, bands) {
+  const { idx, idxs, left, top } = u.cursor;
+  cursor.hidden = idx === null || left < 0;
+  if (cursor.hidden) return;
+  const texts = new Map([["", `${short(u.posToVal(left, "x"))} ${unit}`]]);
+  u.series.forEach((one, k) => {
+    const value = k && one.show ? u.data[k][idxs[k]] : null;
+    if (!Number.isFinite(value) || bands.some((band) => band.series[1] === k)) return;
+    const band = bands.find((found) => found.series[0] === k), low = band && u.data[k + 1][idxs[k + 1]];
+    const before = texts.get(one.label);
+    texts.set(one.label, band ? `${one.label} ${short(low)} to ${short(value)}` : before ? `${one.label} ${short(value)}${before.slice(one.label.length).replace(/^ (.*)$/, " ($1)")}` : `${one.label} ${short(value)}`);
+  });
+  cursor.textContent = [...texts.values()].join(", ");
+  const rect = u.over.getBoundingClientRect();
+  cursor.style.left = `${Math.min(rect.left + left + 14, innerWidth - 240)}px`;
+  cursor.style.top = `${rect.top + top + 14}px`;
+}
+
+// Plots over time are looked at together, others alone; null shows all again.
+function zoom(kind, view) {
+  if (view) views.set(kind, view); else views.delete(kind);
+  for (const { u, kind: one } of charts) if (one === kind) u.setScale("x", { min: 0, max: 1 }); // its range is the view
+}
+
+for (const key of document.querySelectorAll(".legend .key")) {
+  key.setAttribute("role", "button");
+  key.tabIndex = 0;
+  const name = key.dataset.name, turn = () => {
+    if (!off.delete(name)) off.add(name);
+    for (const one of document.querySelectorAll("[data-name]")) if (one.dataset.name === name) one.classList.toggle("off", off.has(name));
+    for (const one of document.querySelectorAll(".legend .key")) if (one.dataset.name === name) one.setAttribute("aria-pressed", String(!off.has(name)));
+    for (const { u, names } of charts) names.forEach((one, k) => { if (one === name) u.setSeries(k, { show: !off.has(name) }); });
+  };
+  key.setAttribute("aria-pressed", "true");
+  key.addEventListener("click", turn);
+  key.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); turn(); } });
+}
+
+const areas = document.querySelectorAll("svg.area");
+if (areas.length) {
+  const seen = new IntersectionObserver((found) => {
+    for (const one of found) if (one.isIntersecting) { seen.unobserve(one.target); makeChart(one.target.querySelector("svg.area")); }
+  }, { rootMargin: "400px" });
+  for (const area of areas) seen.observe(area.parentNode);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => charts.forEach(({ u }) => u.redraw(false)));
 }
 
 for (const table of document.querySelectorAll("table")) {
+  const body = table.tBodies[0];
   table.querySelectorAll("thead th").forEach((head, column) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -114,7 +180,7 @@ for (const table of document.querySelectorAll("table")) {
       const up = head.getAttribute("aria-sort") !== "ascending";
       table.querySelectorAll("thead th").forEach((one) => one.removeAttribute("aria-sort"));
       head.setAttribute("aria-sort", up ? "ascending" : "descending");
-      const body = table.tBodies[0], textOf = (row) => row.cells[column].textContent.trim();
+      const textOf = (row) => row.cells[column].textContent.trim();
       const compare = (a, b) => {
         const [x, y] = [a, b].map((row) => parseFloat(textOf(row)));
         const order = Number.isNaN(x) || Number.isNaN(y) ? textOf(a).localeCompare(textOf(b)) : x - y;
@@ -123,4 +189,15 @@ for (const table of document.querySelectorAll("table")) {
       body.append(...[...body.rows].sort(compare));
     });
   });
+  if (body && body.rows.length > 7) {
+    const field = document.createElement("input");
+    field.type = "search";
+    field.placeholder = "show rows with …";
+    field.setAttribute("aria-label", "Show rows with these words");
+    field.addEventListener("input", () => {
+      const words = field.value.toLowerCase().split(/\s+/);
+      for (const row of body.rows) row.hidden = !words.every((word) => row.textContent.toLowerCase().includes(word));
+    });
+    table.parentNode.before(field);
+  }
 }

@@ -282,24 +282,28 @@ def _read(name: str) -> str:
 
 
 def read_style() -> str:
-    """Return the style with the palette for the ground that the reader has."""
+    """Return the style of pages and drawings with the palette for the ground that the reader has."""
     light, dark = (write_variables(dark=one) for one in (False, True))
     on_dark = f"@media screen and (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}"
     return f":root {{ {light} }}\n{on_dark}\n{_read('page.css')}"
 
 
-def render(template: str, **values: Any) -> str:
+def render(template: str, *, plots: bool = True, **values: Any) -> str:
     """Return a page from a template of this package, with the style and the script all pages share.
 
     What a value holds is text: nothing in it is read as HTML. The policy of the page allows its own
-    script, no other, and no network.
+    script, no other, and no network. A page with ``plots`` holds uPlot, which moves them.
     """
-    script = _read("page.js")
+    script, style = _read("page.js"), read_style()
+    if plots:
+        licence, library = _read("uplot/LICENSE"), _read("uplot/uPlot.iife.min.js")
+        script = f"/*\n{licence}*/\n{library}{script}"
+        style = f"{_read('uplot/uPlot.min.css')}\n{style}"
     policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src '{_hash(script)}'"
     page: str = (
         _load_templates()
         .get_template(template)
-        .render(style=read_style(), script=script, policy=policy, version=bench.__version__, **values)
+        .render(style=style, script=script, policy=policy, version=bench.__version__, **values)
     )
     return page
 

@@ -13,7 +13,7 @@ from html import escape
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.findings.series import Plot, Series, Shade, round_number, take_logarithms
+from bench.findings.series import FIX, Plot, Series, Shade, round_number, take_logarithms
 from bench.palette import Colour, find_slot
 from bench.wording import replace_control
 
@@ -125,10 +125,10 @@ def draw_track(
             x, y = frame.place(path[:, 1], path[:, 0])
             body.append(f'<path class="stretch {key}" d="{_join(np.column_stack([x, y]))}"/>')
     if len(dots):
-        body.append(_draw_dots(frame, dots[:, 1], dots[:, 0], "fix"))
-    for _, colour, path in reversed(paths):
+        body.append(_draw_dots(frame, dots[:, 1], dots[:, 0], "fix", FIX, "GNSS"))
+    for name, colour, path in reversed(paths):
         x, y = frame.place(path[:, 1], path[:, 0])
-        body.append(_stroke(_join(np.column_stack(_straighten(x, y))), colour))
+        body.append(_write_path("line", _join(np.column_stack(_straighten(x, y))), colour, name))
     step = round_number(reach)
     bar = step / (2.0 * reach) * width
     return (
@@ -165,7 +165,8 @@ def _format_length(metres: float) -> str:
 def _open_area(frame: Frame, plot: Plot) -> str:
     """Return the start of the area of the lines; the script of the page reads what its edges are worth."""
     edges = " ".join(f"{edge:.9g}" for edge in (*frame.x, *frame.y))
-    kind = "still" if plot.ticks else "area"  # the script moves along numbers only
+    named = any(one.labels for one in plot.series)
+    kind = "still" if plot.ticks or named else "area"  # the script draws numbers only
     return (
         f'<svg class="{kind}" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
@@ -262,7 +263,7 @@ def _draw_band(frame: Frame, series: Series) -> str:
             continue
         there, back = _straighten(x_up, up), _straighten(x, down)
         parts.append(_join(np.column_stack([*there])) + "L" + _join(np.column_stack([*back])[::-1])[1:] + "z")
-    return f'<path class="band" d="{"".join(parts)}" style="--c:{css_colour(series.colours[0])}"/>'
+    return _write_path("band", "".join(parts), series.colours[0], series.names[series.band[0]])
 
 
 def _outline(frame: Frame, t: FloatArray, values: FloatArray, farther: np.ufunc) -> tuple[IntArray, IntArray]:
@@ -284,11 +285,11 @@ def _draw_series(frame: Frame, series: Series) -> Iterable[str]:
         if k in edges or not good.any():
             continue
         if series.marks:
-            yield _draw_dots(frame, series.t[good], values[good], "dots", colour)
+            yield _draw_dots(frame, series.t[good], values[good], "dots", colour, series.names[k])
         else:
             runs = [_thin(*frame.place(series.t[rows], values[rows])) for rows in _split_runs(good)]
             data = "".join(_join(np.column_stack(_straighten(*run))) for run in runs)
-            yield _stroke(data, colour, dashed=series.dashed)
+            yield _write_path("line dashed" if series.dashed else "line", data, colour, series.names[k])
 
 
 def _thin(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
@@ -325,7 +326,7 @@ def _draw_labels(frame: Frame, plot: Plot) -> Iterable[str]:
         yield f'<text class="name" x="{begin}" y="{row + line // 3}">{escape(text)}</text>'
 
 
-def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Colour | None = None) -> str:
+def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Colour, name: str) -> str:
     """Return dots; those of one pixel column that touch become one stroke."""
     good = np.isfinite(x) & np.isfinite(y)
     columns, rows = frame.place(x[good], y[good])
@@ -339,8 +340,7 @@ def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Co
     at = grid * cells + grid // 2
     marks = zip(at[first].tolist(), at[last, 1].tolist(), strict=True)
     path = "".join(f"M{a} {b}v{end - b}" for (a, b), end in marks)
-    style = "" if colour is None else f' style="--c:{css_colour(colour)}"'
-    return f'<path class="{kind}" d="{path}"{style}/>'
+    return _write_path(kind, path, colour, name)
 
 
 def _split_runs(good: np.ndarray) -> list[slice]:
@@ -374,9 +374,10 @@ def _join(points: IntArray) -> str:
     )
 
 
-def _stroke(data: str, colour: Colour, *, dashed: bool = False) -> str:
-    kind = "line dashed" if dashed else "line"
-    return f'<path class="{kind}" d="{data}" style="--c:{css_colour(colour)}"/>'
+def _write_path(kind: str, data: str, colour: Colour, name: str) -> str:
+    """Return a path; the script of the page finds what belongs to a name of the legend by ``data-name``."""
+    words = escape(replace_control(name))
+    return f'<path class="{kind}" d="{data}" style="--c:{css_colour(colour)}" data-name="{words}"/>'
 
 
 def css_colour(colour: Colour) -> str:
