@@ -147,7 +147,7 @@ def _draw(name: str) -> str:
     drawn = svg.draw_track([("truth", series.TRUTH, ground)], np.empty((0, 2)), instants=instants)
     head, _, body = drawn.partition(">")
     style = page.read_style()
-    return f'{head} xmlns="http://www.w3.org/2000/svg" width="420" height="420"><style>{style}</style>{body}'
+    return f'{head} xmlns="http://www.w3.org/2000/svg" width="420"><style>{style}</style>{body}'
 
 
 # --- public names -------------------------------------------------------------------------------------

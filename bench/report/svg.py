@@ -25,6 +25,7 @@ _STRAIGHT = 2.0  # points so near the line between their neighbours are left out
 _DOT = 3  # diameter [pixels]
 _END = 0.12  # of the width: numbers nearer to the end of a time axis give way to that of the end
 _LETTER, _ROW = 5.0, 10.0  # width of a letter and height of a row of the names of dots [pixels]
+_LEAST_HEIGHT = 0.55  # of a track over its width
 _FAR = 20.0  # beyond so many widths or heights points are not told apart
 
 Window = tuple[float, float]
@@ -116,8 +117,11 @@ def draw_track(
     first = paths[0][2] if paths else dots
     low, high = first.min(axis=0), first.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.56 * max(float((high - low).max()), 1.0)
-    width = height = 420
-    north, east = ((float(m - reach), float(m + reach)) for m in middle)
+    width = 420
+    needed = max((0.5 * float(high[0] - low[0]) + 0.12 * reach) / reach, _LEAST_HEIGHT)
+    height = round(width * min(needed, 1.0))
+    reaches = reach * height / width, reach
+    north, east = ((float(m - r), float(m + r)) for m, r in zip(middle, reaches, strict=True))
     frame = Frame(east, north, width, height)
     body = []
     for key, path in stretches:

@@ -8,7 +8,7 @@ const backOf = (one) => { for (; one; one = one.parentElement) { const c = parse
 const settle = () => new Promise((done) => setTimeout(done, 50));
 const movePlot = async () => {
   const { u, names } = charts[0], over = u.over.getBoundingClientRect();
-  const send = (type, part, target = u.over) => target.dispatchEvent(new MouseEvent(type, { bubbles: true, clientX: over.left + part * over.width, clientY: over.top + 20 }));
+  const send = (type, part, target = u.over) => target.dispatchEvent(new MouseEvent(type, { bubbles: true, movementX: 9, clientX: over.left + part * over.width, clientY: over.top + 20 }));
   const line = u.data[0].map((t, k) => [t, u.data[1][k]]), before = [u.scales.y.min, u.scales.y.max];
   u.setCursor({ left: 0.5 * over.width, top: 20 });
   showCursor(u, "s", []);
