@@ -44,7 +44,11 @@ def test_the_wheel_holds_every_file_of_the_package_and_the_aircraft(wheel):
     held = set(zipfile.ZipFile(wheel).namelist())
     package = (ROOT / "bench").rglob("*")
     endings = (".py", ".toml", ".md", ".png", ".typed", ".js", ".css", ".jinja")
-    wanted = {path.relative_to(ROOT).as_posix() for path in package if path.suffix in endings or path.name == "LICENSE"}
+    wanted = {
+        path.relative_to(ROOT).as_posix()
+        for path in package
+        if path.suffix in endings or path.name == "LICENSE"
+    }
     wanted |= {
         f"bench/{p.relative_to(ROOT).as_posix()}" for p in (ROOT / "aircraft").rglob("*") if p.is_file()
     }

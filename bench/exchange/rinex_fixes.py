@@ -81,6 +81,12 @@ class RinexFixes:
         return _format_day(self.observations.origin + self.observations.t[0])
 
     @property
+    def hours(self) -> str:
+        """The first and the last epoch, GPS time."""
+        first, last = (_format_time(self.observations.origin + self.observations.t[k]) for k in (0, -1))
+        return f"{first} to {last.removeprefix(first[:11])} GPS time"
+
+    @property
     def moving(self) -> bool:
         """Whether the receiver moves: by an event in the file, its speed, or the spread of its fixes."""
         good = self.fixes.valid
@@ -165,16 +171,19 @@ class RinexFixes:
         figures["nees_horizontal_2"] = float(np.mean(_square(error[:, :2], cov[:, :2, :2])) / 2)
         return figures
 
-    def verdict(self) -> str:
-        """Return in a sentence whether the errors fit what the covariances claim; empty if nothing tells."""
+    def judge(self) -> tuple[str, str]:
+        """Return the verdict on what the covariances claim, a word and a sentence; empty if nothing tells."""
         figures = self.figures()
         if "nees_3" not in figures:
-            return ""
+            return "", ""
         ratio = figures["nees_3"]
-        word = "fit" if _HONEST[0] <= ratio <= _HONEST[1] else "are larger" if ratio > 1 else "are smaller"
-        than = "" if word == "fit" else " than"
-        return (
-            f"the errors {word}{than} what the covariances claim: NEES/3 is {ratio:.2f} "
+        word, says = (
+            ("overconfident", "are larger than") if ratio > 1 else ("underconfident", "are smaller than")
+        )
+        if _HONEST[0] <= ratio <= _HONEST[1]:
+            word, says = "consistent", "fit"
+        return word, (
+            f"the errors {says} what the covariances claim: NEES/3 is {ratio:.2f} "
             f"(1 is right, {_HONEST[0]:g} to {_HONEST[1]:g} fit: the errors of a day hang together)"
         )
 

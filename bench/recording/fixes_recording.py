@@ -95,7 +95,7 @@ def _write_summary(solved: RinexFixes) -> str:
         f"| {name} | {format_number(value) if isinstance(value, float) else value} |"
         for name, value in solved.figures().items()
     ]
-    notes = [f"- {note}" for note in (solved.verdict(), *solved.notes) if note]
+    notes = [f"- {note}" for note in (solved.judge()[1], *solved.notes) if note]
     return "\n".join(
         [f"# {solved.name}, {solved.day}", "", "| figure | value |", "|---|---|", *rows, "", *notes]
     )

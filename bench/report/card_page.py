@@ -63,7 +63,7 @@ def write_card(path: Path, card: Card) -> None:
     ]
     text = page.render(
         "card.html.jinja",
-        plots=False,
+        interactive=False,
         title=f"Card of {card.estimator}",
         card=card,
         suite=describe_suite(card),

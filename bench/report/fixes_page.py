@@ -2,18 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
 from bench.exchange.rinex_fixes import RinexFixes
+from bench.findings.looks import find_look
 from bench.plots import receiver_plots
 from bench.report import page, svg
+from bench.units import split_unit
 from bench.wording import format_number
+
+_WORDS = {
+    "nees_3": "NEES / 3 (1 is right)",
+    "nees_horizontal_2": "horizontal NEES / 2 (1 is right)",
+    "hdop_median": "HDOP, median",
+    "vdop_median": "VDOP, median",
+}
+"""Figures whose identifier is no words -> their words."""
 
 
 def make_page(solved: RinexFixes) -> str:
     """Return the report of the fixes of a RINEX file as HTML."""
     figures = solved.figures()
-    fixes, good = solved.fixes, solved.fixes.valid
+    good = solved.fixes.valid
     error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
     placed = error[receiver_plots.find_placed(error, solved), :2]
+    at_rest = solved.compared or not solved.moving
+    distance = np.hypot(*placed.T)
+    circles = [(f"{q} %", float(np.percentile(distance, q))) for q in (50, 95) if at_rest and len(placed)]
+    instants = [("antenna" if solved.compared else "median", np.zeros(2))] if at_rest else []
     plots = []
     if good.any():
         plots = [
@@ -24,17 +43,47 @@ def make_page(solved: RinexFixes) -> str:
     return page.render(
         "fixes.html.jinja",
         title=f"Fixes of {solved.name}",
-        facts=[f"{solved.day}, GPS time", f"{len(fixes)} epochs", f"{int(good.sum())} fixes"],
-        notes=[*filter(None, [solved.verdict()]), *solved.notes],
+        facts=list(_list_facts(solved)),
+        card=_make_card(solved, figures),
+        notes=solved.notes,
         satellites=[
             (one.name, one.epochs, one.excluded, *(format_number(v) for v in one[3:]))
             for one in solved.list_satellites()
         ],
         figures=[
-            (name, format_number(value) if isinstance(value, float) else str(value))
+            (name, _name_figure(name), format_number(value) if isinstance(value, float) else str(value))
             for name, value in figures.items()
         ],
         against=receiver_plots.name_reference(solved),
-        track=svg.draw_track([], placed) if len(placed) else "",
+        track=svg.draw_track([], placed, (), instants, circles) if len(placed) else "",
+        circles=[f"{name} of the fixes within {format_number(radius, 3)} m" for name, radius in circles],
         plots=[page.make_figure(plot, (0.0, float(max(t[-1], 1.0))), ()) for plot in plots],
     )
+
+
+def _list_facts(solved: RinexFixes) -> Iterator[str]:
+    """Yield when and where the receiver was, and how many fixes there are."""
+    yield solved.hours
+    good = solved.fixes.valid
+    if good.any():
+        lat, lon, height = np.median(solved.fixes.lla[good], axis=0)
+        yield f"near {np.degrees(lat):.5f}°, {np.degrees(lon):.5f}°, {height:.0f} m"
+    yield f"{int(good.sum())} fixes in {len(good)} epochs"
+
+
+def _make_card(solved: RinexFixes, figures: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the verdict with the errors; None if nothing is known of them."""
+    word, sentence = solved.judge()
+    if not word:
+        return None
+    lines = []
+    for name, key in (("horizontal", "horizontal"), ("height", "vertical")):
+        half, most = (figures[f"{key}_{which}_m"] for which in ("median", "95"))
+        lines.append(f"{name} error {half:.1f} m (half of the fixes), {most:.1f} m (95 %)")
+    return {"word": word, "look": find_look(word), "lines": [*lines, sentence]}
+
+
+def _name_figure(name: str) -> str:
+    words, unit = split_unit(name)
+    words = _WORDS.get(name) or words.replace("_95", ", 95 % below").replace("_median", ", median")
+    return words.replace("_", " ") + (f" [{unit}]" if unit else "")

@@ -60,7 +60,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
             rows += _list_rows(folder, store.read_summary(folder), path.parent)
         except ConfigError as error:
             problems += error.lines
-    durable.write(path, page.render("index.html.jinja", plots=False, title="Results", rows=rows))
+    durable.write(path, page.render("index.html.jinja", interactive=False, title="Results", rows=rows))
     return problems
 
 

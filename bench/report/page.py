@@ -288,14 +288,14 @@ def read_style() -> str:
     return f":root {{ {light} }}\n{on_dark}\n{_read('page.css')}"
 
 
-def render(template: str, *, plots: bool = True, **values: Any) -> str:
+def render(template: str, *, interactive: bool = True, **values: Any) -> str:
     """Return a page from a template of this package, with the style and the script all pages share.
 
     What a value holds is text: nothing in it is read as HTML. The policy of the page allows its own
-    script, no other, and no network. A page with ``plots`` holds uPlot, which moves them.
+    script, no other, and no network. An interactive page holds uPlot, which moves its plots.
     """
     script, style = _read("page.js"), read_style()
-    if plots:
+    if interactive:
         licence, library = _read("uplot/LICENSE"), _read("uplot/uPlot.iife.min.js")
         script = f"/*\n{licence}*/\n{library}{script}"
         style = f"{_read('uplot/uPlot.min.css')}\n{style}"

@@ -100,6 +100,7 @@ def draw_track(
     dots: FloatArray,
     stretches: Sequence[tuple[str, FloatArray]] = (),
     instants: Sequence[tuple[str, FloatArray]] = (),
+    circles: Sequence[tuple[str, float]] = (),
 ) -> str:
     """Return a track seen from above as an SVG element, north up, equal scales.
 
@@ -113,6 +114,8 @@ def draw_track(
         Parts of the way that are shaded [m].
     instants : sequence of (name, (2,) array)
         Places with a ring and a name [m]; a name that would lie on an earlier one is left out.
+    circles : sequence of (name, radius)
+        Around the origin [m].
     """
     first = paths[0][2] if paths else dots
     low, high = first.min(axis=0), first.max(axis=0)
@@ -142,9 +145,19 @@ def draw_track(
         f'<path class="bar" d="M16 {height - 16}h{bar:.1f}"/>'
         f'<text x="16" y="{height - 22}">{_format_length(step)}</text>'
         f'<path class="bar" d="M{width - 20} 44V16m-5 8l5 -8l5 8"/>'
-        f'<text x="{width - 20}" y="58" text-anchor="middle">N</text>{"".join(_name_places(frame, instants))}'
+        f'<text x="{width - 20}" y="58" text-anchor="middle">N</text>{"".join(_draw_circles(frame, circles))}'
+        f"{''.join(_name_places(frame, instants))}"
         "</svg>"
     )
+
+
+def _draw_circles(frame: Frame, circles: Sequence[tuple[str, float]]) -> Iterable[str]:
+    """Yield circles around the origin with their names above them."""
+    for name, radius in circles:
+        columns, rows = frame.place(np.array([0.0, radius]), np.array([0.0, radius]))
+        (x, right), (y, top) = (np.asarray(steps) / _GRAIN for steps in (columns, rows))
+        yield f'<circle class="bar" cx="{x:.1f}" cy="{y:.1f}" r="{right - x:.1f}"/>'
+        yield f'<text class="place" x="{x:.1f}" y="{top - 4:.0f}" text-anchor="middle">{escape(name)}</text>'
 
 
 def _name_places(frame: Frame, instants: Sequence[tuple[str, FloatArray]]) -> Iterable[str]:

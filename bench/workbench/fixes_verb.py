@@ -59,7 +59,7 @@ def solve_fixes(
     title = f"{solved.name}: {solved.day}, {len(solved.fixes)} epochs"
     summary = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
     tables = [*_tabulate_satellites(solved), summary]
-    verdict = solved.verdict()
+    _, verdict = solved.judge()
     print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables)
     if recording is not None:
         from bench.recording import fixes_recording

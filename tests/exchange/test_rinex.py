@@ -118,7 +118,10 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     durable.write(tmp_path / "fixes.html", fixes_page.make_page(known))
     text = (tmp_path / "fixes.html").read_text()
     figures = known.figures()
-    assert f'<th scope="row">horizontal_95_m</th><td>{figures["horizontal_95_m"]:.4g}</td>' in text
+    assert (
+        f'title="horizontal_95_m">horizontal, 95 % below [m]</th><td>{figures["horizontal_95_m"]:.4g}</td>'
+        in text
+    )
     assert "Errors are relative to the position in the header of the file" in text
     north = known.errors()[known.fixes.valid, 0]
     assert "north position [m]: ±3σ, as computed" in text
@@ -133,7 +136,7 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     worst = max(known.list_satellites(), key=lambda one: one.residual_rms)
     row = f'<th scope="row">{worst.name}</th><td>{worst.epochs}</td><td>{worst.excluded}</td>'
     assert f"{row}<td>{worst.residual_rms:.4g}</td>" in text
-    assert known.verdict() in text.replace("&#39;", "'")
+    assert known.judge()[1] in text.replace("&#39;", "'")
 
 
 def figures_of(files, **options):
