@@ -1,4 +1,4 @@
-"""The colours of all pages, recordings and figures: seven, each with a tone for light and for dark ground.
+"""The colours of all pages, recordings and figures, on light and on dark ground: seven, and one of fixes.
 
 Any two are at least 20 apart by CIEDE2000, with normal sight and without red, green or blue cones, and stand
 out from the ground by 3:1 (`tests/test_palette.py` computes both). They were found by simulated annealing.
@@ -21,15 +21,20 @@ class PaletteSlot(NamedTuple):
 
 
 SLOTS = (
-    PaletteSlot("green", (48, 155, 1), (49, 161, 126)),
-    PaletteSlot("blue", (167, 166, 242), (70, 0, 255)),
-    PaletteSlot("red", (227, 163, 152), (128, 1, 1)),
-    PaletteSlot("violet", (134, 50, 253), (70, 51, 96)),
-    PaletteSlot("teal", (173, 254, 250), (16, 104, 84)),
-    PaletteSlot("pink", (184, 65, 112), (153, 136, 179)),
-    PaletteSlot("yellow", (225, 244, 34), (183, 107, 19)),
+    PaletteSlot("green", (48, 154, 1), (49, 161, 126)),
+    PaletteSlot("blue", (167, 164, 252), (70, 0, 255)),
+    PaletteSlot("red", (225, 136, 158), (128, 1, 1)),
+    PaletteSlot("violet", (133, 50, 255), (70, 51, 96)),
+    PaletteSlot("teal", (173, 251, 255), (16, 104, 84)),
+    PaletteSlot("pink", (163, 77, 112), (153, 136, 179)),
+    PaletteSlot("yellow", (237, 222, 26), (183, 107, 19)),
 )
 """The first is the truth; the others are estimators."""
+
+FIXES = PaletteSlot("fixes", (244, 255, 213), (48, 0, 16))
+"""Fixes of a receiver, always dots."""
+
+_TONES = (*SLOTS, FIXES)
 
 _OWNERS: Mapping[str, int] = {
     **dict.fromkeys(("loose-full", "loose-mems", "tight", "error-ekf"), 1),
@@ -76,17 +81,22 @@ def choose_looks(labels: Iterable[str]) -> dict[str, DrawnLook]:
 
 
 def find_slot(colour: Colour) -> int | None:
-    """Return the number of the slot of a colour; None if it is none of them."""
-    return next((k for k, slot in enumerate(SLOTS) if slot.dark == colour), None)
+    """Return the number of the tone of a colour, as its CSS variable has it; None if it has none."""
+    return next((k for k, slot in enumerate(_TONES) if slot.dark == colour), None)
+
+
+def find_light(colour: Colour) -> Colour | None:
+    """Return the tone on light ground of a colour on dark ground; None if it has none."""
+    return next((slot.light for slot in _TONES if slot.dark == colour), None)
 
 
 def write_variables(*, dark: bool) -> str:
-    """Return the slots as CSS variables ``--s0`` to ``--s6`` for a ground.
+    """Return the tones for a ground as CSS variables, the slots as ``--s0`` to ``--s6``.
 
     Examples
     --------
     >>> write_variables(dark=False)[:13]
     '--s0:#31a17e;'
     """
-    tones = (slot.dark if dark else slot.light for slot in SLOTS)
+    tones = (slot.dark if dark else slot.light for slot in _TONES)
     return "".join(f"--s{k}:#{r:02x}{g:02x}{b:02x};" for k, (r, g, b) in enumerate(tones))

@@ -9,9 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.navigation.built_in import BUILT_IN
-from bench.palette import SLOTS, choose_looks
+from bench.palette import FIXES, SLOTS, choose_looks
 from bench.places import PACKAGE
 
+COLOURS = (*SLOTS, FIXES)
 GROUNDS = {"light": ("#ffffff", "#f6f8fa"), "dark": ("#0f1318", "#181d24")}
 """Of a page and of a plot, as page.css has them."""
 TO_XYZ = np.array(
@@ -95,12 +96,12 @@ def test_the_distance_is_that_of_its_authors(one, other, apart):
 @pytest.mark.parametrize("sight", CONES)
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_any_two_colours_are_told_apart(ground, sight):
-    seen = [to_lab(np.asarray(CONES[sight]) @ linearize(getattr(slot, ground))) for slot in SLOTS]
+    seen = [to_lab(np.asarray(CONES[sight]) @ linearize(getattr(slot, ground))) for slot in COLOURS]
     apart = {
-        (SLOTS[i].name, SLOTS[j].name): ciede2000(seen[i], seen[j])
-        for i, j in combinations(range(len(SLOTS)), 2)
+        (COLOURS[i].name, COLOURS[j].name): ciede2000(seen[i], seen[j])
+        for i, j in combinations(range(len(COLOURS)), 2)
     }
-    assert len(apart) == 21
+    assert len(apart) == 28
     assert min(apart.values()) >= 20.0, min(apart, key=lambda pair: apart[pair])
 
 
@@ -113,7 +114,7 @@ def test_every_colour_stands_out_from_its_ground(ground):
     style = (PACKAGE / "report" / "page.css").read_text()
     for back in GROUNDS[ground]:
         assert back.replace("#ffffff", "#fff") in style
-        for slot in SLOTS:
+        for slot in COLOURS:
             low, high = sorted((luminance(getattr(slot, ground)), luminance(read_hex(back))))
             assert (high + 0.05) / (low + 0.05) >= 3.0, slot.name
 

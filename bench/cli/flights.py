@@ -249,9 +249,10 @@ def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
 @commands.command(epilog=STATUS)
 @click.argument("folders", nargs=-1, required=True, type=FILE, metavar="DIR DIR...")
 @out_option("draw the results over each other: a folder for a report and, of runs, a recording")
+@click.option("--table", "whole", is_flag=True, help="print all key figures")
 @json_option("the comparison")
 @force_option()
-def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: bool) -> int:
+def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: bool, force: bool) -> int:
     """Compare finished results: the first folder with each other one.
 
     DIR is a results folder, a folder with results folders in it, or that of a campaign.
@@ -266,7 +267,8 @@ def compare(folders: tuple[Path, ...], out: Path | None, as_json: bool, force: b
     from bench.store import to_json
     from bench.workbench.compare_verb import compare as compare_folders
 
-    compared = compare_folders(folders, console=new_console(stderr=as_json), out=out, force=force)
+    console = new_console(stderr=as_json)
+    compared = compare_folders(folders, console=console, out=out, force=force, whole=whole)
     if as_json:
         click.echo(to_json([asdict(one) for one in compared]), nl=False)
     return DONE

@@ -10,10 +10,10 @@ import numpy as np
 from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import Events
-from bench.palette import SLOTS, Colour, choose_looks
+from bench.palette import FIXES, SLOTS, Colour, choose_looks
 
 TRUTH: Colour = SLOTS[0].dark
-FIX: Colour = (255, 205, 50)
+FIX: Colour = FIXES.dark
 OUTAGE: Colour = (255, 150, 0)
 FAULT: Colour = (225, 70, 225)
 REJECTED: Colour = (255, 60, 60)

@@ -28,6 +28,7 @@ from bench.units import unit_of
 from bench.wording import format_number
 
 _MOST_CONDITIONS = 6  # that have plots
+_MOST_NAMED = 4  # seeds and units in the head of the page
 _MOST_LOST = 50  # runs that are listed
 _FAR = (
     20.0  # an estimator that errs so many times more than the middle one does not scale a plot, has no band
@@ -123,6 +124,12 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
         yield f"{len(campaign.conditions)} conditions"
     if campaign.failed:
         yield f"{len(campaign.failed)} runs failed as a whole"
+    flown = [one["as_flown"] for one in campaign.conditions]
+    units = dict.fromkeys((one.get("sensors") or one.get("assumed") or {}).get("imu") for one in flown)
+    for name, values in (("seed", dict.fromkeys(one.get("seed") for one in flown)), ("IMU", units)):
+        known = [str(value) for value in values if value is not None]
+        if known:
+            yield f"{name} {', '.join(known[:_MOST_NAMED])}" + (" ..." if len(known) > _MOST_NAMED else "")
     yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals"
 
 
@@ -135,9 +142,18 @@ def _make_card(outcome: Outcome) -> dict[str, Any]:
         "word": word,
         "kind": kind,
         "mark": mark,
+        "lines": list(_list_errors(outcome)),
         "text": rest[0].removeprefix(f"{outcome.label} is {word}: ") if rest else "",
         "drifts": [first, *rest[1:]],
     }
+
+
+def _list_errors(outcome: Outcome) -> Iterator[str]:
+    """Yield the main errors with their units and intervals."""
+    for metric in ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg"):
+        if (found := outcome.errors.get(metric)) is not None:
+            words = find_words(metric)
+            yield f"{words.words} {format_number(found.value, 3)} {words.unit} ({found.interval})"
 
 
 def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:

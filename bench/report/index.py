@@ -1,17 +1,20 @@
-"""The index page of a folder of results: a row for each results folder below it."""
+"""The index page of a folder of results: runs, campaigns and studies below it."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench import durable, store
+from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation.headline import make_headline
+from bench.findings.looks import find_look
 from bench.report import page
+from bench.store.study_folder import load_study
 from bench.wording import format_number
 
 INDEX = "index.html"
@@ -23,8 +26,7 @@ class _IndexRow(NamedTuple):
     folder: str
     link: str  # to its report
     title: str
-    seed: int
-    run: int
+    draw: str  # seed and run, or how many runs a campaign has
     label: str
     word: str  # of its verdict
     kind: str  # class of the verdict
@@ -35,9 +37,9 @@ class _IndexRow(NamedTuple):
 
 
 def find_folders(root: Path) -> list[Path]:
-    """Return the results folders below a folder, two levels deep."""
-    found = {path.parent for depth in ("*", "*/*") for path in root.glob(f"{depth}/{store.RESULT}")}
-    return sorted(found)
+    """Return the folders of runs, campaigns and studies below a folder, two levels deep."""
+    places = [f"{depth}/{name}" for depth in ("*", "*/*") for name in (store.RESULT, *_READERS)]
+    return sorted({path.parent for place in places for path in root.glob(place)})
 
 
 def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
@@ -56,35 +58,84 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
     rows: list[_IndexRow] = []
     problems: list[str] = []
     for folder in folders:
+        name = next((name for name in _READERS if (folder / name).is_file()), store.RESULT)
         try:
-            rows += _list_rows(folder, store.read_summary(folder), path.parent)
+            rows += _READERS.get(name, _list_run)(folder, _Place.of(folder / name, path.parent))
         except ConfigError as error:
             problems += error.lines
     durable.write(path, page.render("index.html.jinja", interactive=False, title="Results", rows=rows))
     return problems
 
 
-def _list_rows(folder: Path, summary: dict[str, Any], root: Path) -> list[_IndexRow]:
-    name = Path(os.path.relpath(folder, root)).as_posix()
+class _Place(NamedTuple):
+    """Where a folder is, and since when."""
+
+    name: str  # relative to the page
+    link: str  # to its report; "" if there is none
+    written: str
+
+    @classmethod
+    def of(cls, result: Path, root: Path) -> _Place:
+        name = Path(os.path.relpath(result.parent, root)).as_posix()
+        there = (result.parent / store.REPORT).is_file()
+        written = datetime.fromtimestamp(result.stat().st_mtime)
+        return cls(name, f"{name}/{store.REPORT}" if there else "", f"{written:%Y-%m-%d %H:%M}")
+
+
+def _list_run(folder: Path, place: _Place) -> list[_IndexRow]:
+    summary = store.read_summary(folder)
     profile = summary["profile"]
-    title = str(profile.get("title", ""))
-    on_board = profile.get("sensors") or profile.get("assumed") or {}
-    written = datetime.fromtimestamp((folder / store.RESULT).stat().st_mtime)
-    heads = {label: make_headline(label, values) for label, values in summary["metrics"].items()}
+    rows = []
+    for label, values in summary["metrics"].items():
+        head = make_headline(label, values)
+        error, claimed = (format_number(values.get(f"pos_{which}_h_m")) for which in ("rmse", "claimed"))
+        draw = f"seed {summary['seed']}, run {summary['run']}"
+        rows.append(
+            _IndexRow(
+                place.name, place.link, str(profile.get("title", "")), draw, label, head.word, head.look.kind,
+                error, claimed, _find_unit(profile), place.written,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _list_campaign(folder: Path, place: _Place) -> list[_IndexRow]:
+    campaign = load_campaign(folder)
+    flown = campaign.conditions[0]["as_flown"]
+    several = len(campaign.conditions) > 1
+    rows = []
+    for one in campaign.outcomes:
+        word = one.consistency.word if one.consistency else ""
+        error = one.errors.get("pos_rmse_h_m")
+        rows.append(
+            _IndexRow(
+                place.name, place.link, one.condition if several else str(flown.get("title", "")),
+                f"{one.runs} runs", one.label, word or "–", find_look(word).kind if word else "none",
+                format_number(error.value) if error else "-", "-", "" if several else _find_unit(flown),
+                place.written,
+            )
+        )  # fmt: skip
+    return rows
+
+
+def _list_study(folder: Path, place: _Place) -> list[_IndexRow]:
+    study = load_study(folder)
+    draws = f"{study.findings.draws} draws" if study.findings.draws else ""
     return [
         _IndexRow(
-            name,
-            f"{name}/{store.REPORT}" if (folder / store.REPORT).is_file() else "",
-            title,
-            int(summary["seed"]),
-            int(summary["run"]),
-            label,
-            heads[label].word,
-            heads[label].look.kind,
-            format_number(values.get("pos_rmse_h_m")),
-            format_number(values.get("pos_claimed_h_m")),
-            str(on_board.get("imu") or ""),
-            f"{written:%Y-%m-%d %H:%M}",
+            place.name, place.link, study.question, draws, f"study {study.name}", "–", "none", "-", "-", "",
+            place.written,
         )
-        for label, values in summary["metrics"].items()
-    ]
+    ]  # fmt: skip
+
+
+def _find_unit(profile: Mapping[str, Any]) -> str:
+    on_board = profile.get("sensors") or profile.get("assumed") or {}
+    return str(on_board.get("imu") or "")
+
+
+_READERS: Mapping[str, Callable[[Path, _Place], list[_IndexRow]]] = {
+    store.CAMPAIGN_RESULT: _list_campaign,
+    store.STUDY_RESULT: _list_study,
+}
+"""File that says what a folder is -> what lists its rows; other folders are runs."""

@@ -12,7 +12,7 @@ from bench import durable
 from bench.errors import ConfigError
 from bench.findings import series
 from bench.findings.series import Plot, Shade
-from bench.palette import SLOTS, Colour, find_slot
+from bench.palette import Colour, find_light
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.run_result import RunResult
@@ -278,7 +278,7 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
 
 def _darken(colour: Colour) -> tuple[float, float, float]:
     """Return the tone of a colour for white paper [1]."""
-    slot = find_slot(colour)
-    tone, factor = (colour, _DARKER) if slot is None else (SLOTS[slot].light, 1.0)
+    light = find_light(colour)
+    tone, factor = (colour, _DARKER) if light is None else (light, 1.0)
     red, green, blue = (float(factor * part / 255.0) for part in np.asarray(tone))
     return red, green, blue

@@ -118,6 +118,7 @@ def draw_track(
         Around the origin [m].
     """
     first = paths[0][2] if paths else dots
+    first = np.vstack([first, *([[-r, -r], [r, r]] for _, r in circles)])
     low, high = first.min(axis=0), first.max(axis=0)
     middle, reach = 0.5 * (low + high), 0.56 * max(float((high - low).max()), 1.0)
     width = 420
@@ -172,7 +173,7 @@ def _name_places(frame: Frame, instants: Sequence[tuple[str, FloatArray]]) -> It
         if any(begin < b and begin + length > a and abs(y - row) < _ROW + 2.0 for a, b, row in used):
             continue
         used.append((begin, begin + length, y))
-        yield f'<text class="place" x="{begin:.0f}" y="{y + 4:.0f}">{escape(name)}</text>'
+        yield f'<text class="place" x="{begin:.0f}" y="{y - 4:.0f}">{escape(name)}</text>'
 
 
 def _format_length(metres: float) -> str:

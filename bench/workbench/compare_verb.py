@@ -20,37 +20,52 @@ from bench.evaluation.key_figures import is_key_figure
 from bench.findings.looks import find_look
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
+from bench.report.page import name_metric
 from bench.saving import save
 from bench.wording import format_number
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.flight_verbs import print_end
 from bench.workbench.printing import print_finding_table, print_findings
 
+_MAIN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg", "nees_mean")
+"""Metrics that are printed without being asked for."""
 
-def compare(folders: Sequence[Path], *, console: Console, out: Path | None, force: bool) -> list[Compared]:
-    """Compare the first folder with the others and print it; ``out`` gets all of them as one result."""
+
+def compare(
+    folders: Sequence[Path], *, console: Console, out: Path | None, force: bool, whole: bool = False
+) -> list[Compared]:
+    """Compare the first folder with the others and print it; ``out`` gets all of them as one result.
+
+    All key figures are printed of the ``whole``, else the main ones.
+    """
     if out is not None:
         store.check_folder(out, force=force)
     compared = compare_results(folders)
     for one in compared:
-        _print_compared(console, one)
+        _print_compared(console, one, whole)
     if out is not None:
         _write_overlay(folders, compared, out, force=force, console=console)
     return compared
 
 
-def _print_compared(console: Console, one: Compared) -> None:
+def _print_compared(console: Console, one: Compared, whole: bool) -> None:
     console.print(Text(f"{one.first} beside {one.other}", "bold"), soft_wrap=True)
     for text in one.differences:
         console.print(f"  differs: {text}", soft_wrap=True)
-    shown = [row for row in one.verdicts if is_key_figure(row.metric)]
+    shown = [row for row in one.verdicts if (is_key_figure(row.metric) if whole else row.metric in _MAIN)]
     for profile, estimator in dict.fromkeys((row.profile, row.estimator) for row in shown):
-        rows = [row for row in shown if (row.profile, row.estimator) == (profile, estimator)]
+        rows = [
+            replace(row, metric=name_metric(row.metric))
+            for row in shown
+            if (row.profile, row.estimator) == (profile, estimator)
+        ]
         own = len({one.first, one.other, "metric", "verdict"}) == 4
         heads = (one.first, one.other) if own else ("first", "second")
         table = tabulate_verdicts(rows, f"{estimator}, {profile}", heads)
         print_finding_table(console, table)
     print_findings(console, one.sentences)
+    if not whole:
+        console.print("All key figures: --table")
     if all(row.note == ONE_DRAW for row in one.verdicts):
         return
     worse = sum(row.word == "worse" for row in one.verdicts)
@@ -95,6 +110,7 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
         "other": one.other,
         "sentences": list(one.sentences),
         "differences": list(one.differences),
+        "single": single,
         "meaning": "One draw each: no interval, and chance is not told from a difference"
         if single
         else "Pooled over the draws. Change: of the second from the first, with its interval; above 0 is "
@@ -102,7 +118,8 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
         "rows": [
             {
                 "estimator": row.estimator,
-                "metric": row.metric,
+                "metric": name_metric(row.metric),
+                "name": row.metric,
                 "old": format_number(row.old),
                 "new": format_number(row.new),
                 "word": row.word,

@@ -98,8 +98,8 @@ def test_the_report_in_a_browser(text, result, tmp_path, width, scheme, medium):
     dark = ["--force-dark-mode", "--blink-settings=preferredColorScheme=0"] if scheme == "dark" else []
     done = subprocess.run(
         [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", *dark,
-         f"--window-size={max(width, 500)},900", f"--user-data-dir={tmp_path / 'user'}", "--virtual-time-budget=5000",
-         "--dump-dom", f"file://{path}"],
+         f"--window-size={max(width, 500)},900", f"--user-data-dir={tmp_path / 'user'}",
+         "--virtual-time-budget=5000", "--dump-dom", f"file://{path}"],
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     found = json.loads(unescape(re.search(r"<pre id=\"found\">(.*?)</pre>", done.stdout, re.DOTALL).group(1)))

@@ -253,7 +253,7 @@ def test_an_index_written_elsewhere_names_the_folders_relative_to_itself(result,
     assert main(["report", "runs", "-o", str(tmp_path / "pages" / "index.html")]) == 0
     text = (tmp_path / "pages" / "index.html").read_text(encoding="utf-8")
     assert "../runs/short" in text
-    assert f"<td>{result.profile['sensors']['imu']}</td>" in text
+    assert f'<td class="text">{result.profile["sensors"]["imu"]}</td>' in text
 
 
 def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
