@@ -94,7 +94,7 @@ def make_summary(result: RunResult) -> str:
     metrics, profile = result.metrics, result.profile
     begin = f"{result.evaluation.begin:g} s"
     colours = ", ".join(f"{_escape(label)} {look.name}" for label, look in choose_looks(metrics).items())
-    truth = "Fixes are yellow dots" if result.truth is None else "Truth is green, fixes are yellow dots"
+    truth = "Fixes are white dots" if result.truth is None else "Truth is green, fixes are white dots"
     lost = [f"{start:g} to {end:g} s" for start, end, _ in result.events.select("gnss_outage")]
     faults = [f"{start:g} to {end:g} s: {text}" for start, end, text in result.events.select("fault")]
     lines = [

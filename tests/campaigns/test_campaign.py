@@ -36,6 +36,7 @@ from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import Estimate
 from bench.recording import drawing
 from bench.report import campaign_page
+from bench.report.page import name_metric
 from bench.wording import format_number
 from bench.workbench import record_verbs
 
@@ -227,6 +228,9 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
     assert f"loose-15 {min(means):.3g} to {max(means):.3g}" in nees
     share = next(words for words in plots if words.startswith("runs with at most this horizontal error, rms"))
     assert "loose-22 0 to 100" in share
+    index = bench.write_report(here, here / "index.html").read_text()
+    assert '<a href="two/report.html">two</a>' in index
+    assert '<td class="text">4 runs</td>' in index
     (here / "damaged").mkdir()
     for name in (RUNS, EPOCHS):
         (here / "damaged" / name).write_bytes((here / "two" / name).read_bytes())
@@ -262,7 +266,7 @@ def test_two_campaigns_are_drawn_over_each_other(here, capsys):
     assert "sensors.imu: adis16475 and stim300" in found.differences
     assert all(text in words for text in (*found.sentences, *found.differences))
     row = next(row for row in found.verdicts if row.metric == "tilt_rmse_deg")
-    cells = (row.estimator, row.metric, format_number(row.old), format_number(row.new), row.word)
+    cells = (row.estimator, name_metric(row.metric), format_number(row.old), format_number(row.new), row.word)
     assert all(f">{cell}</td>" in words for cell in (*cells, row.format_change()))
     plots = re.findall(r'aria-label="([^"]+)"', words)
     tilt = next(text for text in plots if text.startswith("tilt error [deg]: loose-15, two"))

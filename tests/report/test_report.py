@@ -198,7 +198,7 @@ def test_run_writes_a_report_and_the_verb_writes_it_again(result, tmp_path, caps
     assert main(["report", "runs"]) == 0
     index = (tmp_path / "runs/index.html").read_text(encoding="utf-8")
     assert 'href="short/report.html"' in index
-    assert index.count('class="verdict ') == 2
+    assert index.count('class="text verdict ') == 2
     (folder / "report.html").write_text("mine")
     capsys.readouterr()
     assert main(["report", "runs/short"]) == 2

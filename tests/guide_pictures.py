@@ -1,0 +1,143 @@
+"""Make the pictures of the guide again: ``make pictures``. It needs Chromium, and half an hour for the card.
+
+What they show is made below ``build/pictures`` by the commands that the guide names; what is there from an
+earlier time is taken. ``python -m tests.guide_pictures NAME...`` makes only these pictures.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from PIL import Image
+from rich.console import Console
+from rich.text import Text
+
+import bench
+from bench.workbench.guide import FOLDER
+from tests import docs_site
+from tests.recording.screens import WIDTH, show_in_browser, take_picture
+
+ROOT = Path(__file__).parent.parent
+BUILD = ROOT / "build" / "pictures"
+MOST_BYTES = 150_000
+"""Size of a picture; the wheel holds all of them."""
+
+_SHOWN = 1200  # width in the guide [pixels]
+_HEIGHT = 900  # of a screen [pixels]
+_RUN = ("run", "figure-eight")
+_CAMPAIGN = ("campaign", "figure-eight", "-e", "loose-full", "-e", "loose-15", "--runs", "40")
+_CARD = ("card", "-e", "loose-15", "--quick")
+_LOG = ("navigate", "tests/logs/flights/copter.bin")
+_BUDGET = ("study", "budget", "figure-eight", "--estimator", "loose-22")
+
+
+def main(*names: str) -> None:
+    for name in names or PICTURES:
+        with tempfile.TemporaryDirectory() as scratch:
+            path = FOLDER / f"{name}.png"
+            path.write_bytes(shrink(PICTURES[name](Path(scratch))))
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def shrink(picture: bytes) -> bytes:
+    """Return a picture as a PNG with as many colours as there is room for."""
+    with Image.open(io.BytesIO(picture)) as image:
+        shown = image.convert("RGB")
+    if shown.width > _SHOWN:
+        shown = shown.resize((_SHOWN, round(shown.height * _SHOWN / shown.width)), Image.Resampling.LANCZOS)
+    for colours in (256, 128, 64, 32, 16):
+        stream = io.BytesIO()
+        shown.quantize(colours, dither=Image.Dither.NONE).save(stream, "PNG", optimize=True)
+        if stream.tell() <= MOST_BYTES:
+            break
+    return stream.getvalue()
+
+
+def make(name: str, command: tuple[str, ...], option: str = "-o") -> Path:
+    """Return what a command of bench writes; it runs unless that is there."""
+    place = BUILD / name
+    if not place.exists():
+        run(*command, option, str(place))
+    return place
+
+
+def run(*command: str) -> str:
+    """Return what a command of bench prints on a terminal of 80 columns, in colours."""
+    there = {"COLUMNS": "80", "FORCE_COLOR": "1", "TTY_INTERACTIVE": "0", "TERM": "xterm-256color"}
+    done = subprocess.run(
+        [sys.executable, "-m", "bench", *command], cwd=ROOT, env=os.environ | there, text=True,
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    if done.returncode not in (0, 1):  # 1: a verdict is negative
+        raise RuntimeError(f"bench {' '.join(command)}: status {done.returncode}\n{done.stdout}")
+    return done.stdout
+
+
+def show_terminal(scratch: Path) -> bytes:
+    printed = run(*_RUN, "--force", "-o", str(make("run", _RUN)))
+    shown = Text.from_ansi(
+        f"$ bench {' '.join(_RUN)}\n\n{printed.replace(str(BUILD / 'run'), 'runs/figure-eight')}"
+    )
+    console = Console(record=True, width=80, file=io.StringIO(), legacy_windows=False)
+    console.print(shown)
+    style = (
+        "body {{ margin: 12px; background: #fff; }} pre {{ font: 14px/19px 'DejaVu Sans Mono', monospace; }}"
+    )
+    page = f"<meta charset='utf-8'><style>{style} {{stylesheet}}</style><pre>{{code}}</pre>"
+    path = scratch / "terminal.html"
+    path.write_text(console.export_html(code_format=page), encoding="utf-8")
+    lines = len(shown.wrap(console, 80))
+    return take_picture(path.as_uri(), scratch, 80 * 9 - 20, 19 * lines + 50)
+
+
+def show_page(page: Path, scratch: Path, height: int = _HEIGHT) -> bytes:
+    return take_picture(page.absolute().as_uri(), scratch, WIDTH, height)
+
+
+def show_tab(k: int, scratch: Path) -> bytes:
+    tabs = show_in_browser(make("run", _RUN), scratch)
+    return next(itertools.islice(tabs, k, None))[1]
+
+
+def show_card(scratch: Path) -> bytes:
+    card = make("card.json", (*_CARD, "--runs", str(BUILD / "card"), "--html", str(BUILD / "card.html")))
+    return show_page(card.with_suffix(".html"), scratch)
+
+
+def show_budget(scratch: Path) -> bytes:
+    study = bench.load_study(make("budget", _BUDGET))
+    stream = io.BytesIO()
+    name = next(
+        name for name, plot in study.figures.items() if "heading" in plot.title and "share" in plot.title
+    )
+    study.plot(name).savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def show_docs(scratch: Path) -> bytes:
+    return show_page(docs_site.build(ROOT / "build" / "docs") / "index.html", scratch)
+
+
+PICTURES: Mapping[str, Callable[[Path], bytes]] = {
+    "terminal": show_terminal,
+    "report": lambda scratch: show_page(make("run", _RUN) / "report.html", scratch),
+    "figure-eight": lambda scratch: show_tab(0, scratch),
+    "comparison": lambda scratch: show_tab(1, scratch),
+    "campaign": lambda scratch: show_page(make("campaign", _CAMPAIGN) / "report.html", scratch),
+    "card": show_card,
+    "autopilots": lambda scratch: show_page(make("log", _LOG) / "report.html", scratch),
+    "budget": show_budget,
+    "docs": show_docs,
+}
+"""Name of a picture -> what makes it."""
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
