@@ -11,7 +11,7 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long lint kernels check perf oracle minima lock mutants guide docs
+.PHONY: run test long lint kernels check perf oracle minima lock mutants guide pictures docs
 
 run: .venv/ready
 	$(BIN)/bench run figure-eight --force
@@ -44,6 +44,10 @@ oracle: .venv/ready
 # the tables of bench/guide that say what the code declares
 guide: .venv/ready
 	$(BIN)/python -m tests.guide_tables
+
+# the pictures of bench/guide, which Chromium takes; half an hour for what they show
+pictures: .venv/ready
+	$(BIN)/python -m tests.guide_pictures
 
 # the documentation as a site in build/docs/site, which needs no network
 docs: .venv/ready

@@ -22,15 +22,14 @@ from rich.text import Text
 import bench
 from bench.workbench.guide import FOLDER
 from tests import docs_site
-from tests.recording.screens import WIDTH, show_in_browser, take_picture
+from tests.recording.screens import show_in_browser, take_picture
 
 ROOT = Path(__file__).parent.parent
 BUILD = ROOT / "build" / "pictures"
 MOST_BYTES = 150_000
 """Size of a picture; the wheel holds all of them."""
 
-_SHOWN = 1200  # width in the guide [pixels]
-_HEIGHT = 900  # of a screen [pixels]
+_WIDTH, _HEIGHT = 1200, 750  # of a screen [pixels]
 _RUN = ("run", "figure-eight")
 _CAMPAIGN = ("campaign", "figure-eight", "-e", "loose-full", "-e", "loose-15", "--runs", "40")
 _CARD = ("card", "-e", "loose-15", "--quick")
@@ -47,14 +46,15 @@ def main(*names: str) -> None:
 
 
 def shrink(picture: bytes) -> bytes:
-    """Return a picture as a PNG with as many colours as there is room for."""
+    """Return a picture as a PNG of at most 256 colours, smaller if it needs more room."""
     with Image.open(io.BytesIO(picture)) as image:
-        shown = image.convert("RGB")
-    if shown.width > _SHOWN:
-        shown = shown.resize((_SHOWN, round(shown.height * _SHOWN / shown.width)), Image.Resampling.LANCZOS)
-    for colours in (256, 128, 64, 32, 16):
+        whole = image.convert("RGB")
+    for part in (1.0, 0.9, 0.8, 0.7):
+        size = round(whole.width * part), round(whole.height * part)
+        shown = whole if part == 1.0 else whole.resize(size, Image.Resampling.LANCZOS)
         stream = io.BytesIO()
-        shown.quantize(colours, dither=Image.Dither.NONE).save(stream, "PNG", optimize=True)
+        few = shown.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few.save(stream, "PNG", optimize=True)
         if stream.tell() <= MOST_BYTES:
             break
     return stream.getvalue()
@@ -98,11 +98,11 @@ def show_terminal(scratch: Path) -> bytes:
 
 
 def show_page(page: Path, scratch: Path, height: int = _HEIGHT) -> bytes:
-    return take_picture(page.absolute().as_uri(), scratch, WIDTH, height)
+    return take_picture(page.absolute().as_uri(), scratch, _WIDTH, height)
 
 
 def show_tab(k: int, scratch: Path) -> bytes:
-    tabs = show_in_browser(make("run", _RUN), scratch)
+    tabs = show_in_browser(make("run", _RUN), scratch, _WIDTH, _HEIGHT)
     return next(itertools.islice(tabs, k, None))[1]
 
 

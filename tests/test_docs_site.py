@@ -10,6 +10,7 @@ import pytest
 import bench
 from bench.workbench.guide import FOLDER, read_topics
 from tests import docs_site
+from tests.guide_pictures import MOST_BYTES, PICTURES
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +49,14 @@ def test_every_public_name_is_told_with_its_errors(site):
     assert "bench.errors.FlightError" in one
     arrays = page.partition("### NavSolution\n")[2].partition("### ")[0]
     assert r"\[m/s\], n" in arrays
+
+
+def test_every_picture_of_the_guide_is_shown_small_and_made_by_the_command():
+    shown = {path.stem for path in FOLDER.glob("*.png")}
+    assert shown == set(PICTURES)
+    assert max(path.stat().st_size for path in FOLDER.glob("*.png")) <= MOST_BYTES
+    text = "".join(path.read_text() for path in (*FOLDER.glob("*.md"), FOLDER.parents[1] / "README.md"))
+    assert [name for name in sorted(shown) if f"{name}.png)" not in text] == []
 
 
 def test_a_link_that_leads_nowhere_ends_the_build(tmp_path, monkeypatch):

@@ -122,7 +122,9 @@ def _find_tab(viewer: Any, tabs: str) -> str:
     return str(blueprint[f"/container/{tabs}"]["ContainerBlueprint"]["active_tab"])
 
 
-def show_in_browser(folder: Path, scratch: Path) -> Iterator[tuple[str, bytes]]:
+def show_in_browser(
+    folder: Path, scratch: Path, width: int = WIDTH, height: int = 810
+) -> Iterator[tuple[str, bytes]]:
     """Yield the name of each tab of a results folder, and a picture of it as `bench view --web` serves it."""
     result = bench.load(folder)
     content = gather_content(result)
@@ -145,7 +147,7 @@ def show_in_browser(folder: Path, scratch: Path) -> Iterator[tuple[str, bytes]]:
             viewer = subprocess.Popen([tool, page, *options], stderr=subprocess.DEVNULL)
             try:
                 wait_for(page, lambda page=page: _answers(page))
-                yield name, take_picture(f"{page}&renderer=webgl", scratch, WIDTH, 810, _EMPTY)
+                yield name, take_picture(f"{page}&renderer=webgl", scratch, width, height, _EMPTY, dark=True)
             finally:
                 viewer.kill()
                 viewer.wait()
@@ -160,7 +162,9 @@ def _answers(page: str) -> bool:
         return False
 
 
-def take_picture(address: str, scratch: Path, width: int, height: int, least: int = 0) -> bytes:
+def take_picture(
+    address: str, scratch: Path, width: int, height: int, least: int = 0, *, dark: bool = False
+) -> bytes:
     """Return a picture of a page in Chromium that stays the same and has more than so many bytes."""
     options = ["--headless=new", "--no-sandbox", "--hide-scrollbars", "--use-angle=swiftshader"]
     options += ["--enable-unsafe-swiftshader", "--remote-debugging-port=0", "--remote-allow-origins=*"]
@@ -170,13 +174,13 @@ def take_picture(address: str, scratch: Path, width: int, height: int, least: in
         assert browser.stderr is not None
         told = next(line for line in browser.stderr if "DevTools listening" in line)
         (port,) = re.findall(r"ws://127\.0\.0\.1:(\d+)/", told)
-        return asyncio.run(_photograph(port, address, width, height, least))
+        return asyncio.run(_photograph(port, address, width, height, least, dark))
     finally:
         browser.kill()
         browser.wait()
 
 
-async def _photograph(port: str, address: str, width: int, height: int, least: int) -> bytes:
+async def _photograph(port: str, address: str, width: int, height: int, least: int, dark: bool) -> bytes:
     """Return a picture by the browser whose tools listen at a port of this machine."""
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/json/list") as answer:
         page = next(one for one in json.load(answer) if one["type"] == "page")
@@ -192,6 +196,8 @@ async def _photograph(port: str, address: str, width: int, height: int, least: i
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     await call("Emulation.setDeviceMetricsOverride", **size)
     await call("Emulation.setFocusEmulationEnabled", enabled=True)
+    scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+    await call("Emulation.setEmulatedMedia", features=[scheme])
     await call("Page.navigate", url=address)
     begun, same, picture = time.monotonic(), 0, b""
     while same < 3:
@@ -199,7 +205,7 @@ async def _photograph(port: str, address: str, width: int, height: int, least: i
             raise TimeoutError(f"{address}: not drawn after {_PATIENCE:.0f} s")
         await asyncio.sleep(1.0)
         for k in (1, 0):  # the viewer waits for a mouse that moves
-            await call("Input.dispatchMouseEvent", type="mouseMoved", x=width - 20 - k, y=50)
+            await call("Input.dispatchMouseEvent", type="mouseMoved", x=width // 2 - k, y=height - 3)
         last, picture = picture, base64.b64decode((await call("Page.captureScreenshot"))["data"])
         same = same + 1 if picture == last and len(picture) > least else 0
     return picture
