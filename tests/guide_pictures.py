@@ -46,15 +46,16 @@ def main(*names: str) -> None:
 
 
 def shrink(picture: bytes) -> bytes:
-    """Return a picture as a PNG of at most 256 colours, smaller if it needs more room."""
+    """Return a picture as a PNG; if it needs more room, of 256 colours, and smaller."""
     with Image.open(io.BytesIO(picture)) as image:
         whole = image.convert("RGB")
-    for part in (1.0, 0.9, 0.8, 0.7):
-        size = round(whole.width * part), round(whole.height * part)
-        shown = whole if part == 1.0 else whole.resize(size, Image.Resampling.LANCZOS)
+    for part in (None, 1.0, 0.9, 0.8, 0.7):
+        shown = whole
+        if part is not None:
+            size = round(whole.width * part), round(whole.height * part)
+            shown = whole.resize(size, Image.Resampling.LANCZOS).quantize(256, dither=Image.Dither.NONE)
         stream = io.BytesIO()
-        few = shown.quantize(256, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-        few.save(stream, "PNG", optimize=True)
+        shown.save(stream, "PNG", optimize=True)
         if stream.tell() <= MOST_BYTES:
             break
     return stream.getvalue()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -113,11 +114,25 @@ def fly(profile: str, **options: Any) -> int:
     return DONE
 
 
+class _Shelf(click.Choice[str]):
+    """A word that `bench list` knows; of the name of a thing it says where that is listed."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if value not in self.choices:
+            from bench.workbench.show import list_catalog
+
+            shelves = {one.name.lower(): shelf for shelf, found in list_catalog().items() for one in found}
+            near = difflib.get_close_matches(str(value).lower(), shelves, n=1)
+            if near:
+                self.fail(f"{value!r} is not a kind; {near[0]} is in 'bench list {shelves[near[0]]}'")
+        return super().convert(value, param, ctx)
+
+
 @commands.command(name="list", epilog=STATUS)
 @click.argument(
     "kind",
     required=False,
-    type=click.Choice(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies"]),
+    type=_Shelf(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies"]),
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")

@@ -78,6 +78,9 @@ class DatasheetChanges:
         document.update(self.keys)
 
 
+_OF_IMUS = ("gyro", "accel")
+"""Tables of the datasheet of an IMU."""
+
 _PATHS = re.compile(r"jsbsim_root|trajectory|((imu|gnss|baro|reference)\.)?file")
 _OF_DATASHEETS = re.compile(r"sensors\.(assumed\.)?gnss\.sky\.(almanac|navigation)")
 """Keys whose value is always a path, in a profile or a log and in a datasheet."""
@@ -115,6 +118,8 @@ def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[st
     changes = DatasheetChanges()
     for key, value in list(plain.items()):
         parts = key.split(".")
+        if parts[0] in _OF_IMUS:
+            raise ConfigError(f"--set {key}: a figure of a datasheet; name its sensor: sensors.imu.{key}=...")
         only_assumed = parts[:2] == ["sensors", "assumed"]
         rest = parts[2:] if only_assumed else parts[1:]
         if parts[0] == "sensors" and len(rest) > 1 and rest[0] in SENSORS:

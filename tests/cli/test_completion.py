@@ -69,3 +69,13 @@ def test_a_word_that_is_no_topic_names_the_pages_that_have_it(capsys):
     assert main(["guide", "allan"]) == 2
     said = capsys.readouterr().err
     assert "no topic 'allan'. It is written of in: sensors" in said, said
+
+
+def test_the_name_of_a_unit_is_told_where_it_is_listed(capsys):
+    assert main(["list", "STIM300"]) == 2
+    assert "stim300 is in 'bench list sensors'" in capsys.readouterr().err
+
+
+def test_a_figure_without_its_sensor_is_told_what_begins_it(capsys):
+    assert main(["run", "figure-eight", "--set", "gyro.arw=1"]) == 2
+    assert "name its sensor: sensors.imu.gyro.arw=" in capsys.readouterr().err

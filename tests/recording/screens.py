@@ -204,8 +204,8 @@ async def _photograph(port: str, address: str, width: int, height: int, least: i
         if time.monotonic() - begun > _PATIENCE:
             raise TimeoutError(f"{address}: not drawn after {_PATIENCE:.0f} s")
         await asyncio.sleep(1.0)
-        for k in (1, 0):  # the viewer waits for a mouse that moves
-            await call("Input.dispatchMouseEvent", type="mouseMoved", x=width // 2 - k, y=height - 3)
+        for k in (1, 0):  # the viewer waits for a mouse that moves; where it opens no tooltip
+            await call("Input.dispatchMouseEvent", type="mouseMoved", x=k, y=height - 1)
         last, picture = picture, base64.b64decode((await call("Page.captureScreenshot"))["data"])
         same = same + 1 if picture == last and len(picture) > least else 0
     return picture
