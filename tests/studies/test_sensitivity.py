@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
 from bench.errors import ConfigError
 from bench.places import PACKAGE
+from bench.studies import sensitivity
 from bench.studies.sensitivity import Options, Swept, compare_ends, find_values
 from bench.studies.study import count_looks, read_options
 
@@ -29,6 +33,43 @@ def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_
     given = "--values 300,600 --estimators free-inertial --draws 2"
     assert result.command == f"bench study sensitivity {short} {key} {given}"
     assert result.figures["pos_rmse_h_m"].across == "deg/h"
+
+
+def ask(law, **more):
+    """Return the findings on made runs, whose error is a law of value and draw, and what was flown."""
+    flown = []
+
+    def campaign(what, spec, first):
+        flown.append((first, spec.runs))
+        rows = [
+            {"estimator": "mine", "condition": k, "run": run, "converged": bool(np.isfinite(error)),
+             METRIC: error, "heading_rmse_deg": 2.0 * error}
+            for k, given in enumerate(spec.varied)
+            for run in range(first, spec.runs)
+            for error in [law(given["rate_hz"], run)]
+        ]  # fmt: skip
+        return SimpleNamespace(runs=SimpleNamespace(to_pylist=lambda: rows))
+
+    options = Options(profiles="s-turns", key="rate_hz", values="1,2", draws=4, most_draws=9, **more)
+    return sensitivity._ask(options, SimpleNamespace(campaign=campaign)), flown
+
+
+def test_draws_are_added_until_the_ends_are_told_apart():
+    """By hand: twice the error on every draw is decided at once; what is alike by noise never is."""
+    noise = np.random.default_rng(1).uniform(1.0, 3.0, (3, 9))
+    found, flown = ask(lambda value, run: value * noise[0, run])
+    assert flown == [(0, 4)]
+    assert (found.good, found.draws) == (True, 4)
+    assert "on the same draws 1 over 2 0.5 (0.5 to 0.5): better" in found.verdicts[0]
+    rms = [np.sqrt(np.mean(np.square(value * noise[0, :4]))) for value in (1.0, 2.0)]
+    assert f"mine: {METRIC} from {rms[0]:.3g} (" in found.verdicts[0]
+    assert f"at 1 Hz to {rms[1]:.3g} (" in found.verdicts[0]
+    assert_allclose(found.figures[0].series[0].values[:, 0], rms)
+    found, flown = ask(lambda value, run: noise[int(value), run])
+    assert flown == [(0, 4), (4, 8), (8, 9)]
+    assert found.draws == 9
+    found, _ = ask(lambda value, run: np.nan if (value, run) == (2, 3) else value * noise[0, run])
+    assert not found.good
 
 
 def test_the_values_are_around_the_own_one_unless_given():
