@@ -120,6 +120,28 @@ def test_draws_and_covariance_agree_by_an_interval_that_can_fail():
     assert any("They disagree on noise, heading at 10 s" in text for text in budget_study._compare(rows, 200))
 
 
+def test_the_ranking_and_the_worst_claim_are_said():
+    """By hand: shares of 4, 1 and 0.001, and a filter that claims a ninth of the variance of its heading."""
+    budget = make_budget({"noise": 1.0, "gyro": 4.0, "small": 0.001})
+    claimed = np.full((1, 9), 5.001)
+    claimed[0, 8] /= 9.0
+    budget = replace(budget, claimed=claimed)
+    said = budget_study._rank(budget, 0, "10 s")
+    assert said.startswith(
+        f"At 10 s, of the variance: horizontal position {np.sqrt(10.002):.3g} m by gyro 80 %"
+    )
+    assert "gyro 80 % and noise 20 %" in said
+    told = budget_study._judge_claim(budget, {"10 s": 0}, "mine", 3)
+    assert told[0] == "The worst claims of mine: at 10 s, its heading error is 3 times what it claims."
+    assert "refused 3 scalar measurements" in told[1]
+    assert len(budget_study._judge_claim(budget, {"10 s": 0}, "mine", 0)) == 1
+    table = budget_study._tabulate(budget, {"10 s": 0}, "mine").columns
+    assert table["source"] == ["gyro", "noise", "small"]
+    assert_allclose(table["share_percent"], 100.0 * np.array([4.0, 1.0, 0.001]) / 5.001)
+    assert_allclose(table["height_m"], np.sqrt([4.0, 1.0, 0.001]))
+    assert budget_study._find_sources(budget, [0]) == ["noise", "gyro"]
+
+
 def test_a_budget_of_few_draws_is_undecided(flight):
     found = bench.study(
         "budget", profiles=flight, draws=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
@@ -142,6 +164,23 @@ def test_the_bound_of_a_short_flight(flight):
         assert high > 1.0
         assert name == "smoother" or low < 1.0  # it is the best linear one, but for linearization
     assert found.findings.good
+    assert_allclose(np.divide(table["rmse"], table["bound"]), table["ratio"])
+    heading = next(
+        ratio
+        for name, phase, quantity, ratio in zip(
+            *(table[key] for key in ("estimator", "phase", "quantity", "ratio")), strict=True
+        )
+        if (name, phase, quantity) == ("loose-full", "without GNSS", "heading")
+    )
+    assert f"heading {heading:.3g}." in next(
+        text for text in found.verdicts if "without GNSS, over the bound" in text
+    )
+    best = found.tables["best_linear"].columns
+    assert best["t_s"][-1] == pytest.approx(found.figures["heading"].series[0].t[-1])
+    lines = {one.key: one.values[-1, 0] for one in found.figures["heading"].series}
+    assert (lines["bound"], lines["smoothing"]) == pytest.approx(
+        (best["heading_deg"][-1], best["heading_smoothed_deg"][-1])
+    )
 
 
 def test_a_run_is_held_against_the_bound_where_asked_for(flight):
