@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -12,7 +14,7 @@ from bench import pipeline
 from bench.config.listing import PROFILES
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd, split_drift
-from bench.studies import outage_drift
+from bench.studies import outage_drift, outage_tables
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight
 from bench.studies.outage_grades import find_time
 from bench.studies.outage_growth import Drift, pair_units
@@ -107,6 +109,51 @@ def test_units_are_paired_from_the_best_on_and_one_with_a_lost_draw_is_not():
     assert any("best over worse 0.5 (0.5 to 0.5): better" in text for text in told)
     assert any("lost straight 1 of 8" in text for text in told)
     assert any("comes from: receiver velocity (worse, " in text for text in told)
+
+
+def test_tables_words_and_pictures_of_a_drift_by_hand():
+    """Four draws of 1, 2, 3 and 4 m/s, claimed as 2 m/s; the closed form has 0.3 and 0.4 m/s."""
+    t, speeds = np.arange(1.0, 61.0), np.array([1.0, 2.0, 3.0, 4.0])[:, None]
+    drift = make_drift(speeds * t, {"gyro bias": 0.3 * t, "receiver velocity": 0.4 * t})
+    drift.grown[:, :, 4] = np.square(2.0 * t)
+    drifts = {("my/own.toml", "straight"): drift}
+    units = {"my/own.toml": SimpleNamespace(grade="tactical")}
+    tables = {
+        one.name: one.columns for one in outage_tables.fill_drifts(drifts, units, (10.0, 60.0, 90.0), 5.0)
+    }
+    rms = np.sqrt(7.5)
+    assert tables["drift"]["outage_s"] == [10.0, 60.0], "90 s were not flown"
+    assert_allclose(tables["drift"]["drift_m"], [10.0 * rms, 60.0 * rms])
+    assert_allclose(tables["drift"]["median_m"], [25.0, 150.0])
+    assert_allclose(tables["drift"]["law_m"], [5.0, 30.0])
+    assert_allclose(tables["claims"]["error_m"], tables["drift"]["drift_m"])
+    assert_allclose(tables["claims"]["claimed_m"], [20.0, 120.0])
+    assert_allclose(tables["axes"]["north_m"], tables["drift"]["drift_m"])
+    assert_allclose(tables["axes"]["largest_m"], [40.0, 240.0])
+    assert_allclose(tables["sources"]["share_percent"], [36.0, 64.0] * 2)
+    assert_allclose(
+        [tables["times"][key][0] for key in ("after_s", "law_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
+    )
+    first, times, made, claims = tell_drifts(
+        ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0), 5.0
+    )
+    assert first.startswith(
+        "Drift after 60 s without GNSS, straight, RMS and by the closed form [m]: my/own.toml 164 ("
+    )
+    assert first.endswith("), 30.")
+    assert "my/own.toml 2 s (" in times
+    assert made.endswith("comes from: receiver velocity (my/own.toml).")
+    assert "in 2 of 2 cases." in claims
+    silent = {("my/own.toml", "straight"): Drift(drift.grid, drift.grown * [1, 1, 1, 1, 100], drift.law)}
+    *_, claims = tell_drifts(["my/own.toml"], "mine", silent, {"straight": []}, (10.0, 60.0), 5.0)
+    assert claims.endswith("in 0 of 2 cases; not in, by unit: my/own.toml 2.")
+    error, ratio = outage_tables.plot_drifts(["my/own.toml"], ["straight"], drifts)
+    band, dots = error.series
+    assert (band.key, dots.key) == ("own.toml", "own.toml claimed")
+    assert_allclose(band.values[:, 0], rms * t)
+    assert_allclose(dots.values[:, 0], 2.0 * dots.t)
+    assert_allclose((dots.t[0], dots.t[-1]), (1.0, 60.0))
+    assert_allclose(ratio.series[0].values[:, 0], rms / 0.5)
 
 
 def test_a_flight_of_ones_own_is_lost_from_its_outage_on(tmp_path):
