@@ -36,25 +36,21 @@ def as_group(flight) -> np.ndarray:
     return X
 
 
-def as_algebra(x) -> np.ndarray:
-    A = np.zeros((5, 5))
-    A[:3, :3], A[:3, 3], A[:3, 4] = rotation.skew(x[:3]), x[3:6], x[6:9]
-    return A
-
-
 def moved(flight, x):
     """A copy whose estimate is moved by an error; the exponential is that of scipy."""
-    other = flight.copy()
-    X = as_group(flight) @ expm(as_algebra(x))
+    other, error = flight.copy(), np.eye(5)
+    error[:3, :3], error[:3, 3], error[:3, 4] = expm(rotation.skew(x[:3])), x[3:6], x[6:9]
+    X = as_group(flight) @ error
     other.C_tb, other.p_t, other.v_t = X[:3, :3], X[:3, 3], X[:3, 4]
     other.bias = flight.bias + x[9:]
     return other
 
 
 def error_of(truth, estimate) -> np.ndarray:
-    A = np.real(logm(np.linalg.solve(as_group(estimate), as_group(truth))))
+    error = np.linalg.solve(as_group(estimate), as_group(truth))
+    A = np.real(logm(error[:3, :3]))
     phi = np.array([A[2, 1], A[0, 2], A[1, 0]])
-    return np.concatenate([phi, A[:3, 3], A[:3, 4], truth.bias - estimate.bias])
+    return np.concatenate([phi, error[:3, 3], error[:3, 4], truth.bias - estimate.bias])
 
 
 def difference(flight, of) -> np.ndarray:
@@ -88,16 +84,17 @@ def test_the_rows_are_those_of_finite_differences(flight):
     assert_allclose(H, found, atol=2e-6)
 
 
-def test_the_feedback_moves_the_estimate_by_the_group_and_p_with_it(flight):
+def test_the_feedback_moves_the_estimate_and_p_with_it(flight):
     """What is left of an error after half of it is fed back, beside what P is turned by: to second order."""
     x = 1e-2 * np.arange(1.0, 16.0) / 15.0
     fed = flight.copy()
-    fed.P = np.eye(15)
+    fed.P = np.diag(np.arange(1.0, 16.0))
     fed._feed_back(x)
     assert_allclose(as_group(fed), as_group(moved(flight, x)), atol=1e-12)
     G = difference_about(flight, x)
-    assert_allclose(fed.P, G @ G.T, atol=1e-4)
-    assert np.abs(np.eye(15) - G @ G.T).max() > 1e-3
+    P = G @ np.diag(np.arange(1.0, 16.0)) @ G.T
+    assert_allclose(fed.P, P, atol=1e-4)
+    assert np.abs(np.diag(np.arange(1.0, 16.0)) - P).max() > 1e-3
 
 
 def difference_about(flight, x) -> np.ndarray:
@@ -108,6 +105,19 @@ def difference_about(flight, x) -> np.ndarray:
         after = (error_of(moved(flight, x + e), fed), error_of(moved(flight, x - e), fed))
         columns.append((after[0] - after[1]) / (2.0 * size))
     return np.array(columns).T
+
+
+@pytest.mark.parametrize(("sigmas", "part"), [(0.0, 0.0), (2.9, 0.0), (10.0, 0.91)])
+def test_a_heading_error_turns_no_noise(flight, sigmas, part):
+    """Level and at rest; a force beyond that by some sigma of the noise is turned as far as it is motion."""
+    one, dt, psi = flight.copy(), 0.01, 1e-4
+    one.C_tb, one.v_t, one.bias = np.eye(3), np.zeros(3), np.zeros(6)
+    one.gravity, one.q = np.array([0.0, 0.0, 9.8]), np.full(15, 1e-6)
+    one.P = np.zeros((15, 15))
+    one.P[2, 2] = psi**2
+    more = sigmas * np.sqrt(one.q[6] / dt) * np.array([0.6, -0.8, 0.0])
+    one.predict(dt, one.frame.w_t * dt, (more - one.gravity) * dt, np.zeros(2))
+    assert_allclose(one.P[6:8, 2] / (psi**2 * dt), part * np.array([-more[1], more[0]]), atol=1e-6)
 
 
 def test_it_knows_its_errors():

@@ -18,7 +18,7 @@ WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filte
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]
 _ROUGH = 0.05  # sd from which on motion that may be none does not tell it [rad]
 _SIGMAS = 3.0  # a velocity within these of zero may be none
-NOISE_SIGMAS = 3.0  # a force within these of a steady flight's may be noise
+_NOISE_SIGMAS = 3.0  # a force within these of a steady flight's may be noise
 _VEL_SD = 1.0  # a velocity known worse than this tells nothing of standing [m/s]
 
 
@@ -38,12 +38,29 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
 
 
 @kernel
+def motion_share(more2: float, variance: float) -> float:
+    """Return how much of a force beyond that of a steady flight is taken for motion.
+
+    A heading error turns the noise of the accelerometers, too, but nobody knows how much of a measured force
+    it is: a filter that takes it for motion finds a heading where nothing tells it. So the part that noise
+    may be is left out (James and Stein, with three sigma).
+
+    Parameters
+    ----------
+    more2 : float
+        Square of that force, horizontal, mean of an interval [m^2/s^4].
+    variance : float
+        Of the mean, along an axis, by noise [m^2/s^4].
+    """
+    share = 1.0 - _NOISE_SIGMAS * _NOISE_SIGMAS * variance / more2 if more2 > 0.0 else 0.0
+    return max(share, 0.0)
+
+
+@kernel
 def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArray) -> None:
     """Let a heading error turn the force of a motion, and not the noise of the accelerometers.
 
-    It turns that noise, too, but nobody knows how much of a measured force it is: a filter that takes it for
-    motion finds a heading where nothing tells it. What is beyond the force of a steady flight is taken for
-    motion less the part that noise may be (James and Stein, with ``NOISE_SIGMAS``).
+    What is beyond the force of a steady flight is taken for motion as :func:`motion_share` says.
 
     Parameters
     ----------
@@ -62,8 +79,7 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
     k_n, k_e, k_d = 2.0 * EARTH_RATE * c + e_n, e_e, -2.0 * EARTH_RATE * s - e_n * s / c
     north, east = k_e * nav[5] - k_d * nav[4], k_d * nav[3] - k_n * nav[5]
     more_n, more_e = f_n[0] - north, f_n[1] - east
-    size2 = more_n * more_n + more_e * more_e
-    told = max(1.0 - NOISE_SIGMAS * NOISE_SIGMAS * variance / size2, 0.0) if size2 > 0.0 else 0.0
+    told = motion_share(more_n * more_n + more_e * more_e, variance)
     F[3, 8], F[4, 8] = -(east + told * more_e), north + told * more_n
 
 

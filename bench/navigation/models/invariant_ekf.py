@@ -1,9 +1,11 @@
 """The invariant EKF: attitude, position and velocity as one element of SE2(3), and the biases of the IMU.
 
-The error is an element of the group, in body axes: true state = state * exp(error). Its transition does not
+The error is an element of the group, in body axes: true state = state * error. Its transition does not
 depend on the estimate but through the biases, and a heading that is wrong by tens of degrees converges where
-an EKF of sums does not (A. Barrau, S. Bonnabel, IEEE TAC 62 (4), 2017; with biases: "imperfect"). Fifteen
-states. Fixes only, their errors taken as white, compared with the state at their arrival.
+an EKF of sums does not (A. Barrau, S. Bonnabel, IEEE TAC 62 (4), 2017; with biases: "imperfect"). Attitude
+counts by its rotation vector, position and velocity as they stand, so that a fix is linear in them: by the
+exponential of all three each noise of a fix would seem to tell the heading. Fifteen states. Fixes only, their
+errors taken as white, compared with the state at their arrival.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from bench.navigation.engine.session import Kept
 from bench.navigation.error_state_filter.aiding_sensors import FIXES, unmodelled
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
+from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.models.classic.process_model import bias_and_walk
 from bench.navigation.models.graph.flat_frame import FlatFrame, schedule_fixes
 from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
@@ -131,15 +134,20 @@ class InvariantFlight(SteppedFilter):
         """Carry the filter over a step; ``unknown`` (2,) is what a gap adds to velocity and attitude."""
         turn = dtheta - (self.bias[:3] + self.C_tb.T @ self.frame.w_t) * dt
         push = dvel - self.bias[3:] * dt
-        half = self.C_tb @ rotation.matrix(rotation.from_rotvec(0.5 * turn))
+        C_tb = self.C_tb
+        half = C_tb @ rotation.matrix(rotation.from_rotvec(0.5 * turn))
         gained = half @ push + (self.gravity - self.coriolis @ self.v_t) * dt
         self.p_t = self.p_t + (self.v_t + 0.5 * gained) * dt
         self.v_t = self.v_t + gained
-        self.C_tb = self.C_tb @ rotation.matrix(rotation.from_rotvec(turn))
+        self.C_tb = C_tb @ rotation.matrix(rotation.from_rotvec(turn))
         F = np.zeros((15, 15))
         F[:3, :3] = F[3:6, 3:6] = F[6:9, 6:9] = -rotation.skew(turn)
         F[3:6, 6:9] = np.eye(3) * dt
         F[6:9, :3] = -rotation.skew(push)
+        down = self.gravity / np.linalg.norm(self.gravity)
+        noise = gained - down * (down @ gained)  # a heading error turned it all: not what noise may be
+        noise *= 1.0 - motion_share(float(noise @ noise) / dt**2, self.q[6] / dt)
+        F[6:9, :3] += np.outer(C_tb.T @ np.cross(noise, down), down @ C_tb)
         F[:3, 9:12] = F[6:9, 12:] = -np.eye(3) * dt
         Phi = np.eye(15) + F + 0.5 * (F @ F)
         added = self.q * dt
@@ -225,15 +233,13 @@ class InvariantFlight(SteppedFilter):
 
     def _feed_back(self, x: FloatArray) -> None:
         """Move the estimate by an error x (15,), and P to the errors of the moved estimate."""
-        phi, rho, nu = x[:3], x[3:6], x[6:9]
-        J = _left_jacobian(phi)
-        self.p_t, self.v_t = self.p_t + self.C_tb @ (J @ rho), self.v_t + self.C_tb @ (J @ nu)
-        self.C_tb = self.C_tb @ rotation.matrix(rotation.from_rotvec(phi))
+        turn = rotation.matrix(rotation.from_rotvec(x[:3]))
+        self.p_t, self.v_t = self.p_t + self.C_tb @ x[3:6], self.v_t + self.C_tb @ x[6:9]
+        self.C_tb = self.C_tb @ turn
         self.bias = self.bias + x[9:]
         turned = np.eye(15)
-        for rows in (slice(0, 3), slice(3, 6), slice(6, 9)):
-            turned[rows, rows] -= 0.5 * rotation.skew(phi)
-        turned[3:6, :3], turned[6:9, :3] = -0.5 * rotation.skew(rho), -0.5 * rotation.skew(nu)
+        turned[:3, :3] -= 0.5 * rotation.skew(x[:3])
+        turned[3:6, 3:6] = turned[6:9, 6:9] = turn.T
         self.P = turned @ self.P @ turned.T
 
 

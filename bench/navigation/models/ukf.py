@@ -60,6 +60,7 @@ from bench.navigation.error_state_filter.propagation import (
     work_for,
 )
 from bench.navigation.error_state_filter.ranges.ranging import empty_sky, place_fillers
+from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
     Index,
@@ -292,7 +293,7 @@ class SigmaPointFlight(SteppedFilter):
         if self.lost:
             self.estimate[:] = np.nan
             return
-        process, T = self.model.process, float(dt.sum())
+        process, T, steady = self.model.process, float(dt.sum()), self.estimate[3:5].copy()
         ground_speed = np.hypot(self.estimate[3], self.estimate[4])
         decay = np.exp(-(process.decay_time + process.decay_distance * ground_speed) * T)
         points = self.points()
@@ -305,6 +306,13 @@ class SigmaPointFlight(SteppedFilter):
         self.estimate, self.before = states[-1], before[-1]
         after = x * decay
         after[:, :GYRO] = state_errors(self.estimate, states[:-1])[:, :GYRO]
+        gained = (
+            self.estimate[3:5] - steady
+        )  # the points turned it all by their heading: not what noise may be
+        # The points turned all of it by their heading: not what noise may be.
+        gained *= 1.0 - motion_share(float(gained @ gained) / T**2, process.q[VEL] / T)
+        after[:, VEL] += gained[1] * x[:, PHI + 2]
+        after[:, VEL + 1] -= gained[0] * x[:, PHI + 2]
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE
-from bench.navigation.error_state_filter.rough_heading import NOISE_SIGMAS
+from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix, noise_matrix
 from bench.navigation.models.classic.navigator import Earth, Nav, Vector, reduced
 from bench.specs import AssumedSpecs, TriadSpec
@@ -140,7 +140,7 @@ def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: f
     U = 2.0 * EARTH_RATE + v_e / (earth.r1 * c)
     steady = np.array([U * (c * v_h - s * v_n), U * s * v_e + v_n / earth.r2 * v_h])
     more = np.asarray(a, float)[:2] - steady
-    a_e, a_n = steady + max(1.0 - NOISE_SIGMAS**2 * variance / max(float(more @ more), 1e-30), 0.0) * more
+    a_e, a_n = steady + motion_share(float(more @ more), variance) * more
     F[3, 8], F[4, 8] = a_n, -a_e
     return F
 
