@@ -170,7 +170,7 @@ if (areas.length) {
 }
 
 for (const table of document.querySelectorAll("table")) {
-  const body = table.tBodies[0];
+  const rowsOf = (body) => [...body.rows].filter((row) => !row.matches(".group")), all = [...table.tBodies].flatMap(rowsOf);
   table.querySelectorAll("thead th").forEach((head, column) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -186,17 +186,17 @@ for (const table of document.querySelectorAll("table")) {
         const order = Number.isNaN(x) || Number.isNaN(y) ? textOf(a).localeCompare(textOf(b)) : x - y;
         return up ? order : -order;
       };
-      body.append(...[...body.rows].sort(compare));
+      for (const body of table.tBodies) body.append(...rowsOf(body).sort(compare));
     });
   });
-  if (body && body.rows.length > 7) {
+  if (all.length > 7) {
     const field = document.createElement("input");
     field.type = "search";
     field.placeholder = "show rows with …";
     field.setAttribute("aria-label", "Show rows with these words");
     field.addEventListener("input", () => {
       const words = field.value.toLowerCase().split(/\s+/);
-      for (const row of body.rows) row.hidden = !words.every((word) => row.textContent.toLowerCase().includes(word));
+      for (const row of all) row.hidden = !words.every((word) => row.textContent.toLowerCase().includes(word));
     });
     table.parentNode.before(field);
   }

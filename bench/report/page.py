@@ -15,7 +15,7 @@ from bench.errors import ConfigError
 from bench.evaluation import verdict
 from bench.evaluation.headline import NEES, make_headline
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metric_words import find_words, format_metric
+from bench.evaluation.metric_words import find_words, format_metric, group_metrics
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
@@ -147,12 +147,19 @@ def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 def _fill_table(
     measured: Mapping[str, Mapping[str, Any]], names: Iterable[str]
-) -> list[tuple[str, str, list[TableCell]]]:
-    """Return words with the unit, identifier and meaning, and a cell for each estimator of the metrics."""
+) -> list[tuple[str, list[tuple[str, str, list[TableCell]]]]]:
+    """Return headings with their rows: words with unit, identifier and meaning, a cell for each estimator."""
     return [
-        (name_metric(name), f"{name}: {_explain(name)}", [_make_cell(name, one) for one in measured.values()])
-        for name in names
+        (
+            heading,
+            [(name_metric(name), f"{name}: {_explain(name)}", _fill_row(name, measured)) for name in group],
+        )
+        for heading, group in group_metrics(names).items()
     ]
+
+
+def _fill_row(name: str, measured: Mapping[str, Mapping[str, Any]]) -> list[TableCell]:
+    return [_make_cell(name, one) for one in measured.values()]
 
 
 def name_metric(name: str) -> str:

@@ -26,8 +26,21 @@ const movePlot = async () => {
   await settle();
   return { cursor: words, line, before, closer, switched: switched.every(Boolean), zoomed, back: [u.scales.x.min, u.scales.x.max], count: charts.length };
 };
+// The words that the rows of the first table begin with: those that are left of it by a word, and by its last column.
+const useTable = () => {
+  const field = document.querySelector("input[type=search]"), table = document.querySelector("table.figures");
+  const rows = () => [...table.querySelectorAll("tbody tr:not(.group):not([hidden])")];
+  field.value = "heading";
+  field.dispatchEvent(new Event("input"));
+  const left = rows().map((row) => row.textContent);
+  field.value = "";
+  field.dispatchEvent(new Event("input"));
+  table.querySelector("thead th:last-child button").click();
+  const order = [...table.tBodies].map((body) => [...body.rows].slice(1).map((row) => parseFloat(row.lastElementChild.textContent)));
+  return { left, order, whole: rows().length };
+};
 requestAnimationFrame(() => setTimeout(async () => {
-  const moved = MEDIUM === "print" ? {} : await movePlot();
+  const moved = MEDIUM === "print" ? {} : { ...await movePlot(), ...useTable() };
   let least = 99;
   for (const one of document.querySelectorAll("h1,h2,h3,p,span,th,td,small,dt,dd,a,summary,figcaption,code,b")) {
     if (!one.textContent.trim() || !one.getClientRects().length) continue;

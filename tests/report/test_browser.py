@@ -50,9 +50,9 @@ def check_moved(found, result):
     size = np.hypot(*errors.pos_n[:, :2].T)
     shown = (t > 5.0) & np.isfinite(drawn)
     # a pixel holds several epochs: what is drawn lies between the least and the greatest of its neighbours
-    near = [size[np.abs(errors.t - at) < 0.2] for at in t[shown]]
+    near = [size[np.abs(errors.t - at) < 0.05] for at in t[shown]]
     off = [max(min(one) / v, v / max(one)) for one, v in zip(near, drawn[shown], strict=True)]
-    assert max(off) < 1.05
+    assert max(off) < 1.01
     assert f" s, {label} " in found["cursor"]
     assert found["switched"]
     (low, high), (from_, to) = found["before"], found["closer"]
@@ -61,6 +61,10 @@ def check_moved(found, result):
     (first, *others), end = found["zoomed"], result.truth.t[-1]
     assert first == pytest.approx([0.25 * end, 0.5 * end], abs=0.02 * end)
     assert all(one == first for one in others)
+    assert 0 < len(found["left"]) < found["whole"]
+    assert all("heading" in text for text in found["left"])
+    numbers = [[value for value in group if value is not None] for group in found["order"]]
+    assert numbers == [sorted(group) for group in numbers]
     assert found["back"] == pytest.approx([0.0, end], abs=1e-6)
 
 

@@ -17,7 +17,7 @@ import bench
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import list_key_figures
-from bench.evaluation.metric_words import format_metric
+from bench.evaluation.metric_words import format_metric, group_metrics
 from bench.findings.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
 from bench.report.forest import RatioRow, draw_ratios
@@ -102,7 +102,11 @@ def test_headings_are_in_order_and_every_picture_is_described(text):
 def test_verdicts_and_figures_are_those_of_the_result(result, text):
     table = text[text.index("<table") : text.index("</table>")]
     rows = re.findall(r'<th scope="row" title="(\w+): [^>]*>[^<]+</th>(.*?)</tr>', table, re.S)
-    assert [name for name, _ in rows] == list_key_figures(result.metrics)
+    groups = group_metrics(list_key_figures(result.metrics))
+    assert [name for name, _ in rows] == [name for group in groups.values() for name in group]
+    headings = re.findall(r'<th scope="rowgroup" colspan="3">([^<]+)</th>', table)
+    assert headings == list(groups)
+    assert len(headings) > 2
     for name, cells in rows:
         found = re.findall(r"<td([^>]*)>([^ <]+)", cells)
         assert [value for _, value in found] == [
