@@ -260,6 +260,21 @@ def test_an_index_written_elsewhere_names_the_folders_relative_to_itself(result,
     assert f'<td class="text">{result.profile["sensors"]["imu"]}</td>' in text
 
 
+@pytest.mark.parametrize(("north", "east"), [(100.0, 400.0), (400.0, 100.0), (5.0, 400.0)])
+def test_a_track_has_equal_scales_and_no_empty_half(north, east):
+    path = np.array([[0.0, 0.0], [north, east]])
+    drawn = svg.draw_track(
+        [("truth", (1, 2, 3), path)], np.empty((0, 2)), (), [("a", path[0]), ("b", path[1])]
+    )
+    places = re.findall(r'class="place" cx="([\d.]+)" cy="([\d.]+)"', drawn)
+    (x0, y0), (x1, y1) = sorted((float(x), float(y)) for x, y in places)
+    assert (x1 - x0) / (y0 - y1) == pytest.approx(east / north, rel=0.05)
+    width, height = map(int, re.search(r'viewBox="0 0 (\d+) (\d+)"', drawn).groups())
+    assert 0.5 * width < height <= width
+    assert min(x0, y1) > 10.0
+    assert max(x1 - width, y0 - height) < -10.0
+
+
 def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
     rows = [("one", 1.0, 0.5, 2.0), ("open", 10.0, 5.0, None), ("none", None, None, None)]
     drawn = draw_ratios("error", [RatioRow(*row) for row in rows])
