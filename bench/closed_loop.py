@@ -29,7 +29,8 @@ from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
 from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
-from bench.specs import CLIENT, FlightSpec, Guidance, Profile
+from bench.signals.terrain import ground_at
+from bench.specs import CLIENT, FlightSpec, Guidance, Profile, SensorsSpec
 from bench.store import join_pieces
 from bench.wording import one_line
 
@@ -273,10 +274,10 @@ def _follow(
         if belief is not None and found is not None:
             belief.take(NavEstimate(end, piece, found, measured.truth.gyro_bias_b[-1]))
         if belief is not None and radar:
-            _tell_height(belief, measured.data, piece, profile.sensors.ground_alt)
+            _tell_height(belief, measured.data, piece, profile.sensors)
 
 
-def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, ground_alt: float) -> None:
+def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, on_board: SensorsSpec) -> None:
     """Tell what the radar altimeter has measured last, as an error of the height above ground."""
     radar = data.radar
     if radar is None or not len(radar.t):
@@ -285,7 +286,9 @@ def _tell_height(belief: Belief, data: SensorData, piece: Trajectory, ground_alt
         belief.take_radar(None)
         return
     row = int(np.searchsorted(piece.t, radar.t[-1] - TIME_TOLERANCE))
-    belief.take_radar(float(radar.height[-1] - (piece.lla[row, 2] - ground_alt)))
+    lat, lon, alt = piece.lla[row]
+    ground = on_board.ground_alt if on_board.terrain is None else float(ground_at(on_board.terrain, lat, lon))
+    belief.take_radar(float(radar.height[-1] - (alt - ground)))
 
 
 def cut_truth(truth: Trajectory, seconds: float) -> Iterator[Trajectory]:

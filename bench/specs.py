@@ -123,7 +123,7 @@ class AircraftSpec:
 
 @declared
 class Runway:
-    """Threshold and heading of a runway; all ground is at the height of the runway."""
+    """Threshold and heading of a runway; without [terrain] all ground is at its height."""
 
     lat: float = figure("deg", -90, 90)
     """Latitude [rad]."""
@@ -133,6 +133,16 @@ class Runway:
     """Height above the WGS 84 ellipsoid [m]."""
     heading: float = figure("deg", 0, 360)
     """Heading from true north [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainSpec:
+    """A file of heights of the ground; `bench.signals.terrain` reads it."""
+
+    path: Path
+    digest: str  # SHA-256 of the file
+    geoid: float  # of what its heights count from, above the ellipsoid [m]
+    runway: Runway | None  # around it the ground is level
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,10 +238,11 @@ class FlightSpec:
     flat_alt: float = 0.0  # ellipsoidal height of the ground without a runway [m]
     wind_layers: tuple[WindLayer, ...] = ()  # upwards; they replace wind_from and wind_speed
     gusts: tuple[Gust, ...] = ()  # in order, without overlap
+    terrain: TerrainSpec | None = None  # None: flat ground
 
     @property
     def ground_alt(self) -> float:
-        """Ellipsoidal height of the ground [m]."""
+        """Ellipsoidal height of flat ground [m]."""
         return self.flat_alt if self.runway is None else self.runway.alt
 
     @property
@@ -705,6 +716,7 @@ class SensorsSpec(InstrumentSpecs):
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: a ground vehicle
     faults: tuple[Fault, ...] = ()  # as the profile numbers them
+    terrain: TerrainSpec | None = None  # below a radar altimeter; None: all ground is at ground_alt
 
 
 # --- estimators and evaluation ------------------------------------------------------------------

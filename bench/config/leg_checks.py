@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import itertools
+import math
+import os
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from bench.config.profile_tables import ProfileTable
 from bench.config.sheet import convert_figures
+from bench.errors import ConfigError
 from bench.flight.legs.keys import check_leg
 from bench.flight.legs.runway import TakeOff
-from bench.specs import AircraftSpec, Leg, LegStart, Runway
-from bench.wording import quantity
+from bench.signals.terrain import ENDINGS, describe_terrain, ground_at
+from bench.specs import AircraftSpec, EstimatorChoice, Leg, LegStart, Runway, TerrainSpec
+from bench.wording import quantity, tell_where
 
 
 def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:
@@ -41,20 +47,57 @@ def choose_ground(table: ProfileTable) -> float:
     """Return the ellipsoidal height of the ground [m]: of the runway, of [terrain], else the ellipsoid."""
     if runway := make_runway(table):
         return runway.alt
-    return table.terrain.alt_m if table.terrain else 0.0
+    return table.terrain.alt_m or 0.0 if table.terrain else 0.0
+
+
+def find_terrain(table: ProfileTable, beside: Path) -> TerrainSpec | None:
+    """Return the file of heights of a profile; None: its ground is flat.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be used, or the flight does not start above what it holds.
+    """
+    if table.terrain is None or table.terrain.file is None:
+        return None
+    name, start = table.terrain.file, table.start
+    if not name.lower().endswith(ENDINGS):
+        raise ConfigError(f"file = {name!r} must end in {' or '.join(ENDINGS)}")
+    if not os.path.isfile(beside / name):
+        raise ConfigError(f"file = {name!r}: no such file{tell_where(name)}")
+    spec = describe_terrain(beside / name, name, table.terrain.geoid_m, make_runway(table))
+    ground = float(ground_at(spec, math.radians(start.lat_deg), math.radians(start.lon_deg)))
+    if math.isnan(ground):
+        raise ConfigError(f"file = {name!r} has no height at the start")
+    if not start.on_ground and start.alt_m <= ground:
+        what = quantity("alt_m", start.alt_m)
+        raise ConfigError(f"file = {name!r}: the ground at {ground:.0f} m is not below the start at {what}")
+    return spec
 
 
 def _check_terrain(table: ProfileTable) -> list[str]:
-    if table.terrain is None:
+    terrain = table.terrain
+    if terrain is None:
         return []
+    if terrain.file is not None:
+        return [] if terrain.alt_m is None else ["[terrain] has file and alt_m; leave one of them out"]
+    if terrain.geoid_m:
+        return [f"[terrain] {quantity('geoid_m', terrain.geoid_m)} has no effect without file"]
     if make_runway(table) is not None:
-        return ["[terrain] is not used with a runway: all ground is at the height of the runway"]
-    if table.start.alt_m <= table.terrain.alt_m:
+        return ["[terrain] alt_m is not used with a runway: flat ground is at the height of the runway"]
+    if table.start.alt_m <= (alt := terrain.alt_m or 0.0):
         return [
-            f"[terrain] {quantity('alt_m', table.terrain.alt_m)} is not below the start at "
+            f"[terrain] {quantity('alt_m', alt)} is not below the start at "
             f"{quantity('alt_m', table.start.alt_m)}"
         ]
     return []
+
+
+def check_radar_use(terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]) -> list[str]:
+    """Check that no estimator takes heights above hills for heights above the runway."""
+    use = "takes a height for one above the runway: not with [terrain] file"
+    users = [choice.label for choice in choices if choice.options.get("radar")] if terrain else []
+    return [f"[[estimator]] {label!r}: options: radar = true {use}" for label in users]
 
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

@@ -81,7 +81,7 @@ class DatasheetChanges:
 _OF_IMUS = ("gyro", "accel")
 """Tables of the datasheet of an IMU."""
 
-_PATHS = re.compile(r"jsbsim_root|trajectory|((imu|gnss|baro|reference)\.)?file")
+_PATHS = re.compile(r"jsbsim_root|trajectory|((imu|gnss|baro|reference|terrain)\.)?file")
 _OF_DATASHEETS = re.compile(r"sensors\.(assumed\.)?gnss\.sky\.(almanac|navigation)")
 """Keys whose value is always a path, in a profile or a log and in a datasheet."""
 

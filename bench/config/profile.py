@@ -52,6 +52,7 @@ from bench.specs import (
     Profile,
     Runway,
     SensorsSpec,
+    TerrainSpec,
     WindLayer,
 )
 
@@ -133,12 +134,16 @@ def load_profile(
         raise ConfigError(*error.messages, *wrong) from None
     choices = make_choices(table.estimator, overrides, beside)
     flight: Flight | None = None
+    terrain: TerrainSpec | None = None
     across = []
     if isinstance(table, ProfileTable) and aircraft is not None:
         table = leg_checks.fill_in_speed(table, aircraft)
         across = leg_checks.check_legs(table, aircraft) + leg_checks.check_air(table)
+        with collect_errors(wrong, f"{shown}: [terrain] "):
+            terrain = leg_checks.find_terrain(table, beside)
+        across += leg_checks.check_radar_use(terrain, choices)
         if not across:
-            flight = _make_flight(table, aircraft)
+            flight = _make_flight(table, aircraft, terrain)
     elif external is not None:
         with collect_errors(wrong, f"{shown}: "):
             flight = external[1](table, beside)
@@ -161,7 +166,7 @@ def load_profile(
         title=table.title or path.stem,
         seed=table.seed,
         flight=flight,
-        sensors=_make_sensors(table, aircraft, on_board, assumed),
+        sensors=_make_sensors(table, aircraft, on_board, assumed, terrain),
         estimators=choices,
         evaluation=table.evaluation.window(),
         document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
@@ -319,7 +324,7 @@ def _number_labels(choices: Sequence[EstimatorChoice]) -> tuple[EstimatorChoice,
     return tuple(numbered)
 
 
-def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
+def _make_flight(table: ProfileTable, aircraft: AircraftSpec, terrain: TerrainSpec | None) -> FlightSpec:
     wind, start = table.wind, table.start
     return FlightSpec(
         aircraft=aircraft,
@@ -334,7 +339,7 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
         duration=table.duration_s,
         on_ground=start.on_ground,
         runway=leg_checks.make_runway(table),
-        flat_alt=table.terrain.alt_m if table.terrain else 0.0,
+        flat_alt=leg_checks.choose_ground(table),
         wind_layers=tuple(
             WindLayer(**convert_figures(WindLayer, row))
             for row in sorted(wind.layers, key=lambda row: row.alt_m)
@@ -343,6 +348,7 @@ def _make_flight(table: ProfileTable, aircraft: AircraftSpec) -> FlightSpec:
             Gust(air_n=(row.north_mps, row.east_mps, -row.up_mps), **convert_figures(Gust, row))
             for row in sorted(table.gust, key=lambda row: row.start_s)
         ),
+        terrain=terrain,
     )
 
 
@@ -351,6 +357,7 @@ def _make_sensors(
     aircraft: AircraftSpec | None,
     on_board: Mapping[str, Any],
     assumed: Mapping[str, Any],
+    terrain: TerrainSpec | None,
 ) -> SensorsSpec:
     initial = table.initial_error_sd
     return SensorsSpec(
@@ -360,6 +367,7 @@ def _make_sensors(
         qnh=SEA_LEVEL_PRESSURE if table.sensors.qnh_hpa is None else 100.0 * table.sensors.qnh_hpa,
         static_port_b=_place_static_port(aircraft),
         **_find_ground(table, aircraft),
+        terrain=terrain,
         antenna_b=external_truth.place_antenna(table) if aircraft is None else aircraft.antenna_b,
         gnss_outages=tuple(sorted((row.start_s, row.start_s + row.duration_s) for row in table.gnss_outage)),
         initial_pos_sd=initial.pos_m,
@@ -377,12 +385,14 @@ def _make_sensors(
 def _find_ground(table: ExperimentTable, aircraft: AircraftSpec | None) -> dict[str, Any]:
     """Return the height of the ground, and the height of the IMU above it at rest [m].
 
-    The vehicle of a trajectory table stays on the ground. An aircraft without runway figures never rests on
-    it: its landing gear is not known.
+    The vehicle of a trajectory table stays on the ground. An aircraft without runway figures, whose landing
+    gear is not known, never rests on it, and neither does one over hills without a runway.
     """
     if not isinstance(table, ProfileTable) or aircraft is None:
         return {} if isinstance(table, TrajectoryTable) else {"rest_height": -math.inf}
-    rest = -math.inf if aircraft.runway is None else aircraft.runway.height - aircraft.imu_b[2]
+    hills = table.terrain is not None and table.terrain.file and leg_checks.make_runway(table) is None
+    figures = None if hills else aircraft.runway
+    rest = -math.inf if figures is None else figures.height - aircraft.imu_b[2]
     return {"ground_alt": leg_checks.choose_ground(table), "rest_height": rest}
 
 

@@ -109,10 +109,14 @@ class WindTable(Table):
 
 
 class TerrainTable(Table):
-    """The ground of a flight without a runway; with one, all ground is at its height."""
+    """The ground: flat, or by a file of heights. With a runway flat ground is at the height of that."""
 
-    alt_m: Altitude = 0.0
-    """Height of flat ground above the WGS 84 ellipsoid: turbulence follows the height above it."""
+    alt_m: Altitude | None = None
+    """Height of flat ground above the WGS 84 ellipsoid; 0 if left out."""
+    file: str | None = None
+    """Heights instead: an SRTM tile .hgt or an ESRI ASCII grid .asc in degrees, beside the profile."""
+    geoid_m: Annotated[float, between(-120, 100)] = 0.0
+    """Height above the ellipsoid of the level that the file counts from: that of the geoid for SRTM."""
 
 
 class GustTable(make_table_type(Gust)):  # type: ignore[misc]

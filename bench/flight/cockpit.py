@@ -6,13 +6,18 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from bench.earth import matrix_en, to_ecef
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.arrays import FloatArray
+from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
 from bench.flight.belief import Belief
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
 from bench.flight.trimming import INTEGRATORS, ON_WHEELS
+from bench.signals.terrain import ground_at
 from bench.specs import FlightSpec
 
 SURFACES = ("aileron", "elevator", "rudder")
@@ -51,6 +56,9 @@ class Cockpit:
 
         self.reader, self.switch, self.gain, self.belief = reader, switch, gain, belief
         self._alt_ft, self._agl_ft = reader("position/geod-alt-ft"), reader("position/h-agl-ft")
+        self._lat_lon = reader("position/lat-geod-rad"), reader("position/long-gc-rad")
+        self._set_ground_ft, self._flat_alt = switch("position/terrain-elevation-asl-ft"), spec.ground_alt
+        self.terrain = spec.terrain
         self._nav_alt_ft = believed("position/geod-alt-ft", "altitude-ft", FT)
         self._down_fps = believed("velocities/v-down-fps", "down-fps", FT)
         self._speed_fps = reader("velocities/vt-fps")
@@ -108,6 +116,28 @@ class Cockpit:
     def true_alt_agl(self) -> float:
         """Height above ground in truth [m]."""
         return self._agl_ft() * FT
+
+    def ground_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Return the ellipsoidal heights of the ground at places (...) [rad], (...) [m].
+
+        Raises
+        ------
+        FlightError
+            If the terrain of the profile has no height at one of them.
+        """
+        if self.terrain is None:
+            return np.full(np.shape(lat), self._flat_alt)
+        ground = ground_at(self.terrain, lat, lon)
+        if np.isnan(ground).any():
+            row = int(np.isnan(ground).ravel().argmax())
+            where = ", ".join(f"{math.degrees(float(np.ravel(v)[row])):.5f}" for v in (lat, lon))
+            raise FlightError(f"{self.terrain.path.name} has no height at {where} deg")
+        return ground
+
+    def move_ground(self) -> None:
+        """Bring the ground of the model to the height that it has here."""
+        if self.terrain is not None:
+            self._set_ground_ft(float(self.ground_at(*(read() for read in self._lat_lon))) / FT)
 
     def climb(self) -> float:
         """Vertical speed, up [m/s]."""
@@ -235,6 +265,12 @@ class Plane:
         """Return its course [rad] and speed [m/s] over ground."""
         north, east = self.velocity()
         return math.atan2(east, north), math.hypot(north, east)
+
+    def locate(self, points: list[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+        """Return the latitudes and longitudes (N,) [rad] of points: north, east [m]."""
+        away = np.array(points) @ np.array([self._north, self._east])
+        lat, lon, _ = to_geodetic(np.array(self._origin) + away).T
+        return lat, lon
 
     def point(self, lat: float, lon: float, alt: float) -> tuple[float, float]:
         """Return a place [rad, rad, m]: north, east [m]."""

@@ -14,6 +14,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
+from bench.arrays import FloatArray
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.shaping import G, Steps, clip, roll_time, smoothstep, ticks
@@ -87,6 +90,14 @@ class SegmentPath:
             segment = Segment(self.point, self.course, length, curvature)
             self.segments.append(segment)
             self.point, self.course = segment.end()
+
+    def at(self, along: float) -> Point:
+        """Return the point after a way along the path [m]; beyond the end it goes straight on."""
+        for segment in self.segments:
+            if along <= segment.length or segment is self.segments[-1]:
+                return segment.at(along)[0]
+            along -= segment.length
+        return self.point
 
     @property
     def length(self) -> float:
@@ -238,3 +249,17 @@ class Heights:
                 x, rise = (along - begun) / (end - begun), self.heights[k] - self.heights[k - 1]
                 return self.heights[k - 1] + rise * smoothstep(x), rise * 6 * x * (1 - x) / (end - begun)
         return self.heights[-1], 0.0
+
+
+class SmoothHeights(Heights):
+    """Heights at small steps along a path; they have no corners of their own."""
+
+    def __init__(self, cockpit: Cockpit, step: float, heights: FloatArray) -> None:
+        """Take the step [m] and the ellipsoidal heights at 0, 1, 2 ... steps [m]."""
+        super().__init__(cockpit, [], heights.tolist())
+        self._ways = step * np.arange(len(heights))
+        self._slopes = np.gradient(heights, step)
+
+    def _at(self, along: float) -> tuple[float, float]:
+        height, slope = (float(np.interp(along, self._ways, row)) for row in (self.heights, self._slopes))
+        return height, slope

@@ -27,6 +27,7 @@ from bench.flight.state_log import NEIGHBOURS, StateLog
 from bench.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
 from bench.flight.wind import Weather
+from bench.signals.terrain import ground_at
 from bench.specs import FlightSpec, ScriptSpec
 
 _Part = TypeVar("_Part")
@@ -212,7 +213,8 @@ def prepare(
     say("loading")
     fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= MODERATE)
     guided = spec.aircraft.guided
-    fdm["ic/terrain-elevation-ft"] = spec.ground_alt / FT
+    ground = spec.ground_alt if spec.terrain is None else ground_at(spec.terrain, spec.lat, spec.lon)
+    fdm["ic/terrain-elevation-ft"] = float(ground) / FT
     north, east, down = (float(v) for v in Weather(fdm, spec).wind_at(spec.alt))
     condition = TrimCondition(
         spec.lat, spec.lon, spec.alt, spec.heading, spec.speed, wind_n=(north, east, down)

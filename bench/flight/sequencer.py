@@ -82,6 +82,7 @@ def fly_legs(
     end = 0 if spec.duration is None else round(spec.duration * GUIDANCE_RATE)
 
     def instant(leg: Leg) -> float:
+        cockpit.move_ground()
         _watch(cockpit, leg)
         cockpit.tick()
         if weather is not None:

@@ -10,6 +10,8 @@ from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.earth import difference_n
 from bench.rotation import to_euler
+from bench.signals.terrain import ground_at
+from bench.specs import TerrainSpec
 from bench.units import STANDARD_GRAVITY
 
 
@@ -23,12 +25,13 @@ def summarise(truth: Trajectory) -> dict[str, Any]:
 class Summary:
     """The extremes of a flight and its legs, collected from the pieces of its truth.
 
-    All of the IMU, the airspeed of the aircraft. The load factor is the specific force along -z of
-    the body over 9.80665 m/s^2; rates are those of the body relative to i, the largest of either
-    sign; both are means over one sample.
+    All of the IMU, the airspeed of the aircraft; heights above ground are over a file of heights. The load
+    factor is the specific force along -z of the body over 9.80665 m/s^2; rates are those of the body relative
+    to i, the largest of either sign; both are means over one sample.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, terrain: TerrainSpec | None = None) -> None:
+        self._terrain = terrain
         self._samples, self._distance = 0, 0.0
         self._least: dict[str, float] = {}
         self._most: dict[str, float] = {}
@@ -45,7 +48,10 @@ class Summary:
         roll, pitch, _ = to_euler(piece.q_nb)
         w_b = np.abs(piece.dtheta_b / dt[:, None])
         self._take("t", piece.t)
-        self._take("alt", piece.lla[:, 2])
+        lat, lon, alt = piece.lla.T
+        self._take("alt", alt)
+        if self._terrain is not None:
+            self._take("height", alt - ground_at(self._terrain, lat, lon))
         self._take("airspeed", piece.air.airspeed_true)
         self._take("ground_speed", np.hypot(piece.vel_n[:, 0], piece.vel_n[:, 1]))
         self._take("climb", -piece.vel_n[:, 2])
@@ -68,7 +74,8 @@ class Summary:
         """Return the figures so far, the unit in each key; legs, sanity and remarks as (start, end, text)."""
         least, most = self._least, self._most
         duration = most["t"] - least["t"]
-        both = {"alt": "_m", "airspeed": "_mps", "ground_speed": "_mps", "climb": "_mps", "load_factor": ""}
+        both = {"alt": "_m", "height": "_m", "load_factor": ""}
+        both |= dict.fromkeys(("airspeed", "ground_speed", "climb"), "_mps")
         extremes = {
             f"{name}_{end}{unit}": values[name]
             for name, unit in both.items()

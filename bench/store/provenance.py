@@ -9,6 +9,7 @@ import platform
 import subprocess
 from functools import cache
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,8 @@ def hash_spec(spec: Any) -> str:
 
 
 def _to_plain(value: Any) -> Any:
+    if isinstance(value, Path):
+        return value.name
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else str(value)
 
 

@@ -172,6 +172,8 @@ def _list_inputs(spec: Flight) -> tuple[dict[str, Any], list[Path]]:
         files = [Path(aircraft.pop("folder")), Path(aircraft.pop("systems"))]
         files += _list_engine_folders(Path(foreign.pop("root"))) if foreign else []
         values["legs"] = [[type(leg).__name__, dataclasses.asdict(leg)] for leg in spec.legs]
+        if spec.terrain is not None:  # its digest stands for the file
+            values["terrain"].pop("path")
         return values, files
     files = [Path(values.pop("path"))]
     if isinstance(spec, ScriptSpec):

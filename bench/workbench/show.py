@@ -13,6 +13,7 @@ from bench import config
 from bench.config.figure_table import ASSUMED, tabulate_figures
 from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.built_in import BUILT_IN
+from bench.signals.terrain import read_grid
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
@@ -34,6 +35,11 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
     figures = Table.grid(padding=(0, 2))
     for name, text in _describe_flight(summary).items():
         figures.add_row(name, text)
+    if (terrain := profile.sensors.terrain) is not None:
+        grid = f"over {terrain.path.name}, {read_grid(terrain).describe()}"
+        figures.add_row(
+            "above ground", f"{summary['height_min_m']:.0f} to {summary['height_max_m']:.0f} m {grid}"
+        )
     console.print(figures)
     for _, _, text in summary["table"]:
         console.print(f"{profile.flight.label}: {text}", soft_wrap=True)

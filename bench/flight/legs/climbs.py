@@ -27,7 +27,7 @@ class _AltitudeChange(AtSpeed):
         return f"to {self.to_alt:g} m at {self.rate:g} m/s"
 
     def check(self, start: LegStart) -> list[str]:
-        if self.sign * (self.to_alt - start.alt) > 0:
+        if not self.sign * (self.to_alt - start.alt) <= 0:  # NaN where the leg before follows the ground
             return []
         side = "above" if self.sign > 0 else "below"
         return [f"{write_key(self, 'to_alt')} is not {side} the {start.alt:g} m before it"]

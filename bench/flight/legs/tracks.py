@@ -8,13 +8,19 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from bench.arrays import FloatArray
 from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_count, format_deg
-from bench.flight.paths import Heights, SegmentPath, follow, run_in, turn_radius
+from bench.flight.paths import Heights, SegmentPath, SmoothHeights, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
 from bench.specs import ALTITUDES, SECONDS, LegStart
+
+_GROUND_STEP = 20.0  # at which the ground below a way is looked at [m]
+_CLIMB_SHARE = 0.7  # of the climb of the aircraft that a way along the ground may need
+_ROUNDED = 8.0  # time in which its corners are rounded [s]
+_NEAR_HEIGHT = 20.0  # so far below its start a way along the ground may be begun [m]
 
 _Course = Annotated[float, Key("course_deg", "over ground, of the first track; else the present one", 0, 360)]
 
@@ -89,8 +95,78 @@ class Waypoints(AtSpeed):
             ways.append(path.length)
             if there is not None and turned:
                 path.arc(turned, radius)
-        heights = Heights(cockpit, ways, alts) if len({*alts}) > 1 else None
-        yield from follow(cockpit, plane, path, self.bank, heights)
+        yield from follow(
+            cockpit, plane, path, self.bank, self._find_heights(cockpit, plane, path, ways, alts)
+        )
+
+    def _find_heights(
+        self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
+    ) -> Heights | None:
+        """Return the heights along the path: those of the points at their ways; None: the present one."""
+        return Heights(cockpit, ways, alts) if len({*alts}) > 1 else None
+
+
+@dataclass(frozen=True)
+class TerrainFollowing(Waypoints):
+    """Follow the tracks from point to point at a height above the ground, or more where that is too steep."""
+
+    kind = "terrain-following"
+    height: Annotated[float, Key("height_m", "least one above the ground", 20, 5000)]
+
+    def describe(self) -> str:
+        return f"{self.height:g} m above ground, {super().describe()}"
+
+    def check(self, start: LegStart) -> list[str]:
+        given = [k for k, point in enumerate(self.points, 1) if point.alt is not None]
+        return [f"points[{given[0] - 1}] has alt_m; the height is that above the ground"] if given else []
+
+    def alt_after(self, start: LegStart) -> float:
+        return math.nan
+
+    def _find_heights(
+        self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
+    ) -> Heights:
+        """Return heights that no climb of the aircraft is too slow for."""
+        count = math.ceil(path.length / _GROUND_STEP) + 1
+        along = np.linspace(0.0, path.length, count)
+        at = [path.at(float(way)) for way in along]
+        ground = cockpit.ground_at(*plane.locate(at))
+        fastest = cockpit.fastest() + cockpit.wind_speed()
+        slope = _CLIMB_SHARE * min(cockpit.aircraft.max_climb, cockpit.aircraft.max_descent) / fastest
+        width = 2 * math.ceil(0.5 * fastest * _ROUNDED / along[1]) + 1
+        least = ground + self.height
+        least[0] = max(least[0], cockpit.alt())  # from above it descends as it may
+        heights = clear_heights(least, float(along[1]), slope, width)
+        if heights[0] > cockpit.alt() + _NEAR_HEIGHT:
+            raise FlightError(f"the ground ahead asks for {heights[0]:.0f} m at the start: {cockpit.state()}")
+        return SmoothHeights(cockpit, float(along[1]), heights)
+
+
+def clear_heights(least: FloatArray, step: float, slope: float, width: int) -> FloatArray:
+    """Return heights that are never below others and no steeper than a slope.
+
+    The others are raised to the cones of that slope that stand on each of them, then to the largest within
+    an odd number of samples, ``width``, whose mean rounds the corners.
+
+    Parameters
+    ----------
+    least : (N,) array
+        The others, at equal distances [m].
+    step : float
+        The distance [m].
+    slope : float
+        Rise over way.
+    width : int
+        Samples of the mean.
+    """
+    way = slope * step * np.arange(len(least))
+    up = np.maximum.accumulate(least + way) - way
+    down = (np.maximum.accumulate((least - way)[::-1]) + way[::-1])[::-1]
+    half = width // 2
+    padded = np.pad(np.maximum(up, down), 2 * half, mode="edge")
+    highest = np.lib.stride_tricks.sliding_window_view(padded, width).max(axis=1)
+    mean: FloatArray = np.lib.stride_tricks.sliding_window_view(highest, width).mean(axis=1)
+    return mean
 
 
 @dataclass(frozen=True)
