@@ -69,7 +69,7 @@ class RunwaySpec:
     approach_speed: float = figure("mps", 1, 200, stem="approach")
     """Airspeed on the glide path [m/s]."""
     flare_height: float = figure("m", 3.5, 100, stem="flare")
-    """Height above the ground where the flare begins [m]."""
+    """Height above the ground where the flare begins; in proportion more on a path above 3.5 deg [m]."""
     touch_down_sink: float = figure("mps", 0.05, 3, stem="touch_down")
     """Sink rate that the flare aims at [m/s]."""
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from bench.config.listing import PROFILES
 from bench.config.profile_tables import ProfileTable
 from bench.config.sheet import convert_figures
 from bench.errors import ConfigError
@@ -63,9 +64,10 @@ def find_terrain(table: ProfileTable, beside: Path) -> TerrainSpec | None:
     name, start = table.terrain.file, table.start
     if not name.lower().endswith(ENDINGS):
         raise ConfigError(f"file = {name!r} must end in {' or '.join(ENDINGS)}")
-    if not os.path.isfile(beside / name):
+    path = next((place / name for place in (beside, PROFILES) if os.path.isfile(place / name)), None)
+    if path is None:
         raise ConfigError(f"file = {name!r}: no such file{tell_where(name)}")
-    spec = describe_terrain(beside / name, name, table.terrain.geoid_m, make_runway(table))
+    spec = describe_terrain(path, name, table.terrain.geoid_m, make_runway(table))
     ground = float(ground_at(spec, math.radians(start.lat_deg), math.radians(start.lon_deg)))
     if math.isnan(ground):
         raise ConfigError(f"file = {name!r} has no height at the start")

@@ -114,7 +114,7 @@ class TerrainTable(Table):
     alt_m: Altitude | None = None
     """Height of flat ground above the WGS 84 ellipsoid; 0 if left out."""
     file: str | None = None
-    """Heights instead: an SRTM tile .hgt or an ESRI ASCII grid .asc in degrees, beside the profile."""
+    """Heights instead: an SRTM tile .hgt or an ESRI grid .asc in degrees, beside the profile or shipped."""
     geoid_m: Annotated[float, between(-120, 100)] = 0.0
     """Height above the ellipsoid of the level that the file counts from: that of the geoid for SRTM."""
 

@@ -14,7 +14,7 @@ from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Static, TakeOff
+from bench.flight.legs.runway import Static, TakeOff, TouchAndGo
 from bench.specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan, truth_of
 
@@ -130,6 +130,48 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
     assert 0.0 < along[touch] < kind.touch
     assert np.linalg.norm(down.vel_n[-1]) < 1e-4
     assert "touch-down at" in down.events.select("leg")[1][2]
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_a_touch_and_go_rolls_and_climbs_again(name):
+    """It touches, rolls at least as long as asked along the centreline, and leaves the ground for good."""
+    kind = KINDS[name]
+    start = final(kind._replace(before=(kind.before[0] / 2, kind.before[1] / 2)))
+    go = TouchAndGo(40.0, *kind.climb, roll=2.0)
+    truth = fly(
+        plan(Approach(radians(3.5), 60.0), Flare(), go, **start, wind_from=ALONG + 1.2, wind_speed=3.0)
+    )
+    begun, end, _ = truth.events.select("leg")[2]
+    leg = (truth.t > begun) & (truth.t <= end)
+    height, off = height_of_cg(truth, kind.aircraft)[leg], runway_frame(truth)[1][leg]
+    rolling = height < kind.wheels
+    seconds = np.flatnonzero(rolling)[-1] * truth.t[1]
+    assert 5.5 < seconds < 20.0
+    assert np.abs(off[rolling]).max() < 5.0
+    assert_allclose(height[-1], 40.0, atol=2.5)
+    assert np.diff(height)[height[1:] > kind.wheels + 0.2].min() > -0.02
+    inside = (truth.controls.t > begun) & (truth.controls.t < end)
+    throttle = truth.controls.throttle[inside]
+    assert throttle.max() > 0.99
+    assert (
+        throttle[(truth.controls.t[inside] > begun + 1.5) & (truth.controls.t[inside] < begun + 3.4)].max()
+        < 0.01
+    )
+    pitch = rotation.to_euler(truth.q_nb[leg])[1]
+    assert np.degrees(pitch.max()) < 17.0
+
+
+def test_a_steep_path_is_broken_off_higher_and_lands_no_harder():
+    """On 5.5 deg as on 3.5 deg: below the same sink, and the flare as much higher as the path is steeper."""
+    kind = KINDS["navion"]
+    begun = []
+    for glide in (3.5, 5.5):
+        start = final(kind._replace(before=(1500.0, 60.0 * glide / 3.5)))
+        truth = fly(plan(Approach(radians(glide), 60.0), Flare(), LandingRoll(0.1), **start))
+        flare, touch = (round(t / truth.t[1]) for t in truth.events.select("leg")[1][:2])
+        begun.append(height_of_cg(truth, kind.aircraft)[flare])
+        assert truth.vel_n[touch - 30 : touch, 2].max() < kind.sink
+    assert_allclose(begun[1] / begun[0], np.tan(radians(5.5)) / np.tan(radians(3.5)), rtol=0.03)
 
 
 def land_in(severity: int, across: float, seed: int, kind: Kind, rest: float = 5.0):

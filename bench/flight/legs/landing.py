@@ -12,7 +12,16 @@ from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp
 from bench.flight.legs.keys import Key, format_deg, side_of
-from bench.flight.legs.runway import EDGE, PATIENCE, POWER, Centreline, centreline, check_runway, find_runway
+from bench.flight.legs.runway import (
+    EDGE,
+    PATIENCE,
+    POWER,
+    Centreline,
+    centreline,
+    check_runway,
+    find_runway,
+    lower_nose,
+)
 from bench.flight.paths import Follower, SegmentPath
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
 from bench.specs import SECONDS, Leg, LegStart
@@ -20,6 +29,7 @@ from bench.specs import SECONDS, Leg, LegStart
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]
 _FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
+_USUAL_GLIDE = math.radians(3.5)  # that flare heights are for
 _FLARE_TIME = 40.0  # until the wheels touch [s]
 _STANDS = 0.02  # slower is standing [m/s]
 _BRAKE = 0.6  # share of the brakes of a landing
@@ -82,7 +92,9 @@ class Approach(Leg):
         cockpit.lon_mode(2)
         captured = list(smooth(climb_ramp(rate)))
         gain, k = cockpit.gain("altitude-gain"), 0
-        while cockpit.alt_agl() > figures.flare_height:
+        # a steeper path is broken off higher: the sink falls as fast as on the usual one
+        flare_height = figures.flare_height * max(1.0, slope / math.tan(_USUAL_GLIDE))
+        while cockpit.alt_agl() > flare_height:
             share, k = captured[min(k, len(captured) - 1)], k + 1
             rate = slope * plane.track()[1]
             cockpit.set_climb(share * (gain * above() * share - rate))
@@ -135,19 +147,8 @@ class LandingRoll(Leg):
         """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
         runway, figures = find_runway(cockpit)
         centre = Centreline(cockpit, runway)
-        cockpit.on_ground(standing=True)
-        pitch, throttle = cockpit.pitch(), cockpit.throttle()
-        cockpit.set_pitch(pitch)
-        cockpit.lon_mode(1)
-        cockpit.thr_mode(0)
-        cockpit.set_bank(0.0)
         cockpit.course = runway.heading
-        for share in smooth(1.5):
-            cockpit.set_steering(share)
-            cockpit.set_pitch((1 - share) * pitch)
-            cockpit.set_throttle((1 - share) * throttle)
-            centre.steer()
-            yield
+        yield from lower_nose(cockpit, centre)
         for share in smooth(POWER):
             cockpit.brake(share * _BRAKE)
             centre.steer()

@@ -80,10 +80,10 @@ class TakeOff(Leg):
             centre.steer()
             yield
         yield from _roll_to(cockpit, centre, figures.rotate_speed)
-        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre))
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=True))
 
-    def _climb_out(self, cockpit: Cockpit, centre: Centreline) -> Steps:
-        """Raise the nose, leave the ground, climb to the height of the leg."""
+    def _climb_out(self, cockpit: Cockpit, centre: Centreline, *, direct: bool) -> Steps:
+        """Raise the nose, leave the ground, climb to the height; guidance takes a direct elevator."""
         runway, figures = find_runway(cockpit)
         begun = cockpit.pitch()
         cockpit.set_pitch(begun)
@@ -92,7 +92,8 @@ class TakeOff(Leg):
         handed, airborne = list(smooth(_HANDOVER)), 0
         for k in ticks(PATIENCE):
             cockpit.set_pitch(begun + raised[min(k, len(raised) - 1)] * (figures.take_off_pitch - begun))
-            cockpit.direct_share["elevator"](1 - handed[min(k, len(handed) - 1)])
+            if direct:
+                cockpit.direct_share["elevator"](1 - handed[min(k, len(handed) - 1)])
             centre.steer()
             if airborne or not cockpit.on_wheels():
                 airborne += 1
@@ -113,6 +114,47 @@ class TakeOff(Leg):
             cockpit.set_climb(climb + share * (self.rate - climb))
             yield
         yield from level_off(cockpit, runway.alt + self.to_height, self.rate)
+
+
+@dataclass(frozen=True)
+class TouchAndGo(TakeOff):
+    """Lower the nose after a flare, roll, and take off again."""
+
+    kind = "touch-and-go"
+    needs = "flare"
+    roll: Annotated[float, Key("roll_s", "without power", 1, 30)] = 3.0
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Nose down and throttle back, roll along the centreline, then as a take-off."""
+        runway, figures = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        yield from lower_nose(cockpit, centre)
+        for _ in ticks(self.roll):
+            centre.steer()
+            yield
+        for share in smooth(POWER):
+            cockpit.set_throttle(share)
+            centre.steer()
+            yield
+        yield from _roll_to(cockpit, centre, figures.rotate_speed)
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=False))
+
+
+def lower_nose(cockpit: Cockpit, centre: Centreline) -> Steps:
+    """Bring the nose wheel down after a touch-down, wings level and throttle back."""
+    cockpit.on_ground(standing=True)
+    pitch, throttle = cockpit.pitch(), cockpit.throttle()
+    cockpit.set_pitch(pitch)
+    cockpit.lon_mode(1)
+    cockpit.thr_mode(0)
+    cockpit.set_bank(0.0)
+    for share in smooth(1.5):
+        cockpit.set_steering(share)
+        cockpit.set_pitch((1 - share) * pitch)
+        cockpit.set_throttle((1 - share) * throttle)
+        centre.steer()
+        yield
 
 
 def _with_full_power(cockpit: Cockpit, speed: float, steps: Steps) -> Steps:
