@@ -32,7 +32,8 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
     log FILE looks at a recording; FILE.toml beside it is for bench navigate, with questions
 
     \b
-    aircraft NAME finds gains of one of the jsbsim wheel and writes aircraft/jsbsim/NAME.toml
+    aircraft NAME finds gains of one of the jsbsim wheel and writes aircraft/jsbsim/NAME.toml;
+    aircraft ./FOLDER those of a JSBSim model of yours, FOLDER/FOLDER.xml, and writes FOLDER/aircraft.toml
 
     \b
     schemas writes what editors need to complete keys and mark mistakes while you type:

@@ -75,6 +75,8 @@ class AircraftTable(Table):
     """A table: gains of the autopilot, by their names in guidance.xml."""
     rough_air: dict[str, float] = Field(default_factory=dict)
     """A table: gains of [guidance] that are other ones from moderate turbulence on."""
+    rough_flare: dict[str, float] = Field(default_factory=dict)
+    """The same in a flare, from light turbulence on."""
 
 
 def find_profile(name: str | Path) -> tuple[Path, str]:
@@ -217,9 +219,10 @@ def _make_aircraft(
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is not a table of this file")
-    unknown = [name for name in table.rough_air if name not in table.guidance]
-    if unknown:
-        raise ConfigError(f"{shown}: [rough_air] {unknown[0]!r} is no gain of [guidance]")
+    for key in ("rough_air", "rough_flare"):
+        unknown = [name for name in getattr(table, key) if name not in table.guidance]
+        if unknown:
+            raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is no gain of [guidance]")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:
@@ -230,6 +233,7 @@ def _make_aircraft(
         systems=with_guidance.absolute(),
         gains=table.guidance,
         rough_gains=table.rough_air,
+        flare_gains=table.rough_flare,
         **convert_figures(AircraftSpec, limits),
         antenna_b=_from_imu(table.antenna, imu),
         category=table.category,

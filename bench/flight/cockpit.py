@@ -13,6 +13,7 @@ from bench.arrays import FloatArray
 from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import FlightError
 from bench.flight.belief import Belief
+from bench.flight.dryden import LIGHT
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
@@ -89,6 +90,8 @@ class Cockpit:
         self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
         self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
         self.aircraft, self.runway = spec.aircraft, spec.runway
+        flared = spec.aircraft.flare_gains if spec.severity >= LIGHT else {}
+        self._flared = [(writer(name), reader(f"guidance/{name}")(), to) for name, to in flared.items()]
         self.start_lla = spec.lat, spec.lon, spec.alt  # of the flight [rad, rad, m]
         self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
         # what the loops lag behind a moving set-point
@@ -173,6 +176,11 @@ class Cockpit:
         self.alt_wanted = alt
         self.set_alt(alt)
         self.lon_mode(3)
+
+    def hold_firmly(self, share: float) -> None:
+        """Go over from the gains of flight, 0, to those of a flare in rough air, 1."""
+        for write, begun, end in self._flared:
+            write(begun + share * (end - begun))
 
     def brake(self, share: float) -> None:
         """Set the wheel brakes, 0 to 1."""

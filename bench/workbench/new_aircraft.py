@@ -1,9 +1,10 @@
-"""The verb new aircraft: gains of an aircraft of JSBSim, accepted by a flight or not written at all."""
+"""The verb new aircraft: gains of an aircraft of others, accepted by a flight or not written at all."""
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
@@ -17,9 +18,9 @@ from rich.console import Console
 
 from bench import durable
 from bench.arrays import FloatArray
-from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
+from bench.config.external_truth import find_jsbsim_root, has_guidance, list_root_aircraft
 from bench.config.library import read_jsbsim_aircraft
-from bench.config.listing import JSBSIM
+from bench.config.listing import JSBSIM, NAME
 from bench.data import Trajectory
 from bench.errors import ConfigError, FlightError
 from bench.flight.child_process import fly_in_child
@@ -74,7 +75,10 @@ class Acceptance:
 
 
 def new_aircraft(name: str, *, console: Console) -> None:
-    """Design the gains of ``jsbsim:NAME``, fly it, and write ``aircraft/jsbsim/NAME.toml`` if it is accepted.
+    """Design the gains of an aircraft, fly it, and write its ``.toml`` if it is accepted.
+
+    A name is that of an aircraft of the jsbsim wheel, whose file is ``aircraft/jsbsim/NAME.toml``; a folder,
+    with a slash in it, is that of a model of your own, and the file its ``aircraft.toml``.
 
     Raises
     ------
@@ -83,43 +87,66 @@ def new_aircraft(name: str, *, console: Console) -> None:
     FlightError
         If no design is accepted: the reason of the last one.
     """
-    name = name.removeprefix(JSBSIM)
-    path = Path("aircraft/jsbsim") / f"{name}.toml"
+    raw, path, shown = _find_own(Path(name)) if {"/", os.sep} & set(name) else _find_shipped(name)
     if path.exists() or path.is_symlink():
         raise ConfigError(f"{path}: exists already and is not replaced")
-    design, accepted, flown = find_design(name, lambda text: console.print(text, soft_wrap=True))
+    design, accepted, flown = find_design(raw, lambda text: console.print(text, soft_wrap=True))
     path.parent.mkdir(parents=True, exist_ok=True)
-    durable.write(path, write_sheet(flown, design, accepted))
-    console.print(f"{JSBSIM}{name}: trimmed at {design.speed:g} m/s, {design.alt:g} m; {accepted.describe()}")
+    durable.write(path, write_sheet(flown, design, accepted, shown))
+    console.print(f"{shown}: trimmed at {design.speed:g} m/s, {design.alt:g} m; {accepted.describe()}")
     if design.stubs:
         console.print(
             f"The model reads what it does not have; 0 stands for: {', '.join(design.stubs)}", soft_wrap=True
         )
-    console.print(f'Wrote {path}. Next: a profile with aircraft = "{JSBSIM}{name}"', soft_wrap=True)
+    console.print(f'Wrote {path}. Next: a profile with aircraft = "{shown}"', soft_wrap=True)
 
 
-def find_design(
-    name: str, tell: Callable[[str], object] = lambda text: None
-) -> tuple[GainDesign, Acceptance, AircraftSpec]:
-    """Return the first design of an aircraft of the wheel that is accepted, and the aircraft with it.
-
-    ``tell`` is called with the reason of each that is not.
-    """
+def _find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
+    """Return an aircraft of the wheel, its file, and its name in a profile."""
+    name = name.removeprefix(JSBSIM)
     root = find_jsbsim_root(None, Path())
     known = list_root_aircraft(root)
     if name not in known:
         hint = suggest(name, known, "aircraft")
         raise ConfigError(f"aircraft = {JSBSIM + name!r} is not in the wheel{hint}")
-    pattern = read_jsbsim_aircraft(_PATTERN, None, Path())
-    raw = replace(
-        pattern,
-        name=name,
-        folder=root / "aircraft" / name,
+    return _make_raw(root / "aircraft" / name, root), Path("aircraft/jsbsim") / f"{name}.toml", JSBSIM + name
+
+
+def _find_own(folder: Path) -> tuple[AircraftSpec, Path, str]:
+    """Return the aircraft of a folder, its file, and its name in a profile beside ``aircraft/``."""
+    name = folder.resolve().name
+    if not NAME.fullmatch(name):
+        raise ConfigError(f"{folder}: its name must be letters, digits, '-' and '_', 100 at most")
+    model = folder / f"{name}.xml"
+    if not os.path.isfile(model):
+        raise ConfigError(f"{model}: no such file; the model of a folder has its name")
+    if has_guidance(model):
+        raise ConfigError(
+            f"{model}: it has the guidance system of the bench; write its aircraft.toml by hand"
+        )
+    return _make_raw(folder.resolve(), find_jsbsim_root(None, Path())), folder / "aircraft.toml", name
+
+
+def _make_raw(folder: Path, root: Path) -> AircraftSpec:
+    """Return an aircraft that nothing is known of, with engines and systems of a JSBSim root."""
+    return replace(
+        read_jsbsim_aircraft(_PATTERN, None, Path()),
+        name=folder.name,
+        folder=folder,
         foreign=ForeignSpec(root, {}),
         trims=(),
         runway=None,
         configuration=(),
     )
+
+
+def find_design(
+    raw: AircraftSpec, tell: Callable[[str], object] = lambda text: None
+) -> tuple[GainDesign, Acceptance, AircraftSpec]:
+    """Return the first design of an aircraft that is accepted, and the aircraft with it.
+
+    ``tell`` is called with the reason of each that is not.
+    """
     reason, fewest = "", 99
     for lift, pace in attempts():
         try:
@@ -141,7 +168,7 @@ def find_design(
         tell(said)
         if len(failures) < fewest:
             fewest, reason = len(failures), said
-    raise FlightError(reason if reason.startswith("aircraft") else f"aircraft {name}: {reason}")
+    raise FlightError(reason if reason.startswith("aircraft") else f"aircraft {raw.name}: {reason}")
 
 
 def _design_in_child(raw: AircraftSpec, lift: float, pace: float) -> GainDesign:
@@ -215,14 +242,18 @@ def _tail(truth: Trajectory, seconds: float) -> int:
     return round(seconds / float(truth.t[1]))
 
 
-def write_sheet(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance) -> str:
-    """Return the ``aircraft.toml`` of a design."""
-    return "\n".join(_sheet_lines(aircraft, design, accepted)) + "\n"
+def write_sheet(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance, shown: str) -> str:
+    """Return the ``.toml`` of a design; ``shown`` is its name in a profile."""
+    return "\n".join(_sheet_lines(aircraft, design, accepted, shown)) + "\n"
 
 
-def _sheet_lines(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance) -> Iterator[str]:
-    name = aircraft.name
-    yield f"# Found by bench new aircraft {JSBSIM}{name}; the model and its licence stay with JSBSim."
+def _sheet_lines(
+    aircraft: AircraftSpec, design: GainDesign, accepted: Acceptance, shown: str
+) -> Iterator[str]:
+    of_wheel = shown.startswith(JSBSIM)
+    whose = "of JSBSim" if of_wheel else "as its folder has it"
+    rest = "; the model and its licence stay with JSBSim" if of_wheel else ""
+    yield f"# Found by bench new aircraft for {shown}{rest}."
     trim = design.trim
     words = (
         f"Trim: alpha {math.degrees(trim.alpha):.2f} deg, elevator {trim.elevator:.3f}, throttle "
@@ -231,9 +262,10 @@ def _sheet_lines(aircraft: AircraftSpec, design: GainDesign, accepted: Acceptanc
         f"{_list(design.derivatives)}."
     )
     yield from textwrap.wrap(words, 108, initial_indent="# ", subsequent_indent="# ")
-    yield f'title    = "{name} of JSBSim, {design.mass:.0f} kg"'
+    yield f'title    = "{aircraft.name} {whose}, {design.mass:.0f} kg"'
     yield f'class    = "{aircraft.category}"'
-    yield 'source   = "the jsbsim package; its model names its own sources"'
+    package = "the jsbsim package; its model names its own sources" if of_wheel else "its model"
+    yield f'source   = "{package}"'
     yield 'assumed  = ["limits", "antenna", "guidance"]'
     if design.stubs:
         yield f"stubs    = {json.dumps(list(design.stubs))}  # read by the model and not there: 0"

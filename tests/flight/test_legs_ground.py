@@ -205,10 +205,15 @@ def test_gusts_do_not_tip_a_landing(kind, severity, across, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize("severity", [3, 4])
 def test_twelve_of_twelve_land_in_turbulence_and_wind_across(severity):
-    """Light and moderate turbulence, 4 m/s across; technique and airframe were chosen on seeds 101 to 112."""
-    for seed in range(1, 13):
+    """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground.
+
+    The sink is the largest of the last 0.3 s before the touch-down.
+    """
+    for seed in range(21, 33):
         truth = land_in(severity, 4.0, seed, KINDS["aerosonde"])
         assert np.abs(truth.vel_n[-1]).max() < 0.1
+        touch = round(truth.events.select("leg")[1][1] / truth.t[1])
+        assert truth.vel_n[touch - 30 : touch, 2].max() < {3: 2.0, 4: 3.0}[severity]
 
 
 def test_the_glide_path_is_flown():

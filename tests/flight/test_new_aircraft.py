@@ -11,9 +11,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import cli, rotation
+from bench.config import load_profile
 from bench.config.library import read_jsbsim_aircraft
+from bench.config.listing import PROFILES
 from bench.data import Events
 from bench.errors import FlightError
+from bench.flight import fly
 from bench.flight.executive import load_aircraft
 from bench.flight.gain_design import BANK, _find_stubs, _place_loops, _with
 from bench.flight.trimming import (
@@ -147,6 +150,47 @@ def test_an_aircraft_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monke
     assert aircraft.min_speed < aircraft.trims[0][1] < aircraft.max_speed
     assert cli.main(["new", "aircraft", "c172p"]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch):
+    """The model of a wheel's aircraft under another name, with an output that must not be written."""
+    root = read_jsbsim_aircraft("jsbsim:c172x", None, Path()).foreign.root
+    folder = tmp_path / "aircraft" / "mine"
+    folder.mkdir(parents=True)
+    model = (root / "aircraft" / "T37" / "T37.xml").read_text(encoding="latin-1")
+    spying = '<output name="leak.csv" type="CSV" rate="10"/></fdm_config>'
+    (folder / "mine.xml").write_text(model.replace("</fdm_config>", spying), encoding="latin-1")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "aircraft", "aircraft/mine"]) == 0
+    assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["aircraft.toml", "mine.xml"]
+    changes = {"aircraft": "mine", "start.speed_mps": 80.0, "start.alt_m": 1200.0}
+    legs = [{"kind": "straight", "duration_s": 5.0}]
+    (tmp_path / "own.toml").write_text((PROFILES / "s-turns.toml").read_text())
+    spec = load_profile(tmp_path / "own.toml", {**changes, "leg": legs}).flight
+    assert spec.aircraft.folder == folder
+    assert abs(fly(spec).lla[-1, 2] - 1200.0) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("made", "asked", "said"),
+    [
+        ("a b/a b.xml", "./a b", "must be letters, digits"),
+        ("mine/other.xml", "./mine", "mine/mine.xml: no such file; the model of a folder has its name"),
+        ("mine/mine.xml", "./mine", "it has the guidance system of the bench"),
+        ("mine/aircraft.toml", "./mine", "exists already and is not replaced"),
+    ],
+)
+def test_a_folder_that_cannot_be_used_says_why(tmp_path, monkeypatch, capsys, made, asked, said):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / made
+    path.parent.mkdir()
+    system = "" if "aircraft" in made else "<system file='guidance'/>"
+    path.write_text(f"<fdm_config>{system}</fdm_config>")
+    if path.suffix == ".toml":
+        (path.parent / "mine.xml").write_text("<fdm_config/>")
+    assert cli.main(["new", "aircraft", asked]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
 
 
 def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):

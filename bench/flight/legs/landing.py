@@ -130,6 +130,7 @@ class Flare(Leg):
             ahead = looked[min(k, len(looked) - 1)] * cockpit.climb_lag
             height = cockpit.alt_agl() - figures.height - sink * ahead
             cockpit.set_climb(-max(aimed, aimed + height / span))
+            cockpit.hold_firmly(looked[min(k, len(looked) - 1)])
             follower.steer(_FLARE_BANK)
             yield
         raise FlightError(f"no touch-down in {_FLARE_TIME:g} s: {cockpit.state()}")
