@@ -252,4 +252,4 @@ def plan_acceptance(aircraft: AircraftSpec, design: GainDesign) -> FlightSpec:
 
 def attempts() -> Iterator[tuple[float, float]]:
     """Lift coefficients and paces in the order they are tried."""
-    yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.7, 1.0))
+    yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.15, 1.0))
