@@ -29,16 +29,7 @@ from bench.exchange.loading import load_estimators
 from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
-from bench.specs import (
-    CLIENT,
-    IN_FLIGHT,
-    AssumedSpecs,
-    EstimatorChoice,
-    FlightSpec,
-    Profile,
-    TableSpec,
-    TerrainSpec,
-)
+from bench.specs import CLIENT, IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
 from bench.stages import FLYING, Stages, Watcher
 
 
@@ -71,21 +62,20 @@ def fly(
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
     """Fly a profile, store its truth in the cache, and return its figures.
 
-    They are those of `bench.flight.Summary` and `bench.evaluation.replay`. Only one piece of the truth is in
-    memory at a time. Errors as for :func:`fly`.
+    Those of `bench.flight.Summary` and `bench.evaluation.replay`, piece by piece. Errors as for :func:`fly`.
     """
-    summarize = partial(_summarize, terrain=profile.sensors.terrain)
+    summarize = partial(_summarize, profile)
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py", "signals/terrain.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), summarize, sources)
 
 
-def _summarize(pieces: Iterable[Trajectory], terrain: TerrainSpec | None) -> dict[str, Any]:
+def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
     from bench.evaluation.replay import Replay
     from bench.flight.summary import Summary
 
-    summary, replay = Summary(terrain), Replay()
+    summary, replay = Summary(profile.sensors.terrain), Replay()
     for piece in pieces:
         summary.add(piece)
         replay.add(piece)

@@ -14,7 +14,7 @@ from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Static, TakeOff, TouchAndGo
+from bench.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
 from bench.specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan, truth_of
 
@@ -130,6 +130,28 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
     assert 0.0 < along[touch] < kind.touch
     assert np.linalg.norm(down.vel_n[-1]) < 1e-4
     assert "touch-down at" in down.events.select("leg")[1][2]
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_taxiing_stops_where_it_is_asked_to_and_goes_on(name):
+    """Two stops 60 m apart, each 4 s with brakes set; in between its speed, to half a metre per second."""
+    kind = KINDS[name]
+    taxi = Taxi(120.0, 5.0, stops=2, stop=4.0)
+    truth = fly(standing(taxi, aircraft=kind.aircraft, speed=kind.climb[1]))
+    along, off, height = runway_frame(truth)
+    speed = np.hypot(truth.vel_n[:, 0], truth.vel_n[:, 1])
+    stands = speed < 0.2
+    edges = np.flatnonzero(np.diff(stands.astype(int)))
+    # rolls, stands, rolls, stands to the end
+    stops = [edges[k] for k in (1, 3)]
+    assert len(edges) == 4
+    assert_allclose(along[stops] - along[0], [60.0, 120.0], atol=2.0)
+    assert truth.t[edges[2]] - truth.t[edges[1]] > 4.0
+    assert speed[edges[1] + 400 : edges[1] + 550].max() < 0.005
+    assert 4.5 < speed.max() < 5.5
+    assert np.abs(np.gradient(speed, truth.t)).max() < 4.0
+    assert np.abs(off).max() < 0.5
+    assert np.ptp(height) < 0.1
 
 
 @pytest.mark.parametrize("name", list(KINDS))

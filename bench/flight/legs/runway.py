@@ -11,8 +11,8 @@ from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp, level_off
 from bench.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of
 from bench.flight.paths import SegmentPath
-from bench.flight.shaping import Steps, clip, smooth, ticks, wait
-from bench.specs import AircraftSpec, Leg, LegStart, Runway, RunwaySpec
+from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, ticks, wait
+from bench.specs import SECONDS, AircraftSpec, Leg, LegStart, Runway, RunwaySpec
 
 POWER = 2.0  # in which brakes are released and power is set [s]
 PATIENCE = 180.0  # for a take-off run or a landing roll [s]
@@ -20,6 +20,8 @@ EDGE = 20.0  # the runway ends this far from its centreline [m]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
 _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
 _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
+_TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2]
+_TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTRE = 0.02  # heading back to the centreline per distance off it [rad/m] ...
 _CENTRE_MOST = math.radians(10.0)  # ... and the most of it [rad]
@@ -39,6 +41,64 @@ class Static(Leg):
     def fly(self, cockpit: Cockpit) -> Steps:
         cockpit.brake(1.0)
         yield from wait(self.duration)
+
+
+@dataclass(frozen=True)
+class Taxi(Leg):
+    """Roll along the centreline with stops at equal distances, the last at the end."""
+
+    kind = "taxi"
+    needs = leaves = "ground"
+    distance: Annotated[float, Key("distance_m", "of the whole way", 20, 5000)]
+    speed: Annotated[float, Key("speed_mps", "over ground, between the stops", 1, 15)] = 6.0
+    stops: Annotated[int, Key("stops", "how many, the last included", 1, 100)] = 1
+    stop: Annotated[float, Key("stop_s", "how long each is", *SECONDS)] = 10.0
+
+    def describe(self) -> str:
+        return f"{self.distance:g} m at {self.speed:g} m/s, {self.stops} stops"
+
+    def check(self, start: LegStart) -> list[str]:
+        return check_runway(start.aircraft)
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Throttle and brakes hold a speed that falls to zero at each stop; the nose wheel steers."""
+        runway, _ = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        cockpit.set_heading(cockpit.course)
+        begun = centre.along
+        for number in range(1, self.stops + 1):
+            for share in smooth(POWER):
+                cockpit.brake(1 - share)
+                cockpit.set_steering(share)
+                yield
+            yield from self._roll(cockpit, centre, begun + number * self.distance / self.stops)
+            for share in smooth(POWER):
+                cockpit.brake(_TAXI_BRAKE + share * (1 - _TAXI_BRAKE))
+                cockpit.set_steering(1 - share)
+                yield
+            yield from wait(self.stop)
+
+    def _roll(self, cockpit: Cockpit, centre: Centreline, end: float) -> Steps:
+        power = brake = begun = 0.0
+        for k in ticks(PATIENCE + 2 * self.distance / self.speed):
+            centre.steer()
+            speed, to_go = centre.ground_speed(), end - centre.along
+            wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
+            braking = wanted < self.speed
+            wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
+            if braking and speed < _TAXI_STANDS:
+                break
+            lacks = wanted - speed
+            power = 0.0 if braking else min(max(power + 0.02 * lacks / GUIDANCE_RATE, 0.0), 0.5)
+            asked = 0.0 if braking else min(max(power + 0.04 * lacks, 0.0), 0.5)
+            begun += 0.1 * (asked - begun)  # no step of the throttle
+            cockpit.set_throttle(begun)
+            brake += 0.1 * (min(max(-0.5 * lacks, 0.0), _TAXI_BRAKE) - brake)
+            cockpit.brake(_TAXI_BRAKE if braking and to_go < 0 else brake)
+            yield
+        else:
+            raise FlightError(f"not at {end:.0f} m along the runway: {centre.along:.0f} m, {cockpit.state()}")
 
 
 @dataclass(frozen=True)
