@@ -30,6 +30,9 @@ WORKER = "iframe-worker.js"
 _LONG = 90  # letters of a signature on one line
 _REMOTE = "https://unpkg.com/iframe-worker/shim"
 
+_LIGHTBOX = re.compile(r'\w+\(\w+\("\.glightbox",e\)\),')
+"""What loads a viewer of pictures from the network, whether a page has any or not."""
+
 _CONFIG = """\
 [project]
 site_name = "bench"
@@ -116,6 +119,11 @@ def _take_off_network(site: Path) -> Path:
         up = "../" * len(path.relative_to(site).parents[:-1])
         text = path.read_text(encoding="utf-8").replace(_REMOTE, f"{up}assets/{WORKER}")
         path.write_text(text, encoding="utf-8")
+    (bundle,) = (site / "assets" / "javascripts").glob("bundle.*.js")
+    script, found = _LIGHTBOX.subn("", bundle.read_text(encoding="utf-8"))
+    if found != 1:
+        raise RuntimeError(f"{bundle.name}: where it loads its viewer of pictures was found {found} times")
+    bundle.write_text(script, encoding="utf-8")
     return site
 
 

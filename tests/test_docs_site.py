@@ -31,6 +31,11 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(site):
             assert (path.parent / one.partition("?")[0].partition("#")[0]).exists(), f"{path.name}: {one}"
 
 
+def test_the_script_of_the_pages_asks_the_network_for_no_viewer_of_pictures(site):
+    (bundle,) = (site / "assets" / "javascripts").glob("bundle.*.js")
+    assert ".glightbox" not in bundle.read_text(encoding="utf-8")
+
+
 def test_the_search_is_a_script_that_a_folder_can_hold(site):
     text = (site / "search.js").read_text(encoding="utf-8")
     assert "NEES" in text

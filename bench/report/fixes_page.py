@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.findings.looks import find_look
+from bench.findings.series import Plot
 from bench.plots import receiver_plots
 from bench.report import page, svg
-from bench.units import split_unit
+from bench.signals.orbits import DAY
+from bench.units import HOUR, split_unit
 from bench.wording import format_number
 
+_LONG = 7200.0  # a longer record has an axis of hours [s]
 _WORDS = {
     "nees_3": "NEES / 3 (1 is right)",
     "nees_horizontal_2": "horizontal NEES / 2 (1 is right)",
@@ -33,6 +37,7 @@ def make_page(solved: RinexFixes) -> str:
     distance = np.hypot(*placed.T)
     circles = [(f"{q} %", float(np.percentile(distance, q))) for q in (50, 95) if at_rest and len(placed)]
     instants = [("antenna" if solved.compared else "median", np.zeros(2))] if at_rest else []
+    shift = _HourAxis.of(solved, float(t[-1]))
     plots = []
     if good.any():
         plots = [
@@ -57,8 +62,33 @@ def make_page(solved: RinexFixes) -> str:
         against=receiver_plots.name_reference(solved),
         track=svg.draw_track([], placed, (), instants, circles) if len(placed) else "",
         circles=[f"{name} of the fixes within {format_number(radius, 3)} m" for name, radius in circles],
-        plots=[page.make_figure(plot, (0.0, float(max(t[-1], 1.0))), ()) for plot in plots],
+        plots=[page.make_figure(shift(plot), (shift.begin, shift.end), ()) for plot in plots],
+        times=shift.words,
     )
+
+
+class _HourAxis(NamedTuple):
+    """The horizontal axis: hours of the day, or seconds of a short record."""
+
+    begin: float
+    end: float
+    per_second: float
+    unit: str
+    words: str
+
+    @classmethod
+    def of(cls, solved: RinexFixes, duration: float) -> _HourAxis:
+        """Return the axis of a record that lasts so long [s]."""
+        if duration < _LONG:
+            return cls(0.0, max(duration, 1.0), 1.0, "s", "Times are seconds since the first epoch.")
+        begin = (solved.observations.origin + solved.observations.t[0]) % DAY / HOUR
+        words = "Times are hours of the day, GPS time."
+        return cls(float(begin), float(begin) + duration / HOUR, 1.0 / HOUR, "h", words)
+
+    def __call__(self, plot: Plot) -> Plot:
+        """Return a plot over seconds since the first epoch with this axis."""
+        series = tuple(replace(one, t=self.begin + one.t * self.per_second) for one in plot.series)
+        return replace(plot, series=series, across=self.unit)
 
 
 def _list_facts(solved: RinexFixes) -> Iterator[str]:

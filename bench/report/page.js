@@ -74,7 +74,7 @@ function makeChart(area) {
   const [xs, ...columns] = uPlot.join(tables);
   columns.forEach((column, k) => { if (!series[k + 1].points.show) interpolate(xs, column); });
   const data = [xs.map(toX), ...columns.map((column) => column.map((y) => y == null ? y : toY(y)))];
-  const kind = unit === "s" && !log.includes("x") ? "time" : Symbol("alone");
+  const kind = "sh".includes(unit) && !log.includes("x") ? "time" : Symbol("alone");
   const viewOf = () => views.get(kind) || full.x;
   const rangeY = (u, low, high) => {
     const all = full.x[0] === viewOf()[0] && full.x[1] === viewOf()[1] && series.every((one) => !off.has(one.label));
@@ -94,7 +94,7 @@ function makeChart(area) {
     ...size(), legend: { show: false }, padding: [6, 18, 0, 0], series, bands,
     scales: { x: { time: false, auto: false, range: viewOf, distr: log.includes("x") ? 3 : 1 }, y: { range: rangeY, distr: log.includes("y") ? 3 : 1 } },
     axes: [
-      axis("x", { grid: { show: false }, size: 22, gap: 3, space: 48, values: (_, splits) => splits.map((v, k) => short(v) + (k === splits.length - 1 && unit === "s" ? " s" : "")) }),
+      axis("x", { grid: { show: false }, size: 22, gap: 3, space: 48, values: (_, splits) => splits.map((v, k) => short(v) + (k === splits.length - 1 && "sh".includes(unit) ? ` ${unit}` : "")) }),
       axis("y", { grid, size: 52, space: 26, values: (_, splits) => splits.map((v) => Math.abs(v) >= 1e4 ? `${short(v / 1e3)}k` : short(v)) })],
     cursor: { y: false, drag: { x: true, setScale: false, dist: 8 }, points: { size: 6 }, sync: kind === "time" ? { key: "time", setSeries: false, filters: { pub: (type) => /mouse(move|leave)/.test(type) } } : {},
       bind: { dblclick: () => () => { zoom(kind, null); return null; } } },

@@ -139,12 +139,17 @@ def draw_track(
         body.append(_write_path("line", _join(np.column_stack(_straighten(x, y))), colour, name))
     step = round_number(reach)
     bar = step / (2.0 * reach) * width
+    columns, rows = frame.place(first[:, 1], first[:, 0])
+    across = columns[rows > (height - 40) * _GRAIN] / _GRAIN  # what the bar may lie on
+    begin = 16.0
+    if (across < begin + bar).sum() > (across > width - begin - bar).sum():
+        begin = width - begin - bar
     return (
         f'<svg class="track" viewBox="0 0 {width} {height}" role="img" '
         f'aria-label="Track from above, north up, {2.0 * reach:.4g} m wide">'
         f'<svg viewBox="0 0 {width * 10} {height * 10}">{"".join(body)}</svg>'
-        f'<path class="bar" d="M16 {height - 16}h{bar:.1f}"/>'
-        f'<text x="16" y="{height - 22}">{_format_length(step)}</text>'
+        f'<path class="bar" d="M{begin:.1f} {height - 16}h{bar:.1f}"/>'
+        f'<text x="{begin:.1f}" y="{height - 22}">{_format_length(step)}</text>'
         f'<path class="bar" d="M{width - 20} 44V16m-5 8l5 -8l5 8"/>'
         f'<text x="{width - 20}" y="58" text-anchor="middle">N</text>{"".join(_draw_circles(frame, circles))}'
         f"{''.join(_name_places(frame, instants))}"
@@ -240,10 +245,10 @@ def _mark_times(frame: Frame, plot: Plot) -> Iterable[str]:
             yield _mark_time(_LEFT + column / _GRAIN, "middle", escape(name))
         return
     steps, numbers = _round_marks(*frame.x, 7, log="x" in plot.log)
-    if plot.across == "s" and not plot.log:
+    if plot.across in ("s", "h") and not plot.log:
         last = frame.x[1] - _END * (frame.x[1] - frame.x[0])
         steps, numbers = steps[steps < last], numbers[numbers < last]
-        yield _mark_time(WIDTH - 2, "end", f"{_format_mark(float(f'{frame.x[1]:.4g}'))} s")
+        yield _mark_time(WIDTH - 2, "end", f"{_format_mark(float(f'{frame.x[1]:.4g}'))} {plot.across}")
     columns, _ = frame.place(steps, np.full(len(steps), frame.y[0]))
     for column, value in zip(columns, numbers, strict=True):
         yield _mark_time(_LEFT + column / _GRAIN, "middle", _format_mark(value))

@@ -138,6 +138,11 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     row = f'<th scope="row">{worst.name}</th><td>{worst.epochs}</td><td>{worst.excluded}</td>'
     assert f"{row}<td>{worst.residual_rms:.4g}</td>" in text
     assert known.judge()[1] in text.replace("&#39;", "'")
+    assert "Times are hours of the day, GPS time." in text
+    begin, end = (
+        float(x) for x in re.search(r'data-edges="([\d.]+) ([\d.]+) [^"]*" data-unit="h"', text).groups()
+    )
+    assert (begin, end) == (0.0, pytest.approx(known.observations.t[-1] / 3600.0))
     assert re.search(r"2020-06-25 00:00:00 to \d\d:\d\d:\d\d GPS time", text)
     word = "consistent" if 0.5 <= figures["nees_3"] <= 1.6 else "overconfident"
     assert f'<span class="word">{word}</span>' in text

@@ -272,6 +272,8 @@ def test_a_track_has_equal_scales_and_no_empty_half(north, east):
     width, height = map(int, re.search(r'viewBox="0 0 (\d+) (\d+)"', drawn).groups())
     assert 0.5 * width < height <= width
     assert min(x0, y1) > 10.0
+    bar, length = map(float, re.search(r'class="bar" d="M([\d.]+) \d+h([\d.]+)"', drawn).groups())
+    assert bar + length < x0 or bar > x0 + 10.0 or y0 < height - 40.0  # it does not lie on the start
     assert max(x1 - width, y0 - height) < -10.0
 
 
