@@ -82,6 +82,19 @@ def test_a_lever_arm_that_was_given_is_not_repeated_as_found():
     assert motion_checks._check_arm(blind, np.ones(3)).value is None
 
 
+@pytest.mark.parametrize(("sd_deg", "good"), [(0.1, False), (2.0, True)])
+def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
+    """6 and -8 deg about two axes are 10 deg; they count if they are known well enough."""
+    turns = {"turn_x": np.deg2rad(6.0), "turn_z": np.deg2rad(-8.0)}
+    values = np.array([turns.get(name, 0.0) for name in motion_fit.NAMES])
+    cov, empty = np.deg2rad(sd_deg) ** 2 * np.eye(len(values)), np.empty(0)
+    found = motion_checks._check_triads(motion_fit.MotionFit(values, cov, empty, np.empty((0, 3, 3)), empty))
+    assert found.good is good
+    if not good:
+        assert "turned by +6.0, +0.0, -8.0 deg about x, y, z" in found.text
+        assert found.value == pytest.approx(10.0)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", [entry.name for entry in list_profiles()])
 def test_every_shipped_profile(name):

@@ -138,7 +138,11 @@ def test_the_ranking_and_the_worst_claim_are_said():
     table = budget_study._tabulate(budget, {"10 s": 0}, "mine").columns
     assert table["source"] == ["gyro", "noise", "small"]
     assert_allclose(table["share_percent"], 100.0 * np.array([4.0, 1.0, 0.001]) / 5.001)
-    assert_allclose(table["height_m"], np.sqrt([4.0, 1.0, 0.001]))
+    sd = np.sqrt([4.0, 1.0, 0.001])
+    assert_allclose(table["height_m"], sd)
+    assert_allclose(table["velocity_mps"], np.sqrt(2.0) * sd)
+    assert_allclose(table["tilt_deg"], np.rad2deg(np.sqrt(2.0) * sd))
+    assert_allclose(table["heading_deg"], np.rad2deg(sd))
     assert budget_study._find_sources(budget, [0]) == ["noise", "gyro"]
 
 
