@@ -6,9 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from bench.evaluation.drift_laws import RADIUS, drift_sd
+from bench.evaluation.outages import place_outages
 from bench.units import DEG, STANDARD_GRAVITY
 from tests.weaving import IMU
 
@@ -75,3 +77,10 @@ def test_a_bias_that_turns_with_the_vehicle_is_integrated_along_its_headings():
     straight = drift_sd(T, unit("gyro", turn_on_bias_sd=b_g), calibrated=False)
     assert circling < 0.2 * straight
     assert drift_sd(T, unit("gyro", turn_on_bias_sd=b_g)) == 0.0  # calibrated: no turn-on bias is left
+
+
+def test_outages_are_spread_from_the_first_place_to_the_last():
+    assert_allclose(place_outages(100.0, 400.0, 60.0, 4), [100.0, 180.0, 260.0, 340.0])
+    assert_allclose(place_outages(100.0, 160.0, 60.0, 2), [100.0, 100.0])
+    with pytest.raises(ValueError, match="an outage of 60 s does not fit between 100 and 159 s"):
+        place_outages(100.0, 159.0, 60.0, 2)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.evaluation.key_figures import explain_rows, list_key_figures
+from bench.evaluation.key_figures import _format_bound, explain_rows, list_key_figures
 from bench.evaluation.metric_words import find_words, format_metric, group_metrics, list_wordless
 from bench.evaluation.metrics import METRICS
 from bench.wording import format_number
@@ -49,3 +49,13 @@ def test_numbers_have_no_power_of_ten_below_ten_million():
     assert [format_number(x) for x in values] == [
         "-", "0.01235", "10000", "21160", "10000000", "1.235e+08", "1e-07"
     ]  # fmt: skip
+
+
+def test_bounds_have_two_decimals_below_ten_and_three_digits_from_there_on():
+    assert [_format_bound(value) for value in (0.5, 1.048, 9.999, 28.96, 161.4)] == [
+        "0.50",
+        "1.05",
+        "10.00",
+        "29",
+        "161",
+    ]
