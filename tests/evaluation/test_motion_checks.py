@@ -82,6 +82,19 @@ def test_a_lever_arm_that_was_given_is_not_repeated_as_found():
     assert motion_checks._check_arm(blind, np.ones(3)).value is None
 
 
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [
+        (1.05 / 9.80665, "are these g in a column of m/s^2?"),
+        (0.95 * 9.80665, "are these m/s^2 in a column of g?"),
+        (1.0, "the unit or the scale looks wrong"),
+        (0.8 * 9.80665, "the unit or the scale looks wrong"),
+    ],
+)
+def test_a_force_that_is_off_by_gravity_is_in_the_other_unit(ratio, said):
+    assert motion_checks.guess_force_unit(ratio) == f": {said}"
+
+
 @pytest.mark.parametrize(("sd_deg", "good"), [(0.1, False), (2.0, True)])
 def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
     """6 and -8 deg about two axes are 10 deg; they count if they are known well enough."""
