@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
+import bench
 from bench import pipeline, store
 from bench.campaigns.card_bound import bound_errors_of
 from bench.campaigns.card_causality import hash_all_answers, judge_causality
@@ -37,6 +38,7 @@ from bench.errors import ConfigError
 from bench.evaluation.required_metrics import MET, Finding
 from bench.exchange.solution_folder import share_equal_files, write_sensors
 from bench.files import read_json
+from bench.notebook import make_frame, write_sentences, write_table
 from bench.specs import DEFAULT_GUARD, Guard
 from bench.wording import one_line
 
@@ -76,6 +78,26 @@ class Card(Table):
     answers: str = ""  # hash of all that it answered, every bit
     commands: dict[str, str] = Field(default_factory=dict)  # by flight: what repeats its first draw
     lost: Annotated[tuple[LostDraw, ...], ROWS] = ()  # draws that did not converge
+
+    def __repr__(self) -> str:
+        return f"<Card: {self.summary}>"
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        """Return the summary, and a table of the lines."""
+        rows = [[one.flight, one.topic, one.value, one.low, one.high, one.sentence] for one in self.lines]
+        head = ["flight", "topic", "value", "low", "high", "in words"]
+        return write_sentences([self.summary]) + write_table(f"Card of {self.estimator}", head, rows)
+
+    def frame(self) -> Any:
+        """Return the lines as a pandas.DataFrame, a row for each figure of a flight, with its interval."""
+        names = ("topic", "flight", "figure", "value", "low", "high", "word", "sentence")
+        return make_frame({name: [getattr(one, name) for one in self.lines] for name in names})
+
+    def plot(self, topic: str = "accuracy", **look: Any) -> Any:
+        """Draw a topic's ratios with their intervals on each flight: see `bench.plot_result`."""
+        return bench.plot_result(self, topic, **look)
 
     @property
     def sentences(self) -> tuple[str, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from bench.campaigns.card import Card
     from bench.campaigns.running import Campaign
     from bench.findings import StudyResult
 
@@ -39,29 +40,33 @@ _LETTER = 0.53  # width of a letter over its size, on the average
 _SAMPLE = 20.0  # width of a line before its name, and what is between them [pt]
 _NAME_ROW = 8.5  # height of a row of a legend [pt]
 _MARGIN = 40.0  # left of a plot [pt]
+_TURNED_MM = 24.0  # height of names that are turned [mm]
+_MOST_LETTERS = 40  # of the names below a plot that stand upright
 _MOST_NAMES = 6  # in a legend; a line for each satellite has none
 _DARKER = 0.72  # of the colours of the viewer, for white paper
+_RATIOS = ("accuracy", "height", "velocity", "tilt", "heading", "outages", "robustness", "honesty")
+"""Topics of a card whose figures are ratios."""
 _SHADES = {"outage": (0.9, 0.9, 0.9), "fault": (0.94, 0.87, 0.94)}
 
 
 def plot_result(
-    result: RunResult | StudyResult | Campaign,
+    result: RunResult | StudyResult | Campaign | Card,
     tab: str | None = None,
     estimator: str | None = None,
     *,
     width_mm: float = COLUMN_MM,
     serif: bool = False,
 ) -> Figure:
-    """Draw the plots of a tab of a run below each other, a figure of a study, or a quantity of a campaign.
+    """Draw a tab of a run, a figure of a study, a quantity of a campaign, or a topic of a card.
 
     Parameters
     ----------
-    result : RunResult, StudyResult or Campaign
-        As `bench.run`, `bench.study`, `bench.campaign` or their ``load`` return it.
+    result : RunResult, StudyResult, Campaign or Card
+        As `bench.run`, `bench.study`, `bench.campaign` or their ``load`` return it, or `bench.read_card`.
     tab : str or None
         Of a run the name of a tab of the recording, such as "position", capitals do not matter; of a study
-        the name of a figure; of a campaign a column of its table of epochs, such as "pos_err_n_m". None
-        takes the first one.
+        the name of a figure; of a campaign a column of its table of epochs, such as "pos_err_n_m"; of a
+        card a topic whose figures are ratios, such as "accuracy". None takes the first one.
     estimator : str or None
         Of a run: whose; None takes the first one. Tabs that belong to no estimator have one drawing.
     width_mm : float
@@ -85,6 +90,8 @@ def plot_result(
         plots, shades = _find_drawing(result, tab, estimator)
     elif estimator is not None:
         raise ConfigError(f"estimator = {estimator!r}: only the plots of a run belong to an estimator")
+    elif hasattr(result, "lines"):
+        plots = [_choose(_draw_topics(cast("Card", result)), tab, "topics")]
     elif hasattr(result, "figures"):
         plots = [_choose(result.figures, tab, "figures")]
     else:
@@ -120,6 +127,27 @@ def _find_courses(campaign: Campaign, quantity: str | None) -> tuple[list[Plot],
         for plot in plots:
             by_name.setdefault(plot.path[-1], []).append(plot)
     return _choose(by_name, quantity, "quantities"), shaded
+
+
+def _draw_topics(card: Card) -> dict[str, Plot]:
+    """Return a plot of each topic with ratios: on each flight the value and its interval."""
+    plots = {}
+    for topic in _RATIOS:
+        lines = [one for one in card.lines if one.topic == topic and one.value and one.low and one.high]
+        if lines:
+            x = np.arange(len(lines), dtype=float)
+            ends = np.array([(one.low, one.high, np.nan) for one in lines], float).ravel()
+            values = np.array([one.value for one in lines], float)
+            colour = series.ESTIMATORS[0]
+            drawn = (
+                series.draw_line("interval", np.repeat(x, 3), ends, "95 % interval", colour),
+                series.draw_dots("value", x, values, card.estimator, colour),
+            )
+            names = tuple((float(k), one.flight) for k, one in enumerate(lines))
+            over = "" if topic == "honesty" else f" over that of {card.against}"
+            title = f"{card.estimator}: {lines[0].figure}{over}"
+            plots[topic] = Plot((topic,), title, drawn, over="flight", across="", log="y", ticks=names)
+    return plots
 
 
 def _choose(known: Mapping[str, _T], name: str | None, what: str) -> _T:
@@ -190,6 +218,7 @@ def _draw(plots: Sequence[Plot], shades: Sequence[Shade], width_mm: float, serif
     with mpl.rc_context(style):
         legends = _plan_legends(plots, width_mm / _POINT_MM - _MARGIN)
         height = len(plots) * _ROW_MM + sum(one.rows for one in legends) * _NAME_ROW * _POINT_MM
+        height += _TURNED_MM * any(map(_is_crowded, plots))
         size = (width_mm / _INCH_MM, height / _INCH_MM + 0.35)
         figure = Figure(figsize=size, dpi=300, layout="constrained")
         rows = figure.subplots(len(plots), 1, sharex=True, squeeze=False)[:, 0]
@@ -269,11 +298,17 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
     for axis in plot.log:
         getattr(axes, f"set_{axis}scale")("log")
     if plot.ticks:
-        axes.set_xticks([at for at, _ in plot.ticks], [name for _, name in plot.ticks])
+        turned: dict[str, Any] = {"rotation": 40, "ha": "right"} if _is_crowded(plot) else {}
+        axes.set_xticks([at for at, _ in plot.ticks], [name for _, name in plot.ticks], **turned)
         axes.set_xlim(plot.ticks[0][0] - 0.5, plot.ticks[-1][0] + 0.9)
     axes.set_ylim(plot.limits())
     axes.tick_params(width=0.6, length=2.5)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _is_crowded(plot: Plot) -> bool:
+    """Return whether the names below a plot have no room side by side."""
+    return sum(len(name) for _, name in plot.ticks) > _MOST_LETTERS
 
 
 def _darken(colour: Colour) -> tuple[float, float, float]:

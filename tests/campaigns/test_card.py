@@ -325,6 +325,19 @@ def test_a_reviewer_draws_noise_of_their_own_and_runs_are_kept(made, monkeypatch
     assert again == first
 
 
+def test_a_card_shows_itself_in_a_notebook(made):
+    found = bench.read_card(made / "a.json")
+    assert found.summary in found._repr_html_()
+    frame = found.frame()
+    assert frame["value"].tolist() == pytest.approx([line.value for line in found.lines], nan_ok=True)
+    (axes,) = found.plot("heading").axes
+    assert len(repr(found)) < 400
+    lines = [one for one in found.lines if one.topic == "heading" and one.value and one.low and one.high]
+    (drawn,) = [one for one in axes.lines if one.get_marker() == "."]
+    assert drawn.get_ydata().tolist() == [line.value for line in lines]
+    assert [text.get_text() for text in axes.get_xticklabels()] == [line.flight for line in lines]
+
+
 def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
     found = bench.read_card(made / "a.json")
     page = (made / "a.html").read_text()
