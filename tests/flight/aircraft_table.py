@@ -1,0 +1,37 @@
+"""Rows of the table of aircraft in the guide: ``python -m tests.flight.aircraft_table [NAME...]``.
+
+Each aircraft of the jsbsim wheel, or each that is named, is designed, flown and accepted or not as
+``bench new aircraft`` does it, and writes nothing. All of them take two hours.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
+from bench.errors import FlightError
+from bench.workbench.new_aircraft import _find_shipped, find_design
+
+
+def make_row(name: str) -> str:
+    """The row of the guide, or the reason."""
+    raw, _, _ = _find_shipped(name)
+    try:
+        design, accepted, _ = find_design(raw)
+    except FlightError as error:
+        return f"not accepted: {error}"
+    return (
+        f"| `{name}` | {design.speed:.0f} m/s, {design.alt:.0f} m | {math.degrees(accepted.bank):.1f} deg | "
+        f"{accepted.height:.1f} m | {100 * accepted.speed:.1f} % | {accepted.describe_load()} |"
+    )
+
+
+def main(*names: str) -> None:
+    for name in names or list_root_aircraft(find_jsbsim_root(None, Path())):
+        print(make_row(name), flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
