@@ -117,7 +117,7 @@ NOT_SHOWN: dict[str, set[str]] = {
     "holding": {_YAWED, _FORWARD, _UP},
     **{name: {_FORWARD, _UP} for name in ("date-line", "gnss-denied-leg", "polar")},
     **{name: {_FORWARD} for name in ("gnss-jammed", "waypoints", "figure-eight-matched")},
-    **{name: {_UP} for name in ("s-turns", "survey")},
+    **{name: {_UP} for name in ("holding-jammed", "mapping", "s-turns", "survey")},
     "long-cruise": {
         "gyro z reversed",
         _YAWED,
