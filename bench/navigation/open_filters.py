@@ -25,7 +25,7 @@ from bench.navigation.engine.record_cuts import (
     take_head,
     without_orbits,
 )
-from bench.navigation.engine.session import Kept, SessionState, rebuild
+from bench.navigation.engine.session import Kept, Replaced, SessionState, rebuild
 from bench.navigation.start import alignment
 from bench.specs import AssumedSpecs
 from bench.wording import one_line
@@ -55,11 +55,11 @@ class PieceFilter(SessionState):
 
     look_back: Kept[float]
     finished: Kept[bool]
-    initial: Kept[InitialState]
-    head: Kept[SensorData | None]
-    waiting: Kept[SensorData | None]  # until the start is known
+    initial: Replaced[InitialState]
+    head: Replaced[SensorData | None]
+    waiting: Replaced[SensorData | None]  # until the start is known
     search: Kept[alignment.StartSearch]
-    start: Kept[InitialState | None]  # that was found
+    start: Replaced[InitialState | None]  # that was found
     passage: Kept[InPieces | None]
 
     def __init__(

@@ -25,6 +25,8 @@ from bench.specs import AssumedSpecs
 _T = TypeVar("_T")
 Kept = Annotated[_T, "kept"]
 """An attribute that is carried from one piece to the next."""
+Replaced = Annotated[_T, "kept", "replaced"]
+"""The same, of a value that nothing changes in place: a copy shares it."""
 Scratch = Annotated[_T, "scratch"]
 """An attribute that holds nothing between two pieces."""
 Growing = Annotated[_T, "growing"]
@@ -39,7 +41,7 @@ class SessionState:
         other = object.__new__(type(self))  # `copy.copy` takes three times as long
         other.__dict__.update(self.__dict__)
         other.make_scratch()
-        for name in kept(type(self)):
+        for name in _forked(type(self)):
             setattr(other, name, fork(getattr(self, name)))
         return other
 
@@ -120,7 +122,17 @@ def _find_fields(cls: Any) -> dict[str, Any]:
     return {name: hints[name] for name in names if hints[name] is not AssumedSpecs}
 
 
+def _find_forked(cls: type) -> tuple[str, ...]:
+    """Return the attributes that a copy has to have of its own."""
+    return tuple(
+        name
+        for name, hint in kept(cls).items()
+        if "replaced" not in hint.__metadata__ and get_args(hint)[0] not in _UNCHANGING
+    )
+
+
 _marked: Callable[[type, str], dict[str, Any]] = cache(_find_marked)
+_forked: Callable[[type], tuple[str, ...]] = cache(_find_forked)
 _fields: Callable[[type], dict[str, Any]] = cache(_find_fields)
 
 

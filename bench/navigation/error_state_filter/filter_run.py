@@ -14,7 +14,15 @@ from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
 from bench.navigation.engine.gate import InnovationLog, innovations, new_log
 from bench.navigation.engine.rejection_events import Refused, refusals
-from bench.navigation.engine.session import Kept, Scratch, SessionState, require, require_range
+from bench.navigation.engine.session import (
+    Kept,
+    Replaced,
+    Scratch,
+    SessionState,
+    fork,
+    require,
+    require_range,
+)
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
@@ -225,13 +233,14 @@ class ForwardRun(SessionState):
         Store the nodes of a smoother, on disk if the record comes in pieces.
     """
 
-    now: Kept[FilterState]
-    gate: Kept[Gate]
-    pending: Kept[Pending]
-    antenna_b: Kept[FloatArray]
+    now: Replaced[FilterState]
+    gate: Replaced[Gate]
+    pending: Replaced[Pending]
+    antenna_b: Replaced[FloatArray]
     moved: Kept[bool]  # it has seen the rate of the first sample
-    refused: Kept[Refused]
-    work: Scratch[Work]
+    refused: Replaced[Refused]
+    carried: Replaced[FloatArray]  # what the next step needs of the steps before
+    work: Scratch[Work]  # of all copies: one of them goes at a time
 
     def __init__(
         self,
@@ -251,23 +260,17 @@ class ForwardRun(SessionState):
         if lever >= 0:
             state[lever + 1 : lever + 4] = antenna_b
         self.now = FilterState(state, widened(model.P), np.zeros(n))
-        self.make_scratch()
+        self.work = work_for(n, model.process.drives)
         self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
+        self.carried = self.work.carried.whole.copy()
         self.pending = pending_for(n, 1, 6)
         self.moved, self.refused = False, {}
 
-    def make_scratch(self) -> None:
-        """Make the memory of the kernels."""
-        self.work = work_for(self.model.layout.size, self.model.process.drives)
-
     @property
-    def carried(self) -> Kept[FloatArray]:
-        """What the next step needs of the steps before."""
-        return self.work.carried.whole
-
-    @carried.setter
-    def carried(self, whole: FloatArray) -> None:
-        self.work.carried.whole[:] = whole
+    def warmth(self) -> float:
+        """Temperature of the IMU above its reference [K]."""
+        self.work.carried.whole[:] = self.carried
+        return float(self.work.carried.known[0])
 
     def check(self) -> None:
         """Check what the filter kernel takes from it."""
@@ -316,9 +319,9 @@ class ForwardRun(SessionState):
         steps, entries = plan.steps, plan.entries
         start = schedule.t
         visible = int(np.diff(sky.epoch_start).max(initial=0))
-        self.pending = grown(self.pending, plan.slots, 2 * visible + 6)
-        trust = self.gate.trust.with_channels(len(names), self.initial.t)
-        self.gate = self.gate._replace(trust=trust)
+        now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
+        gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
+        refused = dict(self.refused)
         size = 7 * len(plan.variance) + 2 * len(sky.t)
         log = new_log(size)
         m = len(plan.outputs)
@@ -335,6 +338,7 @@ class ForwardRun(SessionState):
             empty((len(at), n, n)),
         )
         work = self.work
+        work.carried.whole[:] = self.carried
         if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
             first = np.stack([steps.dtheta_b[steps.row[0]], steps.dvel_b[steps.row[0]]])
             work.measure.last[:] = first * steps.share[0] / steps.span[0]
@@ -345,9 +349,9 @@ class ForwardRun(SessionState):
         kinds = np.unique(entries[entries[:, 1] < USE, 2])
         _fusion_kernel(
             entries,
-            place_fillers(kinds, (self.now, data, model.index, self.pending, work.measure), sky),
+            place_fillers(kinds, (now, data, model.index, pending, work.measure), sky),
             plan.ahead,
-            self.now,
+            now,
             model.process,
             model.index,
             ImuSteps(
@@ -362,12 +366,14 @@ class ForwardRun(SessionState):
             ),
             data,
             sky,
-            self.pending,
-            self.gate,
+            pending,
+            gate,
             log,
             stores,
             work,
         )
+        self.now, self.pending, self.gate, self.refused = now, pending, gate, refused
+        self.carried = work.carried.whole.copy()
         count = int(log.filled[0])
         numbers, marks = log.numbers[:count], log.marks[:count]
         wanted = schedule.output_t
@@ -382,7 +388,7 @@ class ForwardRun(SessionState):
             )
         state, cov, variance = found
         add_arm(cov, self.antenna_b)
-        events = schedule.events + refusals(numbers[:, 0], marks, names, self.refused, last=schedule.last)
+        events = schedule.events + refusals(numbers[:, 0], marks, names, refused, last=schedule.last)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:

@@ -16,7 +16,7 @@ from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import Rows, check_rows, give_slots, join_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
-from bench.navigation.engine.session import Kept, SessionState, require, require_range
+from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
 from bench.navigation.engine.velocity_consistency import MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
@@ -71,18 +71,18 @@ class Schedule(SessionState):
 
     t: Kept[float]  # end of the last step taken [s]
     last: Kept[bool]  # nothing comes after the last piece
-    imu: Kept[ImuData]
-    rows: Kept[IntArray]  # (N,) of the samples, those to go over
-    span: Kept[FloatArray]  # (N,) of each, from the one before [s]
-    output_t: Kept[FloatArray]  # (M,) answers wanted [s]
+    imu: Replaced[ImuData]
+    rows: Replaced[IntArray]  # (N,) of the samples, those to go over
+    span: Replaced[FloatArray]  # (N,) of each, from the one before [s]
+    output_t: Replaced[FloatArray]  # (M,) answers wanted [s]
     events: Kept[list[EventRow]]
-    waiting: Kept[dict[int, Rows]]  # measurements, by their kind
-    sky: Kept[ranging.SkyRows]
+    waiting: Replaced[dict[int, Rows]]  # measurements, by their kind
+    sky: Replaced[ranging.SkyRows]
     _intake: Kept[ImuIntake]
-    _again: Kept[ImuData | None]  # samples to give again with the next piece
-    _earlier: Kept[IntArray]  # of the samples, those before that a bridge over a gap needs
-    _newest: Kept[dict[int, tuple[float, float]]]  # validity and arrival of the last row of each kind
-    _names: Kept[dict[int, str]]
+    _again: Replaced[ImuData | None]  # samples to give again with the next piece
+    _earlier: Replaced[IntArray]  # of the samples, those before that a bridge over a gap needs
+    _newest: Replaced[dict[int, tuple[float, float]]]  # validity and arrival of the last row of each kind
+    _names: Replaced[dict[int, str]]
     _watch: Kept[MovedFixes | None]
 
     def __init__(
@@ -192,6 +192,8 @@ class Schedule(SessionState):
         """
         assert sensor.read is not None
         record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
+        if not len(record) and sensor.kind in self.waiting and self._watch is None:
+            return
         values, white = sensor.read(record, spec, sensors, initial, layout)
         white = white + more
         if isinstance(record, GnssFixes):
@@ -214,6 +216,8 @@ class Schedule(SessionState):
 
     def add_samples(self, kind: int, t: FloatArray, values: FloatArray, variance: FloatArray) -> None:
         """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
+        if not len(t) and kind in self.waiting:
+            return
         self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
     def add_satellites(
@@ -259,7 +263,8 @@ class Schedule(SessionState):
         EstimatorError
             If a row comes too late.
         """
-        self._names[kind] = name
+        if kind not in self._names:
+            self._names = {**self._names, kind: name}
         newest, arrived = self._newest.get(kind, (-np.inf, -np.inf))
         if (early := sound & (arrival < arrived - TIME_TOLERANCE)).any():
             raise EstimatorError(
@@ -269,7 +274,8 @@ class Schedule(SessionState):
         rows, events = timeline.fresh_rows(t, arrival, sound, name, newest)
         self.events += events
         if sound.any():
-            self._newest[kind] = max(newest, float(t[sound].max())), max(arrived, float(arrival[sound].max()))
+            late = max(newest, float(t[sound].max())), max(arrived, float(arrival[sound].max()))
+            self._newest = {**self._newest, kind: late}
         outside = arrival[rows] <= self.start - TIME_TOLERANCE
         if self.last:
             outside |= arrival[rows] - TIME_TOLERANCE > self._last_sample
@@ -308,7 +314,7 @@ class Schedule(SessionState):
         none = np.zeros(len(t), np.int64)
         rows = Rows(t, arrival, wide, spread, none, none if number is None else number)
         before = self.waiting.get(kind)
-        self.waiting[kind] = rows if before is None else before.joined(rows)
+        self.waiting = {**self.waiting, kind: rows if before is None else before.joined(rows)}
 
     def plan(self, look_back: float = 0.0) -> StepPlan:
         """Return what a filter does up to where nothing can come any more that is valid before.
@@ -384,7 +390,7 @@ class Schedule(SessionState):
             if outside.any():
                 if kind in self._names:
                     self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
-                self.waiting[kind] = rows.take(~outside)
+                self.waiting = {**self.waiting, kind: rows.take(~outside)}
 
     def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:
         """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
@@ -429,7 +435,8 @@ class Schedule(SessionState):
         if SATELLITE_ROWS in self.waiting:
             rows = self.waiting[SATELLITE_ROWS]
             self.sky = ranging.take_epochs(self.sky, rows.number)
-            self.waiting[SATELLITE_ROWS] = rows._replace(number=np.arange(len(rows.t)))
+            numbered = rows._replace(number=np.arange(len(rows.t)))
+            self.waiting = {**self.waiting, SATELLITE_ROWS: numbered}
         return answered
 
     def _step_at(self, steps_t: FloatArray, t: FloatArray) -> IntArray:

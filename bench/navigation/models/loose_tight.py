@@ -27,8 +27,8 @@ from bench.navigation.engine import long_records
 from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
-from bench.navigation.engine.piecewise import InPieces, KnowsImuErrors, answer_now
-from bench.navigation.engine.session import Kept, SessionState, require, require_range
+from bench.navigation.engine.piecewise import InPieces, KnowsImuErrors, take_answers
+from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
 from bench.navigation.engine.timeline import empty_epochs
 from bench.navigation.engine.velocity_consistency import MovedFixes
 from bench.navigation.error_state_filter import measurement_rows
@@ -293,7 +293,7 @@ class Passage(SessionState):
     channels: Kept[ranging.Channels]
     samplers: Kept[dict[int, ImuSampler]]
     course: Kept[SteadyCourse]
-    antenna_b: Kept[FloatArray]
+    antenna_b: Replaced[FloatArray]
 
     def __init__(
         self,
@@ -348,15 +348,16 @@ class Passage(SessionState):
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
-        self.schedule.output_t = np.empty(0)
-        return answer_now(self, head)
+        self.schedule.output_t = np.array([self.end])
+        solution = self.feed(head, 0.0, last=True)
+        return solution if len(solution) == 1 else take_answers(solution, slice(-1, None))
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
         run, process = self.run, self.run.model.process
         n = run.model.layout.size
         level = -earth.gravity_n(run.now.state[0], run.now.state[2])
-        L = steady_rows(process.drives, level, float(run.work.carried.known[0]), n)
+        L = steady_rows(process.drives, level, run.warmth, n)
         L[:, GYRO:CORE] = np.eye(6)
         variance = np.einsum("ij,jk,ik->i", L, run.now.P[:, :n], L)
         return L[:, GYRO:] @ run.now.state[GYRO + 1 :], np.sqrt(variance)

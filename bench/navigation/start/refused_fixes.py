@@ -14,7 +14,7 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray
 from bench.data import GnssFixes, Innovations
 from bench.navigation.engine.kept_rows import join_rows
-from bench.navigation.engine.session import Kept, SessionState
+from bench.navigation.engine.session import Kept, Replaced, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
@@ -40,9 +40,9 @@ class RefusedFixes(SessionState):
         Of its gate. A window is twice as long, and no shorter than the fixes are compared over.
     """
 
-    _fixes: Kept[GnssFixes | None]  # of the last window
-    _t: Kept[FloatArray]  # (K,) instants of its verdicts on positions [s]
-    _refused: Kept[BoolArray]  # (K,)
+    _fixes: Replaced[GnssFixes | None]  # of the last window
+    _t: Replaced[FloatArray]  # (K,) instants of its verdicts on positions [s]
+    _refused: Replaced[BoolArray]  # (K,)
     _begun: Kept[float]  # first verdict [s]
     _next: Kept[float]  # before it the fixes are not looked at again [s]
 
@@ -58,7 +58,10 @@ class RefusedFixes(SessionState):
 
     def take(self, fixes: GnssFixes) -> None:
         """Take the next sound fixes, in the order of their arrival."""
-        self._fixes = fixes if self._fixes is None else join_rows(self._fixes, fixes)
+        if self._fixes is None or not len(self._fixes):
+            self._fixes = fixes
+        elif len(fixes):
+            self._fixes = join_rows(self._fixes, fixes)
 
     @property
     def any_refused(self) -> bool:

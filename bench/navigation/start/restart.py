@@ -42,7 +42,7 @@ from bench.navigation.engine.record_cuts import (
     nothing_known,
     take_head,
 )
-from bench.navigation.engine.session import Kept, SessionState, require
+from bench.navigation.engine.session import Kept, Replaced, SessionState, require
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
 from bench.navigation.error_state_filter.state_blocks import WIND_SD
 from bench.navigation.error_state_filter.state_processes import assumed
@@ -105,22 +105,22 @@ class BetweenGaps(SessionState):
         Of its gate; None: it is not reset.
     """
 
-    head: Kept[SensorData]
-    start: Kept[InitialState]
-    biases: Kept[LearntBiases]
+    head: Replaced[SensorData]
+    start: Replaced[InitialState]
+    biases: Replaced[LearntBiases]
     again: Kept[bool]  # it has started again
     intake: Kept[timeline.ImuIntake]
-    lost: Kept[dict[str, int]]  # samples without use since the last, by what was wrong
-    held: Kept[SensorData | None]  # what came after the last sample
+    lost: Replaced[dict[str, int]]  # samples without use since the last, by what was wrong
+    held: Replaced[SensorData | None]  # what came after the last sample
     newest: Kept[float]  # validity of the fixes taken [s]
-    stopped: Kept[End | None]  # before the last gap
-    names: Kept[tuple[str, ...]]  # of the further states
+    stopped: Replaced[End | None]  # before the last gap
+    names: Replaced[tuple[str, ...]]  # of the further states
     pause: Kept[_Pause | None]
     watch: Kept[RefusedFixes | None]
     filter: Kept[InPieces | None]
     fork: Kept[InPieces | None]  # the filter as it was before the first of some refusals
-    since: Kept[SensorData | None]  # what has come since
-    told: Kept[tuple[float, float]]  # last answer and last innovation given since [s]
+    since: Replaced[SensorData | None]  # what has come since
+    told: Replaced[tuple[float, float]]  # last answer and last innovation given since [s]
 
     def __init__(
         self,
