@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,6 +73,7 @@ class Events(Record):
         return list(zip(t, t_end, self.kind, self.text, self.sensor, strict=True))
 
 
+@cache
 def no_events() -> Events:
     """Return events without rows."""
     return Events.from_rows([])
@@ -328,6 +330,7 @@ class Innovations(Record):
         return cls(t, sensor, codes, components, z, S, nis, accepted.astype(np.bool_))
 
 
+@cache
 def no_innovations() -> Innovations:
     """Return an empty table, for an estimator without updates."""
     return Innovations.from_rows((), [])

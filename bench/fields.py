@@ -199,8 +199,9 @@ class Record(Rebuilt):
         besides = besides or {}
         for name, kind, shape in _frozen(type(self), width):
             freeze_field(self, name, kind, besides.get(name, shape), finite=finite)
-        rows = {name: len(getattr(self, name)) for name in columns_of(type(self)) if name not in besides}
-        if len(set(rows.values())) > 1:
+        names = columns_of(type(self))
+        if len({len(getattr(self, name)) for name in names if name not in besides}) > 1:
+            rows = {name: len(getattr(self, name)) for name in names if name not in besides}
             raise ValueError(f"{type(self).__name__}: columns differ in length: {rows}")
 
     def __len__(self) -> int:

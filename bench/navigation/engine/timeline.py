@@ -146,8 +146,9 @@ def steps(
             cuts.append(np.linspace(first, last, count + 1)[1:])
         inside = _inside(in_gaps, ends)
         cuts.append(inside[gap[np.searchsorted(ends, inside) - 1]])
-    extra = np.unique(np.concatenate(cuts))
+    extra = np.concatenate(cuts)
     if len(extra):
+        extra = np.unique(extra)
         extra = extra[np.diff(extra, prepend=-np.inf) > TIME_TOLERANCE]
         extra = _inside(extra, ends)
     if len(extra) == 0:
@@ -243,6 +244,8 @@ class ImuIntake(SessionState):
         These are none, or the last one if it leaps ahead: the next row shows whether its time is wild. After
         the ``last`` piece there is none.
         """
+        if not len(imu.t):
+            return _NO_ROWS, imu.t, [], _NO_ROWS
         start = self.newest
         span, events = np.empty(len(imu.t)), list[EventRow]()
         gaps = _check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *limits(spec), span)

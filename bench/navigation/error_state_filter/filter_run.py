@@ -11,7 +11,7 @@ from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
-from bench.data import Events, InitialState, Innovations, NavSolution, no_innovations
+from bench.data import Events, InitialState, Innovations, NavSolution, no_events, no_innovations
 from bench.navigation.engine.gate import InnovationLog, innovations, new_log
 from bench.navigation.engine.rejection_events import Refused, refusals
 from bench.navigation.engine.session import (
@@ -264,6 +264,8 @@ class ForwardRun(SessionState):
         self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
         self.carried = self.work.carried.whole.copy()
         self.pending = pending_for(n, 1, 6)
+        none = np.empty((0, n + 1)), np.empty((0, n, n)), no_innovations(), no_events()
+        self.nothing = solution(np.empty(0), model.layout, *none)  # without instants
         self.moved, self.refused = False, {}
 
     @property
@@ -293,14 +295,6 @@ class ForwardRun(SessionState):
         require_range("pending/tags (channel)", channel, channels)
         require_range("pending/tags (component)", component, LONGEST)
         require_range("pending/tags (length)", length - 1, LONGEST)
-
-    def nothing(self) -> NavSolution:
-        """Return a solution without instants."""
-        none, layout = no_innovations(), self.model.layout
-        n = layout.size
-        return solution(
-            np.empty(0), layout, np.empty((0, n + 1)), np.empty((0, n, n)), none, Events.from_rows([])
-        )
 
     def go(self, schedule: Schedule, names: list[str], look_back: float) -> tuple[NavSolution, Nodes]:
         """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.

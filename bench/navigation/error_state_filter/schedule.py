@@ -6,7 +6,7 @@ nothing can come any more that is valid before; the rest waits for the next piec
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,37 @@ from bench.specs import GnssSpec, ImuSpec
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
 """Actions: measure and update at once, measure, update with what was measured, output, just go there."""
 _BEFORE = -2  # step of what was measured in an earlier piece
+
+
+_ACTIONS = np.array([AT_ONCE, MEASURE, USE, OUTPUT, GO_ON])
+
+
+class Waiting(NamedTuple):
+    """What waits, of all kinds."""
+
+    kind: IntArray  # (M,)
+    t: FloatArray  # (M,) validity [s]
+    arrival: FloatArray  # (M,) [s]
+    slot: IntArray  # (M,) where it waits, measured but not used; 0: not yet measured
+    row: IntArray  # (M,) of satellites the epoch in the sky, of all others the row of ``values``
+    values: FloatArray  # (R, 9) of all but satellites
+    variance: FloatArray  # (R, 6)
+    parts: list[slice]  # of each kind
+
+    @classmethod
+    def of(cls, rows: dict[int, Rows]) -> Waiting:
+        """Return the rows of all kinds as one."""
+        none = np.zeros(0, np.int64)
+        nothing = np.empty(0)
+        every = [Rows(nothing, nothing, np.zeros((0, 9)), np.zeros((0, 6)), none, none), *rows.values()]
+        kind = np.repeat(np.array([0, *rows]), [len(one.t) for one in every])
+        t, arrival, values, variance, slot, number = (np.concatenate(one) for one in zip(*every, strict=True))
+        tabled = kind != SATELLITE_ROWS
+        if not tabled.all():
+            values, variance = values[tabled], variance[tabled]
+        row = np.where(tabled, np.cumsum(tabled) - 1, number)
+        ends = np.cumsum([len(one.t) for one in every]).tolist()
+        return cls(kind, t, arrival, slot, row, values, variance, list(map(slice, ends, ends[1:])))
 
 
 class StepPlan(NamedTuple):
@@ -166,11 +197,15 @@ class Schedule(SessionState):
         self.events += events
         self._again = take_rows(imu, again) if len(again) else None
         taken = imu if len(rows) == len(imu) else take_rows(imu, rows)
+        self.last = last
+        if len(sensors.output_t):
+            self.output_t = np.append(self.output_t, sensors.output_t)
+        if not len(taken):
+            return taken
         if len(self.imu):
             rows = np.append(self.rows, rows + len(self.imu))
             imu, span = join_rows(self.imu, imu), np.append(self.span, span)
-        self.imu, self.rows, self.span, self.last = imu, rows, span, last
-        self.output_t = np.append(self.output_t, sensors.output_t)
+        self.imu, self.rows, self.span = imu, rows, span
         return taken
 
     def add(
@@ -323,11 +358,8 @@ class Schedule(SessionState):
         """
         if self.last:
             self._forget_late()
-        nothing, every = np.empty(0), list(self.waiting.items())
-        fresh = [rows.slot == 0 for _, rows in every]
-        valid = np.concatenate([nothing, *(rows.t[new] for (_, rows), new in zip(every, fresh, strict=True))])
-        arrivals = np.concatenate([nothing, *(rows.arrival for _, rows in every)])
-        everywhere = valid if self._compensate else nothing
+        every = Waiting.of(self.waiting)
+        everywhere = every.t[every.slot == 0] if self._compensate else np.empty(0)
         if self._cut:
             everywhere = np.append(everywhere, self.output_t)
         steps = timeline.steps(
@@ -336,7 +368,7 @@ class Schedule(SessionState):
             self.span,
             self.t,
             everywhere,
-            everywhere if self._as_sampled else np.concatenate([everywhere, arrivals]),
+            everywhere if self._as_sampled else np.concatenate([everywhere, every.arrival]),
             self._spec,
             self._earlier,
         )
@@ -344,44 +376,35 @@ class Schedule(SessionState):
         if not self.last:
             known = (imu_t := self.imu_t) <= self.end - look_back - 2.0 * TIME_TOLERANCE
             go_to = int(np.searchsorted(steps.t, imu_t[known][-1])) if known.any() else -1
-        parts: list[tuple[Any, ...]] = []
-        left: dict[int, Rows] = {}
-        base, tables = 0, [(np.zeros((0, 9)), np.zeros((0, 6)))]
-        uses = [self._step_at(steps.t, rows.arrival) for _, rows in every]
-        measures = []
-        for (_, rows), use in zip(every, uses, strict=True):
-            measure = use
-            if self._compensate:
-                at_once = np.abs(rows.t - rows.arrival) < TIME_TOLERANCE
-                measure = np.where(at_once, use, self._step_at(steps.t, rows.t))
-            measures.append(np.where(rows.slot > 0, _BEFORE, measure))
-        slots = give_slots(_whole(measures), _whole(uses), _whole([rows.slot for _, rows in every]), go_to)
-        most = int(slots.max(initial=0)) + 1
-        for kind, rows in every:
-            measure, use = measures.pop(0), uses.pop(0)
-            slot, slots = slots[: len(use)], slots[len(use) :]
-            row = rows.number
-            if kind != SATELLITE_ROWS:
-                row = base + np.arange(len(use))
-                base += len(use)
-                tables.append((rows.values, rows.variance))
-            begun, done, late = measure <= go_to, use <= go_to, slot > 0
-            now, new = done & ~late, begun & late & (rows.slot == 0)
-            parts += [
-                (use[now], AT_ONCE, kind, row[now], 0),
-                (measure[new], MEASURE, kind, row[new], slot[new]),
-                (use[done & late], USE, kind, row[done & late], slot[done & late]),
-            ]
-            left[kind] = rows._replace(slot=slot).take(~done)
+        measure = use = self._step_at(steps.t, every.arrival)
+        if self._compensate:
+            at_once = np.abs(every.t - every.arrival) < TIME_TOLERANCE
+            measure = np.where(at_once, use, self._step_at(steps.t, every.t))
+        measure = np.where(every.slot > 0, _BEFORE, measure)
+        slot = give_slots(measure, use, every.slot, go_to)
+        begun, done, late = measure <= go_to, use <= go_to, slot > 0
+        at_once, measured, used = (
+            np.flatnonzero(one) for one in (done & ~late, begun & late & (every.slot == 0), done & late)
+        )
         outputs, at, ahead = self._answers(steps, go_to)
-        parts.append((at, OUTPUT, 99, np.arange(len(at)), 0))
-        if not self.last:
-            parts.append((np.array([go_to]), GO_ON, 100, 0, 0))
-        schedule = np.concatenate([np.column_stack(np.broadcast_arrays(*part)) for part in parts])
-        schedule = schedule[np.lexsort((schedule[:, 3], schedule[:, 1], schedule[:, 2], schedule[:, 0]))]
-        wide, variance = (np.concatenate(one) for one in zip(*tables, strict=True))
-        entries, values = np.ascontiguousarray(schedule), wide[:, :6]
-        return StepPlan(steps, entries, ahead, most, wide, values, variance, outputs, left, go_to)
+        go_on = np.full(int(not self.last), go_to)
+        step = np.concatenate([use[at_once], measure[measured], use[used], at, go_on])
+        picked, m = np.concatenate([at_once, measured, used]), len(at)
+        entries = np.zeros((len(step), 5), np.int64)
+        entries[:, 0] = step
+        entries[:, 1] = np.repeat(_ACTIONS, [len(at_once), len(measured), len(used), m, len(go_on)])
+        entries[: len(picked), 2], entries[len(picked) :, 2] = every.kind[picked], 99
+        entries[: len(picked), 3], entries[len(picked) : len(picked) + m, 3] = every.row[picked], np.arange(m)
+        entries[: len(picked), 4] = slot[picked]
+        entries[len(picked) + m :, 2] = 100
+        entries = entries[np.lexsort((entries[:, 3], entries[:, 1], entries[:, 2], entries[:, 0]))]
+        left = {
+            kind: rows._replace(slot=slot[part]).take(~done[part])
+            for (kind, rows), part in zip(self.waiting.items(), every.parts, strict=True)
+        }
+        most = int(slot.max(initial=0)) + 1
+        wide, variance = every.values, every.variance
+        return StepPlan(steps, entries, ahead, most, wide, wide[:, :6], variance, outputs, left, go_to)
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""
@@ -443,7 +466,3 @@ class Schedule(SessionState):
         """Return the step that ends at each instant t (M,) [s], -1 at the start."""
         at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
         return np.where(t < self.t + TIME_TOLERANCE, -1, at)
-
-
-def _whole(parts: list[IntArray]) -> IntArray:
-    return np.concatenate([np.empty(0, np.int64), *parts])

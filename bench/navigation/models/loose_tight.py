@@ -343,7 +343,7 @@ class Passage(SessionState):
             self._go_over(piece.antenna_b)
         self.take(piece, last=last)
         if not last and not self.can_go(look_back):
-            return self.run.nothing()
+            return self.run.nothing
         return self.go(look_back)[0]
 
     def answer(self, head: SensorData) -> NavSolution:

@@ -170,6 +170,8 @@ def fresh_fixes(fixes: GnssFixes, newest: float) -> tuple[GnssFixes, float]:
 
     ``newest`` is the latest validity of a sound fix before.
     """
+    if not len(fixes):
+        return fixes, newest
     sound = fixes.valid & np.isfinite(fixes.t) & np.isfinite(fixes.t_arrival)
     sound &= np.isfinite(fixes.lla).all(axis=1)
     rows, _ = timeline.fresh_rows(fixes.t, fixes.t_arrival, sound, "gnss", newest)
