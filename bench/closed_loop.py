@@ -66,6 +66,8 @@ class Deliveries:
         come: dict[str, Any] = {}
         for name, record in aiding_records(measured).items():
             before = self._waiting.pop(name, None)
+            if before is None and not len(record):
+                continue
             rows = record if before is None else join_rows(before, record)
             there = ~(arrivals(rows) > until + TIME_TOLERANCE)
             if there.all():
@@ -73,7 +75,7 @@ class Deliveries:
                 continue
             take = take_observations if name == "observations" else take_rows
             come[name], self._waiting[name] = take(rows, there), take(rows, ~there)
-        return replace(measured, **come)
+        return replace(measured, **come) if come else measured
 
 
 class Navigator(Protocol):

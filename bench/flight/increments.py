@@ -22,9 +22,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, join_last, split_last
 from bench.earth import EARTH_RATE, gravity_n, matrix_en, to_geodetic
-from bench.rotation import conjugate, continuous, from_euler, multiply, rotate, to_rotvec
+from bench.rotation import conjugate, continuous, cross, from_euler, multiply, rotate, to_rotvec
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
         return found
     arm_i = rotate(motion.q_ib, point_b)
     pos_i, vel_i = found.pos_i + arm_i[:-2], found.vel_i + derivative(arm_i, motion.dt)
-    lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
+    lat, lon, _ = split_last(to_geodetic(pos_i))  # longitude from the axis x of i
     q_nb = continuous(multiply(conjugate(_level(lat, lon)), found.q_ib))
     return replace(found, pos_i=pos_i, vel_i=vel_i, q_nb=q_nb)
 
@@ -85,29 +85,28 @@ def _level(lat: FloatArray, lon: FloatArray) -> FloatArray:
     half_lon = 0.5 * lon
     half_lat = -0.5 * (lat + 0.5 * np.pi)
     zero = np.zeros_like(half_lon)
-    about_z = np.stack([np.cos(half_lon), zero, zero, np.sin(half_lon)], axis=-1)
-    about_y = np.stack([np.cos(half_lat), zero, np.sin(half_lat), zero], axis=-1)
+    about_z = join_last([np.cos(half_lon), zero, zero, np.sin(half_lon)])
+    about_y = join_last([np.cos(half_lat), zero, np.sin(half_lat), zero])
     return multiply(about_z, about_y)
 
 
 def gravitation_i(pos_i: FloatArray) -> FloatArray:
     """Return bench gravity without its centrifugal part at positions (K, 3) [m], as (K, 3) [m/s^2], i."""
-    lat, lon, alt = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
-    north, _, down = np.moveaxis(gravity_n(lat, alt), -1, 0)
+    lat, lon, alt = split_last(to_geodetic(pos_i))  # longitude from the axis x of i
+    north, _, down = split_last(gravity_n(lat, alt))
     outward = -north * np.sin(lat) - down * np.cos(lat)
-    return np.stack(
+    return join_last(
         [
             outward * np.cos(lon) - EARTH_RATE**2 * pos_i[:, 0],
             outward * np.sin(lon) - EARTH_RATE**2 * pos_i[:, 1],
             north * np.cos(lat) - down * np.sin(lat),
-        ],
-        axis=-1,
+        ]
     )
 
 
 def earth_relative(epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return geodetic position (K, 3) [rad, rad, m] and Earth-relative velocity (K, 3) [m/s], n."""
-    carried = np.stack([-pos_i[:, 1], pos_i[:, 0], np.zeros(len(pos_i))], axis=-1)
+    carried = join_last([-pos_i[:, 1], pos_i[:, 0], np.zeros(len(pos_i))])
     pos_e, vel_e = _about_pole(-epa, pos_i), _about_pole(-epa, vel_i - EARTH_RATE * carried)
     lla = to_geodetic(pos_e)
     vel_n = np.einsum("kji,kj->ki", matrix_en(lla[:, 0], lla[:, 1]), vel_e)
@@ -116,7 +115,7 @@ def earth_relative(epa: FloatArray, pos_i: FloatArray, vel_i: FloatArray) -> tup
 
 def _about_pole(angle: FloatArray, v: FloatArray) -> FloatArray:
     c, s = np.cos(angle), np.sin(angle)
-    return np.stack([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1], v[:, 2]], axis=-1)
+    return join_last([c * v[:, 0] - s * v[:, 1], s * v[:, 0] + c * v[:, 1], v[:, 2]])
 
 
 def step_increments(motion: Motion) -> tuple[FloatArray, FloatArray]:
@@ -130,8 +129,8 @@ def step_increments(motion: Motion) -> tuple[FloatArray, FloatArray]:
 
 def true_integrals(th: FloatArray, be: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the integrals (alpha, beta) of rate and specific force over each step but the last."""
-    th_x_th = np.cross(th[:-1], th[1:])
-    mixed = np.cross(th[:-1], be[1:]) + np.cross(be[:-1], th[1:])
+    th_x_th = cross(th[:-1], th[1:])
+    mixed = cross(th[:-1], be[1:]) + cross(be[:-1], th[1:])
     alpha, beta = th[:-1].copy(), be[:-1].copy()
     alpha -= th_x_th / 24
     beta -= mixed / 24
@@ -147,6 +146,6 @@ def _unrotate(th: FloatArray, dv: FloatArray) -> FloatArray:
     half = 0.5 * np.sqrt(np.where(n2 > 1e-4, n2, 1.0))
     series = (1 + n2 / 60 + n2 * n2 / 2520) / 12  # the next term is below 1e-17
     factor = np.where(n2 > 1e-4, (1 - half / np.tan(half)) / (4 * half * half), series)
-    once = np.cross(th, dv)
-    result: FloatArray = dv - 0.5 * once + factor * np.cross(th, once)
+    once = cross(th, dv)
+    result: FloatArray = dv - 0.5 * once + factor * cross(th, once)
     return result

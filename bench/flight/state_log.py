@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, split_last
 from bench.data import EventRow
 from bench.earth import matrix_en, to_geodetic
 from bench.errors import FlightError
@@ -219,6 +219,6 @@ class StateLog:
         pos_i = self._origin_i + moved_i
         # where the states of the next stretch begin, and where its motion does
         self._offset_b, self._moved_i = offset_b[-2 * NEIGHBOURS - 1], moved_i[-3]
-        lat, lon, _ = np.moveaxis(to_geodetic(pos_i), -1, 0)  # longitude from the axis x of i
+        lat, lon, _ = split_last(to_geodetic(pos_i))  # longitude from the axis x of i
         q_nb = continuous(multiply(conjugate(from_matrix(matrix_en(lat, lon))), kept.q_ib))
         return replace(kept, pos_i=pos_i, vel_i=vel_i, q_nb=q_nb)

@@ -122,7 +122,7 @@ def compute_antenna_motion(
     w_ib_n = rotation.rotate(q_nb, rate_at("turn", truth.t, truth.dtheta_b, rows, draws))
     lat = lla[:, 0]
     w_ie_n = earth.EARTH_RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
-    vel_n = disk_arrays.take(truth.vel_n, rows) + np.cross(w_ib_n - w_ie_n, lever_n)
+    vel_n = disk_arrays.take(truth.vel_n, rows) + rotation.cross(w_ib_n - w_ie_n, lever_n)
     return earth.displace(lla, lever_n), vel_n
 
 
