@@ -220,7 +220,7 @@ def difference_n(lla: ArrayLike, lla_ref: ArrayLike) -> FloatArray:
     alt = ref[..., 2]
     dlon = here[..., 1] - ref[..., 1]
     dlon = dlon - 2 * np.pi * np.round(dlon / (2 * np.pi))
-    return np.stack(
+    return join_last(
         [
             (here[..., 0] - ref[..., 0]) * (R_M + alt),
             dlon * (R_P + alt) * np.cos(ref[..., 0]),
