@@ -14,7 +14,16 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench.data import AirData, EventRow, Events, InitialState, NavSolution, SensorData, Trajectory
+from bench.data import (
+    AirData,
+    EventRow,
+    Events,
+    InitialState,
+    NavSolution,
+    SensorData,
+    ShowFlight,
+    Trajectory,
+)
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import FAILED, describe_error
 from bench.exchange.client_session import ClientSession
@@ -171,8 +180,15 @@ class Pilot:
         return replace(joined, events=Events.from_rows(self.events))
 
 
-def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None = None) -> ClosedFlight:
+def fly(
+    profile: Profile,
+    run: int = 0,
+    progress: Callable[[float], None] | None = None,
+    show: ShowFlight | None = None,
+) -> ClosedFlight:
     """Fly a profile whose guidance reads an estimate, with noise draw ``run``.
+
+    ``show`` is given each piece of the truth, and the estimate at its end.
 
     Raises
     ------
@@ -182,7 +198,7 @@ def fly(profile: Profile, run: int = 0, progress: Callable[[float], None] | None
         If the filter cannot be built, or has never answered.
     """
     assert profile.guidance is not None
-    truth, pilot = _fly(profile, run, _FilterOnBoard(profile.guidance), progress)
+    truth, pilot = _fly(profile, run, _FilterOnBoard(profile.guidance), progress, show=show)
     return ClosedFlight(truth, pilot.collect())
 
 
@@ -228,6 +244,7 @@ def _fly(
     navigator: Navigator,
     progress: Callable[[float], None] | None,
     watch: Watch = None,
+    show: ShowFlight | None = None,
 ) -> tuple[Trajectory, Pilot]:
     from bench import flight
 
@@ -238,7 +255,7 @@ def _fly(
     pieces = flight.fly_pieces(profile.flight, progress, guidance.period, belief)
     flown = list[Trajectory]()
     pilot = Pilot(guidance.navigation.use, navigator)
-    _follow(profile, run, _keep(pieces, flown, watch), belief, pilot)
+    _follow(profile, run, _keep(pieces, flown, watch), belief, pilot, show)
     return join_pieces(flown), pilot
 
 
@@ -260,7 +277,12 @@ def _keep(pieces: Iterable[Trajectory], flown: list[Trajectory], watch: Watch) -
 
 
 def _follow(
-    profile: Profile, run: int, pieces: Iterable[Trajectory], belief: Belief | None, pilot: Pilot
+    profile: Profile,
+    run: int,
+    pieces: Iterable[Trajectory],
+    belief: Belief | None,
+    pilot: Pilot,
+    show: ShowFlight | None = None,
 ) -> None:
     """Sense the pieces of a flight and let the pilot navigate; tell ``belief`` what comes of it."""
     draws, radar = SensorDraws(profile.seed, run), profile.sensors.radar is not None
@@ -273,6 +295,8 @@ def _follow(
         measured = sense_piece(whole, profile.sensors, draws)
         end = float(piece.t[-1])
         found = pilot.answer(measured, end)
+        if show is not None:
+            show(piece, found)
         if belief is not None and found is not None:
             belief.take(NavEstimate(end, piece, found, measured.truth.gyro_bias_b[-1]))
         if belief is not None and radar:

@@ -8,7 +8,7 @@ going back are data there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from typing import TYPE_CHECKING
@@ -370,6 +370,10 @@ class Reference(Rebuilt):
 
     def __post_init__(self) -> None:
         freeze_field(self, "point_b", float, (3,), finite=True)
+
+
+ShowFlight = Callable[[Trajectory, NavSolution | None], object]
+"""Is given each piece of a flight as it is flown, and the estimate at its end if one flies it."""
 
 
 @declared

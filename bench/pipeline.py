@@ -21,6 +21,7 @@ from bench.data import (
     Sensed,
     SensorData,
     SensorTruth,
+    ShowFlight,
     Trajectory,
 )
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
@@ -39,10 +40,12 @@ def fly(
     cache: bool = True,
     progress: Callable[[float], None] | None = None,
     run: int = 0,
+    show: ShowFlight | None = None,
 ) -> Trajectory:
     """Return the truth of a profile, from the cache if it was flown before.
 
-    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown.
+    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown. ``show`` is
+    given the pieces that are flown.
 
     Raises
     ------
@@ -52,11 +55,11 @@ def fly(
         If a trajectory table cannot be used.
     """
     if profile.guidance is not None:
-        flown: Trajectory = _fly_closed(profile, run, progress).truth
+        flown: Trajectory = _fly_closed(profile, run, progress, show).truth
         return flown
     if cache:
-        return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress))
-    return store.join_pieces(_fly_pieces(profile, progress))
+        return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress, show))
+    return store.join_pieces(_fly_pieces(profile, progress, show))
 
 
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
@@ -66,7 +69,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     """
     summarize = partial(_summarize, profile)
     if profile.guidance is not None:
-        return summarize([_fly_closed(profile, 0, progress).truth])
+        return summarize([_fly_closed(profile, 0, progress, None).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py", "signals/terrain.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), summarize, sources)
 
@@ -82,20 +85,29 @@ def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]
     return summary.result() | replay.result()
 
 
-def _fly_closed(profile: Profile, run: int, progress: Callable[[float], None] | None) -> Any:
+def _fly_closed(
+    profile: Profile, run: int, progress: Callable[[float], None] | None, show: ShowFlight | None
+) -> Any:
     from bench import closed_loop  # it needs the filters, which a flight by the truth does without
 
-    return closed_loop.fly(profile, run, progress)
+    return closed_loop.fly(profile, run, progress, show)
 
 
-def _fly_pieces(profile: Profile, progress: Callable[[float], None] | None) -> Iterator[Trajectory]:
+def _fly_pieces(
+    profile: Profile, progress: Callable[[float], None] | None, show: ShowFlight | None = None
+) -> Iterator[Trajectory]:
     if isinstance(profile.flight, TableSpec):
         from bench.exchange import trajectory
 
-        return trajectory.read_trajectory(profile.flight)
-    from bench import flight
+        pieces = trajectory.read_trajectory(profile.flight)
+    else:
+        from bench import flight
 
-    return flight.fly_pieces(profile.flight, progress)
+        pieces = flight.fly_pieces(profile.flight, progress)
+    for piece in pieces:
+        if show is not None:
+            show(piece, None)
+        yield piece
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
@@ -160,6 +172,7 @@ def run(
     bound: bool = False,
     causes: bool | None = False,
     progress: Watcher | None = None,
+    show: ShowFlight | None = None,
 ) -> RunResult:
     """Fly, sense, navigate with every estimator of the profile, and judge.
 
@@ -184,6 +197,8 @@ def run(
         built in; False: neither.
     progress : callable or None
         Called with what is going on (`bench.stages.Stage`), whenever that changes.
+    show : callable or None
+        Given the flight piece by piece while it is flown; all of it if it comes from the cache.
 
     Raises
     ------
@@ -192,7 +207,7 @@ def run(
     """
     stages = Stages(progress)
     with watch_compiling(stages.compile):
-        return _run(profile, run, truth, steered, bound, causes, stages)
+        return _run(profile, run, truth, steered, bound, causes, stages, show)
 
 
 def _run(
@@ -203,6 +218,7 @@ def _run(
     bound: bool,
     causes: bool | None,
     stages: Stages,
+    show: ShowFlight | None,
 ) -> RunResult:
     built = build_estimators(profile)  # fails before the flight
     if bound:
@@ -214,11 +230,13 @@ def _run(
     own_truth = truth is not None
     tell = partial(_tell_flown, stages, profile.flight.duration)
     if truth is None and profile.guidance is not None:
-        closed = _fly_closed(profile, run, tell)
+        closed = _fly_closed(profile, run, tell, show)
         truth, steered = closed.truth, closed.answers
     elif truth is None:
         stages.begin("taking the flight from the cache")
-        truth = fly(profile, progress=tell)
+        truth = fly(profile, progress=tell, show=show)
+        if show is not None and not stages.flies:
+            show(truth, None)
     elif profile.guidance is not None and profile.guidance.navigation.use != CLIENT:
         stages.begin("navigating the flight again")
         from bench import closed_loop

@@ -58,6 +58,7 @@ from bench.errors import DONE, NEGATIVE
     help="run a filter whose claim is broken again without what may be to blame  [default: built-in ones]",
 )
 @click.option("--view", "then_view", is_flag=True, help="open the recording when done")
+@click.option("--live", is_flag=True, help="open the viewer while it flies")
 @json_option("the metrics")
 @table_option
 @results_options("profile")

@@ -9,9 +9,11 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 
@@ -21,7 +23,11 @@ from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
 from bench.workbench.web_page import LOCAL
 
+if TYPE_CHECKING:
+    from bench.recording.live import LiveFlight
+
 _PATIENCE = 5.0  # between SIGTERM and SIGKILL [s]
+_START = 20.0  # until the viewer takes a flight [s]
 _LOOK = 0.5  # between looks at the parent [s]
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
@@ -61,6 +67,41 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         status = wait_for(command)
     if status:
         raise ViewerError(f"the viewer ended with status {status}: {' '.join(command)}")
+
+
+def open_live(name: str) -> LiveFlight:
+    """Open the viewer for the flight of a profile, and return what shows it there piece by piece.
+
+    The window stays until it is closed.
+
+    Raises
+    ------
+    ViewerError
+        If it cannot be opened.
+    """
+    _check_display()
+    port = free_port(9876)
+    child = _start_viewer(port)
+    until = time.monotonic() + _START
+    while not _listens(port):
+        if child.poll() is not None or time.monotonic() > until:
+            _end_group(child)
+            raise ViewerError(f"the viewer did not start within {_START:g} s")
+        time.sleep(0.1)
+    from bench.recording import live
+
+    return live.connect(name, f"rerun+http://{LOCAL}:{port}/proxy")
+
+
+def _start_viewer(port: int) -> subprocess.Popen[bytes]:
+    command = [str(_find_viewer()), "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen"]
+    nowhere = subprocess.DEVNULL
+    return subprocess.Popen(command, start_new_session=True, stdout=nowhere, stderr=nowhere)
+
+
+def _listens(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex((LOCAL, port)) == 0
 
 
 def find_recording(folder: Path | None) -> Path:

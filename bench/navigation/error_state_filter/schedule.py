@@ -309,8 +309,8 @@ class Schedule(SessionState):
         rows, events = timeline.fresh_rows(t, arrival, sound, name, newest)
         self.events += events
         if sound.any():
-            late = max(newest, float(t[sound].max())), max(arrived, float(arrival[sound].max()))
-            self._newest = {**self._newest, kind: late}
+            latest = max(newest, float(t[sound].max())), max(arrived, float(arrival[sound].max()))
+            self._newest = {**self._newest, kind: latest}
         outside = arrival[rows] <= self.start - TIME_TOLERANCE
         if self.last:
             outside |= arrival[rows] - TIME_TOLERANCE > self._last_sample
@@ -383,16 +383,16 @@ class Schedule(SessionState):
         measure = np.where(every.slot > 0, _BEFORE, measure)
         slot = give_slots(measure, use, every.slot, go_to)
         begun, done, late = measure <= go_to, use <= go_to, slot > 0
-        at_once, measured, used = (
+        now, new, later = (
             np.flatnonzero(one) for one in (done & ~late, begun & late & (every.slot == 0), done & late)
         )
         outputs, at, ahead = self._answers(steps, go_to)
         go_on = np.full(int(not self.last), go_to)
-        step = np.concatenate([use[at_once], measure[measured], use[used], at, go_on])
-        picked, m = np.concatenate([at_once, measured, used]), len(at)
+        step = np.concatenate([use[now], measure[new], use[later], at, go_on])
+        picked, m = np.concatenate([now, new, later]), len(at)
         entries = np.zeros((len(step), 5), np.int64)
         entries[:, 0] = step
-        entries[:, 1] = np.repeat(_ACTIONS, [len(at_once), len(measured), len(used), m, len(go_on)])
+        entries[:, 1] = np.repeat(_ACTIONS, [len(now), len(new), len(later), m, len(go_on)])
         entries[: len(picked), 2], entries[len(picked) :, 2] = every.kind[picked], 99
         entries[: len(picked), 3], entries[len(picked) : len(picked) + m, 3] = every.row[picked], np.arange(m)
         entries[: len(picked), 4] = slot[picked]
