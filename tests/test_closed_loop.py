@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -125,6 +126,30 @@ def test_a_recorded_flight_gives_the_answers_that_flew_it(profile):
     assert_array_equal(final.lla[-1], flown.answers.lla[-1])
     other = closed_loop.fly(loaded, run=3).truth
     assert not np.array_equal(other.lla[-1], flown.truth.lla[-1])
+
+
+UNITS = [(kind, one.stem) for kind in ("imu", "gnss", "baro", "mag", "airspeed", "radar", "heading")
+         for one in sorted((files("bench") / "catalog" / kind).iterdir())]  # fmt: skip
+COMPILED = ("loose-22", "loose-mems", "loose-full", "tight", "baro-inertial", "free-inertial")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "change",
+    [{f"sensors.{kind}": name} for kind, name in UNITS]
+    + [{"guidance.navigation": use, "sensors.gnss": "sky-l1"} for use in COMPILED],
+    ids=lambda change: "-".join(change.values()),
+)
+def test_a_flight_gives_its_answers_again_with_every_unit_and_compiled_filter(change, profile):
+    loaded = config.load_profile(profile, change)
+    flown = closed_loop.fly(loaded, run=1)
+    again = closed_loop.replay(loaded, flown.truth, run=1)
+    same_bits(again, flown.answers, ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov"))
+    assert np.isfinite(flown.answers.lla).all()
+    sensed = pipeline.sense(loaded, flown.truth, 1)
+    assert loaded.guidance is not None
+    final = pipeline.navigate(loaded.guidance.navigation, sensed.data, sensed.initial)
+    assert_array_equal(final.lla[-1], flown.answers.lla[-1])
 
 
 def test_what_is_believed_moves_the_flight():

@@ -38,6 +38,7 @@ from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.report import page
 from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
+from tests.perf import closed
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 
 ROUNDS = 7
@@ -452,6 +453,7 @@ def main() -> None:
         *starting(truth),
         *sensing(profile, truth),
         *flying(profile),
+        *(Figure(*row) for row in closed.measure()),
         *reporting(profile),
         *commands(),
         *compiling(),

@@ -77,7 +77,7 @@ def test_a_line_of_a_long_flight_goes_on_in_the_next_one(shown):
     flight, stream, path = shown
     flight._origin = origin = np.array([0.8, 0.2, 1000.0])
     for k in range(130):
-        flight._show("truth", float(k), origin + [0.0, 0.0, k], (0, 0, 0))
+        flight._show("truth", float(k), origin + np.array([0.0, 0.0, k]), (0, 0, 0))
     stream.disconnect()
     for number, points in ((0, 60), (1, 61), (2, 11)):
         _, strips = column(path, f"/world/truth/path/{number}", "LineStrips3D:strips")
