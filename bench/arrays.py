@@ -57,13 +57,16 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
     return array
 
 
-def is_ready(value: object, shape: Shape) -> bool:
-    """Tell whether a value is what `as_float` and :func:`read_only` make of it, finite or not."""
-    if type(value) is not np.ndarray or value.dtype != np.float64 or value.ndim != len(shape):
-        return False
-    if value.flags.writeable or not value.flags.c_contiguous:
+def is_array(value: object, dtype: np.dtype[Any], shape: Shape) -> bool:
+    """Tell whether a value is a C-ordered array of a dtype and shape: there is nothing to convert."""
+    if type(value) is not np.ndarray or value.dtype is not dtype or not value.flags.c_contiguous:
         return False
     return _fits(value.shape, shape)
+
+
+def is_short_and_finite(array: FloatArray) -> bool:
+    """Tell whether an array is finite, where one look tells it: it has few rows."""
+    return len(array) <= _FEW and bool(np.isfinite(array).all())
 
 
 def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:
@@ -110,7 +113,7 @@ def read_only(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _check_finite(name: str, array: FloatArray) -> None:
-    if len(array) <= _FEW and np.isfinite(array).all():
+    if is_short_and_finite(array):
         return
     for rows in disk_arrays.blocks(len(array)):
         sound = np.isfinite(array[rows])

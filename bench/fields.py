@@ -15,7 +15,7 @@ from typing import Any, ClassVar, TypeVar, dataclass_transform
 
 import numpy as np
 
-from bench.arrays import Shape, as_float, as_kind, is_ready, read_only
+from bench.arrays import Shape, as_float, as_kind, is_array, is_short_and_finite, read_only
 from bench.units import unit_of
 
 _T = TypeVar("_T")
@@ -233,6 +233,9 @@ def _find_frozen(record: type, width: int | None) -> tuple[tuple[str, type, Shap
 _frozen: Callable[[type, int | None], tuple[tuple[str, type, Shape], ...]] = cache(_find_frozen)
 
 
+_DTYPES = {kind: np.dtype(kind) for kind in (float, int, bool)}
+
+
 def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite: bool = False) -> None:
     """Replace a field of a frozen record by a checked, read-only view.
 
@@ -242,7 +245,9 @@ def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite:
         If the shape or type is wrong or, with ``finite``, a value is not finite.
     """
     value = getattr(record, name)
-    if kind is float and not finite and is_ready(value, shape):
+    if is_array(value, _DTYPES[kind], shape) and (not finite or is_short_and_finite(value)):
+        if value.flags.writeable:
+            object.__setattr__(record, name, read_only(value))
         return
     place = f"{type(record).__name__}.{name}"
     array: np.ndarray[Any, Any] = (

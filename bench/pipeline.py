@@ -85,12 +85,10 @@ def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]
     return summary.result() | replay.result()
 
 
-def _fly_closed(
-    profile: Profile, run: int, progress: Callable[[float], None] | None, show: ShowFlight | None
-) -> Any:
+def _fly_closed(profile: Profile, *arguments: Any) -> Any:
     from bench import closed_loop  # it needs the filters, which a flight by the truth does without
 
-    return closed_loop.fly(profile, run, progress, show)
+    return closed_loop.fly(profile, *arguments)
 
 
 def _fly_pieces(
@@ -242,8 +240,9 @@ def _run(
         from bench import closed_loop
 
         steered = closed_loop.replay(profile, truth, run)
-    if profile.guidance is None:  # an estimate may end a flight before an outage or a fault
-        check_times(profile, float(truth.t[-1]))
+    # an estimate may end a flight before an outage or a fault
+    if profile.guidance is None and (problems := profile.describe_outside(float(truth.t[-1]))):
+        raise ConfigError(*problems)
     clock["sense"] = _read_work_clock()
     stages.begin("sensing")
     sensed = sense(profile, truth, run)
@@ -251,7 +250,7 @@ def _run(
     clock["navigate"] = _read_work_clock()
     solutions, unmodelled, used = {}, dict[str, list[str] | None](), dict[str, float]()
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
-    specs = _list_specs(profile)
+    specs = AssumedSpecs(**{one.name: getattr(profile.sensors, one.name) for one in fields(AssumedSpecs)})
     for number, (label, one) in enumerate(built.items(), 1):
         stages.begin(f"filter {number} of {len(built)}: {label}")
         unmodelled[label] = None
@@ -432,21 +431,6 @@ def collect_printed(built: Mapping[str, estimator.Estimator]) -> dict[str, str]:
     return {label: text for label, text in texts.items() if text}
 
 
-def check_times(profile: Profile, end: float) -> None:
-    """Raise ConfigError if an outage, a fault or the alignment window ends after the end of the flight."""
-    outages = enumerate(profile.sensors.gnss_outages, 1)
-    ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
-    faults = enumerate(profile.sensors.faults, 1)
-    ends += [(f"[[fault]] {k} ({fault.kind}): its end at", fault.end) for k, fault in faults]
-    problems = [
-        f"{profile.name}: {what} {t:g} s is outside the flight, 0 to {end:g} s" for what, t in ends if t > end
-    ]
-    if outside := profile.evaluation.describe_outside(end, "flight"):
-        problems.append(f"{profile.name}: {outside}")
-    if problems:
-        raise ConfigError(*problems)
-
-
 def _list_records(profile: Profile) -> set[str]:
     """Return the names of the `SensorData` records that the sensors of a profile produce."""
     on_board = profile.sensors
@@ -460,9 +444,3 @@ def _describe_program(solution: NavSolution) -> dict[str, Any]:
     """Return how an external program ended, and the end of its stderr; empty for other estimators."""
     texts = {kind: [text for _, _, text in solution.events.select(kind)] for kind in ("program", "stderr")}
     return {"program": {kind: " ".join(parts) for kind, parts in texts.items()}} if texts["program"] else {}
-
-
-def _list_specs(profile: Profile) -> AssumedSpecs:
-    """Return the datasheets of the sensors on board."""
-    on_board = profile.sensors
-    return AssumedSpecs(**{field.name: getattr(on_board, field.name) for field in fields(AssumedSpecs)})

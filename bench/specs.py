@@ -853,6 +853,20 @@ class Profile:
         rate = self.sensors.output_rate
         return rate if self.guidance is None else min(rate, 1.0 / self.guidance.period)
 
+    def describe_outside(self, end: float) -> list[str]:
+        """Return in words what ends after a flight [s]: outages, faults, the alignment window."""
+        outages = enumerate(self.sensors.gnss_outages, 1)
+        ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
+        faults = enumerate(self.sensors.faults, 1)
+        ends += [(f"[[fault]] {k} ({fault.kind}): its end at", fault.end) for k, fault in faults]
+        found = [
+            f"{self.name}: {what} {t:g} s is outside the flight, 0 to {end:g} s"
+            for what, t in ends
+            if t > end
+        ]
+        outside = self.evaluation.describe_outside(end, "flight")
+        return [*found, f"{self.name}: {outside}"] if outside else found
+
     def __repr__(self) -> str:
         """Return name, seed, flight, sensors and estimators."""
         units = (getattr(self.sensors, f.name) for f in fields(self.sensors))

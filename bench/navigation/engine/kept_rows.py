@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any, NamedTuple
 
@@ -31,6 +32,34 @@ class Rows(NamedTuple):
     def joined(self, other: Rows) -> Rows:
         """Return these and others."""
         return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
+
+
+class Waiting(NamedTuple):
+    """What waits, of all kinds."""
+
+    kind: IntArray  # (M,)
+    t: FloatArray  # (M,) validity [s]
+    arrival: FloatArray  # (M,) [s]
+    slot: IntArray  # (M,) where it waits, measured but not used; 0: not yet measured
+    row: IntArray  # (M,) of satellites the epoch in the sky, of all others the row of ``values``
+    values: FloatArray  # (R, 9) of all but satellites
+    variance: FloatArray  # (R, 6)
+    parts: list[slice]  # of each kind
+
+    @classmethod
+    def of(cls, rows: Mapping[int, Rows], satellites: int) -> Waiting:
+        """Return the rows of all kinds, ``satellites`` that of satellites, as one."""
+        none = np.zeros(0, np.int64)
+        nothing = np.empty(0)
+        every = [Rows(nothing, nothing, np.zeros((0, 9)), np.zeros((0, 6)), none, none), *rows.values()]
+        kind = np.repeat(np.array([0, *rows]), [len(one.t) for one in every])
+        t, arrival, values, variance, slot, number = (np.concatenate(one) for one in zip(*every, strict=True))
+        tabled = kind != satellites
+        if not tabled.all():
+            values, variance = values[tabled], variance[tabled]
+        row = np.where(tabled, np.cumsum(tabled) - 1, number)
+        ends = np.cumsum([len(one.t) for one in every]).tolist()
+        return cls(kind, t, arrival, slot, row, values, variance, list(map(slice, ends, ends[1:])))
 
 
 def check_rows(place: str, rows: Rows) -> None:

@@ -14,7 +14,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
 from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import Rows, check_rows, give_slots, join_rows, take_rows
+from bench.navigation.engine.kept_rows import Rows, Waiting, check_rows, give_slots, join_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
@@ -34,34 +34,6 @@ _BEFORE = -2  # step of what was measured in an earlier piece
 
 
 _ACTIONS = np.array([AT_ONCE, MEASURE, USE, OUTPUT, GO_ON])
-
-
-class Waiting(NamedTuple):
-    """What waits, of all kinds."""
-
-    kind: IntArray  # (M,)
-    t: FloatArray  # (M,) validity [s]
-    arrival: FloatArray  # (M,) [s]
-    slot: IntArray  # (M,) where it waits, measured but not used; 0: not yet measured
-    row: IntArray  # (M,) of satellites the epoch in the sky, of all others the row of ``values``
-    values: FloatArray  # (R, 9) of all but satellites
-    variance: FloatArray  # (R, 6)
-    parts: list[slice]  # of each kind
-
-    @classmethod
-    def of(cls, rows: dict[int, Rows]) -> Waiting:
-        """Return the rows of all kinds as one."""
-        none = np.zeros(0, np.int64)
-        nothing = np.empty(0)
-        every = [Rows(nothing, nothing, np.zeros((0, 9)), np.zeros((0, 6)), none, none), *rows.values()]
-        kind = np.repeat(np.array([0, *rows]), [len(one.t) for one in every])
-        t, arrival, values, variance, slot, number = (np.concatenate(one) for one in zip(*every, strict=True))
-        tabled = kind != SATELLITE_ROWS
-        if not tabled.all():
-            values, variance = values[tabled], variance[tabled]
-        row = np.where(tabled, np.cumsum(tabled) - 1, number)
-        ends = np.cumsum([len(one.t) for one in every]).tolist()
-        return cls(kind, t, arrival, slot, row, values, variance, list(map(slice, ends, ends[1:])))
 
 
 class StepPlan(NamedTuple):
@@ -358,7 +330,7 @@ class Schedule(SessionState):
         """
         if self.last:
             self._forget_late()
-        every = Waiting.of(self.waiting)
+        every = Waiting.of(self.waiting, SATELLITE_ROWS)
         everywhere = every.t[every.slot == 0] if self._compensate else np.empty(0)
         if self._cut:
             everywhere = np.append(everywhere, self.output_t)
