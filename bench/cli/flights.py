@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -63,7 +64,7 @@ from bench.errors import DONE, NEGATIVE
 @table_option
 @results_options("profile")
 @junit_option
-def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **options: Any) -> int:
+def run(profile: str, then_view: bool, live: bool, as_json: bool, junit: Path | None, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
@@ -86,9 +87,11 @@ def run(profile: str, then_view: bool, as_json: bool, junit: Path | None, **opti
     from bench.evaluation.required_metrics import judge_result
     from bench.store import to_json
     from bench.workbench.flight_verbs import run as run_profile
+    from bench.workbench.viewer import show_live
     from bench.workbench.viewer import view as view_folder
 
     console = new_console(stderr=as_json)
+    options["live"] = functools.partial(show_live, console=console) if live else None
     result, folder = run_profile(profile, console=console, **options)
     if as_json:
         click.echo(to_json(result.metrics), nl=False)

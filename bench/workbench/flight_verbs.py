@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,6 @@ from rich.console import Console
 from bench import config, store
 from bench.config.served import load_served
 from bench.data import ShowFlight
-from bench.errors import ViewerError
 from bench.run_result import RunResult
 from bench.stages import FLYING, Stage, Watcher
 from bench.wording import one_line
@@ -36,15 +35,15 @@ def run(
     bound: bool = False,
     causes: bool | None = None,
     table: bool = False,
-    live: bool = False,
+    live: Callable[[str], ShowFlight | None] | None = None,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, write the results folder, and print a screen of it.
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.config.load_profile`. ``table`` prints every main metric, too, ``live`` opens the viewer while it
-    flies.
+    `bench.config.load_profile`. ``table`` prints every main metric, too. ``live`` returns what shows the
+    flight of a profile.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
@@ -53,22 +52,12 @@ def run(
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
     from bench import pipeline  # what takes half a second comes after the first line
 
-    show = _open_live(console, profile.name) if live else None
+    show = None if live is None else live(profile.name)
     begun = time.perf_counter()
     with show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch, show=show)
     _finish(console, result, folder, begun, table=table, recording=recording, report=report, force=force)
     return result, folder
-
-
-def _open_live(console: Console, name: str) -> ShowFlight | None:
-    from bench.workbench import viewer
-
-    try:
-        return viewer.open_live(name)
-    except ViewerError as error:
-        console.print(f"Nothing is shown live: {error}.")
-        return None
 
 
 def serve(

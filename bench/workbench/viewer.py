@@ -69,6 +69,15 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         raise ViewerError(f"the viewer ended with status {status}: {' '.join(command)}")
 
 
+def show_live(name: str, console: Console) -> LiveFlight | None:
+    """Do what :func:`open_live` does, or say in a line why not."""
+    try:
+        return open_live(name)
+    except ViewerError as error:
+        console.print(f"Nothing is shown live: {error}.")
+        return None
+
+
 def open_live(name: str) -> LiveFlight:
     """Open the viewer for the flight of a profile, and return what shows it there piece by piece.
 
