@@ -44,8 +44,7 @@ def fly(
 ) -> Trajectory:
     """Return the truth of a profile, from the cache if it was flown before.
 
-    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown. ``show`` is
-    given the pieces that are flown.
+    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown.
 
     Raises
     ------
@@ -240,9 +239,8 @@ def _run(
         from bench import closed_loop
 
         steered = closed_loop.replay(profile, truth, run)
-    # an estimate may end a flight before an outage or a fault
-    if profile.guidance is None and (problems := profile.describe_outside(float(truth.t[-1]))):
-        raise ConfigError(*problems)
+    if profile.guidance is None:  # an estimate may end a flight before an outage or a fault
+        check_times(profile, float(truth.t[-1]))
     clock["sense"] = _read_work_clock()
     stages.begin("sensing")
     sensed = sense(profile, truth, run)
@@ -429,6 +427,12 @@ def collect_printed(built: Mapping[str, estimator.Estimator]) -> dict[str, str]:
     """Return by label what filters in processes of their own have printed; nothing of those that did not."""
     texts = {label: getattr(one, "printed", "") for label, one in built.items()}
     return {label: text for label, text in texts.items() if text}
+
+
+def check_times(profile: Profile, end: float) -> None:
+    """Raise ConfigError if an outage, a fault or the alignment window ends after the end of the flight."""
+    if problems := profile.describe_outside(end):
+        raise ConfigError(*problems)
 
 
 def _list_records(profile: Profile) -> set[str]:
