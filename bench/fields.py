@@ -233,7 +233,7 @@ def _find_frozen(record: type, width: int | None) -> tuple[tuple[str, type, Shap
 _frozen: Callable[[type, int | None], tuple[tuple[str, type, Shape], ...]] = cache(_find_frozen)
 
 
-_DTYPES = {kind: np.dtype(kind) for kind in (float, int, bool)}
+_DTYPES: dict[type, np.dtype[Any]] = {kind: np.dtype(kind) for kind in (float, int, bool)}
 
 
 def freeze_field(record: object, name: str, kind: type, shape: Shape, *, finite: bool = False) -> None:
