@@ -22,6 +22,7 @@ from rich.text import Text
 import bench
 from bench.workbench.guide import FOLDER
 from tests import docs_site
+from tests.flight import gust_spectra
 from tests.recording.screens import show_in_browser, take_picture
 
 ROOT = Path(__file__).parent.parent
@@ -122,6 +123,11 @@ def show_budget(scratch: Path) -> bytes:
     return stream.getvalue()
 
 
+def show_gusts(scratch: Path) -> bytes:
+    gust_spectra.draw()  # into the guide
+    return (FOLDER / "gusts.png").read_bytes()
+
+
 def show_docs(scratch: Path) -> bytes:
     return show_page(docs_site.build(ROOT / "build" / "docs") / "index.html", scratch)
 
@@ -135,6 +141,7 @@ PICTURES: Mapping[str, Callable[[Path], bytes]] = {
     "card": show_card,
     "autopilots": lambda scratch: show_page(make("log", _LOG) / "report.html", scratch),
     "budget": show_budget,
+    "gusts": show_gusts,
     "docs": show_docs,
 }
 """Name of a picture -> what makes it."""
