@@ -136,9 +136,9 @@ COMPILED = ("loose-22", "loose-mems", "loose-full", "tight", "baro-inertial", "f
 @pytest.mark.long
 @pytest.mark.parametrize(
     "change",
-    [{f"sensors.{kind}": name} for kind, name in UNITS]
+    [{f"sensors.{kind}": name, "rate_hz": 200} for kind, name in UNITS]
     + [{"guidance.navigation": use, "sensors.gnss": "sky-l1"} for use in COMPILED],
-    ids=lambda change: "-".join(change.values()),
+    ids=lambda change: "-".join(map(str, change.values())),
 )
 def test_a_flight_gives_its_answers_again_with_every_unit_and_compiled_filter(change, profile):
     loaded = config.load_profile(profile, change)
