@@ -181,7 +181,7 @@ def jacobian(lla, vel, C, f_b, w_b):
 
 
 def move_by_motion(F, lla, vel, C, f_b, variance):
-    """Let a heading error turn the force of the motion alone, in F (15, 15).
+    """Let an attitude error turn the horizontal force of the motion alone, in F (15, 15).
 
     Beyond the force of a steady flight that is what noise of a variance on each axis leaves: James and Stein.
     """
@@ -189,7 +189,7 @@ def move_by_motion(F, lla, vel, C, f_b, variance):
     steady = cross(2 * earth + transport, vel)
     more = (C @ f_b - steady)[:2]
     north, east = steady[:2] + max(1 - 9 * variance / (more @ more), 0) * more
-    F[3, 8], F[4, 8] = -east, north
+    F[3, 8], F[4, 8], F[5, 6], F[5, 7] = -east, north, east, -north
 
 
 # --- the datasheets -----------------------------------------------------------------------------------
@@ -308,13 +308,15 @@ def correct(lla, vel, C, bias, x):
 
 
 def feed_back(kf, lla, vel, C, bias):
-    """State less the error of a filter, which becomes zero; its tilts are those of the turned unit.
+    """State less the error of a filter, which becomes zero; tilts and biases are those of the turned unit.
 
-    A tilt is an error about an axis that is fixed in the unit, however the unit is turned about the vertical.
+    A tilt is an error about an axis that is fixed in the unit, however the unit is turned about the vertical;
+    a bias that hides behind a tilt turns what is left of it by the tilt that it stands for.
     """
     x = kf.x[:, 0]
     turn = np.eye(len(x))
     turn[6:9, 6:9] = rotation_matrix(vector(0.0, 0.0, -x[8]))
+    turn[12:15, 12:15] = rotation_matrix(cross(-C[2], x[12:15]) / 9.80665)
     kf.P, kf.x = turn @ kf.P @ turn.T, np.zeros((len(x), 1))
     return correct(lla, vel, C, bias, x)
 

@@ -133,6 +133,18 @@ def test_the_axes_are_those_of_the_bench():
     assert np.linalg.det(FRD_OF_FUR) == pytest.approx(1.0)
 
 
+def test_the_axes_of_both_filters_turn_alike():
+    x, turn = np.zeros(22), np.empty((4, 3))
+    x[6:15] = [0.02, -0.01, 0.3, 1e-4, 2e-4, -1e-4, 0.2, -0.3, 0.1]
+    T = to_ned(NAV)
+    state, none = np.concatenate([NAV_N, np.zeros(6)]), (np.empty((0, 3), np.int64), np.empty(0))
+    error_state.axes_kernel(state, (T @ x)[:15], *none, turn)
+    turned = T @ navigator.axes_turned(NAV, x) @ np.linalg.inv(T)
+    assert_allclose(turned[12:15, 12:15], turn[:3], atol=1e-12)
+    assert_allclose(turned[6:8, 6:8], [[turn[3, 1], turn[3, 0]], [-turn[3, 0], turn[3, 1]]], atol=1e-12)
+    assert np.abs(turn[:3] - np.eye(3)).max() > 0.01
+
+
 def test_f_of_both_filters_is_one_matrix():
     """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced metres stretch on the way."""
     F = error_dynamics.dynamics_matrix(NAV, A_ENU, navigator.ellipsoid(NAV.lat, NAV.h))

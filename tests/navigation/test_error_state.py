@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 from bench import earth, rotation
 from bench.navigation import mechanization
 from bench.navigation.error_state_filter import corrections, error_state
+from bench.units import STANDARD_GRAVITY
 from bench.wide_rows import widened
 
 DIGITS = mpmath.mp.clone()
@@ -323,6 +324,38 @@ def test_feedback_takes_the_error_away():
     assert_allclose(earth.difference_n(state[:3], nav[:3]), 0, atol=1e-5)
     assert_allclose(state[3:10], nav[3:], atol=1e-12)
     assert not np.concatenate([state[10:], dx]).any()
+
+
+@pytest.mark.parametrize(("heading", "share"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.4)])
+def test_a_correction_is_no_turn_that_was_flown(heading, share):
+    """A tilt and what hides behind it, a ``share`` of it another state that acts like the bias: no steady
+    flight tells them, before a correction or after; a row that waits sees the same."""
+    attitude = rotation.from_euler(0.2, 0.1, 1.1)
+    state = np.concatenate([[0.8, 0.2, 500.0, 40.0, -20.0, 0.0], attitude, np.zeros(9)])
+    f_n, tilt = np.array([0.0, 0.0, -STANDARD_GRAVITY]), np.array([0.02, -0.03, 0.0])
+    drives, factor = np.array([[15 + k, 12 + k, 0] for k in range(3)]), np.array([5.0, -2.0, 3.0])
+
+    def velocity_rows():
+        F = error_state.dynamics(state[:10], rotation.matrix(state[6:10]), f_n)[3:6]
+        return np.hstack([F, F[:, 12:] * factor])
+
+    F = velocity_rows()
+    hidden = np.zeros(18)
+    force = rotation.matrix(attitude).T @ F[:, 6:9] @ tilt
+    hidden[6:9], hidden[12:15], hidden[15:] = tilt, (1.0 - share) * force, share * force / factor
+    assert_allclose(F @ hidden, 0.0, atol=1e-12)
+    P, turn, dx = np.outer(hidden, hidden), np.empty((4, 3)), 0.7 * hidden
+    H = np.linspace(-1.0, 1.0, 36).reshape(2, 18)
+    seen = H @ hidden
+    dx[8] = heading
+    error_state.axes_kernel(state, dx, drives, factor, turn)
+    error_state.reset_kernel(P, turn, drives, factor)
+    error_state.turn_rows_kernel(H, turn, drives, factor)
+    error_state.feedback_kernel(state, dx)
+    assert_allclose(P, P.T, atol=1e-15)
+    assert_allclose(velocity_rows() @ P, 0.0, atol=1e-12)
+    assert np.abs(velocity_rows() @ np.outer(hidden, hidden)).max() > 1e-5
+    assert_allclose(H @ P @ H.T, np.outer(seen, seen), rtol=1e-12, atol=1e-12)
 
 
 def test_layout_names_every_state_once():

@@ -47,4 +47,5 @@ def test_nothing_else_of_the_dynamics_is_touched():
     other = F.copy()
     steady_kernel(NAV, f_n, VARIANCE, other)
     changed = np.argwhere(other != F).tolist()
-    assert changed == [[3, 8], [4, 8]]
+    assert changed == [[3, 8], [4, 8], [5, 6], [5, 7]]
+    assert_allclose(other[5, 6:8], [-other[3, 8], -other[4, 8]], rtol=1e-12)  # -[f x]

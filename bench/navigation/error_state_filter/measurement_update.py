@@ -28,6 +28,7 @@ from bench.navigation.engine.kalman import (
 )
 from bench.navigation.error_state_filter.error_state import (
     StateLayout,
+    axes_kernel,
     feedback_kernel,
     reset_kernel,
     turn_rows_kernel,
@@ -210,6 +211,7 @@ def use_kernel(
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
     if dx[8] != 0.0:
-        reset_kernel(P, dx[8])
-        turn_rows_kernel(pending.H, np.sin(dx[8]), np.cos(dx[8]))
+        axes_kernel(now.state, dx, work.drives, work.factor, work.turn)
+        reset_kernel(P, work.turn, work.drives, work.factor)
+        turn_rows_kernel(pending.H, work.turn, work.drives, work.factor)
     feedback_kernel(now.state, dx)

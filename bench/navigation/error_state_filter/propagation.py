@@ -93,13 +93,16 @@ class UpdateWork(NamedTuple):
     rows: FloatArray  # (6, n)
     var: FloatArray  # (6,)
     innovation: FloatArray  # (6,)
+    turn: FloatArray  # (4, 3) of the axes by a correction
+    drives: IntArray  # (D, 3) `Process.drives`
+    factor: FloatArray  # (D,) `Carried.factor`
 
 
 class Carried(NamedTuple):
     """What the next step needs of the steps before; also the first three of `MeasureWork`."""
 
-    whole: FloatArray  # (66,) memory of all of it
-    kept: FloatArray  # (66,) a copy, while a filter goes ahead for an answer
+    whole: FloatArray  # (66 + D,) memory of all of it
+    kept: FloatArray  # (66 + D,) a copy, while a filter goes ahead for an answer
     before: FloatArray  # (7,) the step before, for coning and sculling
     C_mean: FloatArray  # (3, 3)
     reference: FloatArray  # (10,)
@@ -108,6 +111,7 @@ class Carried(NamedTuple):
     known: FloatArray
     lost: FloatArray  # (2,) variance of velocity and attitude that a gap adds to a step of the covariance
     elapsed: FloatArray  # (1,) since the last step of the covariance [s]
+    factor: FloatArray  # (D,) mean of what a drive multiplies its state by, over that step
 
 
 class StepWork(NamedTuple):
@@ -135,17 +139,18 @@ class Work(NamedTuple):
 
 def work_for(n: int, drives: IntArray) -> Work:
     """Return the memory for n states and their drives (D, 3)."""
-    shapes = (7,), (2, 3), (3,), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,)
+    D = len(drives)
+    shapes = (7,), (2, 3), (3,), (8, 3), (3, 3), (STATE_SIZE,), (4,), (2,), (1,), (D,)
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     whole = np.zeros(ends[-1])
     before, last, force_n, vectors, *others = (
         part.reshape(shape) for part, shape in zip(np.split(whole, ends[:-1]), shapes, strict=True)
     )
     F, G, back = np.zeros((3, 9, 15))
-    carried, D = Carried(whole, np.zeros(ends[-1]), before, *others), len(drives)
+    carried = Carried(whole, np.zeros(ends[-1]), before, *others)
     return Work(
         carried=carried,
-        step=StepWork(F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), np.zeros(D)),
+        step=StepWork(F, G, back, widened(np.eye(n)), widened(np.ones(n)), np.zeros(n), carried.factor),
         covariance=covariance_work(n),
         measure=MeasureWork(
             last,
@@ -160,7 +165,15 @@ def work_for(n: int, drives: IntArray) -> Work:
             np.ones(6),
         ),
         update=UpdateWork(
-            np.zeros(n), np.zeros(n), np.zeros((6, 7)), np.zeros((6, n)), np.zeros(6), np.zeros(6)
+            np.zeros(n),
+            np.zeros(n),
+            np.zeros((6, 7)),
+            np.zeros((6, n)),
+            np.zeros(6),
+            np.zeros(6),
+            np.zeros((4, 3)),
+            drives,
+            carried.factor,
         ),
         ahead=FilterState(np.zeros(n + 1), wide((n, n)), np.zeros(n)),
     )

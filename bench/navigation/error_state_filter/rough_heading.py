@@ -58,7 +58,7 @@ def motion_share(more2: float, variance: float) -> float:
 
 @kernel
 def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArray) -> None:
-    """Let a heading error turn the force of a motion, and not the noise of the accelerometers.
+    """Let an attitude error turn the horizontal force of a motion, and not the noise of the accelerometers.
 
     What is beyond the force of a steady flight is taken for motion as :func:`motion_share` says.
 
@@ -80,7 +80,8 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
     north, east = k_e * nav[5] - k_d * nav[4], k_d * nav[3] - k_n * nav[5]
     more_n, more_e = f_n[0] - north, f_n[1] - east
     told = motion_share(more_n * more_n + more_e * more_e, variance)
-    F[3, 8], F[4, 8] = -(east + told * more_e), north + told * more_n
+    north, east = north + told * more_n, east + told * more_e
+    F[3, 8], F[4, 8], F[5, 6], F[5, 7] = -east, north, east, -north
 
 
 @kernel

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench import disk_arrays
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import long_records
@@ -138,6 +138,9 @@ class SmootherWork(NamedTuple):
     product: FloatArray  # (n, n) D C'
     d: FloatArray  # (n,) error of x^- if x^s is true
     e: FloatArray  # (n,) C d
+    turn: FloatArray  # (4, 3) of the axes by a correction
+    drives: IntArray  # (0, 3) none: the biases do not turn
+    factor: FloatArray  # (0,)
 
 
 def smooth(stretches: list[Nodes]) -> None:
@@ -147,7 +150,7 @@ def smooth(stretches: list[Nodes]) -> None:
     square = (n, n)
     work = SmootherWork(
         np.zeros(n), np.zeros(n), wide(square), wide(square), wide(square), wide(square), wide(square),
-        np.zeros(n), np.zeros(n),
+        np.zeros(n), np.zeros(n), np.zeros((4, 3)), np.empty((0, 3), np.int64), np.empty(0),
     )  # fmt: skip
     later: Nodes | None = None
     for nodes in reversed(stretches):
@@ -163,6 +166,18 @@ def smooth(stretches: list[Nodes]) -> None:
         later = nodes
 
 
+@inner
+def _turn_heading(heading: float, turn: FloatArray) -> None:
+    """Fill turn (4, 3) as `error_state.axes_kernel` does for a heading alone.
+
+    The biases stay: a smoother corrects each instant once, so that nothing adds up.
+    """
+    for i in range(3):
+        for k in range(3):
+            turn[i, k] = 1.0 if i == k else 0.0
+    turn[3, 0], turn[3, 1] = np.sin(heading), np.cos(heading)
+
+
 @kernel
 def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: SmootherWork) -> None:
     """Smooth states (N, 2, n + 1) and P (N, 2, n, n) after the measurements, all but the last, going back."""
@@ -176,17 +191,18 @@ def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: Smoo
         for k in range(n):
             for i in range(n):
                 e[i] += work.gain[k, i] * d[k]
-        turn = e[PHI + 2]
-        feedback_kernel(state[j, 1], e)
         for i in range(n):
             for k in range(n):
                 D[i, k] = later[i, k]
-        reset_kernel(D, -d[PHI + 2])
+        _turn_heading(-d[PHI + 2], work.turn)
+        reset_kernel(D, work.turn, work.drives, work.factor)
         for i in range(n):
             for k in range(n):
                 D[i, k] -= before[i, k]
         _correct_kernel(P[j, 1], work)
-        reset_kernel(P[j, 1], turn)
+        _turn_heading(e[PHI + 2], work.turn)
+        reset_kernel(P[j, 1], work.turn, work.drives, work.factor)
+        feedback_kernel(state[j, 1], e)
 
 
 @inner

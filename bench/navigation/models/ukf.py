@@ -39,6 +39,7 @@ from bench.navigation.error_state_filter.error_state import (
     GYRO,
     PHI,
     VEL,
+    axes_kernel,
     less_errors,
     reset_kernel,
     state_errors,
@@ -387,9 +388,12 @@ class SigmaPointFlight(SteppedFilter):
         return mean, S, np.asarray(np.linalg.solve(S, cross.T).T, np.float64)
 
     def _feed_back(self, x: FloatArray) -> None:
-        """Take an expected error off the estimate; the tilts turn with the axes of the unit."""
+        """Take an expected error off the estimate; P turns with the axes of the unit."""
+        turn = np.empty((4, 3))
+        drives, factor = np.empty((0, 3), np.int64), np.empty(0)
+        axes_kernel(self.estimate, x, drives, factor, turn)
+        reset_kernel(self.P, turn, drives, factor)
         self.estimate = less_errors(self.estimate, x)
-        reset_kernel(self.P, float(x[PHI + 2]))
 
 
 def _root(P: FloatArray) -> FloatArray:

@@ -332,12 +332,12 @@ class FilterLoop(SteppedFilter):
         if not options.feedback or now < self.next_correction - timeline.TIME_TOLERANCE:
             return
         x = self.form.x.astype(float)
-        self.nav = corrected(self.nav, x)
+        turned, self.nav = axes_turned(self.nav, x), corrected(self.nav, x)
         self.start = self.nav
         self.eps = self.eps + x[9:12]
         self.da = self.da + x[12:15]
         self.form.x[:15] = 0.0  # what is left of these errors is zero in the mean; 15 to 21 are kept
-        self.form.predict(axes_turned(x), np.zeros((process_model.SIZE, process_model.SIZE)), 0.0)
+        self.form.predict(turned, np.zeros((process_model.SIZE, process_model.SIZE)), 0.0)
         self._keep_floor()
         period = options.correction_period
         if isinstance(period, str):
@@ -362,7 +362,7 @@ class FilterLoop(SteppedFilter):
             x[:9] = extrapolate(self.options.outage, t, errors, now)
         nav = corrected(self.nav, x)
         earth = ellipsoid(nav.lat, nav.h)
-        J = ned_matrix(nav, earth) @ axes_turned(x)[:9, :9]
+        J = ned_matrix(nav, earth) @ axes_turned(self.nav, x)[:9, :9]
         east, north = reduced(nav, earth)
         to_ned = np.zeros((13, 13))
         to_ned[0:3, 0:3] = to_ned[3:6, 3:6] = FRD_OF_FUR

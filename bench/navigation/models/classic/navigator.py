@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bench import rotation
 from bench.arrays import FloatArray
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
+from bench.units import STANDARD_GRAVITY
 
 R3 = 6_371_000.0  # sphere of the reduced coordinates [m], equations 1.5
 
@@ -169,12 +171,14 @@ def corrected(nav: Nav, x: FloatArray) -> Nav:
     )
 
 
-def axes_turned(x: FloatArray) -> FloatArray:
-    """Return the Jacobian (22, 22) of the error that remains after :func:`corrected` subtracted x (22,).
+def axes_turned(nav: Nav, x: FloatArray) -> FloatArray:
+    """Return how P (22, 22) turns with the axes of the unit where :func:`corrected` subtracts x (22,).
 
-    The tilts turn with the axes of the unit.
+    As in `bench.navigation.error_state_filter.error_state.axes_kernel`.
     """
     s, c = math.sin(x[8]), math.cos(x[8])
     turned = np.eye(len(x))
     turned[6:8, 6:8] = [[c, -s], [s, c]]
+    tilted = np.cross(x[12:15], nav.B[2]) / STANDARD_GRAVITY
+    turned[12:15, 12:15] = rotation.matrix(rotation.from_rotvec(tilted))
     return turned

@@ -130,7 +130,7 @@ def model_van_loan(
 
 
 def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: float) -> FloatArray:
-    """Return F where a heading error turns the force of the motion, and not noise of a variance an axis.
+    """Return F where an attitude error turns the force of the motion, and not noise of a variance an axis.
 
     A-5.1.10 turns the measured force, noise included (`dynamics_matrix`). As in
     `bench.navigation.error_state_filter.rough_heading.steady_kernel`.
@@ -141,7 +141,7 @@ def turn_motion(F: FloatArray, nav: Nav, a: ArrayLike, earth: Earth, variance: f
     steady = np.array([U * (c * v_h - s * v_n), U * s * v_e + v_n / earth.r2 * v_h])
     more = np.asarray(a, float)[:2] - steady
     a_e, a_n = steady + motion_share(float(more @ more), variance) * more
-    F[3, 8], F[4, 8] = a_n, -a_e
+    F[3, 8], F[4, 8], F[5, 6], F[5, 7] = a_n, -a_e, -a_n, a_e
     return F
 
 
