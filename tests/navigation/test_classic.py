@@ -19,7 +19,7 @@ from bench.config import load_profile
 from bench.errors import EstimatorError
 from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
-from bench.navigation.error_state_filter import antenna_rows, error_state
+from bench.navigation.error_state_filter import antenna_rows, corrections, error_state
 from bench.navigation.models.classic import (
     Classic22,
     error_dynamics,
@@ -134,11 +134,11 @@ def test_the_axes_are_those_of_the_bench():
 
 
 def test_the_axes_of_both_filters_turn_alike():
-    x, turn = np.zeros(22), np.empty((4, 3))
+    x, turn = np.zeros(22), np.empty((5, 3))
     x[6:15] = [0.02, -0.01, 0.3, 1e-4, 2e-4, -1e-4, 0.2, -0.3, 0.1]
     T = to_ned(NAV)
     state, none = np.concatenate([NAV_N, np.zeros(6)]), (np.empty((0, 3), np.int64), np.empty(0))
-    error_state.axes_kernel(state, (T @ x)[:15], *none, turn)
+    corrections.axes_kernel(state, (T @ x)[:15], *none, turn)
     turned = T @ navigator.axes_turned(NAV, x) @ np.linalg.inv(T)
     assert_allclose(turned[12:15, 12:15], turn[:3], atol=1e-12)
     assert_allclose(turned[6:8, 6:8], [[turn[3, 1], turn[3, 0]], [-turn[3, 0], turn[3, 1]]], atol=1e-12)

@@ -344,13 +344,13 @@ def test_a_correction_is_no_turn_that_was_flown(heading, share):
     force = rotation.matrix(attitude).T @ F[:, 6:9] @ tilt
     hidden[6:9], hidden[12:15], hidden[15:] = tilt, (1.0 - share) * force, share * force / factor
     assert_allclose(F @ hidden, 0.0, atol=1e-12)
-    P, turn, dx = np.outer(hidden, hidden), np.empty((4, 3)), 0.7 * hidden
+    P, turn, dx = np.outer(hidden, hidden), np.empty((5, 3)), 0.7 * hidden
     H = np.linspace(-1.0, 1.0, 36).reshape(2, 18)
     seen = H @ hidden
     dx[8] = heading
-    error_state.axes_kernel(state, dx, drives, factor, turn)
-    error_state.reset_kernel(P, turn, drives, factor)
-    error_state.turn_rows_kernel(H, turn, drives, factor)
+    corrections.axes_kernel(state, dx, drives, factor, turn)
+    corrections.reset_kernel(P, turn, drives, factor)
+    corrections.turn_rows_kernel(H, turn, drives, factor)
     error_state.feedback_kernel(state, dx)
     assert_allclose(P, P.T, atol=1e-15)
     assert_allclose(velocity_rows() @ P, 0.0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""The errors of an IMU as the states have them: taken off its samples, and put into the rows of H.
+"""The errors of an IMU as the states have them: taken off its samples, put into rows of H, turned in P.
 
 A row ``(state, error, by)`` of drives (`state_processes.States`) says that a state adds to an error
 of the unit, a bias of the gyros or accelerometers, by a factor. F, H and the corrections all follow from
@@ -7,10 +7,13 @@ these rows: whatever depends on a bias depends on each state that adds to it, ti
 
 from __future__ import annotations
 
+import numpy as np
+
 from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner
-from bench.navigation.error_state_filter.error_state import GYRO
+from bench.compiled import inner, kernel
+from bench.navigation.error_state_filter.error_state import ACCEL, GYRO, PHI
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.units import STANDARD_GRAVITY
 
 RATE_NOISE = 16.3
 """99.9 % of chi-squared of 3: a rate with a square of less, by the variance of a sample, may be noise."""
@@ -135,3 +138,93 @@ def drive_rows_kernel(H: FloatArray, drives: IntArray, factor: FloatArray) -> No
     for d in range(drives.shape[0]):
         for a in range(H.shape[0]):
             H[a, drives[d, 0]] += H[a, drives[d, 1]] * factor[d]
+
+
+@kernel
+def axes_kernel(
+    state: FloatArray, dx: FloatArray, drives: IntArray, factor: FloatArray, turn: FloatArray
+) -> None:
+    """Fill turn (5, 3): how the axes of accelerometer bias turn; then sine and cosine of that of the tilts.
+
+    A heading turns the tilts, as the Jacobian of what is left of an error after the feedback has it. A bias
+    that hides behind a tilt moves the estimate along a circle: the biases with which a unit that stands
+    measures gravity, whatever its tilt. Where it moves, the tangent turns; a covariance that does not takes
+    the correction for a turn of the unit.
+
+    Parameters
+    ----------
+    state : (n + 1,) array
+        Filter state before the feedback.
+    dx : (n,) array
+        What that will subtract.
+    drives, factor : (D, 3) and (D,) arrays
+        States that act like a bias, and by how much.
+    turn : (5, 3) array
+        Overwritten; its last row is memory.
+    """
+    force, (w, p, q, r) = turn[4], (state[6], state[7], state[8], state[9])
+    _force_kernel(dx, drives, factor, force)
+    up_x, up_y, up_z = 2.0 * (w * q - p * r), -2.0 * (q * r + w * p), 2.0 * (p * p + q * q) - 1.0  # b
+    x = (up_y * force[2] - up_z * force[1]) / STANDARD_GRAVITY
+    y = (up_z * force[0] - up_x * force[2]) / STANDARD_GRAVITY
+    z = (up_x * force[1] - up_y * force[0]) / STANDARD_GRAVITY
+    angle = np.sqrt(x * x + y * y + z * z)
+    s = np.sin(angle) / angle if angle > 0.0 else 1.0
+    c = 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2 if angle > 0.0 else 0.5
+    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
+    turn[1, 0], turn[1, 1], turn[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
+    turn[2, 0], turn[2, 1], turn[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
+    turn[3, 0], turn[3, 1], turn[3, 2] = np.sin(dx[PHI + 2]), np.cos(dx[PHI + 2]), 0.0
+
+
+@inner
+def _force_kernel(errors: FloatArray, drives: IntArray, factor: FloatArray, force: FloatArray) -> None:
+    """Fill force (3,): the error of the accelerometers in all, by the errors (n,) of the states."""
+    for i in range(3):
+        force[i] = errors[ACCEL + i]
+    for d in range(drives.shape[0]):
+        if drives[d, 1] >= ACCEL:
+            force[drives[d, 1] - ACCEL] += factor[d] * errors[drives[d, 0]]
+
+
+@kernel
+def reset_kernel(P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
+    """Turn tilts and accelerometer biases of P (n, n) as a feedback turns the axes of the unit.
+
+    What turns is the error of the accelerometers in all; the biases take the change.
+    """
+    n = P.shape[0]
+    _turn_columns_kernel(P, turn, drives, factor)
+    for i in range(n):
+        for k in range(i):
+            P[i, k], P[k, i] = P[k, i], P[i, k]
+    _turn_columns_kernel(P, turn, drives, factor)
+
+
+@inner
+def _turn_columns_kernel(P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
+    """Turn the errors that each row of P (n, n) is of."""
+    s, c, force = turn[3, 0], turn[3, 1], turn[4]
+    for k in range(P.shape[0]):
+        row = P[k]
+        row[PHI], row[PHI + 1] = c * row[PHI] + s * row[PHI + 1], c * row[PHI + 1] - s * row[PHI]
+        _force_kernel(row, drives, factor, force)
+        for i in range(3):
+            row[ACCEL + i] += turn[i, 0] * force[0] + turn[i, 1] * force[1] + turn[i, 2] * force[2] - force[i]
+
+
+@kernel
+def turn_rows_kernel(H: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
+    """Turn rows H (m, n) of measurements as :func:`reset_kernel` turns the errors they are of."""
+    s, c, force = turn[3, 0], turn[3, 1], turn[4]
+    for a in range(H.shape[0]):
+        row = H[a]
+        row[PHI], row[PHI + 1] = c * row[PHI] + s * row[PHI + 1], c * row[PHI + 1] - s * row[PHI]
+        for i in range(3):
+            force[i] = row[ACCEL + i]
+        for i in range(3):
+            row[ACCEL + i] = turn[i, 0] * force[0] + turn[i, 1] * force[1] + turn[i, 2] * force[2]
+        for d in range(drives.shape[0]):
+            e = drives[d, 1]
+            if e >= ACCEL:
+                row[drives[d, 0]] += factor[d] * (row[e] - force[e - ACCEL])

@@ -11,7 +11,7 @@ a turn about the vertical, then a tilt about a horizontal axis. F is the Jacobia
 To first order phi_n is a rotation vector; the order of the two turns counts where a heading is corrected. The
 axes of the unit turn with the correction, and so does a tilt that is left: by all of the angle, not by half
 of it as that of a rotation vector would. Tilts and biases of accelerometers are told apart by turns, so that
-a covariance which stays as it is takes each correction for a turn that was flown (:func:`axes_kernel`).
+a covariance which stays as it is takes each correction for a turn that was flown (`corrections.axes_kernel`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from bench.arrays import FloatArray, IntArray, as_float
 from bench.compiled import inner, kernel
 from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
 from bench.navigation.mechanization import tilt_between_kernel, turn_kernel
-from bench.units import STANDARD_GRAVITY
 from bench.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
@@ -350,107 +349,6 @@ def feedback_kernel(state: FloatArray, dx: FloatArray) -> None:
         state[i + 1] -= dx[i]
     for i in range(dx.shape[0]):
         dx[i] = 0.0
-
-
-@kernel
-def axes_kernel(
-    state: FloatArray, dx: FloatArray, drives: IntArray, factor: FloatArray, turn: FloatArray
-) -> None:
-    """Fill turn (4, 3): how the axes of accelerometer bias turn; then sine and cosine of that of the tilts.
-
-    A heading turns the tilts, as the Jacobian of what is left of an error after :func:`feedback_kernel` has
-    it. A bias that hides behind a tilt moves the estimate along a circle: the biases with which a unit that
-    stands measures gravity, whatever its tilt. Where it moves, the tangent turns; a covariance that does not
-    takes the correction for a turn of the unit.
-
-    Parameters
-    ----------
-    state : (n + 1,) array
-        Filter state before the feedback.
-    dx : (n,) array
-        What that will subtract.
-    drives, factor : (D, 3) and (D,) arrays
-        States that act like a bias, and by how much.
-    turn : (4, 3) array
-        Overwritten.
-    """
-    w, p, q, r = state[6], state[7], state[8], state[9]
-    a_x, a_y, a_z = dx[ACCEL], dx[ACCEL + 1], dx[ACCEL + 2]
-    for d in range(drives.shape[0]):
-        more = factor[d] * dx[drives[d, 0]]
-        if drives[d, 1] == ACCEL:
-            a_x += more
-        elif drives[d, 1] == ACCEL + 1:
-            a_y += more
-        elif drives[d, 1] == ACCEL + 2:
-            a_z += more
-    u_x, u_y, u_z = 2.0 * (w * q - p * r), -2.0 * (q * r + w * p), 2.0 * (p * p + q * q) - 1.0  # up, b
-    x = (u_y * a_z - u_z * a_y) / STANDARD_GRAVITY
-    y = (u_z * a_x - u_x * a_z) / STANDARD_GRAVITY
-    z = (u_x * a_y - u_y * a_x) / STANDARD_GRAVITY
-    angle = np.sqrt(x * x + y * y + z * z)
-    s = np.sin(angle) / angle if angle > 0.0 else 1.0
-    c = 0.5 * (np.sin(0.5 * angle) / (0.5 * angle)) ** 2 if angle > 0.0 else 0.5
-    turn[0, 0], turn[0, 1], turn[0, 2] = 1.0 - c * (y * y + z * z), c * x * y - s * z, c * x * z + s * y
-    turn[1, 0], turn[1, 1], turn[1, 2] = c * x * y + s * z, 1.0 - c * (x * x + z * z), c * y * z - s * x
-    turn[2, 0], turn[2, 1], turn[2, 2] = c * x * z - s * y, c * y * z + s * x, 1.0 - c * (x * x + y * y)
-    turn[3, 0], turn[3, 1], turn[3, 2] = np.sin(dx[PHI + 2]), np.cos(dx[PHI + 2]), 0.0
-
-
-@kernel
-def reset_kernel(P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
-    """Turn tilts and accelerometer biases of P (n, n) as a feedback turns the axes of the unit.
-
-    What turns is the error of the force in all: of the biases, and of what drives (D, 3) say of states that
-    act like them by ``factor`` (D,). The biases take the change.
-    """
-    n, s, c = P.shape[0], turn[3, 0], turn[3, 1]
-    for k in range(n):
-        P[6, k], P[7, k] = c * P[6, k] + s * P[7, k], c * P[7, k] - s * P[6, k]
-        x, y, z = P[ACCEL, k], P[ACCEL + 1, k], P[ACCEL + 2, k]
-        for d in range(drives.shape[0]):
-            more = factor[d] * P[drives[d, 0], k]
-            if drives[d, 1] == ACCEL:
-                x += more
-            elif drives[d, 1] == ACCEL + 1:
-                y += more
-            elif drives[d, 1] == ACCEL + 2:
-                z += more
-        P[ACCEL, k] += (turn[0, 0] - 1.0) * x + turn[0, 1] * y + turn[0, 2] * z
-        P[ACCEL + 1, k] += turn[1, 0] * x + (turn[1, 1] - 1.0) * y + turn[1, 2] * z
-        P[ACCEL + 2, k] += turn[2, 0] * x + turn[2, 1] * y + (turn[2, 2] - 1.0) * z
-    for k in range(n):
-        P[k, 6], P[k, 7] = c * P[k, 6] + s * P[k, 7], c * P[k, 7] - s * P[k, 6]
-        x, y, z = P[k, ACCEL], P[k, ACCEL + 1], P[k, ACCEL + 2]
-        for d in range(drives.shape[0]):
-            more = factor[d] * P[k, drives[d, 0]]
-            if drives[d, 1] == ACCEL:
-                x += more
-            elif drives[d, 1] == ACCEL + 1:
-                y += more
-            elif drives[d, 1] == ACCEL + 2:
-                z += more
-        P[k, ACCEL] += (turn[0, 0] - 1.0) * x + turn[0, 1] * y + turn[0, 2] * z
-        P[k, ACCEL + 1] += turn[1, 0] * x + (turn[1, 1] - 1.0) * y + turn[1, 2] * z
-        P[k, ACCEL + 2] += turn[2, 0] * x + turn[2, 1] * y + (turn[2, 2] - 1.0) * z
-
-
-@kernel
-def turn_rows_kernel(H: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
-    """Turn rows H (m, n) of measurements as :func:`reset_kernel` turns the errors they are of."""
-    s, c = turn[3, 0], turn[3, 1]
-    for a in range(H.shape[0]):
-        H[a, 6], H[a, 7] = c * H[a, 6] + s * H[a, 7], c * H[a, 7] - s * H[a, 6]
-        x, y, z = H[a, ACCEL], H[a, ACCEL + 1], H[a, ACCEL + 2]
-        for i in range(3):
-            H[a, ACCEL + i] = turn[i, 0] * x + turn[i, 1] * y + turn[i, 2] * z
-        for d in range(drives.shape[0]):
-            if drives[d, 1] == ACCEL:
-                H[a, drives[d, 0]] += factor[d] * (H[a, ACCEL] - x)
-            elif drives[d, 1] == ACCEL + 1:
-                H[a, drives[d, 0]] += factor[d] * (H[a, ACCEL + 1] - y)
-            elif drives[d, 1] == ACCEL + 2:
-                H[a, drives[d, 0]] += factor[d] * (H[a, ACCEL + 2] - z)
 
 
 @kernel

@@ -26,12 +26,10 @@ from bench.navigation.engine.kalman import (
     stretch_kernel,
     update_kernel,
 )
+from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel, turn_rows_kernel
 from bench.navigation.error_state_filter.error_state import (
     StateLayout,
-    axes_kernel,
     feedback_kernel,
-    reset_kernel,
-    turn_rows_kernel,
 )
 from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,

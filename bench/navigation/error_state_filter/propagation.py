@@ -93,7 +93,7 @@ class UpdateWork(NamedTuple):
     rows: FloatArray  # (6, n)
     var: FloatArray  # (6,)
     innovation: FloatArray  # (6,)
-    turn: FloatArray  # (4, 3) of the axes by a correction
+    turn: FloatArray  # (5, 3) of the axes by a correction
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) `Carried.factor`
 
@@ -171,7 +171,7 @@ def work_for(n: int, drives: IntArray) -> Work:
             np.zeros((6, n)),
             np.zeros(6),
             np.zeros(6),
-            np.zeros((4, 3)),
+            np.zeros((5, 3)),
             drives,
             carried.factor,
         ),

@@ -27,11 +27,11 @@ from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import long_records
 from bench.navigation.engine.piecewise import KnowsImuErrors
+from bench.navigation.error_state_filter.corrections import reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     PHI,
     difference_kernel,
     feedback_kernel,
-    reset_kernel,
 )
 from bench.navigation.error_state_filter.filter_run import Nodes, answers, spread
 from bench.navigation.error_state_filter.rough_heading import add_arm
@@ -138,7 +138,7 @@ class SmootherWork(NamedTuple):
     product: FloatArray  # (n, n) D C'
     d: FloatArray  # (n,) error of x^- if x^s is true
     e: FloatArray  # (n,) C d
-    turn: FloatArray  # (4, 3) of the axes by a correction
+    turn: FloatArray  # (5, 3) of the axes by a correction
     drives: IntArray  # (0, 3) none: the biases do not turn
     factor: FloatArray  # (0,)
 
@@ -150,7 +150,7 @@ def smooth(stretches: list[Nodes]) -> None:
     square = (n, n)
     work = SmootherWork(
         np.zeros(n), np.zeros(n), wide(square), wide(square), wide(square), wide(square), wide(square),
-        np.zeros(n), np.zeros(n), np.zeros((4, 3)), np.empty((0, 3), np.int64), np.empty(0),
+        np.zeros(n), np.zeros(n), np.zeros((5, 3)), np.empty((0, 3), np.int64), np.empty(0),
     )  # fmt: skip
     later: Nodes | None = None
     for nodes in reversed(stretches):
@@ -168,7 +168,7 @@ def smooth(stretches: list[Nodes]) -> None:
 
 @inner
 def _turn_heading(heading: float, turn: FloatArray) -> None:
-    """Fill turn (4, 3) as `error_state.axes_kernel` does for a heading alone.
+    """Fill turn (5, 3) as `corrections.axes_kernel` does for a heading alone.
 
     The biases stay: a smoother corrects each instant once, so that nothing adds up.
     """

@@ -35,13 +35,12 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     records_needed,
     unmodelled,
 )
+from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     GYRO,
     PHI,
     VEL,
-    axes_kernel,
     less_errors,
-    reset_kernel,
     state_errors,
 )
 from bench.navigation.error_state_filter.filter_run import solution
@@ -161,7 +160,7 @@ class Unscented:
         used = [sensor for sensor in self._aiding() if getattr(first, sensor.record) is not None]
         blocks = used_blocks(self._blocks(), first, [sensor.record for sensor in used])
         model = state_model(initial, first.specs, blocks)
-        field = magnetic_map(initial.lla, first.date) if MAGNETOMETER in used else np.zeros((4, 3))
+        field = magnetic_map(initial.lla, first.date) if MAGNETOMETER in used else np.zeros((5, 3))
         schedule = Schedule(
             initial.t, first.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
         )
@@ -389,7 +388,7 @@ class SigmaPointFlight(SteppedFilter):
 
     def _feed_back(self, x: FloatArray) -> None:
         """Take an expected error off the estimate; P turns with the axes of the unit."""
-        turn = np.empty((4, 3))
+        turn = np.empty((5, 3))
         drives, factor = np.empty((0, 3), np.int64), np.empty(0)
         axes_kernel(self.estimate, x, drives, factor, turn)
         reset_kernel(self.P, turn, drives, factor)

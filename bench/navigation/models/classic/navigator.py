@@ -174,7 +174,7 @@ def corrected(nav: Nav, x: FloatArray) -> Nav:
 def axes_turned(nav: Nav, x: FloatArray) -> FloatArray:
     """Return how P (22, 22) turns with the axes of the unit where :func:`corrected` subtracts x (22,).
 
-    As in `bench.navigation.error_state_filter.error_state.axes_kernel`.
+    As in `bench.navigation.error_state_filter.corrections.axes_kernel`.
     """
     s, c = math.sin(x[8]), math.cos(x[8])
     turned = np.eye(len(x))
