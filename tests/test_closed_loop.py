@@ -17,8 +17,10 @@ from bench.errors import ConfigError
 from bench.flight import fly_pieces
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.legs.level import Straight
+from bench.flight.legs.runway import Taxi
 from bench.specs import FlightSpec
 from tests.flight.plans import plan, short_plan
+from tests.flight.test_legs_ground import KINDS, standing
 
 PROFILE = """
 title = "A minute that an estimate flies"
@@ -173,6 +175,21 @@ def test_what_is_believed_moves_the_flight():
     assert 0 < crashed.lla[-1, 2] < 20.0
     assert_allclose(crashed.t[-1], t, atol=1e-9)
     assert crashed.events.select("leg")[-1][2].endswith("not flown to its end")
+
+
+def test_wheels_tell_that_it_stands():
+    """An estimate that is 0.5 m/s off does not keep an aircraft rolling on the ground."""
+    kind = KINDS["aerosonde"]
+    spec = standing(Taxi(40.0, 5.0, stops=1, stop=3.0), aircraft=kind.aircraft, speed=kind.climb[1])
+    belief, pieces = Belief("held", 0.05), []
+    for piece in fly_pieces(spec, None, 0.2, belief):
+        pieces.append(piece)
+        estimate = perfect(piece)
+        vel_n = piece.vel_n[-1:] + np.array([0.5, 0.0, 0.0])
+        belief.take(replace(estimate, solution=replace(estimate.solution, vel_n=vel_n)))
+    flown = store.join_pieces(pieces)
+    assert len(flown.events.select("crash")) == 0
+    assert np.abs(flown.vel_n[-1]).max() < 0.05
 
 
 def test_run_shows_the_answers_that_steered(profile, tmp_path, capsys):

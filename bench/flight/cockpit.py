@@ -244,11 +244,11 @@ class Plane:
         self._north, self._east = (tuple(float(v) for v in C_en[:, k]) for k in (0, 1))
         self._origin = tuple(float(v) for v in origin)
         self._true_pos = self._pos = [cockpit.reader(f"position/ecef-{axis}-ft") for axis in "xyz"]
-        self._vel = [cockpit.reader(f"velocities/ecef-{axis}-fps") for axis in "xyz"]
+        self._true_vel = self._vel = [cockpit.reader(f"velocities/ecef-{axis}-fps") for axis in "xyz"]
         if cockpit.belief is not None:
             believe, axes = cockpit.belief.believe, tuple(enumerate("xyz"))
             self._pos = [believe(f"position/ecef-{a}-ft", self._true_pos[k], FT) for k, a in axes]
-            self._vel = [believe(f"velocities/ecef-{a}-fps", self._vel[k], FT) for k, a in axes]
+            self._vel = [believe(f"velocities/ecef-{a}-fps", self._true_vel[k], FT) for k, a in axes]
 
     def _project(self, x: float, y: float, z: float) -> tuple[float, float]:
         n, e = self._north, self._east
@@ -268,6 +268,10 @@ class Plane:
         """Return its velocity over ground: north, east [m/s]."""
         x, y, z = (read() * FT for read in self._vel)
         return self._project(x, y, z)
+
+    def true_speed(self) -> float:
+        """Return its speed over ground in truth [m/s]."""
+        return math.hypot(*self._project(*(read() * FT for read in self._true_vel)))
 
     def track(self) -> tuple[float, float]:
         """Return its course [rad] and speed [m/s] over ground."""

@@ -155,7 +155,7 @@ class LandingRoll(Leg):
             centre.steer()
             yield
         for _ in ticks(PATIENCE):  # wings stay level by aileron while gusts can still lift them
-            if centre.ground_speed() < 0.5 * figures.rotate_speed:
+            if centre.wheel_speed() < 0.5 * figures.rotate_speed:
                 break
             centre.steer()
             yield
@@ -169,12 +169,12 @@ class LandingRoll(Leg):
             centre.steer()
             yield
         for _ in ticks(PATIENCE):
-            if centre.ground_speed() < _STANDS:
+            if centre.wheel_speed() < _STANDS:
                 break
             centre.steer()
             yield
         else:
-            raise FlightError(f"still rolling at {centre.ground_speed():.1f} m/s after {PATIENCE:g} s")
+            raise FlightError(f"still rolling at {centre.wheel_speed():.1f} m/s after {PATIENCE:g} s")
         for share in smooth(POWER):
             cockpit.set_steering(1 - share)
             cockpit.brake(_BRAKE + share * (1 - _BRAKE))

@@ -83,7 +83,7 @@ class Taxi(Leg):
         power = brake = begun = 0.0
         for k in ticks(PATIENCE + 2 * self.distance / self.speed):
             centre.steer()
-            speed, to_go = centre.ground_speed(), end - centre.along
+            speed, to_go = centre.wheel_speed(), end - centre.along
             wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
             braking = wanted < self.speed
             wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
@@ -268,9 +268,9 @@ class Centreline:
         self._line = centreline(runway).segments[0]
         self.along, self.off, _ = self._line.relative(self._plane.position())
 
-    def ground_speed(self) -> float:
-        """Return the speed over ground [m/s]."""
-        return self._plane.track()[1]
+    def wheel_speed(self) -> float:
+        """Return the speed over ground [m/s]: wheels turn as the aircraft rolls in truth."""
+        return self._plane.true_speed()
 
     def steer(self) -> None:
         """Point the nose back to the centreline."""
