@@ -36,7 +36,9 @@ def make_page(result: StudyResult) -> str:
 def _list_facts(result: StudyResult) -> list[str]:
     draws = result.findings.draws
     return [
-        f"at least {draws} noise draws behind each interval" if draws else "nothing is drawn: the same each time",
+        f"at least {draws} noise draws behind each interval"
+        if draws
+        else "nothing is drawn: the same each time",
         f"{result.wall_s:.1f} s",
     ]
 

@@ -108,16 +108,17 @@ def difference_about(flight, x) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("sigmas", "part"), [(0.0, 0.0), (2.9, 0.0), (10.0, 0.91)])
-def test_a_heading_error_turns_no_noise(flight, sigmas, part):
+def test_an_attitude_error_turns_no_noise(flight, sigmas, part):
     """Level and at rest; a force beyond that by some sigma of the noise is turned as far as it is motion."""
     one, dt, psi = flight.copy(), 0.01, 1e-4
     one.C_tb, one.v_t, one.bias = np.eye(3), np.zeros(3), np.zeros(6)
     one.gravity, one.q = np.array([0.0, 0.0, 9.8]), np.full(15, 1e-6)
     one.P = np.zeros((15, 15))
-    one.P[2, 2] = psi**2
+    one.P[:3, :3] = psi**2 * np.eye(3)
     more = sigmas * np.sqrt(one.q[6] / dt) * np.array([0.6, -0.8, 0.0])
     one.predict(dt, one.frame.w_t * dt, (more - one.gravity) * dt, np.zeros(2))
     assert_allclose(one.P[6:8, 2] / (psi**2 * dt), part * np.array([-more[1], more[0]]), atol=1e-6)
+    assert_allclose(one.P[8, :2] / (psi**2 * dt), part * np.array([more[1], -more[0]]), atol=1e-6)
 
 
 def test_it_knows_its_errors():

@@ -127,7 +127,7 @@ def test_a_gauss_markov_state_forgets_between_measurements(sensed):
 
 
 @pytest.mark.parametrize(("sigmas", "part"), [(2.9, 0.0), (10.0, 0.91)])
-def test_a_heading_error_turns_no_noise(sensed, sigmas, part):
+def test_an_attitude_error_turns_no_noise(sensed, sigmas, part):
     """Level; a force beyond that of a steady flight by some sigma of the noise: the part that is motion."""
     model = state_model(sensed.initial, sensed.data.specs, [])
     flight = ukf.SigmaPointFlight(Unscented().options, model, sensed.initial, np.zeros((4, 3)))
@@ -135,13 +135,15 @@ def test_a_heading_error_turns_no_noise(sensed, sigmas, part):
     lat, _, alt = sensed.initial.lla
     flight.estimate[3:10] = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]
     flight.P[:] = 0.0
-    flight.P[8, 8] = psi**2
+    flight.P[6:9, 6:9] = psi**2 * np.eye(3)
     more = sigmas * np.sqrt(model.process.q[3] / T) * np.array([0.6, -0.8, 0.0])
     rate = earth.EARTH_RATE * np.array([np.cos(lat), 0.0, -np.sin(lat)])
     steps = np.tile(rate * T / n, (n, 1)), np.tile((more - earth.gravity_n(lat, alt)) * T / n, (n, 1))
     flight.predict(np.full(n, T / n), *steps, np.zeros(2))
-    turned = flight.P[3:5, 8] / (psi**2 * T)
-    assert_allclose(turned, part * np.array([-more[1], more[0]]), atol=0.01 * np.abs(more).max())
+    turned = flight.P[3:6, 6:9] / (psi**2 * T)
+    wanted, atol = part * np.array([-more[1], more[0]]), 0.01 * np.abs(more).max()
+    assert_allclose(turned[:2, 2], wanted, atol=atol)
+    assert_allclose(turned[2, :2], -wanted, atol=atol)
 
 
 def test_the_kernel_is_its_own_python(sensed):

@@ -145,9 +145,10 @@ class InvariantFlight(SteppedFilter):
         F[3:6, 6:9] = np.eye(3) * dt
         F[6:9, :3] = -rotation.skew(push)
         down = self.gravity / np.linalg.norm(self.gravity)
-        noise = gained - down * (down @ gained)  # a heading error turned it all: not what noise may be
+        noise = gained - down * (down @ gained)  # an attitude error turned it all: not what noise may be
         noise *= 1.0 - motion_share(float(noise @ noise) / dt**2, self.q[6] / dt)
-        F[6:9, :3] += np.outer(C_tb.T @ np.cross(noise, down), down @ C_tb)
+        across, down = np.cross(noise, down) @ C_tb, down @ C_tb
+        F[6:9, :3] += np.outer(across, down) - np.outer(down, across)
         F[:3, 9:12] = F[6:9, 12:] = -np.eye(3) * dt
         Phi = np.eye(15) + F + 0.5 * (F @ F)
         added = self.q * dt

@@ -306,13 +306,12 @@ class SigmaPointFlight(SteppedFilter):
         self.estimate, self.before = states[-1], before[-1]
         after = x * decay
         after[:, :GYRO] = state_errors(self.estimate, states[:-1])[:, :GYRO]
-        gained = (
-            self.estimate[3:5] - steady
-        )  # the points turned it all by their heading: not what noise may be
-        # The points turned all of it by their heading: not what noise may be.
+        gained = self.estimate[3:5] - steady
+        # Each point turned all of it by its attitude; what noise may be is turned back.
         gained *= 1.0 - motion_share(float(gained @ gained) / T**2, process.q[VEL] / T)
         after[:, VEL] += gained[1] * x[:, PHI + 2]
         after[:, VEL + 1] -= gained[0] * x[:, PHI + 2]
+        after[:, VEL + 2] += gained[0] * x[:, PHI + 1] - gained[1] * x[:, PHI]
         mean = points.mean @ after
         spread = after - mean
         self.P = (spread.T * points.cov) @ spread + np.diag(
