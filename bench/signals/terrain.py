@@ -52,7 +52,8 @@ class TerrainGrid:
         """Return the heights at places (...) [rad] [m]; NaN outside and beside one that is missing."""
         row = (np.asarray(lat, float) - self.south) / self.step
         east = np.asarray(lon, float) - self.west
-        column = (east - math.tau * np.round(east / math.tau)) / self.step
+        turns = np.floor((east + _ROUNDING * self.step) / math.tau)
+        column = (east - math.tau * turns) / self.step
         ends = np.array(self.heights.shape) - 1
         inside = (row > -_ROUNDING) & (row < ends[0] + _ROUNDING)
         inside &= (column > -_ROUNDING) & (column < ends[1] + _ROUNDING)
@@ -169,7 +170,7 @@ def _parse_ascii(raw: bytes, shown: str) -> TerrainGrid:
     header, place = dict[str, float](), 0
     while len(header) < _HEADER_LINES and (line := _HEADER.match(text, place)):
         try:
-            header[line[1].lower()] = float(line[2])
+            header[line[1].lower()] = _parse_number(line[2])
         except ValueError:
             raise ConfigError(f"{shown}: {line[1]} = {line[2][:20]!r} is not a number") from None
         place = line.end()
@@ -179,18 +180,28 @@ def _parse_ascii(raw: bytes, shown: str) -> TerrainGrid:
         named = "ncols, nrows, xllcorner or xllcenter, yllcorner or yllcenter, cellsize"
         raise ConfigError(f"{shown}: an ESRI ASCII grid begins with {named} and NODATA_value, a line each")
     rows, columns, cell = header["nrows"], header["ncols"], header["cellsize"]
-    if not (rows == int(rows) >= 2 and columns == int(columns) >= 2 and rows * columns <= _MOST_HEIGHTS):
+    whole = rows.is_integer() and columns.is_integer()
+    if not (whole and min(rows, columns) >= 2 and rows * columns <= _MOST_HEIGHTS):
         most = f"whole numbers from 2, {_MOST_HEIGHTS} heights at most"
         raise ConfigError(f"{shown}: nrows = {rows:g} and ncols = {columns:g} must be {most}")
     x, y = (header[name] + (0.5 * cell if name.endswith("corner") else 0.0) for name in corner)
+    count = int(rows * columns)
+    words = text[place:].split(maxsplit=count)  # a word more holds all that is too much
+    if len(words) != count:
+        found = f"more than {count}" if len(words) > count else str(len(words))
+        raise ConfigError(f"{shown}: {found} heights; nrows x ncols = {count}")
     try:
-        values = np.array(text[place:].split(), float)
+        values = np.fromiter(map(_parse_number, words), float, count)
     except ValueError as error:
         raise ConfigError(f"{shown}: a height is not a number: {str(error)[:80]}") from None
-    if len(values) != rows * columns:
-        raise ConfigError(f"{shown}: {len(values)} heights; nrows x ncols = {rows * columns:g}")
     values[values == header.get("nodata_value", -9999.0)] = np.nan
     return _make_grid(y, x, cell, values.reshape(int(rows), int(columns))[::-1], shown)
+
+
+def _parse_number(word: str) -> float:
+    if "_" in word:  # which Python reads over
+        raise ValueError(f"{word!r}")
+    return float(word)
 
 
 def _make_grid(south: float, west: float, step: float, heights: FloatArray, shown: str) -> TerrainGrid:

@@ -93,6 +93,14 @@ def test_corners_are_half_a_cell_from_centres_and_the_date_line_is_none(tmp_path
     assert_allclose(look(spec, [10.25, 10.75], [20.25, 20.75]), [1.0, 4.0], atol=1e-9)
 
 
+@pytest.mark.parametrize("west", [-180.0, 0.0])
+def test_a_grid_around_the_earth_has_a_height_at_every_longitude(describe, west):
+    lons = west + np.arange(0.0, 361.0, 1.0)
+    spec = describe(np.tile(np.abs(np.remainder(lons + 180, 360) - 180), (2, 1)), west=west, cell=1.0)
+    lon = np.append(np.random.default_rng(2).uniform(-180, 360, 200), [-180, -1e-13, 0, 180, 360])
+    assert_allclose(look(spec, SOUTH, lon), np.abs(np.remainder(lon + 180, 360) - 180), atol=1e-9)
+
+
 def test_the_ground_is_level_around_a_runway(describe):
     """300 m before the threshold to 3 km beyond, 100 m to either side; 300 m on it is that of the grid."""
     runway = Runway(np.radians(47.05), np.radians(11.0), 620.0, np.radians(70.0))
@@ -123,7 +131,15 @@ def test_a_file_that_changed_is_not_used(describe, tmp_path):
             ("ncols 3", "ncols 1e9"),
             "grid.asc: nrows = 2 and ncols = 1e+09 must be whole numbers from 2, 4000000",
         ),
+        *(
+            (("ncols 3", f"ncols {n}"), "grid.asc: nrows = 2 and ncols = ")
+            for n in ("inf", "1e400", "nan", "2.5")
+        ),
+        (("nrows 2", "nrows -inf"), "grid.asc: nrows = -inf and ncols = 3 must be whole numbers"),
+        (("ncols 3", "ncols 0_3"), "grid.asc: ncols = '0_3' is not a number"),
+        (("1 2 3", "1 1_0 3"), "grid.asc: a height is not a number: '1_0'"),
         (("ncols 3", "ncols 4"), "grid.asc: 6 heights; nrows x ncols = 8"),
+        (("1 2 3", "1 2 3 4"), "grid.asc: more than 6 heights; nrows x ncols = 6"),
         (("cellsize 0.01\n", ""), "grid.asc: an ESRI ASCII grid begins with ncols, nrows, xllcorner or"),
         (("xllcenter", "yllcorner"), "grid.asc: an ESRI ASCII grid begins with ncols"),
         (
