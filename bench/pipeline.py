@@ -69,7 +69,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     summarize = partial(_summarize, profile)
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress, None).truth])
-    sources = ("evaluation/replay.py", "navigation/mechanization.py", "signals/terrain.py")
+    sources = ("evaluation/replay.py", "navigation/mechanization.py")
     return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), summarize, sources)
 
 

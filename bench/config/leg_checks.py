@@ -95,11 +95,17 @@ def _check_terrain(table: ProfileTable) -> list[str]:
     return []
 
 
-def check_radar_use(terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]) -> list[str]:
-    """Check that no estimator takes heights above hills for heights above the runway."""
+def check_radar_use(
+    table: ProfileTable, terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]
+) -> list[str]:
+    """Check that no estimator, nor that of guidance, takes heights above hills for ones above the runway."""
+    if terrain is None:
+        return []
     use = "takes a height for one above the runway: not with [terrain] file"
-    users = [choice.label for choice in choices if choice.options.get("radar")] if terrain else []
-    return [f"[[estimator]] {label!r}: options: radar = true {use}" for label in users]
+    users = [f"[[estimator]] {choice.label!r}" for choice in choices if choice.options.get("radar")]
+    if table.guidance and table.guidance.options.get("radar"):
+        users.append("[guidance]")
+    return [f"{place}: options: radar = true {use}" for place in users]
 
 
 def _check_start(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

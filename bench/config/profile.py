@@ -141,7 +141,7 @@ def load_profile(
         across = leg_checks.check_legs(table, aircraft) + leg_checks.check_air(table)
         with collect_errors(wrong, f"{shown}: [terrain] "):
             terrain = leg_checks.find_terrain(table, beside)
-        across += leg_checks.check_radar_use(terrain, choices)
+        across += leg_checks.check_radar_use(table, terrain, choices)
         if not across:
             flight = _make_flight(table, aircraft, terrain)
     elif external is not None:

@@ -45,6 +45,7 @@ _SOURCES = (
     "exchange/mat_file.py",
     "exchange/table_files.py",
     "exchange/trajectory.py",
+    "signals/terrain.py",
     "fields.py",
     "units.py",
     "rotation.py",

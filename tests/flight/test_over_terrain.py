@@ -121,6 +121,10 @@ def test_the_leg_keeps_its_height_above_the_ground(describe):
             {"estimator.1.options": {"radar": True}},
             "'loose-15': options: radar = true takes a height for one",
         ),
+        (
+            {"guidance.navigation": "loose-15", "guidance.options": {"radar": True}},
+            "[guidance]: options: radar = true takes a height for one",
+        ),
     ],
 )
 def test_what_does_not_fit_a_terrain_is_refused(changes, said):

@@ -45,6 +45,7 @@ from bench.specs import FlightSpec
 from bench.store import cache_size, truth_cache
 from tests.exchange.exported import make_run
 from tests.synthetic import turning
+from tests.test_house import PACKAGE, imported, modules
 
 RNG = np.random.default_rng(3)
 
@@ -653,6 +654,37 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
     equal(store.cached_truth(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text
+
+
+MAKE_NO_TRUTH = {
+    "compiled": "makes machine code of functions that are listed",
+    "disk_arrays": "where arrays lie, not what they hold",
+    "durable": "writes files",
+    "errors": "messages",
+    "files": "refuses files",
+    "instruments": "of the sensors",
+    "moved": "names that other programs import",
+    "orbit_sets": "of the receivers",
+    "places": "where files lie",
+    "scratch": "folders for a while",
+    "spawned": "starts processes",
+    "wording": "messages",
+}
+"""Modules that flights import and truth does not depend on -> why."""
+
+
+def test_every_module_that_flights_import_counts_in_the_key():
+    known = modules()
+    todo = [name for name in known if name.split(".")[:2] == ["bench", "flight"]]
+    found = set()
+    while todo:
+        name = todo.pop()
+        if name not in found and name != "bench":
+            found.add(name)
+            todo += imported(name, known[name], known)
+    inside = {known[name].relative_to(PACKAGE).as_posix() for name in found}
+    uncounted = {path for path in inside if not {path, path.split("/")[0]} & {*truth_cache._SOURCES}}
+    assert uncounted == {f"{name}.py" for name in MAKE_NO_TRUTH}
 
 
 def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch):
