@@ -295,3 +295,20 @@ def test_steering_that_turns_the_wrong_way_leaves_the_runway():
     wrong = replace(AEROSONDE, gains={**AEROSONDE.gains, "steer-gain": -0.8, "steer-rudder-gain": -3.0})
     with pytest.raises(FlightError, match=r"leg 1 take-off: .* (ran off the runway|a wing hit the ground)"):
         fly(standing(TakeOff(40.0, 2.5, 24.0), aircraft=wrong, wind_from=ALONG + 1.5, wind_speed=3.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "taxi"),
+    [
+        ("aerosonde", Taxi(20.0, stop=1.0)),
+        ("navion", Taxi(100.0, 15.0, stops=4, stop=1.0)),
+        ("navion", Taxi(20.0, 15.0, stops=10, stop=1.0)),
+    ],
+)
+def test_taxiing_stops_too_where_it_cannot_reach_its_speed(name, taxi):
+    """2 m or 25 m from stop to stop leave no way to brake from 15 m/s."""
+    truth = fly(standing(taxi, aircraft=KINDS[name].aircraft, speed=KINDS[name].climb[1]))
+    along = runway_frame(truth)[0] - runway_frame(truth)[0][0]
+    stands = np.hypot(truth.vel_n[:, 0], truth.vel_n[:, 1]) < 0.01
+    for stop in taxi.distance * np.arange(1, taxi.stops + 1) / taxi.stops:
+        assert stands[np.abs(along - stop) < 0.5].sum() > 0.8 * taxi.stop / truth.t[1]

@@ -22,6 +22,7 @@ _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
 _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
 _TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2]
 _TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
+_TAXI_LAG = 0.5  # so much below the speed that lets it stop in time it still quickens [m/s]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
 _CENTRE = 0.02  # heading back to the centreline per distance off it [rad/m] ...
 _CENTRE_MOST = math.radians(10.0)  # ... and the most of it [rad]
@@ -85,7 +86,7 @@ class Taxi(Leg):
             centre.steer()
             speed, to_go = centre.wheel_speed(), end - centre.along
             wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
-            braking = wanted < self.speed
+            braking = wanted < min(self.speed, speed + _TAXI_LAG)
             wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
             if braking and speed < _TAXI_STANDS:
                 break
