@@ -56,9 +56,12 @@ def fly(
     if profile.guidance is not None:
         flown: Trajectory = _fly_closed(profile, run, progress, show).truth
         return flown
-    if cache:
-        return store.cached_truth(profile.flight, lambda: _fly_pieces(profile, progress, show))
-    return store.join_pieces(_fly_pieces(profile, progress, show))
+    shown: list[float] = []  # ends of pieces [s]; a flight that cannot be stored is flown twice
+    pieces = partial(_fly_pieces, profile, progress, show, shown)
+    truth = store.cached_truth(profile.flight, pieces) if cache else store.join_pieces(pieces())
+    if show is not None and not shown:
+        show(truth, None)
+    return truth
 
 
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
@@ -70,7 +73,9 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress, None).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
-    return store.cached_summary(profile.flight, lambda: _fly_pieces(profile, progress), summarize, sources)
+    return store.cached_summary(
+        profile.flight, lambda: _fly_pieces(profile, progress, None, []), summarize, sources
+    )
 
 
 def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
@@ -91,7 +96,7 @@ def _fly_closed(profile: Profile, *arguments: Any) -> Any:
 
 
 def _fly_pieces(
-    profile: Profile, progress: Callable[[float], None] | None, show: ShowFlight | None = None
+    profile: Profile, progress: Callable[[float], None] | None, show: ShowFlight | None, shown: list[float]
 ) -> Iterator[Trajectory]:
     if isinstance(profile.flight, TableSpec):
         from bench.exchange import trajectory
@@ -102,7 +107,8 @@ def _fly_pieces(
 
         pieces = flight.fly_pieces(profile.flight, progress)
     for piece in pieces:
-        if show is not None:
+        if show is not None and piece.t[-1] > max(shown, default=-1.0):
+            shown.append(float(piece.t[-1]))
             show(piece, None)
         yield piece
 
@@ -232,8 +238,6 @@ def _run(
     elif truth is None:
         stages.begin("taking the flight from the cache")
         truth = fly(profile, progress=tell, show=show)
-        if show is not None and not stages.flies:
-            show(truth, None)
     elif profile.guidance is not None and profile.guidance.navigation.use != CLIENT:
         stages.begin("navigating the flight again")
         from bench import closed_loop
@@ -280,11 +284,7 @@ def _run(
         judged[label] = judge(profile, truth, solution, sensed.truth, sensed.data, path=paths.get(label))
         disk_arrays.release()
     metrics = {
-        label: {
-            **judged[label][1],
-            "unmodelled": unmodelled[label],
-            **_describe_program(solution),
-        }
+        label: {**judged[label][1], "unmodelled": unmodelled[label], **_describe_program(solution)}
         for label, solution in solutions.items()
     }
     requirements = {label: list_requirements(profile.document, label) for label in solutions}

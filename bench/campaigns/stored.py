@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BaseModel, BeforeValidator, ConfigDict, NonNegativeInt
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, NonNegativeInt
 
 from bench import store
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
@@ -81,7 +81,15 @@ class _Outage(_StoredPart):
     duration_s: float
 
 
+class _OnBoard(_StoredPart):
+    imu: str | None = None
+
+
 class _StoredFlown(_StoredPart):
+    title: str = ""
+    seed: int | None = None
+    sensors: _OnBoard | None = None
+    assumed: _OnBoard | None = None
     evaluation: dict[str, _Number]
     gnss_outage: list[_Outage] = []
 
@@ -100,7 +108,7 @@ class _StoredSummary(_StoredPart):
     failed: dict[str, str]
     outcomes: list[_StoredOutcome]
     comparisons: list[_StoredComparison]
-    conditions: list[_StoredCondition]
+    conditions: Annotated[list[_StoredCondition], Field(min_length=1)]
     estimator_cpu_s: dict[str, list[_Number]]
     timing: dict[str, _Number]
     versions: dict[str, str]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,7 +31,14 @@ def find_errors(solved: RinexFixes) -> FloatArray:
     lla, good = solved.fixes.lla, solved.fixes.valid
     if not good.any():
         return np.full((len(lla), 3), np.nan)
-    return earth.difference_n(lla, np.median(lla[good], axis=0))
+    return earth.difference_n(lla, find_middle(lla[good]))
+
+
+def find_middle(lla: FloatArray) -> FloatArray:
+    """Return the median (3,) of places lla (M, 3), which may lie on both sides of the date line."""
+    middle = earth.displace(lla[0], np.median(earth.difference_n(lla, lla[0]), axis=0))
+    middle[1] = math.remainder(middle[1], math.tau)
+    return middle
 
 
 def find_placed(error: FloatArray, solved: RinexFixes) -> BoolArray:

@@ -130,6 +130,8 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
         known = [str(value) for value in values if value is not None]
         if known:
             yield f"{name} {', '.join(known[:_MOST_NAMED])}" + (" ..." if len(known) > _MOST_NAMED else "")
+    if campaign.folder is not None:
+        yield f"written {page.read_day(campaign.folder / store.CAMPAIGN_RESULT)}"
     yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals"
 
 

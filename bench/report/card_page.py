@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from statistics import median
 
@@ -67,6 +68,7 @@ def write_card(path: Path, card: Card) -> None:
         title=f"Card of {card.estimator}",
         card=card,
         suite=describe_suite(card),
+        written=page.write_minute(datetime.now()),
         pictures=list(_draw(card)),
         topics=[(title, rows) for title, rows in topics if rows],
     )

@@ -68,7 +68,7 @@ def make_page(solved: RinexFixes) -> str:
 
 
 class _HourAxis(NamedTuple):
-    """The horizontal axis: hours of the day, or seconds of a short record."""
+    """The horizontal axis: hours since the begin of the first day, or seconds of a short record."""
 
     begin: float
     end: float
@@ -82,7 +82,7 @@ class _HourAxis(NamedTuple):
         if duration < _LONG:
             return cls(0.0, max(duration, 1.0), 1.0, "s", "Times are seconds since the first epoch.")
         begin = (solved.observations.origin + solved.observations.t[0]) % DAY / HOUR
-        words = "Times are hours of the day, GPS time."
+        words = f"Times are hours since 0:00 of {solved.day}, GPS time."
         return cls(float(begin), float(begin) + duration / HOUR, 1.0 / HOUR, "h", words)
 
     def __call__(self, plot: Plot) -> Plot:
@@ -96,7 +96,7 @@ def _list_facts(solved: RinexFixes) -> Iterator[str]:
     yield solved.hours
     good = solved.fixes.valid
     if good.any():
-        lat, lon, height = np.median(solved.fixes.lla[good], axis=0)
+        lat, lon, height = receiver_plots.find_middle(solved.fixes.lla[good])
         yield f"near {np.degrees(lat):.5f}°, {np.degrees(lon):.5f}°, {height:.0f} m"
     yield f"{int(good.sum())} fixes in {len(good)} epochs"
 

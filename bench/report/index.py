@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -78,8 +77,7 @@ class _Place(NamedTuple):
     def of(cls, result: Path, root: Path) -> _Place:
         name = Path(os.path.relpath(result.parent, root)).as_posix()
         there = (result.parent / store.REPORT).is_file()
-        written = datetime.fromtimestamp(result.stat().st_mtime)
-        return cls(name, f"{name}/{store.REPORT}" if there else "", f"{written:%Y-%m-%d %H:%M}")
+        return cls(name, f"{name}/{store.REPORT}" if there else "", page.read_day(result))
 
 
 def _list_run(folder: Path, place: _Place) -> list[_IndexRow]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterable, Mapping
+from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -186,6 +187,16 @@ def _list_events(result: RunResult) -> Iterable[tuple[str, str, str, str]]:
     for start, end, label, kind, text in sorted(rows):
         when = f"{start:.1f}" if end <= start else f"{start:.1f} to {end:.1f}"
         yield when, label, kind.replace("_", " "), text
+
+
+def read_day(result: Path) -> str:
+    """Return when the file that holds a result was written, day and minute of local time."""
+    return write_minute(datetime.fromtimestamp(result.stat().st_mtime))
+
+
+def write_minute(moment: datetime) -> str:
+    """Return day and minute as the pages write them."""
+    return f"{moment:%Y-%m-%d %H:%M}"
 
 
 def list_provenance(provenance: Mapping[str, Any]) -> Iterable[tuple[str, str]]:

@@ -17,13 +17,13 @@ from bench.units import split_unit
 _LONG = 40  # text in a cell that is broken into lines
 
 
-def make_page(result: StudyResult) -> str:
-    """Return the report of a study as HTML."""
+def make_page(result: StudyResult, written: str = "") -> str:
+    """Return the report of a study, which was ``written`` on that day, as HTML."""
     return page.render(
         "study.html.jinja",
         title=f"Study: {result.name}",
         question=result.question,
-        facts=list(_list_facts(result)),
+        facts=[*_list_facts(result), *([f"written {written}"] if written else [])],
         verdicts=result.verdicts,
         figures=[_draw(plot) for plot in result.findings.figures],
         tables=[_fill(table) for table in result.findings.tables],

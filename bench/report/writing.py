@@ -57,7 +57,7 @@ def write_report(
         if of_campaign:
             text = campaign_page.make_page(name, load_campaign(folder))
         elif of_study:
-            text = study_page.make_page(load_study(folder))
+            text = study_page.make_page(load_study(folder), page.read_day(folder / store.STUDY_RESULT))
         else:
             text = page.make_page(name, store.load(folder))
         durable.write(path, text)

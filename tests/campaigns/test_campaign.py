@@ -8,6 +8,7 @@ import json
 import os
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,6 +37,7 @@ from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import Estimate
 from bench.recording import drawing
 from bench.report import campaign_page
+from bench.report.index import find_folders, write_index
 from bench.report.page import name_metric
 from bench.wording import format_number
 from bench.workbench import record_verbs
@@ -231,6 +233,8 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
     index = bench.write_report(here, here / "index.html").read_text()
     assert '<a href="two/report.html">two</a>' in index
     assert '<td class="text">4 runs</td>' in index
+    (written,) = re.findall(r"<span>written (.{16})</span>", text)
+    assert f'<td class="text">{written}</td>' in index
     (here / "damaged").mkdir()
     for name in (RUNS, EPOCHS):
         (here / "damaged" / name).write_bytes((here / "two" / name).read_bytes())
@@ -238,6 +242,34 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
         (here / "damaged" / "campaign.json").write_text(content)
         with pytest.raises(ConfigError, match=r"campaign\.json"):
             bench.load_campaign("damaged")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({name: bad} for name, bad in {"sensors": "x", "assumed": [], "title": 3, "seed": "x"}.items()),
+        {"sensors": {"imu": {}}},
+        None,
+    ],
+)
+def test_a_folder_of_a_stranger_is_a_line_and_the_others_stand(here, tmp_path, change):
+    """None: a campaign without a condition."""
+    shutil.copytree(here / "two", tmp_path / "bad")
+    shutil.copytree(here / "two", tmp_path / "good")
+    path = tmp_path / "bad" / "campaign.json"
+    found = json.loads(path.read_text())
+    if change is None:
+        found["conditions"] = []
+    else:
+        found["conditions"][0]["as_flown"] |= change
+    path.write_text(json.dumps(found))
+    index = tmp_path / "index.html"
+    (line,) = write_index(index, find_folders(tmp_path))
+    assert "campaign.json" in line
+    assert ">good</a>" in index.read_text()
+    assert ">bad</a>" not in index.read_text()
+    with pytest.raises(ConfigError, match=r"campaign\.json"):
+        bench.write_report(path.parent, force=True)
 
 
 def test_a_swept_number_is_the_axis_of_a_plot(here):

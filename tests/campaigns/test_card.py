@@ -342,6 +342,7 @@ def test_the_page_of_a_card_says_the_same_and_executes_nothing(made, tmp_path):
     found = bench.read_card(made / "a.json")
     page = (made / "a.html").read_text()
     assert found.suite_hash in page
+    assert re.search(r"<span>written \d{4}-\d\d-\d\d \d\d:\d\d</span>", page)
     for line in found.lines:
         assert line.sentence.removeprefix(f"{line.flight}: ") in page
     hostile = found.model_copy(update={"estimator": "<script>alert(1)</script>"})

@@ -22,6 +22,7 @@ from bench.errors import ConfigError
 from bench.exchange import almanac, rinex_fixes
 from bench.exchange.rinex import ephemerides, lines, observations
 from bench.orbit_sets import KEPLER
+from bench.plots.receiver_plots import find_middle
 from bench.signals.processing import ErrorBudget, Processing
 from tests.data import gnss_file
 
@@ -112,6 +113,14 @@ def solved(files, **options):
     return bench.solve_rinex(gnss_file(files[0]), gnss_file(files[1]), without=without, **options)
 
 
+def test_the_middle_of_fixes_on_both_sides_of_the_date_line_is_between_them():
+    lon = 180.0 + np.array([-2e-5, -1e-5, 1e-5, 2e-5, 3e-5])
+    lla = np.column_stack([np.full(5, -0.3), np.radians((lon + 180.0) % 360.0 - 180.0), np.arange(5.0)])
+    assert_allclose(find_middle(lla), [-0.3, np.radians(-180.0 + 1e-5), 2.0], atol=1e-12)
+    lla[:, 1] = np.radians(lon - 160.0)
+    assert_allclose(find_middle(lla), np.median(lla, axis=0), atol=1e-12)
+
+
 def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     from bench.report import fixes_page
 
@@ -138,7 +147,7 @@ def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
     row = f'<th scope="row">{worst.name}</th><td>{worst.epochs}</td><td>{worst.excluded}</td>'
     assert f"{row}<td>{worst.residual_rms:.4g}</td>" in text
     assert known.judge()[1] in text.replace("&#39;", "'")
-    assert "Times are hours of the day, GPS time." in text
+    assert "Times are hours since 0:00 of 2020-06-25, GPS time." in text
     begin, end = (
         float(x) for x in re.search(r'data-edges="([\d.]+) ([\d.]+) [^"]*" data-unit="h"', text).groups()
     )

@@ -16,7 +16,7 @@ import pytest
 from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
-from bench import cli
+from bench import cli, pipeline
 from bench.config import load_profile
 from bench.data import Trajectory
 from bench.earth import to_ecef
@@ -319,6 +319,18 @@ def test_a_profile_of_one_line_flies_a_table_and_judges_the_usual_filter_on_it(t
     ):
         assert cli.main(["fly", "mine.toml", "--set", setting]) == 2
         assert said in capsys.readouterr().err
+
+
+def test_a_table_is_shown_once_whether_it_is_read_or_comes_from_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
+    write(tmp_path / "made.csv", turns(20.0, 90.0), (*GEODETIC, *EULER))
+    (tmp_path / "mine.toml").write_text('trajectory = "made.csv"\n')
+    profile = load_profile(tmp_path / "mine.toml")
+    shown = []
+    for _ in range(2):
+        shown.clear()
+        truth = pipeline.run(profile, show=lambda piece, _: shown.append(piece)).truth
+        np.testing.assert_array_equal(np.concatenate([piece.t for piece in shown]), truth.t)
 
 
 def test_the_cache_knows_a_table_by_its_content_and_the_antenna_counts(tmp_path):

@@ -71,6 +71,7 @@ def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
     read = bench.load_study(folder)
     for text in (read.question, read.command, *read.verdicts):
         assert text in page
+    assert re.search(r"<span>written \d{4}-\d\d-\d\d \d\d:\d\d</span>", page)
     assert page.count('<svg class="plot"') == len(read.figures)
     written = bench.write_figures(folder, tmp_path / "figures", "svg")
     assert [path.stem for path in written] == list(read.figures)
