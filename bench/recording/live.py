@@ -5,6 +5,8 @@ What is shown is not kept: the recording of the run is made of its result, as al
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ import rerun.blueprint as rrb
 
 from bench import earth
 from bench.arrays import FloatArray
-from bench.data import NavSolution, Trajectory
+from bench.data import NavSolution, ShowFlight, Trajectory
 from bench.findings.series import ESTIMATORS, TRUTH
 from bench.palette import Colour
 from bench.recording.drawing import TIMELINE
@@ -78,8 +80,15 @@ class LiveFlight:
         stream.log(f"/altitude/{name}", rr.Scalars(float(lla[2])))
 
 
-def connect(name: str, url: str) -> LiveFlight:
-    """Return what shows the flight of a profile in the viewer that listens at an address."""
-    stream = rr.RecordingStream(f"bench {name}, live")
-    stream.connect_grpc(url)
-    return LiveFlight(stream)
+def make_show(name: str, send: Callable[[bytes], object]) -> ShowFlight:
+    """Return what shows the flight of a profile; ``send`` takes what a viewer reads at its standard input."""
+    stream = rr.RecordingStream("bench-live-" + re.sub(r"[^A-Za-z0-9._-]", "-", name))
+    encoded = rr.binary_stream(stream)
+    flight = LiveFlight(stream)
+
+    def show(piece: Trajectory, estimate: NavSolution | None) -> None:
+        flight(piece, estimate)
+        if data := encoded.read():
+            send(data)
+
+    return show

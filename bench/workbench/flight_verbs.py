@@ -35,15 +35,15 @@ def run(
     bound: bool = False,
     causes: bool | None = None,
     table: bool = False,
-    live: Callable[[str], ShowFlight | None] | None = None,
+    live: Callable[[str], contextlib.AbstractContextManager[ShowFlight | None]] | None = None,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
     """Fly one profile, evaluate its estimators, write the results folder, and print a screen of it.
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.config.load_profile`. ``table`` prints every main metric, too. ``live`` returns what shows the
-    flight of a profile.
+    `bench.config.load_profile`. ``table`` prints every main metric, too. ``live`` gives what shows the
+    flight of a profile while it flies.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
@@ -52,9 +52,8 @@ def run(
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
     from bench import pipeline  # what takes half a second comes after the first line
 
-    show = None if live is None else live(profile.name)
     begun = time.perf_counter()
-    with show_stages() as watch:
+    with contextlib.nullcontext() if live is None else live(profile.name) as show, show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch, show=show)
     _finish(console, result, folder, begun, table=table, recording=recording, report=report, force=force)
     return result, folder

@@ -5,29 +5,26 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import queue
 import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 
+from bench.data import ShowFlight
 from bench.errors import ConfigError, ViewerError
 from bench.store import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
 from bench.workbench.web_page import LOCAL
 
-if TYPE_CHECKING:
-    from bench.recording.live import LiveFlight
-
-_PATIENCE = 5.0  # between SIGTERM and SIGKILL [s]
-_START = 20.0  # until the viewer takes a flight [s]
+_PATIENCE = 5.0  # between SIGTERM and SIGKILL, and until the viewer has taken a flight [s]
 _LOOK = 0.5  # between looks at the parent [s]
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
@@ -61,7 +58,7 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
             console.print("Ctrl-C ends it.")
             command = [viewer, page, "--serve-web", "--web-viewer-port", str(inner)]
         else:
-            _check_display()
+            _check_display("'bench view --web' serves the recording to a browser")
             command = [viewer, str(recording), "--port", "auto", "--hide-welcome-screen"]
         command += ["--bind", LOCAL]
         status = wait_for(command)
@@ -69,48 +66,76 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
         raise ViewerError(f"the viewer ended with status {status}: {' '.join(command)}")
 
 
-def show_live(name: str, console: Console) -> LiveFlight | None:
-    """Do what :func:`open_live` does, or say in a line why not."""
-    try:
-        return open_live(name)
-    except ViewerError as error:
-        console.print(f"Nothing is shown live: {error}.")
-        return None
+@contextlib.contextmanager
+def show_live(name: str, console: Console) -> Iterator[ShowFlight | None]:
+    """Give what shows the flight of a profile in a viewer, piece by piece; None, and a line why, without one.
 
-
-def open_live(name: str) -> LiveFlight:
-    """Open the viewer for the flight of a profile, and return what shows it there piece by piece.
-
-    The window stays until it is closed.
-
-    Raises
-    ------
-    ViewerError
-        If it cannot be opened.
+    The flight does not wait for the viewer. At the end there is a line if it has not taken all. Its window
+    stays until it is closed.
     """
-    _check_display()
-    port = free_port(9876)
-    child = _start_viewer(port)
-    until = time.monotonic() + _START
-    while not _listens(port):
-        if child.poll() is not None or time.monotonic() > until:
-            _end_group(child)
-            raise ViewerError(f"the viewer did not start within {_START:g} s")
-        time.sleep(0.1)
     from bench.recording import live
 
-    return live.connect(name, f"rerun+http://{LOCAL}:{port}/proxy")
+    try:
+        _check_display("the run goes on without --live")
+        feed = _Feed(_start_viewer())
+    except ViewerError as error:
+        console.print(f"Nothing is shown live: {error}.", soft_wrap=True)
+        yield None
+        return
+    try:
+        yield live.make_show(name, feed.send)
+    except BaseException:
+        feed.close(0.0)
+        raise
+    if problem := feed.close(_PATIENCE):
+        console.print(f"{problem}: not all of the flight is shown live.", soft_wrap=True)
 
 
-def _start_viewer(port: int) -> subprocess.Popen[bytes]:
-    command = [str(_find_viewer()), "--port", str(port), "--bind", LOCAL, "--hide-welcome-screen"]
+def _start_viewer() -> subprocess.Popen[bytes]:
+    """Start a viewer of what it reads from its standard input."""
+    command = [str(_find_viewer()), "-", "--port", "auto", "--bind", LOCAL, "--hide-welcome-screen"]
     nowhere = subprocess.DEVNULL
-    return subprocess.Popen(command, start_new_session=True, stdout=nowhere, stderr=nowhere)
+    try:
+        return subprocess.Popen(
+            command, bufsize=0, start_new_session=True, stdin=subprocess.PIPE, stdout=nowhere, stderr=nowhere
+        )
+    except OSError as error:
+        raise ViewerError(f"{command[0]}: {error.strerror or error}") from None
 
 
-def _listens(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex((LOCAL, port)) == 0
+class _Feed:
+    """Writes to the standard input of a viewer, in a thread of its own: a viewer may read late or never."""
+
+    def __init__(self, viewer: subprocess.Popen[bytes]) -> None:
+        self._viewer = viewer
+        self._gone = False
+        self._parts = queue.SimpleQueue[bytes]()
+        self._thread = threading.Thread(target=self._write, daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        """Let data be written, if anybody reads on."""
+        if not self._gone:
+            self._parts.put(data)
+
+    def close(self, patience: float) -> str:
+        """Wait so long [s] until all is written, and return what is wrong with the viewer, else ""."""
+        self._parts.put(b"")
+        self._thread.join(patience)
+        if self._thread.is_alive():
+            return "The viewer takes nothing more"
+        return "The viewer has gone" if self._gone or self._viewer.poll() is not None else ""
+
+    def _write(self) -> None:
+        pipe = self._viewer.stdin
+        assert pipe is not None
+        with contextlib.suppress(OSError), pipe:
+            while data := self._parts.get():
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[pipe.write(rest) :]
+            return
+        self._gone = True
 
 
 def find_recording(folder: Path | None) -> Path:
@@ -186,6 +211,6 @@ def _find_viewer() -> Path:
     raise ViewerError("no viewer found in the package rerun-sdk; 'pip install rerun-sdk' installs it")
 
 
-def _check_display() -> None:
+def _check_display(words: str) -> None:
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise ViewerError("no display for a window; 'bench view --web' serves the recording to a browser")
+        raise ViewerError(f"no display for a window; {words}")

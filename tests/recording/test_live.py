@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import io
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import rerun as rr
@@ -9,9 +15,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import closed_loop, config, earth, pipeline
 from bench.cli import main
-from bench.errors import ViewerError
 from bench.recording import column, live
 from bench.workbench import viewer
+from bench.workbench.console import PlainConsole
 from tests.test_closed_loop import PROFILE
 
 SCALARS = "Scalars:scalars"
@@ -98,22 +104,85 @@ def test_a_line_of_a_long_flight_goes_on_in_the_next_one():
     assert heard.lines == {f"/world/truth/path/{k}": points for k, points in enumerate((60, 61, 11))}
 
 
-def test_without_a_viewer_a_line_says_so_and_the_run_goes_on(tmp_path, monkeypatch, capsys):
+def test_without_a_display_a_line_says_so_and_the_run_goes_on(tmp_path, monkeypatch, capsys):
     (tmp_path / "closed.toml").write_text(PROFILE)
-
-    def refuse(name):
-        raise ViewerError("no display for a window")
-
-    monkeypatch.setattr(viewer, "open_live", refuse)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     out = tmp_path / "out"
     given = ["--live", "--no-report", "--no-rrd"]
     assert main(["run", str(tmp_path / "closed.toml"), "-o", str(out), *given]) in (0, 1)
-    assert "Nothing is shown live: no display for a window." in capsys.readouterr().out
+    line = "Nothing is shown live: no display for a window; the run goes on without --live.\n"
+    assert line in capsys.readouterr().out
     assert (out / "result.json").is_file()
 
 
-def test_a_viewer_that_does_not_start_is_ended_and_told(monkeypatch):
+@pytest.fixture
+def show_in(monkeypatch, tmp_path):
+    """Shows two pieces of a flight in a program as viewer; its children are ended."""
+    children, start = [], subprocess.Popen
+
+    def keep(command, **options):
+        children.append(start(command, **options))
+        return children[-1]
+
+    def show(script, count=2):
+        program = tmp_path / "viewer"
+        program.write_text(f"#!{sys.executable}\n{script}\n")
+        program.chmod(0o755)
+        monkeypatch.setenv("DISPLAY", ":0")
+        monkeypatch.setattr(viewer, "_find_viewer", lambda: program)
+        monkeypatch.setattr(viewer, "_PATIENCE", 1.0)
+        monkeypatch.setattr(subprocess, "Popen", keep)
+        console = PlainConsole(file=io.StringIO())
+        with viewer.show_live("a, b", console) as flight:
+            for k in range(count):
+                t = np.arange(100 * k, 100 * (k + 1)) * 1.0
+                lla = np.tile([0.8, 0.2, 1000.0], (100, 1))
+                flight(SimpleNamespace(t=t, lla=lla), None)
+        return console.file.getvalue()
+
+    yield show
+    for child in children:
+        child.kill()
+        child.wait()
+
+
+def test_the_real_viewer_reads_the_flight_at_its_standard_input_and_rerun_says_nothing(
+    show_in, tmp_path, capfd
+):
+    """It keeps what it reads, because a window needs a display."""
+    part, kept = str(tmp_path / "part.rrd"), tmp_path / "kept.rrd"
+    command = f"[{str(viewer._find_viewer())!r}, *sys.argv[1:], '--save', {part!r}]"
+    script = "import os, subprocess, sys, time"
+    script += f"\nsubprocess.run({command})\nos.rename({part!r}, {str(kept)!r})\ntime.sleep(60)"
+    assert show_in(script) == ""
+    until = time.monotonic() + 60.0
+    while not kept.is_file() and time.monotonic() < until:
+        time.sleep(0.1)
+    assert len(column(kept, "/altitude/truth", SCALARS)[0]) == 200
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("import time\ntime.sleep(60)", "The viewer takes nothing more"),
+        ("import sys\nsys.stdin.close()", "The viewer has gone"),
+    ],
+)
+def test_a_viewer_that_takes_nothing_does_not_hold_the_run(show_in, capfd, script, said):
+    begun = time.monotonic()
+    assert show_in(script, count=30) == f"{said}: not all of the flight is shown live.\n"
+    assert time.monotonic() - begun < 20.0
+    assert capfd.readouterr().err == ""
+
+
+def test_a_viewer_that_cannot_be_started_is_a_line(tmp_path, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(viewer, "_find_viewer", lambda: "false")
-    with pytest.raises(ViewerError, match="the viewer did not start"):
-        viewer.open_live("figure-eight")
+    monkeypatch.setattr(viewer, "_find_viewer", lambda: tmp_path / "none")
+    console = PlainConsole(file=io.StringIO())
+    with viewer.show_live("figure-eight", console) as flight:
+        assert flight is None
+    missing = f"Nothing is shown live: {tmp_path / 'none'}: No such file or directory.\n"
+    assert console.file.getvalue() == missing
