@@ -61,10 +61,24 @@ class GainDesign:
     mass: float  # [kg]
     span: float  # [m]
     trim: Trim
-    properties: Mapping[str, float]
-    stubs: tuple[str, ...]  # properties that the model lacks
     gains: Mapping[str, float]
     derivatives: Mapping[str, float]  # per unit of command, rad/s or rad
+
+
+def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
+    """Return an aircraft of others with the properties it begins with, 0 for those that it lacks.
+
+    Raises
+    ------
+    FlightError
+        If it does not load, or no airspeed can be guessed: no design changes that.
+    """
+    stubs = _find_stubs(aircraft)
+    aircraft = _with(aircraft, {}, stubs)
+    aircraft = _with(aircraft, _choose_properties(aircraft), stubs)
+    if not load_aircraft(aircraft, _DT)["metrics/Sw-sqft"] > 0:
+        raise FlightError(f"aircraft {aircraft.name}: it has no wing area to guess an airspeed from")
+    return aircraft
 
 
 def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign:
@@ -73,7 +87,7 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
     Parameters
     ----------
     aircraft : AircraftSpec
-        It, with any gains.
+        It as it was prepared.
     lift : float
         Lift coefficient over its wing area that the airspeed is chosen for.
     pace : float
@@ -82,26 +96,20 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
     Raises
     ------
     FlightError
-        If it does not load, or no steady flight is found.
+        If no steady flight is found.
     """
-    stubs = _find_stubs(aircraft)
-    aircraft = _with(aircraft, {}, stubs)
-    properties = _choose_properties(aircraft)
-    aircraft = _with(aircraft, properties, stubs)
     fdm = load_aircraft(aircraft, _DT)
     mass = fdm["inertia/weight-lbs"] * _POUND
     span = fdm["metrics/bw-ft"] * FT
     heavy = mass > _HEAVY
     alt, density = _ALTS[heavy], _DENSITIES[heavy]
     area = fdm["metrics/Sw-sqft"] * _SQUARE_FOOT
-    if not area > 0:
-        raise FlightError(f"aircraft {aircraft.name}: it has no wing area to guess an airspeed from")
     speed = round(math.sqrt(2 * mass * _G / (density * area * lift)), 0)
     condition = TrimCondition(math.radians(47.0), math.radians(11.0), alt, 0.5, speed)
     trim = trim_aircraft(fdm, condition, guided=False)
     found = _linearize(fdm, condition, trim)
     gains, climb = _place_loops(found, condition.speed, trim, pace)
-    return GainDesign(alt, condition.speed, climb, mass, span, trim, properties, stubs, gains, found)
+    return GainDesign(alt, condition.speed, climb, mass, span, trim, gains, found)
 
 
 def _with(aircraft: AircraftSpec, properties: Mapping[str, float], stubs: tuple[str, ...]) -> AircraftSpec:

@@ -12,6 +12,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from rich.console import Console
@@ -20,16 +21,25 @@ from bench import durable
 from bench.arrays import FloatArray
 from bench.config.external_truth import find_jsbsim_root, has_guidance, list_root_aircraft
 from bench.config.library import read_jsbsim_aircraft
-from bench.config.listing import JSBSIM, NAME
+from bench.config.listing import JSBSIM, NAME, list_aircraft_folders
 from bench.data import Trajectory
 from bench.errors import ConfigError, FlightError
 from bench.flight.child_process import fly_in_child
-from bench.flight.gain_design import BANK, FASTER, GainDesign, attempts, design_gains, plan_acceptance
+from bench.flight.gain_design import (
+    BANK,
+    FASTER,
+    GainDesign,
+    attempts,
+    design_gains,
+    plan_acceptance,
+    prepare_aircraft,
+)
 from bench.rotation import to_euler
 from bench.specs import AircraftSpec, ForeignSpec
 from bench.units import STANDARD_GRAVITY
 from bench.wording import suggest
 
+_Result = TypeVar("_Result")
 _PATTERN = "c172x"  # where what is not designed comes from: the guidance system
 _PATIENCE = 120.0  # for a design [s]; a model of others may never return
 _BEGUN = 12.0  # after the start of a leg, in which it is settled [s]
@@ -83,9 +93,9 @@ def new_aircraft(name: str, *, console: Console) -> None:
     Raises
     ------
     ConfigError
-        If there is no such aircraft, or the file is there already.
+        If there is no such aircraft, no profile would find it, or the file is there already.
     FlightError
-        If no design is accepted: the reason of the last one.
+        If it does not load, or no design is accepted: the reason of the best one.
     """
     raw, path, shown = _find_own(Path(name)) if {"/", os.sep} & set(name) else _find_shipped(name)
     if path.exists() or path.is_symlink():
@@ -94,11 +104,12 @@ def new_aircraft(name: str, *, console: Console) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     durable.write(path, write_sheet(flown, design, accepted, shown))
     console.print(f"{shown}: trimmed at {design.speed:g} m/s, {design.alt:g} m; {accepted.describe()}")
-    if design.stubs:
+    if stubs := _foreign_of(flown).stubs:
         console.print(
-            f"The model reads what it does not have; 0 stands for: {', '.join(design.stubs)}", soft_wrap=True
+            f"The model reads what it does not have; 0 stands for: {', '.join(stubs)}", soft_wrap=True
         )
-    console.print(f'Wrote {path}. Next: a profile with aircraft = "{shown}"', soft_wrap=True)
+    beside = path.absolute().parents[1]
+    console.print(f'Wrote {path}. Next: a profile beside {beside} with aircraft = "{shown}"', soft_wrap=True)
 
 
 def _find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
@@ -107,6 +118,8 @@ def _find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
     root = find_jsbsim_root(None, Path())
     known = list_root_aircraft(root)
     if name not in known:
+        if Path(name).is_dir():
+            raise ConfigError(f"aircraft = {JSBSIM + name!r} is not in the wheel; the folder is ./{name}")
         hint = suggest(name, known, "aircraft")
         raise ConfigError(f"aircraft = {JSBSIM + name!r} is not in the wheel{hint}")
     return _make_raw(root / "aircraft" / name, root), Path("aircraft/jsbsim") / f"{name}.toml", JSBSIM + name
@@ -114,7 +127,8 @@ def _find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
 
 def _find_own(folder: Path) -> tuple[AircraftSpec, Path, str]:
     """Return the aircraft of a folder, its file, and its name in a profile beside ``aircraft/``."""
-    name = folder.resolve().name
+    here = Path(os.path.abspath(folder))
+    name = here.name
     if not NAME.fullmatch(name):
         raise ConfigError(f"{folder}: its name must be letters, digits, '-' and '_', 100 at most")
     model = folder / f"{name}.xml"
@@ -124,7 +138,10 @@ def _find_own(folder: Path) -> tuple[AircraftSpec, Path, str]:
         raise ConfigError(
             f"{model}: it has the guidance system of the bench; write its aircraft.toml by hand"
         )
-    return _make_raw(folder.resolve(), find_jsbsim_root(None, Path())), folder / "aircraft.toml", name
+    if here.parent.name != "aircraft" or here.parent in list_aircraft_folders():
+        where = f"a profile finds it as aircraft/{name} beside itself, outside the bench"
+        raise ConfigError(f"{folder}: must lie in a folder of yours that is named aircraft: {where}")
+    return _make_raw(here, find_jsbsim_root(None, Path())), folder / "aircraft.toml", name
 
 
 def _make_raw(folder: Path, root: Path) -> AircraftSpec:
@@ -145,12 +162,13 @@ def find_design(
 ) -> tuple[GainDesign, Acceptance, AircraftSpec]:
     """Return the first design of an aircraft that is accepted, and the aircraft with it.
 
-    ``tell`` is called with the reason of each that is not.
+    ``tell`` is called with the reason of each that is not. What no design can change ends the search.
     """
+    raw = _run_in_child(raw.name, "loaded", prepare_aircraft, raw)
     reason, fewest = "", 99
     for lift, pace in attempts():
         try:
-            design = _design_in_child(raw, lift, pace)
+            design = _run_in_child(raw.name, "trimmed", design_gains, raw, lift, pace)
         except FlightError as error:
             reason = reason or str(error)
             tell(str(error))
@@ -171,21 +189,21 @@ def find_design(
     raise FlightError(reason if reason.startswith("aircraft") else f"aircraft {raw.name}: {reason}")
 
 
-def _design_in_child(raw: AircraftSpec, lift: float, pace: float) -> GainDesign:
+def _run_in_child(name: str, done: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
+    """Return what a call that a model may end or never come back from returns."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         try:
-            return pool.submit(design_gains, raw, lift, pace).result(timeout=_PATIENCE)
+            return pool.submit(work, *arguments).result(timeout=_PATIENCE)
         except BrokenProcessPool:
-            raise FlightError(f"aircraft {raw.name}: JSBSim ends the process while it is trimmed") from None
+            raise FlightError(f"aircraft {name}: JSBSim ends the process while it is {done}") from None
         except TimeoutError:
             for process in (pool._processes or {}).values():
                 process.kill()
-            raise FlightError(f"aircraft {raw.name}: no trim within {_PATIENCE:g} s") from None
+            raise FlightError(f"aircraft {name}: not {done} within {_PATIENCE:g} s") from None
 
 
 def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
     heavy = design.mass > 15_000
-    assert raw.foreign is not None
     return replace(
         raw,
         gains=dict(design.gains),
@@ -196,9 +214,13 @@ def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
         max_descent=design.climb,
         antenna_b=(0.0, 0.0, -0.05 * design.span),
         category="transport" if heavy else "light",
-        foreign=replace(raw.foreign, properties=dict(design.properties), stubs=design.stubs),
         trims=((design.alt, design.speed),),
     )
+
+
+def _foreign_of(aircraft: AircraftSpec) -> ForeignSpec:
+    assert aircraft.foreign is not None
+    return aircraft.foreign
 
 
 def _fly(aircraft: AircraftSpec, design: GainDesign) -> Trajectory:
@@ -267,8 +289,9 @@ def _sheet_lines(
     package = "the jsbsim package; its model names its own sources" if of_wheel else "its model"
     yield f'source   = "{package}"'
     yield 'assumed  = ["limits", "antenna", "guidance"]'
-    if design.stubs:
-        yield f"stubs    = {json.dumps(list(design.stubs))}  # read by the model and not there: 0"
+    foreign = _foreign_of(aircraft)
+    if foreign.stubs:
+        yield f"stubs    = {json.dumps(list(foreign.stubs))}  # read by the model and not there: 0"
     yield "\n[limits]"
     yield f"min_speed_mps   = {aircraft.min_speed:.1f}"
     yield f"max_speed_mps   = {aircraft.max_speed:.1f}"
@@ -278,9 +301,9 @@ def _sheet_lines(
     yield f"\n[[trim]]\nalt_m     = {design.alt:.1f}\nspeed_mps = {design.speed:.1f}"
     yield "\n[antenna]                    # assumed: above the fuselage"
     yield f"forward_m = 0.0\nright_m   = 0.0\ndown_m    = {aircraft.antenna_b[2]:.2f}"
-    if design.properties:
+    if foreign.properties:
         yield "\n[properties]                 # set before the start"
-        for key, value in design.properties.items():
+        for key, value in foreign.properties.items():
             yield f'"{key}" = {value:.1f}'
     yield "\n[guidance]"
     for key, value in design.gains.items():

@@ -153,7 +153,7 @@ def test_an_aircraft_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monke
 
 
 @pytest.mark.slow
-def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch):
+def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch, capsys):
     """The model of a wheel's aircraft under another name, with an output that must not be written."""
     root = read_jsbsim_aircraft("jsbsim:c172x", None, Path()).foreign.root
     folder = tmp_path / "aircraft" / "mine"
@@ -163,6 +163,8 @@ def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch):
     (folder / "mine.xml").write_text(model.replace("</fdm_config>", spying), encoding="latin-1")
     monkeypatch.chdir(tmp_path)
     assert cli.main(["new", "aircraft", "aircraft/mine"]) == 0
+    said = f'Next: a profile beside {folder.parent} with aircraft = "mine"'
+    assert said in " ".join(capsys.readouterr().out.split())
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["aircraft.toml", "mine.xml"]
     changes = {"aircraft": "mine", "start.speed_mps": 80.0, "start.alt_m": 1200.0}
     legs = [{"kind": "straight", "duration_s": 5.0}]
@@ -179,18 +181,32 @@ def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch):
         ("mine/other.xml", "./mine", "mine/mine.xml: no such file; the model of a folder has its name"),
         ("mine/mine.xml", "./mine", "it has the guidance system of the bench"),
         ("mine/aircraft.toml", "./mine", "exists already and is not replaced"),
+        ("../mine/mine.xml", "../mine", "must lie in a folder of yours that is named aircraft"),
+        ("mine/mine.xml", "mine", "'jsbsim:mine' is not in the wheel; the folder is ./mine"),
     ],
 )
 def test_a_folder_that_cannot_be_used_says_why(tmp_path, monkeypatch, capsys, made, asked, said):
-    monkeypatch.chdir(tmp_path)
-    path = tmp_path / made
+    (tmp_path / "aircraft").mkdir()
+    monkeypatch.chdir(tmp_path / "aircraft")
+    path = Path(made)
     path.parent.mkdir()
-    system = "" if "aircraft" in made else "<system file='guidance'/>"
+    system = "" if "aircraft" in made or ".." in made else "<system file='guidance'/>"
     path.write_text(f"<fdm_config>{system}</fdm_config>")
     if path.suffix == ".toml":
         (path.parent / "mine.xml").write_text("<fdm_config/>")
     assert cli.main(["new", "aircraft", asked]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_model_that_cannot_be_loaded_is_tried_once(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "aircraft" / "mine"
+    folder.mkdir(parents=True)
+    (folder / "mine.xml").write_text("<fdm_config name='mine'><metrics></fdm_config>")
+    assert cli.main(["new", "aircraft", "aircraft/mine"]) == 3
+    told = capsys.readouterr()
+    assert (told.out + told.err).count("mine.xml") == 1, told
+    assert list(folder.iterdir()) == [folder / "mine.xml"]
 
 
 def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):
