@@ -31,7 +31,12 @@ class Waypoint:
 
     lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
     lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None
-    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", *ALTITUDES)] | None = None
+    alt: (
+        Annotated[
+            float, Key("alt_m", "ellipsoidal; else that before it; not of terrain-following", *ALTITUDES)
+        ]
+        | None
+    ) = None
     north: Annotated[float, Key("north_m", "from the start", -100e3, 100e3)] | None = None
     east: Annotated[float, Key("east_m", "from the start", -100e3, 100e3)] | None = None
 
@@ -111,7 +116,7 @@ class TerrainFollowing(Waypoints):
     """Follow the tracks from point to point at a height above the ground, or more where that is too steep."""
 
     kind = "terrain-following"
-    height: Annotated[float, Key("height_m", "least one above the ground", 20, 5000)]
+    height: Annotated[float, Key("height_m", "least one above the ground, as commanded", 20, 5000)]
 
     def describe(self) -> str:
         return f"{self.height:g} m above ground, {super().describe()}"
