@@ -137,7 +137,7 @@ def turning(name: str) -> FlightSpec:
     turns = (Turn(side * np.pi / 4, np.radians(20.0)) for side in (1, -1))
     return replace(
         spec, alt=alt, speed=speed, legs=(Straight(20.0), *turns, Straight(20.0)), duration=180.0,
-        on_ground=False, runway=None,
+        on_ground=False, runway=None, flat_alt=0.0,
     )  # fmt: skip
 
 
