@@ -211,5 +211,7 @@ def use_kernel(
     if dx[8] != 0.0:
         axes_kernel(now.state, dx, work.drives, work.factor, work.turn)
         reset_kernel(P, work.turn, work.drives, work.factor)
-        turn_rows_kernel(pending.H, work.turn, work.drives, work.factor)
+        for slot in range(pending.live.shape[0]):
+            wait = pending.H[slot * pending.width : slot * pending.width + pending.live[slot]]
+            turn_rows_kernel(wait, work.turn, work.drives, work.factor)
     feedback_kernel(now.state, dx)
