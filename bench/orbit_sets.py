@@ -1,11 +1,11 @@
-"""Sets of orbits and clocks of satellites as they are broadcast: Keplerian elements, GLONASS state vectors.
+"""Orbits and clocks of satellites: Keplerian elements and GLONASS state vectors as broadcast, tables of SP3.
 
 Times are GPS time in seconds since an origin that the caller chooses.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 
@@ -89,6 +89,26 @@ class GlonassSets:
         state = self.state.copy()
         state[:, 0] -= origin
         return GlonassSets(self.sat, self.healthy, self.channel, state)
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitTable:
+    """Precise orbits and clocks of one system at the epochs of SP3 files; what is missing is NaN."""
+
+    system: int
+    sat: IntArray  # (S,) number within the system
+    t: FloatArray  # (N,) epochs, GPS time [s]
+    pos_e: FloatArray  # (S, N, 3) centre of mass [m], e
+    clock: FloatArray  # (S, N) without its eccentric term [s]
+    sd: FloatArray  # (S, N) what the file says of its accuracy [m]; 0: nothing
+    joined: BoolArray  # (S, N - 1, 2) whether orbit, clock may be interpolated between two epochs
+
+    def __len__(self) -> int:
+        return len(self.sat)
+
+    def shift_origin(self, origin: float) -> OrbitTable:
+        """Return the same table with times since ``origin`` [s]."""
+        return replace(self, t=self.t - origin)
 
 
 def name_satellite(system: int, sat: int) -> str:

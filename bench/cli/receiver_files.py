@@ -92,8 +92,8 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute the fixes of a GNSS receiver from its observations.
 
     The files are those of one receiver and the navigation files of its day: RINEX 2, 3
-    or 4, as they are or as .gz, .Z or Compact RINEX, or u-blox UBX, in any order. Position is from the
-    code, velocity from the Doppler if the file has it. Errors are relative to --truth,
+    or 4, as they are or as .gz, .Z or Compact RINEX, u-blox UBX, or SP3 for precise orbits, in any order.
+    Position is from the code, velocity from the Doppler if the file has it. Errors are relative to --truth,
     else to the position in the header of the file.
 
     \b

@@ -53,7 +53,7 @@ def _list_conditions(
     rows = rows & np.isin(seen.system, list(parse_systems(processing.systems)))
     yield f"a pseudorange of --systems {processing.systems}", rows
     rows = rows & np.isfinite(seen.sat_clock)
-    yield "a healthy ephemeris of the hour", rows
+    yield "an ephemeris or orbit of that time", rows
     free = processing.ionosphere == "free"
     carriers = "two carriers (--ionosphere klobuchar needs one)" if free else "the first carrier"
     rows = rows & np.isfinite(receiver.correct_pseudoranges(seen, processing))

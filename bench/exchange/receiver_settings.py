@@ -37,6 +37,8 @@ def solve_rinex(
 
     Parameters
     ----------
+    observations, navigation : str, Path or sequence of them
+        RINEX or UBX files of one receiver; RINEX navigation files and SP3 files.
     systems : str
         "gps", "glonass", "galileo", "beidou" or some of them with commas between; "both" GPS and GLONASS,
         "all", or "auto": at each epoch those with the least PDOP times standard deviation.

@@ -17,9 +17,10 @@ from bench.data import GnssFixes, GnssObservations, SkyView
 from bench.errors import ConfigError
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
-from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
+from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations
+from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
 from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.signals import dilution, orbits, receiver, smoothing
@@ -285,7 +286,7 @@ def solve_files(
         If a file is wrong, or no ephemeris fits the observations.
     """
     raw = merge_observations([_read(path, window > 0) for path in observations])
-    nav = merge_navigation([read_navigation(path, str(path)) for path in navigation])
+    nav = read_orbits(navigation)
     processing, notes = _choose_ionosphere(raw, nav, processing)
     pseudorange, noise = raw.pseudorange, None
     if window > 0:
@@ -303,7 +304,7 @@ def solve_files(
         pseudorange=pseudorange,
         doppler=raw.doppler,
         cn0=raw.cn0,
-        sets={k: [one.shift_origin(raw.origin) for one in sets] for k, sets in nav.list_sets().items()},
+        sets={k: [one.shift_origin(raw.origin) for one in sets] for k, sets in nav.list_orbits().items()},
         klobuchar=nav.klobuchar,
         processing=processing,
     )
@@ -316,7 +317,7 @@ def solve_files(
     dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     reasons, reason = lost_epochs.explain(seen, solution, processing)
     solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)
-    notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris")]
+    notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes]
     if raw.recounted:
         notes.append(f"{raw.recounted} epochs have another number of satellites than they say: kept")
     if raw.others:
@@ -426,7 +427,7 @@ def _describe_unsolved(solved: RinexFixes) -> list[str]:
 
 
 def _format_days(nav: NavigationFile) -> str:
-    t = np.concatenate([one.t for sets in nav.list_sets().values() for one in sets])
+    t = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])
     return f"{_format_day(float(t.min()))} to {_format_day(float(t.max()))}"
 
 

@@ -273,7 +273,11 @@ def find_transmission(
         [m]; ``t - pseudorange / c`` is the reading of the satellite's clock, for any error of the receiver's.
     """
     shown = t - pseudorange / C
-    found = compute_states(sets, rows, shown)
+    return step_back(shown, compute_states(sets, rows, shown))
+
+
+def step_back(shown: FloatArray, found: SatelliteStates) -> tuple[FloatArray, SatelliteStates]:
+    """Return the instants (K,) [s] when clocks show ``shown`` (K,), and the states then, from those at it."""
     late = found.clock + found.relativity  # below 1 ms: what curves in it moves the satellite by 1e-6 m
     return shown - late, found._replace(
         pos_e=found.pos_e - found.vel_e * late[:, None], clock=found.clock - found.clock_rate * late

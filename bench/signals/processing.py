@@ -31,6 +31,14 @@ class ErrorBudget(NamedTuple):
     """Ephemeris and satellite clock by system [m]: [M18]; Galileo with 0.2 m for its group delay, BeiDou-3
     between BeiDou-2 and GPS, both assumed."""
     space_beidou_2: float = 1.0  # C01 to C16 [m], [M18]
+    precise: tuple[float, float, float, float] = (0.36, 0.2, 0.15, 0.4)
+    """Orbit and clock of SP3 files by system [m]: 0.1 m, and what the antennas of the blocks differ along the
+    axis to the Earth, because these orbits are of the centre of mass and the rest goes into the clock of the
+    receiver. Galileo IOV and FOC differ by 0.15 m (IGSMAIL-7356); GPS 0.35 m, GLONASS 0.17 m, BeiDou 0.4 m
+    assumed."""
+    delays_unknown: tuple[float, float, float, float] = (2.3, 1.4, 3.2, 7.7)
+    """Beside them on one carrier, if no message gives the group delay against their clocks [m]: its sd over
+    the satellites that broadcast one on 2020-06-25; GLONASS, which broadcasts none, assumed."""
     zenith_ionosphere: float = 0.5  # what every model leaves of the vertical delay [m]; assumed
     ionosphere_share: float = 0.35  # of the delay that a model gives [1]: "at least 50 %" right, IS-GPS-200
     ionosphere_none: float = 3.0  # vertical delay without a model [m]; assumed

@@ -14,8 +14,17 @@ import numpy as np
 from bench import earth
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, GnssObservations
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets, KeplerSets, parse_systems
-from bench.signals import dilution, least_squares, orbits
+from bench.orbit_sets import (
+    BEIDOU,
+    GALILEO,
+    GLONASS,
+    GPS,
+    GlonassSets,
+    KeplerSets,
+    OrbitTable,
+    parse_systems,
+)
+from bench.signals import dilution, least_squares, orbit_tables, orbits
 from bench.signals.delays import ionosphere_free
 from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.signals.orbits import C
@@ -24,13 +33,16 @@ from bench.signals.processing import Processing, estimate_code_sd, estimate_spac
 Loops = Callable[[IntArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """System (K,), C/N0 [dB-Hz] and carrier [Hz] -> sd of the code [m] and of the range rate [m/s]."""
 
-Orbits = Mapping[int, Sequence[KeplerSets | GlonassSets]]
-"""Code of a system -> its orbits, in order of preference."""
+Orbits = Mapping[int, Sequence[KeplerSets | GlonassSets | OrbitTable]]
+"""Code of a system -> its orbits, in order of preference; beside a table the others give group delays."""
 
 _OLDEST = {GPS: 7200.0, GLONASS: 1800.0, GALILEO: 7200.0, BEIDOU: 7200.0}
 """Largest age of an ephemeris [s]: half of the 4 h fit interval of IS-GPS-200, 20.3.4.4, for the others with
 new sets every ten minutes to an hour, too; twice the 15 min validity of a GLONASS broadcast, because a
 station misses some."""
+
+_PRECISE_PAIRS = {GPS: (1, 2), GLONASS: (1, 2), GALILEO: (1, 5), BEIDOU: (2, 6)}
+"""RINEX digits of the carriers whose combination the clocks of SP3 files are of."""
 
 _ROUGH = 1e3  # last step of a rough position [m]; its error is below 0.1 m, enough for elevations and delays
 _LEAST = 0.1  # least part of the assumed sd of a range that is its own [1]
@@ -72,6 +84,7 @@ class _Satellites(NamedTuple):
     delay: FloatArray  # (K,) [m]
     accuracy: FloatArray  # (K,) stated [m]
     channel: IntArray  # (K,)
+    precise: FloatArray  # (K,) sd of precise orbit, clock and delay [m]; NaN: broadcast
 
 
 def _find_satellites(
@@ -87,12 +100,17 @@ def _find_satellites(
     nan = np.full(K, np.nan)
     out = _Satellites(
         np.full((K, 3), np.nan), np.full((K, 3), np.nan), nan, nan.copy(), np.zeros(K), nan.copy(),
-        np.zeros(K, np.int64),
+        np.zeros(K, np.int64), nan.copy(),
     )  # fmt: skip
     free = processing.ionosphere == "free"
-    for which, choices in sets.items():
+    for which, given in sets.items():
         ours = (system == which) & np.isfinite(code)
-        for one in _rank(choices, free):
+        choices = _rank([one for one in given if not isinstance(one, OrbitTable)], free)
+        tables = [one for one in given if isinstance(one, OrbitTable)]
+        for table in tables:
+            rows = np.flatnonzero(ours)
+            _take_precise(out, table, choices, rows, tag[rows], sat[rows], code[rows], band[rows], processing)
+        for one in [] if tables else choices:
             rows = np.flatnonzero(ours & np.isnan(out.clock))
             if len(one) == 0 or len(rows) == 0:
                 continue
@@ -110,6 +128,49 @@ def _find_satellites(
             if "group-delay" not in processing.without:
                 out.delay[rows] = C * _find_group_delay(one, serving, band[rows], free)
     return out
+
+
+def _take_precise(
+    out: _Satellites,
+    table: OrbitTable,
+    messages: Sequence[KeplerSets | GlonassSets],
+    rows: IntArray,
+    tag: FloatArray,
+    sat: IntArray,
+    code: FloatArray,
+    band: IntArray,
+    processing: Processing,
+) -> None:
+    """Fill rows (K,) of one system from a table; messages give group delays and the channels of GLONASS.
+
+    The clocks are those of L1 and L2 combined, G1 and G2, E1 and E5a, B1I and B3I (IGS).
+    """
+    system, free, budget = table.system, processing.ionosphere == "free", processing.budget
+    place = orbit_tables.find_rows(table, sat, tag - code / C)
+    pair = np.array(_PRECISE_PAIRS[system])
+    delay, known = np.zeros(len(rows)), free & (band == pair).all(axis=1)
+    tuned = np.full(len(rows), system != GLONASS)
+    for one in messages:
+        serving = orbits.find_nearest(one, sat, tag, np.inf)
+        if isinstance(one, GlonassSets):
+            tuned = serving >= 0
+            out.channel[rows[tuned]] = one.channel[serving[tuned]]
+            continue
+        new = (serving >= 0) & ~known
+        reference = _find_group_delay(one, serving[new], np.tile(pair, (int(new.sum()), 1)), True)
+        delay[new] = C * (_find_group_delay(one, serving[new], band[new], free) - reference)
+        known |= new
+    good = (place >= 0) & tuned
+    shown = (tag - code / C)[good]
+    rows, place = rows[good], place[good]
+    _, found = orbits.step_back(shown, orbit_tables.compute_states(table, place, shown))
+    relativity = 0.0 if "relativity" in processing.without else found.relativity
+    out.pos[rows], out.vel[rows] = found.pos_e, found.vel_e
+    out.clock[rows], out.clock_rate[rows] = C * (found.clock + relativity), C * found.clock_rate
+    out.delay[rows] = 0.0 if "group-delay" in processing.without else delay[good]
+    lack = np.where(known[good], 0.0, budget.delays_unknown[system])
+    stated = orbit_tables.find_stated_sd(table, place, shown)
+    out.precise[rows] = np.hypot(np.maximum(budget.precise[system], stated), lack)
 
 
 def _rank(choices: Sequence[KeplerSets | GlonassSets], free: bool) -> Sequence[KeplerSets | GlonassSets]:
@@ -219,6 +280,7 @@ def make_observations(
     ).pos_e
     near = _look_around(raw, pos_e, processing)
     space = estimate_space_sd(system, sat, found.accuracy, budget)
+    space = np.where(np.isfinite(found.precise), found.precise, space)
     thermal = estimate_code_sd(system, cn0[:, 0], budget)
     if loops is not None:
         thermal, columns["sd_range_rate"] = loops(system, cn0[:, 0], frequency[:, 0])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,7 +24,17 @@ from bench.exchange.rinex.lines import (
     read_calendar,
     to_date,
 )
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, STATE, GlonassSets, KeplerSets
+from bench.orbit_sets import (
+    BEIDOU,
+    GALILEO,
+    GLONASS,
+    GPS,
+    KEPLER,
+    STATE,
+    GlonassSets,
+    KeplerSets,
+    OrbitTable,
+)
 from bench.signals.orbits import WEEK
 
 _HEADS = {
@@ -73,11 +83,20 @@ class NavigationFile:
     galileo: tuple[KeplerSets, ...] = ()  # I/NAV and F/NAV
     beidou: KeplerSets | None = None
     level: FloatArray | None = None  # (3,) a_i0, a_i1, a_i2 of Galileo
+    precise: tuple[OrbitTable, ...] = ()  # of SP3 files beside it
+    notes: tuple[str, ...] = ()  # what these do not give
 
     def list_sets(self) -> dict[int, list[KeplerSets | GlonassSets]]:
-        """Return the orbits of each system, for `bench.signals.receiver.make_observations`."""
+        """Return the broadcast orbits of each system."""
         beidou = [] if self.beidou is None else [self.beidou]
         return {GPS: [self.gps], GLONASS: [self.glonass], GALILEO: [*self.galileo], BEIDOU: [*beidou]}
+
+    def list_orbits(self) -> dict[int, list[KeplerSets | GlonassSets | OrbitTable]]:
+        """Return all orbits of each system, for `bench.signals.receiver.make_observations`."""
+        found: dict[int, list[KeplerSets | GlonassSets | OrbitTable]] = {}
+        for system, sets in self.list_sets().items():
+            found[system] = [*sets, *(table for table in self.precise if table.system == system)]
+        return found
 
 
 @dataclass(slots=True)
@@ -138,17 +157,19 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
         lines.report(ConfigError(text))
     if not found.kepler and not found.glonass:
         raise lines.describe_nothing("ephemeris of GPS, GLONASS, Galileo or BeiDou")
+    return replace(_make_file(found), shown=shown, lost=lines.lost, reasons=tuple(lines.reasons))
+
+
+def _make_file(found: _Found) -> NavigationFile:
     g = np.array(found.glonass, float).reshape(-1, 3 + len(STATE))
     klobuchar = np.array([*found.alpha, *found.beta]) if found.alpha and found.beta else None
     return NavigationFile(
-        shown=shown,
+        shown="",
         gps=found.make_kepler("G"),
         glonass=GlonassSets(
             g[:, 0].astype(np.int64), g[:, 1] == 0, g[:, 2].astype(np.int64), np.ascontiguousarray(g[:, 3:])
         ),
         klobuchar=klobuchar,
-        lost=lines.lost,
-        reasons=tuple(lines.reasons),
         galileo=tuple(found.make_kepler("E", message) for message in _SICK),
         beidou=found.make_kepler("C"),
         level=None if found.level is None else np.array(found.level),
@@ -355,7 +376,8 @@ def _convert_glonass(lines: Lines, record: _EphemerisRecord, leap: int | None) -
 
 
 def merge_navigation(files: Sequence[NavigationFile]) -> NavigationFile:
-    """Merge the ephemerides of several files; the first ionosphere model of each kind is used."""
+    """Merge the ephemerides of several files, or of none; the first ionosphere model of each kind is used."""
+    files = files or [_make_file(_Found())]
 
     def join(sets: Sequence[KeplerSets]) -> KeplerSets:
         return KeplerSets(

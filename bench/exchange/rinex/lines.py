@@ -174,7 +174,7 @@ def open_lines(path: Path, shown: str) -> Iterator[Lines]:
 
 
 def find_kind(path: Path, shown: str) -> str:
-    """Return what a file holds: "observations", "navigation" or "ubx".
+    """Return what a file holds: "observations", "navigation", "sp3" or "ubx".
 
     Raises
     ------
@@ -185,14 +185,14 @@ def find_kind(path: Path, shown: str) -> str:
         first = lines.peek()
         if first.startswith(b"\xb5b") or b"\xb5b" in first:
             return "ubx"
-        if first[:1] == b"#" and first[1:2] in b"abcd":
-            raise ConfigError(f"{shown}: is SP3; precise orbits are not read, give navigation files")
+        if first[:1] == b"#" and first[1:2].isalpha():
+            return "sp3"
         if (line := lines.read_packed()) is None:
             raise ConfigError(f"{shown}: is empty")
         kinds = {"O": "observations", "N": "navigation", "G": "navigation", "L": "navigation"}
         kind = kinds.get(line[20:21].upper()) if line[60:80].strip() == "RINEX VERSION / TYPE" else None
         if kind is None:
-            raise ConfigError(f"{shown}: is no RINEX file of observations or navigation, and no UBX")
+            raise ConfigError(f"{shown}: is no RINEX file of observations or navigation, no SP3 and no UBX")
         return kind
 
 

@@ -1,0 +1,312 @@
+"""SP3: precise orbits and clocks give the satellites that they were made of.
+
+Oracle: Keplerian orbits and GLONASS state vectors of ESBC, each continued by its own equations; the examples
+of the format's description (Hilla 2016).
+"""
+
+from __future__ import annotations
+
+import gzip
+from datetime import datetime, timedelta
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import bench
+from bench.cli import main
+from bench.errors import ConfigError
+from bench.exchange.rinex.ephemerides import read_navigation
+from bench.exchange.rinex.precise_orbits import make_tables, read_orbits, read_precise_orbits
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
+from bench.signals import orbit_tables, orbits, receiver
+from bench.signals.orbits import C
+from tests.data import gnss_file, stored_gnss_file
+
+OBSERVATIONS, NAVIGATION = "ESBC00DNK_2020177_GREC_1800s.rnx.gz", "ESBC00DNK_2020177_GREC_MN.rnx.gz"
+NOON = 1277121600.0  # 2020-06-25 12:00 GPS time
+HOURS = 3
+GLONASS_PART = 0.25  # h; its broadcast holds for 15 minutes
+
+EXAMPLE = """\
+#dV2001  8  8  0  0  0.00000000     192 ORBIT IGS97 HLM MGEX
+## 1126 259200.00000000   900.00000000 52129 0.0000000000000
++    2   G01G02  0  0  0  0  0  0  0  0  0  0  0  0  0  0  0
+++         7  8  0  0  0  0  0  0  0  0  0  0  0  0  0  0  0
+%c G  cc GPS ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc
+%c cc cc ccc ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc
+%f  1.2500000  1.025000000  0.00000000000  0.000000000000000
+%i    0    0    0    0      0      0      0      0         0
+/* AN EXAMPLE ULTRA RAPID ORBIT, GPS ONLY.
+*  2001  8  8  0  0  0.00000000
+PG01 -11044.805800 -10475.672350  21929.418200    189.163300 18 18 18 219
+EP    55   55   55     222  1234567 -1234567  5999999      -30       21 -1230000
+VG01  20298.880364 -18462.044804   1381.387685     -4.534317 14 14 14 191
+PG02 -12593.593500  10170.327650 -20354.534400    -55.976000 18 18 18 219 EP   P
+EOF
+"""
+
+
+@cache
+def pick_sets(system):
+    """Return the healthy sets of ESBC nearest to noon, one for each satellite."""
+    nav = read_navigation(stored_gnss_file(NAVIGATION))
+    sets = nav.list_sets()[system][0]
+    wanted = np.unique(sets.sat)
+    rows = orbits.find_nearest(sets, wanted, np.full(len(wanted), NOON), 3600.0)
+    return sets, rows[rows >= 0]
+
+
+def write_sp3(path, systems=(GPS,), *, step=900.0, hours=HOURS, scale="GPS", ahead=0.0, edit=None):
+    """Write an SP3 file of the sets nearest to noon; ``edit`` changes a line of a satellite or drops it."""
+    t = NOON + np.arange(-hours * 3600.0, hours * 3600.0 + 1, step)
+    lines, names = {k: [] for k in range(len(t))}, []
+    for system in systems:
+        sets, rows = pick_sets(system)
+        for row in rows:
+            name = f"{LETTERS[system]}{sets.sat[row]:02d}"
+            names.append(name)
+            found = orbits.compute_states(sets, np.full(len(t), row), t)
+            eccentric = -2 * np.einsum("ki,ki->k", found.pos_e, found.vel_e) / C**2
+            clock = found.clock + found.relativity - eccentric
+            if system == GALILEO and sets.message == "I/NAV":  # of E1 and E5b; those of SP3 are E1 and E5a
+                clock = clock - receiver._find_group_delay(sets, np.array([row]), np.array([[1, 5]]), True)
+            if system == BEIDOU:  # of B3I
+                clock = clock - receiver._find_group_delay(sets, np.array([row]), np.array([[2, 6]]), True)
+            for k, (x, c) in enumerate(zip(found.pos_e / 1e3, 1e6 * clock, strict=True)):
+                line = f"P{name}{x[0]:14.6f}{x[1]:14.6f}{x[2]:14.6f}{c:14.6f}"
+                line = line if edit is None else edit(name, k, line)
+                lines[k] += [line] if line else []
+    first = datetime(1980, 1, 6) + timedelta(seconds=t[0] + ahead)
+    rows = [" ".join(["+", f"{len(names):4d}", " ", "".join(names[:17])])]
+    rows += ["+        " + "".join(names[k : k + 17]) for k in range(17, len(names), 17)]
+    head = [
+        f"#dP{first:%Y %m %d %H %M}  0.00000000 {len(t):7d} ORBIT IGS14 FIT TEST",
+        f"## 2111 345600.00000000 {step:14.8f} 59025 0.0000000000000",
+        *rows,
+        *(f"++       {'  0' * 17}" for _ in rows),
+        f"%c M  cc {scale} ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc",
+    ]
+    for k in range(len(t)):
+        now = datetime(1980, 1, 6) + timedelta(seconds=t[k] + ahead)
+        head += [f"*  {now:%Y %m %d %H %M} {now.second:11.8f}", *lines[k]]
+    path.write_text("\n".join([*head, "EOF", ""]))
+    return path
+
+
+def test_the_examples_of_the_format(tmp_path):
+    (tmp_path / "a.sp3").write_text(EXAMPLE)
+    found = read_precise_orbits(tmp_path / "a.sp3")
+    assert found.names == ("G01", "G02")
+    assert found.t.tolist() == [(datetime(2001, 8, 8) - datetime(1980, 1, 6)).total_seconds()]
+    assert_allclose(found.values[0, 0, :3], [-11044805.8, -10475672.35, 21929418.2])
+    assert_allclose(found.values[0, 0, 3:], [189.1633e-6, 0.128, 0, 0])  # 2^7 mm
+    assert_allclose(found.values[1, 0, 3:], [-55.976e-6, np.hypot(0.256, 0.45), 0, 1])
+    old = EXAMPLE.replace("#dV", "#aP").replace("PG0", "P  ").replace("G01G02", "  1  2")
+    (tmp_path / "b.sp3").write_text(old)
+    again = read_precise_orbits(tmp_path / "b.sp3")
+    assert_allclose(again.values, found.values)
+    assert again.names == found.names
+
+
+@pytest.mark.parametrize("system", [GPS, GLONASS, GALILEO, BEIDOU])
+def test_satellites_are_those_of_the_equations_of_motion(tmp_path, system):
+    """Between epochs, in the middle and at the ends: position, velocity, clock, its rate and relativity."""
+    hours = GLONASS_PART if system == GLONASS else HOURS
+    step = 60.0 if system == GLONASS else 900.0
+    nav = read_orbits([write_sp3(tmp_path / "day.sp3", [system], hours=hours, step=step)])
+    [table] = nav.precise
+    sets, rows = pick_sets(system)
+    for t_0, most in (
+        (NOON + 0.5 * step, 1e-3),
+        (NOON - 0.98 * hours * 3600, 2e-2),
+        (NOON + 0.98 * hours * 3600, 2e-2),
+    ):
+        t = np.full(len(rows), t_0)
+        place = orbit_tables.find_rows(table, sets.sat[rows], t)
+        assert (place >= 0).all()
+        got, expected = orbit_tables.compute_states(table, place, t), orbits.compute_states(sets, rows, t)
+        assert np.abs(got.pos_e - expected.pos_e).max() < most  # written to 1 mm
+        assert np.abs(got.vel_e - expected.vel_e).max() < 6e-5
+        if system == GLONASS:
+            continue
+        assert C * np.abs(got.relativity - expected.relativity).max() < 0.03  # its form for an ellipse
+        assert C * np.abs(got.clock_rate - expected.clock_rate).max() < 3e-4
+
+
+@pytest.fixture(scope="module")
+def sp3(tmp_path_factory):
+    return write_sp3(tmp_path_factory.mktemp("sp3") / "day.sp3", (GPS, GALILEO, BEIDOU))
+
+
+@pytest.mark.parametrize("ionosphere", ["klobuchar", "free"])
+def test_ranges_are_corrected_as_by_the_messages(sp3, ionosphere):
+    """Orbit, clock, relativity and group delays together, of messages that SP3 was made of: mm."""
+    files = stored_gnss_file(OBSERVATIONS), stored_gnss_file(NAVIGATION)
+    options = {"systems": "gps,galileo,beidou", "ionosphere": ionosphere}
+    one = bench.solve_rinex(files[0], [files[1], sp3], **options)
+    two = bench.solve_rinex(*files, **options)
+    assert one.observations.t.tolist() == two.observations.t.tolist()
+    nearest = np.argmin(np.abs(one.observations.origin + one.observations.t - NOON))
+    a, b = one.seen, two.seen
+    rows = np.flatnonzero((a.epoch == nearest) & np.isfinite(a.sat_clock) & np.isfinite(b.sat_clock))
+    for system in (GPS, GALILEO, BEIDOU):
+        assert (a.system[rows] == system).sum() >= 4
+    near = np.abs(a.sat_pos_e - b.sat_pos_e)[rows].max(axis=1) < 0.01
+    assert near.mean() > 0.9  # the others have a later message
+    rows = rows[near]
+    apart = np.abs((a.sat_clock - a.group_delay) - (b.sat_clock - b.group_delay))[rows]
+    assert np.isfinite(apart).mean() > 0.5
+    other = (ionosphere == "free") & (a.system[rows] == GALILEO)  # F/NAV against I/NAV
+    assert np.nanmax(apart[~other]) < 0.01
+    assert np.nanmax(apart) < 0.3
+    assert np.abs(a.sat_vel_e - b.sat_vel_e)[rows].max() < 1e-4
+    assert (a.sd_pseudorange[rows] < b.sd_pseudorange[rows] + 1e-9).mean() > 0.9
+
+
+def replace_place(line, km):
+    return line[:4] + f"{km:14.6f}" * 3 + line[46:]
+
+
+def find_gaps(tmp_path, name, edit, sat=5):
+    """Return at which quarters after each epoch a satellite has no state, and the file."""
+    path = write_sp3(tmp_path / name, edit=edit)
+    file = read_precise_orbits(path)
+    [table] = make_tables([file])
+    t = table.t[:-1] + 225.0
+    place = orbit_tables.find_rows(table, np.full(len(t), sat), t)
+    return np.flatnonzero(place < 0).tolist(), file
+
+
+def test_nothing_is_interpolated_over_a_gap_an_event_or_a_manoeuvre(tmp_path):
+    """A clock is linear between two epochs; an orbit needs ten, of which the first and last ones are few."""
+    count = 2 * HOURS * 4 + 1
+
+    def change(k_0, change_line):
+        return lambda name, k, line: change_line(line) if (name, k) == ("G05", k_0) else line
+
+    assert find_gaps(tmp_path, "a.sp3", None)[0] == []
+    gaps, file = find_gaps(tmp_path, "b.sp3", change(12, lambda line: line[:46] + " 999999.999999"))
+    assert gaps == [11, 12]
+    assert "has no clock at this many of its 25 epochs: G05 1" in file.gaps[0]
+    assert find_gaps(tmp_path, "c.sp3", change(12, lambda line: line.ljust(74) + "E"))[0] == [11]
+    gaps, file = find_gaps(
+        tmp_path, "d.sp3", change(12, lambda line: line[:4] + "      0.000000" * 3 + line[46:])
+    )
+    assert gaps == list(range(7, 17))
+    assert "has no orbit at this many" in file.gaps[0]
+    assert find_gaps(tmp_path, "e.sp3", change(12, lambda line: line.ljust(78) + "M"))[0] == list(
+        range(7, 16)
+    )
+    assert find_gaps(tmp_path, "f.sp3", change(12, lambda line: ""))[0] == list(range(7, 17))
+    assert find_gaps(tmp_path, "g.sp3", None, sat=44)[0] == list(range(count - 1))
+
+
+def test_two_files_are_one_table_and_times_are_those_of_their_system(tmp_path):
+    whole = write_sp3(tmp_path / "whole.sp3")
+    text = whole.read_text().splitlines()
+    starts = [k for k, line in enumerate(text) if line.startswith("*")]
+    (tmp_path / "one.sp3").write_text("\n".join([*text[: starts[14]], "EOF"]))
+    (tmp_path / "two.sp3").write_text("\n".join([*text[: starts[0]], *text[starts[13] :]]))
+    parts = [read_precise_orbits(tmp_path / name) for name in ("two.sp3", "one.sp3")]
+    [joined], [alone] = make_tables(parts), make_tables([read_precise_orbits(whole)])
+    for name in ("sat", "t", "pos_e", "clock", "joined"):
+        assert_allclose(getattr(joined, name), getattr(alone, name))
+    for scale, ahead in (("UTC", -18.0), ("TAI", 19.0), ("BDT", -14.0), ("GAL", 0.0)):
+        other = write_sp3(tmp_path / "other.sp3", scale=scale, ahead=ahead)
+        assert_allclose(read_precise_orbits(other).t, alone.t)
+
+
+DAMAGED = {
+    "version": (lambda text: text.replace("#dP", "#zP", 1), "line 1: must begin with '#', a version"),
+    "empty": (lambda text: text[: text.index("*  ")] + "EOF\n", "the file ends before the first epoch"),
+    "header only": (lambda text: text[:200], "the file ends before the first epoch"),
+    "time system": (lambda text: text.replace("GPS ccc", "XYZ ccc"), "time system must be one of GPS"),
+    "nothing": (lambda text: text.replace("\nPG", "\nPS"), "has no position of a satellite of GPS"),
+}
+LEFT_OUT = {
+    "number": (lambda line, k: line.replace(line[4:18], "      xyz     "), "x must be a number; got 'xyz'"),
+    "radius": (
+        lambda line, k: replace_place(line, 1.0),
+        "a radius of 2 km is outside 20000",
+    ),
+    "name": (lambda line, k: "PG?5" + line[4:], "a satellite must be a letter and two digits; got 'G?5'"),
+    "short": (lambda line, k: line[:30], "z must be a number; got ''"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_broken_file_gets_one_line(tmp_path, case):
+    edit, words = DAMAGED[case]
+    path = write_sp3(tmp_path / "day.sp3")
+    path.write_text(edit(path.read_text()))
+    with pytest.raises(ConfigError, match=r"day\.sp3") as error:
+        read_precise_orbits(path)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("case", LEFT_OUT)
+def test_a_broken_record_is_left_out_with_its_line(tmp_path, case):
+    edit, words = LEFT_OUT[case]
+    gaps, file = find_gaps(
+        tmp_path, "day.sp3", lambda name, k, line: edit(line, k) if (name, k) == ("G05", 12) else line
+    )
+    assert gaps == list(range(7, 17))
+    assert file.lost == 1
+    assert words in file.reasons[0]
+    assert "day.sp3: line" in file.reasons[0]
+
+
+def test_cut_off_and_repeated_epochs(tmp_path):
+    path = write_sp3(tmp_path / "day.sp3")
+    text = path.read_text().splitlines()
+    starts = [k for k, line in enumerate(text) if line.startswith("*")]
+    path.write_text("\n".join(text[: starts[20] + 5]))
+    file = read_precise_orbits(path)
+    assert len(file.t) == 21
+    assert "the file ends without EOF after 21 of 25 epochs" in file.reasons[0]
+    path.write_text("\n".join([*text[: starts[3]], *text[starts[1] : starts[2]], *text[starts[3] :]]))
+    file = read_precise_orbits(path)
+    assert len(file.t) == 25
+    assert file.lost == 1
+    assert "the time of an epoch must be after that of the one before" in file.reasons[0]
+
+
+def test_bench_fixes_with_sp3(sp3, tmp_path, capsys):
+    """Packed, by its content; without messages it needs two carriers, or knows what it does not know."""
+    observations, navigation = str(stored_gnss_file(OBSERVATIONS)), str(stored_gnss_file(NAVIGATION))
+    packed = tmp_path / "orbits.gz"
+    packed.write_bytes(gzip.compress(sp3.read_bytes()))
+    assert main(["fixes", str(packed), observations, navigation, "--systems", "gps,galileo"]) == 0
+    said = capsys.readouterr().out
+    assert "too few satellites with an ephemeris or orbit of that time" in said  # SP3 has six of the hours
+    assert main(["fixes", str(sp3), observations]) == 2
+    assert "gives no ionosphere parameters; use --ionosphere free or none" in capsys.readouterr().err
+    free = bench.solve_rinex(observations, sp3, systems="gps", ionosphere="free").figures()
+    beside = bench.solve_rinex(observations, [sp3, navigation], systems="gps", ionosphere="free").figures()
+    assert free == pytest.approx(beside, rel=1e-4)
+    alone = bench.solve_rinex(observations, sp3, systems="gps", ionosphere="none")
+    beside = bench.solve_rinex(observations, [sp3, navigation], systems="gps", ionosphere="none")
+    rows = np.isfinite(alone.seen.sat_clock)
+    more = alone.seen.sd_pseudorange[rows] ** 2 - beside.seen.sd_pseudorange[rows] ** 2
+    assert_allclose(more, 2.3**2, rtol=0.01)
+
+
+def test_glonass_needs_its_channels(tmp_path):
+    path = write_sp3(tmp_path / "day.sp3", (GPS, GLONASS), hours=GLONASS_PART, step=60.0)
+    files = gnss_file("ESBC00DNK_2020177_GR_360s.rnx"), stored_gnss_file(NAVIGATION)
+    options = {"systems": "both", "ionosphere": "free"}
+    alone = bench.solve_rinex(files[0], path, **options)
+    assert any("GLONASS needs a navigation file beside SP3" in note for note in alone.notes)
+    assert np.isnan(alone.seen.sat_clock[alone.seen.system == GLONASS]).all()
+    beside = bench.solve_rinex(files[0], [path, files[1]], **options)
+    broadcast = bench.solve_rinex(*files, **options)
+    near = np.argmin(np.abs(beside.observations.origin + beside.observations.t - NOON))
+    a, b = beside.seen, broadcast.seen
+    rows = np.flatnonzero((a.epoch == near) & (a.system == GLONASS) & np.isfinite(a.sat_clock + b.sat_clock))
+    assert len(rows) >= 4
+    assert np.abs(a.sat_pos_e - b.sat_pos_e)[rows].max() < 0.01
+    assert np.abs(a.sat_clock - b.sat_clock)[rows].max() < 0.01
+    assert_allclose(a.frequency[rows], b.frequency[rows])
