@@ -194,16 +194,16 @@ def guide(topic: str | None) -> int:
 
 
 @commands.command(epilog=STATUS)
-@click.argument("folder", required=False, type=FILE, metavar="[DIR]")
+@click.argument("path", required=False, type=FILE, metavar="[DIR|FILE.rrd]")
 @click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
-def view(folder: Path | None, web: bool) -> int:
-    """Open the viewer on a results folder.
+def view(path: Path | None, web: bool) -> int:
+    """Open the viewer on a recording.
 
     DIR is a results folder; default the newest one below ./runs.
     """
-    from bench.workbench.viewer import view as view_folder
+    from bench.workbench.viewer import view as view_recording
 
-    view_folder(folder, web=web, console=new_console())
+    view_recording(path, web=web, console=new_console())
     return DONE
 
 

@@ -84,7 +84,10 @@ from bench.errors import DONE, NEGATIVE
 @out_option("file for the fixes", "FILE.csv")
 @click.option("--report", type=FILE, metavar="FILE.html", help="write a page with the fixes and their errors")
 @click.option(
-    "--recording", type=FILE, metavar="FILE.rrd", help="write a recording; look at it with: rerun FILE.rrd"
+    "--recording",
+    type=FILE,
+    metavar="FILE.rrd",
+    help="write a recording, for bench view FILE.rrd",
 )
 @force_option("file")
 @json_option("the figures")

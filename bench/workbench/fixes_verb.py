@@ -75,7 +75,7 @@ def solve_fixes(
         console.print(f"Report: {report}", soft_wrap=True)
     if recording is not None:
         fixes_recording.write_fixes(recording, solved)
-        console.print(f"Recording: {recording}; look at it with: rerun {recording}", soft_wrap=True)
+        console.print(f"Recording: {recording}; look at it with: bench view {recording}", soft_wrap=True)
     return figures | {"no_fix": solved.count_lost(), "verdict": verdict}
 
 

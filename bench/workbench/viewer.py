@@ -1,4 +1,4 @@
-"""The verb view: start the viewer of the rerun wheel on a results folder, and end it."""
+"""The verb view: start the viewer of the rerun wheel on a recording, and end it."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from rich.console import Console
 
 from bench.data import ShowFlight
 from bench.errors import ConfigError, ViewerError
+from bench.files import check_file
 from bench.store import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
@@ -26,16 +27,18 @@ from bench.workbench.web_page import LOCAL
 
 _PATIENCE = 5.0  # between SIGTERM and SIGKILL, and until the viewer has taken a flight [s]
 _LOOK = 0.5  # between looks at the parent [s]
+_MAGIC = b"RRF"  # first bytes of a recording of rerun; its version follows
+_MOST_BYTES = 1 << 40  # of a recording, which the viewer reads [byte]
 _PR_SET_PDEATHSIG = 1  # of <linux/prctl.h>
 
 
-def view(folder: Path | None, *, web: bool, console: Console) -> None:
-    """Open the viewer on a results folder and wait until it is closed.
+def view(path: Path | None, *, web: bool, console: Console) -> None:
+    """Open the viewer on a recording and wait until it is closed.
 
     Parameters
     ----------
-    folder : Path or None
-        A results folder; None for the newest one below ``runs``.
+    path : Path or None
+        A recording or a results folder; None for the newest one below ``runs``.
     web : bool
         Serve it to a browser on this machine instead of opening a window.
     console : Console
@@ -44,11 +47,11 @@ def view(folder: Path | None, *, web: bool, console: Console) -> None:
     Raises
     ------
     ConfigError
-        If there is no recording in the folder.
+        If there is no recording.
     ViewerError
         If the viewer cannot be started or fails.
     """
-    recording = find_recording(folder)
+    recording = find_recording(path)
     viewer = str(_find_viewer())
     with contextlib.ExitStack() as stack:
         if web:
@@ -138,25 +141,41 @@ class _Feed:
         self._gone = True
 
 
-def find_recording(folder: Path | None) -> Path:
-    """Return the recording of a results folder, or of the newest one below ``runs``.
+def find_recording(path: Path | None) -> Path:
+    """Return a recording by its file or its folder, or the newest one below ``runs``.
 
     Raises
     ------
     ConfigError
         If there is no recording.
     """
-    if folder is None:
+    if path is None:
         results = [path for path in RUNS.glob(f"*/{RESULT}") if (path.parent / RECORDING).is_file()]
         if not results:
             raise ConfigError(f"{RUNS}: no recording in any folder; 'bench run figure-eight' makes one")
-        folder = max(results, key=lambda path: path.stat().st_mtime).parent
-    if not (folder / CAMPAIGN_RESULT).is_file():
-        read_summary(folder)
-    recording = folder / RECORDING
+        path = max(results, key=lambda path: path.stat().st_mtime).parent
+    if not path.is_dir():
+        return _check_recording(path)
+    if not (path / CAMPAIGN_RESULT).is_file():
+        read_summary(path)
+    recording = path / RECORDING
     if not recording.is_file():
-        raise ConfigError(f"{folder}: no {RECORDING} in it; 'bench record' makes one")
+        raise ConfigError(f"{path}: no {RECORDING} in it; 'bench record' makes one")
     return recording
+
+
+def _check_recording(path: Path) -> Path:
+    try:
+        check_file(path, str(path), _MOST_BYTES)
+        with path.open("rb") as file:
+            start = file.read(len(_MAGIC))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file or folder") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+    if start != _MAGIC:
+        raise ConfigError(f"{path}: is no recording of rerun; give a .rrd file or a results folder")
+    return path
 
 
 def wait_for(command: Sequence[str]) -> int:

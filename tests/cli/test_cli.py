@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 
 import bench
 from bench import pipeline, recording, store
@@ -641,6 +642,30 @@ def test_view_takes_the_newest_recording(here):
             (folder / "flight.rrd").touch()
     assert viewer.find_recording(None) == Path("runs/c/flight.rrd")
     assert viewer.find_recording(Path("runs/a")) == Path("runs/a/flight.rrd")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "line"),
+    [
+        ("a.rrd", b"RIFF", "a.rrd: is no recording of rerun; give a .rrd file or a results folder"),
+        ("a.rrd", b"", "a.rrd: is no recording of rerun; give a .rrd file or a results folder"),
+        ("b.rrd", None, "b.rrd: no such file or folder"),
+    ],
+)
+def test_view_takes_a_recording_by_its_file(here, capsys, monkeypatch, name, content, line):
+    """And says in one line what is none; the file need not be in a results folder."""
+    if content is not None:
+        (here / name).write_bytes(content)
+    status, _, err = say(capsys, "view", name)
+    assert (status, err) == (2, f"error: {line}\n")
+    with rr.RecordingStream("bench") as stream:
+        stream.save(str(here / "fixes.rrd"))
+        stream.log("x", rr.Scalars(1.0))
+    started = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(viewer, "wait_for", lambda command: started.append(command) or 0)
+    assert say(capsys, "view", "fixes.rrd")[0] == 0
+    assert started[0][1] == "fixes.rrd"
 
 
 def test_no_display_and_no_viewer_are_status_4(here, capsys, monkeypatch):

@@ -1,0 +1,120 @@
+"""How often a fault of one satellite is found and left out, on real ranges and as the covariance predicts.
+
+``python -m tests.signals.fault_power OBSERVATIONS NAVIGATION`` adds ``--fault`` metres to each satellite in
+turn at each epoch with eight or more. Predicted: the same test on errors drawn from the covariance of the
+ranges. An interval is 99.9 % by draws of whole epochs, whose satellites share their errors; the epochs of a
+day hang together besides.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import bench
+from bench import earth
+from bench.arrays import BoolArray, FloatArray
+from bench.exchange.rinex_fixes import RinexFixes
+from bench.signals import receiver
+from bench.signals.least_squares import _limit
+from bench.signals.look import share_errors
+from bench.signals.processing import Processing
+
+LEAST = 8  # satellites of an epoch
+DRAWS = 100
+
+
+def try_faults(solved: RinexFixes, processing: Processing, fault: float) -> tuple[FloatArray, BoolArray]:
+    """Return epoch and row (F, 2) of each trial, and which faults (F,) are left out of a fix."""
+    o, used = solved.seen, solved.solution.used
+    count = np.bincount(o.epoch[used], minlength=len(solved.fixes))
+    place = np.concatenate([np.arange(n) for n in np.diff(o.epoch_start)])
+    trials, found = [], []
+    for k in range(int(np.diff(o.epoch_start).max())):
+        rows = np.flatnonzero((place == k) & used & (count[o.epoch] >= LEAST))
+        ranges = o.pseudorange.copy()
+        ranges[rows] += fault
+        again = receiver.solve_fixes(replace(o, pseudorange=ranges), processing)
+        trials.append(np.column_stack([o.epoch[rows], rows]))
+        found.append(~again.used[rows] & again.fixes.valid[o.epoch[rows]])
+    return np.concatenate(trials), np.concatenate(found)
+
+
+def predict(
+    solved: RinexFixes, processing: Processing, trials: FloatArray, fault: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return the chance (F,) of each trial by the covariance of the ranges: the fault is largest, and alarms."""
+    o = solved.seen
+    lla = solved.fixes.lla
+    near = receiver._look_around(o, earth.to_ecef(lla), processing)
+    shared = share_errors(near, o.frequency[:, 0], processing)
+    common = shared.ionosphere**2 + shared.troposphere**2
+    own = np.maximum(o.sd_pseudorange**2 - common, (0.1 * o.sd_pseudorange) ** 2)
+    chance = np.empty(len(trials))
+    for epoch in np.unique(trials[:, 0]):
+        at = np.flatnonzero(trials[:, 0] == epoch)
+        rows = np.flatnonzero((o.epoch == epoch) & solved.solution.used)
+        apart = shared.pierce[rows, None] - shared.pierce[rows]
+        R = np.exp(-np.hypot(apart[..., 0], apart[..., 1]) / shared.decay)
+        R = R * np.outer(shared.ionosphere[rows], shared.ionosphere[rows])
+        R += np.outer(shared.troposphere[rows], shared.troposphere[rows]) + np.diag(own[rows])
+        clocks = (o.system[rows, None] == np.unique(o.system[rows])).astype(float)
+        H = np.column_stack([-near.los_n[rows], clocks])
+        W = np.linalg.inv(R)
+        Q = W - W @ H @ np.linalg.solve(H.T @ W @ H, H.T @ W)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(Q), 1e-12))
+        noise = rng.standard_normal((DRAWS, len(rows))) @ np.linalg.cholesky(R).T
+        limit = _limit(np.array([len(rows)]), processing.false_alarm)[0]
+        for trial in at:
+            i = int(np.flatnonzero(rows == trials[trial, 1])[0])
+            w = np.abs((noise + fault * (np.arange(len(rows)) == i)) @ Q) * scale
+            chance[trial] = np.mean((w.argmax(axis=1) == i) & (w[:, i] > limit))
+    return chance
+
+
+def resample(values: FloatArray, epochs: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
+    """Return the 99.9 % interval of the mean by draws of whole epochs."""
+    _, which = np.unique(epochs, return_inverse=True)
+    total, count = np.bincount(which, values), np.bincount(which)
+    drawn = rng.integers(0, len(count), (4000, len(count)))
+    means = total[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+    low, high = np.percentile(means, [0.05, 99.95])
+    return float(low), float(high)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("observations", type=Path)
+    parser.add_argument("navigation", type=Path)
+    parser.add_argument("--systems", nargs="+", default=["gps", "galileo", "beidou", "both", "all"])
+    parser.add_argument("--fault", type=float, nargs="+", default=[12.0, 15.0])
+    parser.add_argument("--each", type=int, default=1, help="of this many epochs one is tried")
+    args = parser.parse_args()
+    print(f"{'systems':18s} fault trials  excluded (99.9 %)       predicted  false alarms")
+    for systems in args.systems:
+        solved = bench.solve_rinex(args.observations, args.navigation, systems=systems)
+        processing = Processing(systems=systems)
+        good = solved.fixes.valid
+        lost = solved.solution.wanted & ~solved.solution.used & good[solved.seen.epoch]
+        alarms = len(np.unique(solved.seen.epoch[lost]))
+        for fault in args.fault:
+            rng = np.random.default_rng(0)
+            trials, found = try_faults(solved, processing, fault)
+            kept = trials[:, 0] % args.each == 0
+            trials, found = trials[kept], found[kept]
+            if len(trials) == 0:
+                print(f"{systems:18s} {fault:5.1f} no epoch with {LEAST} satellites")
+                continue
+            chance = predict(solved, processing, trials, fault, rng)
+            low, high = resample(found.astype(float), trials[:, 0], rng)
+            print(
+                f"{systems:18s} {fault:5.1f} {len(found):6d}  {100 * found.mean():5.1f} ({low * 100:.1f} to "
+                f"{high * 100:.1f})  {100 * chance.mean():9.1f}  {alarms} of {good.sum()}"
+            )
+
+
+if __name__ == "__main__":
+    main()
