@@ -46,7 +46,7 @@ def try_faults(solved: RinexFixes, processing: Processing, fault: float) -> tupl
 def predict(
     solved: RinexFixes, processing: Processing, trials: FloatArray, fault: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Return the chance (F,) of each trial by the covariance of the ranges: the fault is largest, and alarms."""
+    """Return the chance (F,) of each trial by the covariance: the fault has the largest w and alarms."""
     o = solved.seen
     lla = solved.fixes.lla
     near = receiver._look_around(o, earth.to_ecef(lla), processing)
