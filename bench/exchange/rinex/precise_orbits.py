@@ -49,7 +49,7 @@ class PreciseFile:
 
 
 @dataclass(slots=True)
-class _EpochRows:
+class _PreciseRows:
     """What is read so far: at each epoch the values of `PreciseFile` for each satellite."""
 
     t: list[float] = field(default_factory=list)
@@ -73,7 +73,7 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
         If it is no SP3 file, or has no epoch that can be read: one line with file and line number.
     """
     shown = path.name if shown is None else shown
-    found = _EpochRows()
+    found = _PreciseRows()
     with open_lines(path, shown) as lines:
         declared = _read_header(lines, found)
         while True:
@@ -98,7 +98,7 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
     return _make_file(shown, found, lines)
 
 
-def _read_header(lines: Lines, found: _EpochRows) -> int:
+def _read_header(lines: Lines, found: _PreciseRows) -> int:
     """Read the lines before the first epoch; return the number of epochs that they announce."""
     first = lines.read_line_of("the header")
     if not re.match(r"#[abcd][PV]", first):
@@ -128,7 +128,7 @@ def _name(text: str) -> str:
     return f"{text[:1].strip() or 'G'}{text[1:].replace(' ', '0')}"
 
 
-def _read_epoch(lines: Lines, line: str, found: _EpochRows) -> None:
+def _read_epoch(lines: Lines, line: str, found: _PreciseRows) -> None:
     midnight, second = read_calendar(lines, line, _CALENDAR, two_digits=False)
     t = midnight + second
     t += leap_seconds(to_date(t)) if found.scale in ("UTC", "GLO") else -_AHEAD[found.scale]
@@ -138,7 +138,7 @@ def _read_epoch(lines: Lines, line: str, found: _EpochRows) -> None:
     found.rows.append({})
 
 
-def _read_position(lines: Lines, line: str, found: _EpochRows) -> None:
+def _read_position(lines: Lines, line: str, found: _PreciseRows) -> None:
     name = _name(line[1:4])
     if name[0] not in LETTERS:
         return
@@ -160,7 +160,7 @@ def _read_position(lines: Lines, line: str, found: _EpochRows) -> None:
     found.rows[-1][name] = [*place, seconds, sd, flags[4] == "M", flags[0] == "E"]
 
 
-def _make_file(shown: str, found: _EpochRows, lines: Lines) -> PreciseFile:
+def _make_file(shown: str, found: _PreciseRows, lines: Lines) -> PreciseFile:
     names = sorted({name for rows in found.rows for name in rows})
     blank = [np.nan] * 4 + [0.0] * 3
     values = np.array([[rows.get(name, blank) for rows in found.rows] for name in names])
