@@ -6,6 +6,7 @@ is the median of the figures that the catalog has for units of this class, those
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
@@ -81,6 +82,9 @@ def find_units(study: str, names: Sequence[str]) -> Mapping[str, CatalogImu]:
 
 
 def _find_unit(name: str) -> CatalogImu:
+    if name.endswith(".toml") and not os.path.isfile(name):  # unlike Path.is_file, false if it is too long
+        where = "" if Path(name).is_absolute() else " in the working folder"
+        raise ConfigError(f"{name!r}: no such file{where}")
     path, shown = find_datasheet("imu", name, Path())
     read_imu(path, shown)
     document = read_toml(path, shown)

@@ -6,14 +6,21 @@ The filter is loose-15 on a flight whose sensors it models exactly; its gate ref
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from bench.data import Events, Innovations, NavSolution
 from bench.evaluation import metrics
-from bench.evaluation.case import collect_alarms
-from bench.evaluation.detection import count_false_alarms, measure_delay
+from bench.evaluation.case import Alarms, collect_alarms
+from bench.evaluation.detection import (
+    count_false_alarms,
+    false_alarm_rate,
+    false_alarm_share,
+    measure_delay,
+)
 from bench.navigation.models.loose_tight import Loose
 from bench.sensors import sense
 from bench.specs import EvaluationWindow, Fault
@@ -118,6 +125,15 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
     assert count_false_alarms([gnss], raised, "gnss_position", 15.0) == 1
     assert count_false_alarms([gnss], raised, "baro", 0.0) == 1
     assert count_false_alarms([gnss, baro], raised, "baro", 0.0) == 0
+
+
+def test_false_alarms_per_hour_are_those_of_the_seconds_without_a_fault():
+    """Of 100 s ten have a fault; two of three alarms are outside: 2 in 90 s, 80 in an hour."""
+    alarms = (Alarms("baro", ("baro",), np.array([10.0, 25.0, 50.5])),)
+    fault = Fault("baro-step", "baro", 20.0, 30.0, "")
+    case: Any = SimpleNamespace(begin=0.0, t=np.arange(0.0, 100.5, 0.5), scripted=(fault,), alarms=alarms)
+    assert false_alarm_rate(case) == pytest.approx(80.0)
+    assert false_alarm_share(case) == pytest.approx(2.0 / 90.0)
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():

@@ -9,13 +9,37 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.config.listing import list_profiles
-from bench.evaluation import motion_checks, motion_fit
+from bench.evaluation import motion_checks, motion_fit, validity
 from bench.evaluation.recorded_motion import RecordedMotion
+from bench.instruments import BaroData
 from tests.evaluation import seeded
 
 
 def wrong(found):
     return [c.text for c in found.values() if not c.good and c.name not in seeded.TRUE_REMARKS]
+
+
+@pytest.mark.parametrize(
+    ("unit", "fixes", "told"),
+    [
+        (1.0, 25, ["receiver (sd"]),
+        (0.3048, 25, ["are these feet?"]),
+        (-1.0, 25, ["unit or the sign"]),
+        (1.0, 19, []),
+    ],
+)
+def test_a_barometer_climbs_with_the_receiver(unit, fixes, told):
+    """100 m up in 25 s; fewer than 20 fixes tell nothing."""
+    t = np.arange(25.0)
+    baro = BaroData(t, t, np.ones(25, np.bool_), (300.0 + 4.0 * t) / unit, np.ones(25))
+    none, lla = np.empty((0, 3)), np.column_stack([np.zeros((fixes, 2)), 350.0 + 4.0 * t[:fixes]])
+    motion = RecordedMotion(np.empty(0), none, none, t[:fixes], lla, np.full((fixes, 3), np.nan), 0.0)
+    found = validity._check_heights("baro", motion, baro)
+    assert len(found) == len(told)
+    for one, text in zip(found, told, strict=True):
+        assert text in one.text
+        assert one.value == pytest.approx(1.0 / unit)
+        assert one.good == (unit == 1.0)
 
 
 @pytest.fixture(scope="module")

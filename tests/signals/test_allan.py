@@ -23,7 +23,7 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import read_imu
 from bench.errors import ConfigError
-from bench.evaluation.noise_curves import fit_noise, measure_model
+from bench.evaluation.noise_curves import fit_noise, format_noise_figures, measure_model
 from bench.exchange.resting_log import read_resting_log
 from bench.sensors import processes
 from bench.signals import allan
@@ -345,3 +345,11 @@ def test_a_wrong_command_is_status_2(here, capsys, arguments, message):
     (here / "silent.toml").write_text('source = "by hand"\n[gyro]\nturn_on_bias_sd_deg_h = 1.0\n')
     assert main(arguments) == 2
     assert message in capsys.readouterr().err
+
+
+def test_noise_is_told_in_the_units_of_datasheets():
+    """By hand: 1 deg/h is 1 deg in 3600 s, 1 ug is 1e-6 of 9.80665 m/s^2."""
+    gyro, accel = np.deg2rad(1.0) / 3600.0, 9.80665e-6
+    for name, one, unit in (("gyro", gyro, "deg/h"), ("accel", accel, "ug")):
+        told = format_noise_figures(name, TriadSpec(bias_instability=5.0 * one, bias_correlation=100.0))
+        assert told["bias instability"] == f"5 {unit}"

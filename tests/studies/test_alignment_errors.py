@@ -134,9 +134,10 @@ def test_the_interval_of_drawn_attitudes_holds_their_covariance():
     """Of 150 studies of 40 draws about 95 % hold it, 99.9 % band; one a tenth as wide would not."""
     held = 0
     for seed in range(150):
-        _, by_cov, _, low, high, _ = alignment_errors.match_at(
+        _, by_cov, drawn, low, high, _ = alignment_errors.match_at(
             alignment_errors.Options(draws=40, seed=seed), 57.6
         )
         held += low <= by_cov <= high
+        assert low * high == pytest.approx(drawn**2), "the interval is one of its logarithm"
     least, most = stats.binom.ppf([0.0005, 0.9995], 150, 0.95)
     assert least <= held <= most

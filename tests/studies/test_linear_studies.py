@@ -12,6 +12,7 @@ from rich.console import Console
 from scipy import stats
 
 import bench
+from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import describe_direction, observe
@@ -20,6 +21,7 @@ from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mea
 from bench.findings import series
 from bench.studies import budget as budget_study
 from bench.studies.budget import _give_colours
+from bench.studies.drawn_errors import key_instants
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 
@@ -69,6 +71,12 @@ def flight(tmp_path_factory):
     path = tmp_path_factory.mktemp("flight") / "short.toml"
     path.write_text(FLIGHT)
     return str(path)
+
+
+def test_an_outage_is_looked_at_before_the_first_fix_that_ends_it():
+    """Fixes are missing from 400 s to 460 s: at 460 s there is one again."""
+    rows = key_instants(np.arange(0.0, 601.0), load_profile("figure-eight"))
+    assert rows == {"460 s, end of the outage": 459, "600 s, end of the flight": 600}
 
 
 def test_the_budget_of_a_short_flight(flight):
