@@ -378,10 +378,13 @@ def merge_observations(files: Sequence[ObservationFile]) -> ObservationFile:
     Raises
     ------
     ConfigError
-        If their times overlap.
+        If their times overlap, or they are of two markers.
     """
     if len(files) == 1:
         return files[0]
+    if len(markers := sorted({file.marker for file in files} - {""})) > 1:
+        shown = ", ".join(file.shown for file in files)
+        raise ConfigError(f"{shown}: are of the markers {', '.join(markers)}; give the files of one receiver")
     files = sorted(files, key=lambda file: file.origin + file.t[0])
     first = files[0]
     t = np.concatenate([file.t + (file.origin - first.origin) for file in files])

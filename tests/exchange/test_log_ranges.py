@@ -146,6 +146,18 @@ def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
         assert np.mean((error[late] / sd) ** 2) < 4.0, label
 
 
+def test_until_s_ends_the_sky_as_it_ends_the_imu_and_the_fixes(flown):
+    folder, _, _ = flown
+    (folder / "short.toml").write_text(f"{LOG}[evaluation]\nuntil_s = 60.2\n")
+    whole, cut = (read_log(folder / name).records for name in ("log.toml", "short.toml"))
+    rows = whole.sky.t <= 60.2
+    assert 1000 < rows.sum() < len(rows) - 1000
+    for name in ("t", "system", "sat", "azimuth", "elevation", "cn0", "used"):
+        assert np.array_equal(getattr(cut.sky, name), getattr(whole.sky, name)[rows], equal_nan=True), name
+    assert cut.imu.t.max() <= 60.2 < whole.imu.t.max()
+    assert cut.fixes.t.max() <= 60.2 < whole.fixes.t.max()
+
+
 def test_an_outage_takes_the_ranges_away_too(flown):
     folder, _, _ = flown
     log = read_log(folder / "log.toml")

@@ -293,6 +293,14 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     assert "no file of observations is among them" in capsys.readouterr().err
 
 
+def test_files_of_two_receivers_are_refused(tmp_path, capsys):
+    """By their markers; KMS3 is another year, so no time overlaps."""
+    assert main(["fixes", *(str(stored_gnss_file(one)) for one in (ESBC[0], KMS3[0], ESBC[1]))]) == 2
+    said = capsys.readouterr().err
+    assert "are of the markers ESBC00DNK, KMS3" in said
+    assert said.endswith("give the files of one receiver\n")
+
+
 def test_each_lost_epoch_has_a_reason(tmp_path):
     """Satellites taken from some epochs: those and no others are lost, and the summary says where and why."""
     text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()

@@ -212,10 +212,10 @@ def test_two_files_are_one_table_and_times_are_those_of_their_system(tmp_path):
     parts = [read_precise_orbits(tmp_path / name) for name in ("two.sp3", "one.sp3")]
     [joined], [alone] = make_tables(parts), make_tables([read_precise_orbits(whole)])
     for name in ("sat", "t", "pos_e", "clock", "joined"):
-        assert_allclose(getattr(joined, name), getattr(alone, name))
+        assert np.array_equal(getattr(joined, name), getattr(alone, name), equal_nan=name != "joined")
     for scale, ahead in (("UTC", -18.0), ("TAI", 19.0), ("BDT", -14.0), ("GAL", 0.0)):
         other = write_sp3(tmp_path / "other.sp3", scale=scale, ahead=ahead)
-        assert_allclose(read_precise_orbits(other).t, alone.t)
+        assert np.array_equal(read_precise_orbits(other).t, alone.t)
 
 
 DAMAGED = {

@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from bench.cli import main
 from bench.errors import ConfigError
+from bench.exchange.rinex.lines import find_kind
 from bench.exchange.ubx import read_ubx
 from bench.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.signals import orbits, smoothing
@@ -46,6 +47,17 @@ def test_damaged_messages_are_left_out(tmp_path):
     (tmp_path / "b.ubx").write_bytes(b"\xb5\x62\x01\x07" + bytes(100))
     with pytest.raises(ConfigError, match=r"b\.ubx: has no raw measurements"):
         read_ubx(tmp_path / "b.ubx")
+
+
+def test_ubx_behind_the_messages_of_the_program_that_recorded_it(tmp_path):
+    """As gpsd writes it; a RINEX comment with the same two characters is RINEX."""
+    path = tmp_path / "gpsd.log"
+    path.write_bytes(b'{"class":"VERSION","release":"3.26.2"}\n' * 20 + gzip.decompress(F9T.read_bytes()))
+    assert find_kind(path, "gpsd.log") == "ubx"
+    assert len(read_ubx(path).t) == 120
+    first = f"{'     3.04           OBSERVATION DATA    M':60}RINEX VERSION / TYPE\n"
+    path.write_bytes((first + f"{chr(0xB5)}b{'':58}COMMENT\n").encode("latin-1"))
+    assert find_kind(path, "site.rnx") == "observations"
 
 
 def test_fixes_names_what_is_missing_beside_ubx(capsys):

@@ -18,6 +18,7 @@ from bench.files import check_file
 from bench.signals.orbits import DAY
 
 LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
+_LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
@@ -51,7 +52,7 @@ class Lines:
         """Return the first bytes of the file, and go back to its beginning."""
         if isinstance(self._file, CompactText):
             return b""
-        first = self._file.read(512).encode("latin-1")
+        first = self._file.read(_LOOKED_AT).encode("latin-1")
         self._file.seek(0)
         return first
 
@@ -183,7 +184,7 @@ def find_kind(path: Path, shown: str) -> str:
     """
     with open_lines(path, shown) as lines:
         first = lines.peek()
-        if first.startswith(b"\xb5b") or b"\xb5b" in first:
+        if b"\xb5b" in first and not re.search(rb"RINEX VERS|^#", first[:80]):
             return "ubx"
         if first[:1] == b"#" and first[1:2].isalpha():
             return "sp3"
