@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from bench.config.listing import list_profiles
 from bench.evaluation import motion_checks, motion_fit, validity
+from bench.evaluation.axis_search import Axes, describe_axes
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.instruments import BaroData
 from tests.evaluation import seeded
@@ -83,6 +84,43 @@ def test_the_derivatives_of_the_fit_are_those_of_its_own_integral(sound):
         sign = -1.0 if k < 8 else 1.0  # biases and gains are taken off
         expected = (more - less) / 2e-4
         assert_allclose(sign * U[..., k], expected, atol=2e-2 * np.abs(expected).max())
+
+
+def test_what_no_stretch_tells_is_as_uncertain_as_it_was_before(sound):
+    """Biases within 6 deg/s and 0.1 of gravity, gains, turns and times about right, a measured arm."""
+    motion = RecordedMotion.from_records(sound.imu, sound.fixes)
+    none = motion_fit.find_stretches(motion.t, *motion.take_velocities()).take_liveliest(0)
+    fit = motion_fit.fit_motion(none, motion.t, motion.gyro, motion.accel, np.zeros(3))
+    before = {"gyro_bias": 0.1, "gyro_gain": 1.0, "accel_bias": 1.0, "accel_gain": 1.0, "turn": 1.0}
+    before |= {"shift": 1.0, "arm": 0.5}
+    expected = [before[name] if name in before else before[name[:-2]] for name in motion_fit.NAMES]
+    assert_allclose(np.sqrt(np.diag(fit.cov)), expected)
+
+
+@pytest.mark.parametrize(
+    ("gyro", "accel", "tilted", "told"),
+    [
+        ((-1, -1, -1), -1, False, "the axes are left-handed"),
+        (
+            (1, 1, 1),
+            -1,
+            False,
+            "the accelerometers fit the motion with their axes x, y, z taken from -x, -y, -z",
+        ),
+        (
+            (-1, -1, 1),
+            1,
+            True,
+            "the accelerometers fit the motion with their axes x, y, z taken from -x, -y, z",
+        ),
+        ((-1, -1, 1), 1, False, "the gyros fit the motion with their axes x, y, z taken from -x, -y, z"),
+        ((-1, 1, 1), 1, True, "the gyros fit the motion with their axes x, y, z taken from -x, y, z"),
+        ((-1, 1, 1), -1, False, "no single exchange of axes"),
+    ],
+)
+def test_the_triad_that_alone_explains_the_motion_is_named(gyro, accel, tilted, told):
+    axes = Axes(np.diag(np.array(gyro, float)), accel * np.eye(3))
+    assert told in describe_axes(axes, tilted)
 
 
 @pytest.mark.parametrize("arm", ["forward", "right", "down"])
