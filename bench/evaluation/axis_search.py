@@ -42,7 +42,7 @@ def describe_axes(axes: Axes, tilted: bool) -> str:
     """
     mirrored = axes.accel[0, 0] < 0
     proper = np.linalg.det(axes.gyro) > 0
-    if mirrored and not proper and (axes.gyro == -np.eye(3)).all():
+    if mirrored and (axes.gyro == -np.eye(3)).all():
         return (
             "imu: the axes are left-handed: in gyros and accelerometers alike two are exchanged "
             "or one has the wrong sign"
