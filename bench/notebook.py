@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 from bench.errors import BenchError
 from bench.wording import format_number
@@ -14,10 +14,16 @@ MOST_ROWS = 30
 """Rows of a table that a notebook shows."""
 
 
-class Red(str):
-    """The text of a cell that is outside its bounds."""
+class ShownFigure(NamedTuple):
+    """A figure as it is shown."""
 
-    __slots__ = ()
+    text: str
+    bounds: str = ""  # or interval
+    outside: bool = False  # of its bounds
+
+    def __str__(self) -> str:
+        """Return the text, a mark if it is outside of its bounds, and these."""
+        return f"{self.text}{' !' if self.outside else ''}{f' ({self.bounds})' if self.bounds else ''}"
 
 
 def write_sentences(texts: Iterable[str]) -> str:
@@ -28,7 +34,7 @@ def write_sentences(texts: Iterable[str]) -> str:
 def write_table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     """Return a table with its caption and a heading for each column; a line counts the rows left out.
 
-    Numbers have four digits, None is a dash, and cells that are :class:`Red` are marked.
+    Numbers have four digits, None is a dash, and a :class:`ShownFigure` outside of its bounds is red.
     """
     lines = ["".join(f"<th>{escape(name)}</th>" for name in head)]
     lines += ["".join(_write_cell(value) for value in row) for row in rows[:MOST_ROWS]]
@@ -39,9 +45,8 @@ def write_table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Any]]
 
 
 def _write_cell(value: object) -> str:
-    if isinstance(value, Red):
-        return f'<td style="color:red">{escape(value)} !</td>'
-    return f"<td>{escape(format_cell(value))}</td>"
+    style = ' style="color:red"' if isinstance(value, ShownFigure) and value.outside else ""
+    return f"<td{style}>{escape(format_cell(value))}</td>"
 
 
 def format_cell(value: object) -> str:

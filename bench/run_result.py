@@ -9,7 +9,7 @@ from typing import Any
 import bench
 from bench.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
 from bench.fields import Rebuilt
-from bench.notebook import Red, format_cell, make_frame, write_sentences, write_table
+from bench.notebook import ShownFigure, format_cell, make_frame, write_sentences, write_table
 from bench.specs import EvaluationWindow
 
 
@@ -100,4 +100,4 @@ class RunResult(Rebuilt):
 def _mark(name: str, values: Mapping[str, Any]) -> Any:
     """Return the value of a metric, red if it is outside its bounds."""
     value = values.get(name)
-    return Red(format_cell(value)) if name in values.get("outside", ()) else value
+    return ShownFigure(format_cell(value), outside=True) if name in values.get("outside", ()) else value

@@ -29,7 +29,6 @@ from bench.notebook import make_frame, write_sentences, write_table
 from bench.scratch import make_scratch
 from bench.spawned import Printed
 from bench.specs import DEFAULT_GUARD, Guard
-from bench.wording import format_number
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
@@ -114,10 +113,7 @@ class Campaign:
         names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
         rows = [
             [one.condition, one.label, f"{one.converged_runs} of {one.runs}"]
-            + [
-                f"{format_number(e.value)} ({e.interval})" if (e := one.errors.get(name)) else "-"
-                for name in names
-            ]
+            + [one.errors[name].show() if name in one.errors else None for name in names]
             for one in self.outcomes
         ]
         head = ["condition", "estimator", "converged", *names]

@@ -15,6 +15,7 @@ from bench.arrays import BoolArray, FloatArray
 from bench.data import Innovations
 from bench.evaluation import regression
 from bench.evaluation.consistency import MeanNis, SensorNis, mean_band, mean_nis
+from bench.notebook import ShownFigure
 from bench.wording import format_number
 
 CONFIDENCE = 0.95
@@ -36,6 +37,10 @@ class Estimate:
     def interval(self) -> str:
         """The interval in words, with three digits."""
         return f"{format_number(self.low, 3)} to {format_number(self.high, 3)}"
+
+    def show(self, digits: int = 4) -> ShownFigure:
+        """Return the figure and its interval for a table."""
+        return ShownFigure(format_number(self.value, digits), self.interval)
 
 
 @dataclass(frozen=True, slots=True)

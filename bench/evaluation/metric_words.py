@@ -142,6 +142,12 @@ def _take_key(name: str, metric: Metric) -> str:
     return name[len(head) : len(name) - len(tail)] if gap else ""
 
 
+def name_metric(name: str) -> str:
+    """Return a metric in words with its unit."""
+    found = find_words(name)
+    return f"{found.words} [{found.unit}]" if found.unit else found.words
+
+
 def format_metric(name: str, value: Any) -> str:
     """Return a value as it is shown, without its unit; yes or no for what is noticed or not."""
     if name.startswith("fault_") and name.removesuffix("_all").endswith("_detected") and value is not None:

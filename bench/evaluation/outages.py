@@ -15,6 +15,8 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.evaluation.drift_laws import RAYLEIGH_95, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.ensemble import estimate_quantile
+from bench.findings import FindingTable, make_table
+from bench.notebook import ShownFigure
 from bench.specs import ImuSpec
 from bench.wording import format_number
 
@@ -78,24 +80,28 @@ DRIFT_MEANING = (
 )
 
 
-def format_drift_row(row: Mapping[str, Any]) -> tuple[str, ...]:
+def tabulate_drifts(rows: Sequence[Mapping[str, Any]]) -> FindingTable:
+    """Return the table of the drift in each outage."""
+    texts = list(map(format_drift_row, rows))
+    return make_table("drifts", "Horizontal drift without GNSS [m]", DRIFT_COLUMNS, texts)
+
+
+def format_drift_row(row: Mapping[str, Any]) -> tuple[str | ShownFigure, ...]:
     """Return a row of the drift table as text; a limit is a dash if there are too few places."""
     return (
         f"{row['duration_s']:g} s",
         row["estimator"],
-        str(row["places"]),
-        _format_quantile(row, "median_h"),
-        _format_quantile(row, "p95_h"),
-        _format_length(row["claimed_median_h_m"]),
-        _format_length(row["closed_form_median_h_m"]),
+        ShownFigure(str(row["places"])),
+        _show_quantile(row, "median_h"),
+        _show_quantile(row, "p95_h"),
+        ShownFigure(_format_length(row["claimed_median_h_m"])),
+        ShownFigure(_format_length(row["closed_form_median_h_m"])),
     )
 
 
-def _format_quantile(row: Mapping[str, Any], name: str) -> str:
-    low, high = row[f"{name}_low_m"], row[f"{name}_high_m"]
-    if not np.isfinite(row[f"{name}_m"]):
-        return "-"
-    return f"{_format_length(row[f'{name}_m'])} ({_format_length(low)} to {_format_length(high)})"
+def _show_quantile(row: Mapping[str, Any], name: str) -> ShownFigure:
+    value, low, high = (_format_length(row[f"{name}_{end}m"]) for end in ("", "low_", "high_"))
+    return ShownFigure(value, "" if value == "-" else f"{low} to {high}")
 
 
 def _format_length(value: float | None) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import bench
 from bench.errors import ConfigError
 from bench.findings.series import Plot
-from bench.notebook import make_frame, write_sentences, write_table
+from bench.notebook import ShownFigure, make_frame, write_sentences, write_table
 from bench.units import unit_of
 from bench.wording import suggest
 
@@ -27,7 +27,7 @@ class FindingTable:
 def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> FindingTable:
     """Return a table of rows; a column gets the unit in which its name ends."""
     values = {
-        key: [one if one is None or isinstance(one, str | int) else float(one) for one in column]
+        key: [one if isinstance(one, str | int | ShownFigure | None) else float(one) for one in column]
         for key, column in zip(columns, zip(*rows, strict=True), strict=True)
     }
     return FindingTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})

@@ -145,5 +145,5 @@ def make_drift_page(table: Sequence[Mapping[str, Any]]) -> str:
     if not table:
         return ""
     rows = [DRIFT_COLUMNS, ("---",) * len(DRIFT_COLUMNS), *map(format_drift_row, table)]
-    lines = [f"| {' | '.join(row)} |" for row in rows]
+    lines = [f"| {' | '.join(map(str, row))} |" for row in rows]
     return "\n".join(["", "**Horizontal drift without GNSS** [m]", "", *lines, "", DRIFT_MEANING, ""])

@@ -15,7 +15,7 @@ from bench.campaigns.outcome import POOLED, Outcome
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
-from bench.evaluation.metric_words import find_words
+from bench.evaluation.metric_words import find_words, name_metric
 from bench.evaluation.metrics import find_metric
 from bench.findings import series
 from bench.findings.looks import find_look
@@ -175,7 +175,7 @@ def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:
 def _name_error(name: str) -> str:
     """Return an error over the runs in words with its unit; a circle of error is named as the field does."""
     circle = re.fullmatch(r"cep(\d+)_m", name)
-    return f"CEP{circle[1]} [m]" if circle else page.name_metric(name)
+    return f"CEP{circle[1]} [m]" if circle else name_metric(name)
 
 
 def _format(estimate: Estimate) -> tuple[str, str]:

@@ -16,7 +16,7 @@ from bench.errors import ConfigError
 from bench.evaluation import verdict
 from bench.evaluation.headline import NEES, make_headline
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metric_words import find_words, format_metric, group_metrics
+from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.findings import series
@@ -161,12 +161,6 @@ def _fill_table(
 
 def _fill_row(name: str, measured: Mapping[str, Mapping[str, Any]]) -> list[TableCell]:
     return [_make_cell(name, one) for one in measured.values()]
-
-
-def name_metric(name: str) -> str:
-    """Return a metric in words with its unit."""
-    found = find_words(name)
-    return f"{found.words} [{found.unit}]" if found.unit else found.words
 
 
 def _explain(name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from textwrap import wrap
 from typing import Any
@@ -21,14 +21,15 @@ from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.config.profile import make_choice
 from bench.evaluation.ensemble import Estimate
-from bench.evaluation.metric_words import find_words
+from bench.evaluation.metric_words import find_words, name_metric
+from bench.findings import FindingTable
+from bench.notebook import ShownFigure
 from bench.report import card_page, page
 from bench.report.writing import write_report
 from bench.specs import Guard
-from bench.wording import format_number
 from bench.workbench.console import PlainConsole
-from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import find_own_estimators
+from bench.workbench.printing import print_findings, print_table
 
 CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
 """Default folders for campaigns, and for the runs of cards."""
@@ -126,7 +127,7 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     """Print the figures, as a table if asked for, the sentences, and where the files are."""
     several = len({one.condition for one in result.outcomes}) > 1
     if result.outcomes and (several or table):
-        (_compare_conditions if several else _compare_estimators)(console, result)
+        print_table(console, _tabulate(result, several=several), most=None)
     for one in () if several or table else result.outcomes:
         for text in wrap(_summarize(one), console.width, subsequent_indent="  "):
             console.print(text)
@@ -135,12 +136,9 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
     if several:
         console.print(f"The sentences on each condition are in {store.CAMPAIGN_RESULT}.", style="dim")
-    for sentence in sentences:
-        console.print(sentence, soft_wrap=True)
-    for command, reason in list(result.failed.items())[:_MOST_FAILURES]:
-        console.print(Text(f"failed: {reason}; {command}", "red"), soft_wrap=True)
-    if len(result.failed) > _MOST_FAILURES:
-        console.print(f"{len(result.failed) - _MOST_FAILURES} more failed.")
+    print_findings(console, sentences)
+    failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
+    _print_failures(console, failures, "failed.")
     missing = result.planned - result.finished
     done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
     if not table:
@@ -150,37 +148,25 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
         console.print("The same command with --resume continues.")
 
 
-def _compare_estimators(console: Console, result: Campaign) -> None:
-    """Print a table with a column for each estimator."""
-    names = list(dict.fromkeys(name for one in result.outcomes for name in one.errors))
-    nees = [_NEES] if any(one.consistency for one in result.outcomes) else []
-    columns = {"": TableColumn([_name(name) for name in names] + nees, words=True)}
-    for one in result.outcomes:
-        cells = [_format_estimate(one.errors.get(name)) for name in names]
-        columns[one.label] = TableColumn(cells + [_format_estimate(_find_ratio(one)) for _ in nees])
-    print_table(console, columns, [""])
-
-
-def _compare_conditions(console: Console, result: Campaign) -> None:
-    """Print a table with a row for each condition and estimator."""
+def _tabulate(result: Campaign, *, several: bool) -> FindingTable:
+    """Return a column for each estimator, or a row for each condition and estimator."""
     ran = result.outcomes
-    columns = {
-        "condition": TableColumn([one.condition for one in ran], words=True),
-        "estimator": TableColumn([one.label for one in ran], words=True),
-        "converged": TableColumn([f"{one.converged_runs} of {one.runs}" for one in ran]),
-        **{
-            _name(name): TableColumn([_format_estimate(one.errors.get(name)) for one in ran])
-            for name in _IN_ROWS
-        },
-        _NEES: TableColumn([_format_estimate(_find_ratio(one)) for one in ran]),
+    names = _IN_ROWS if several else dict.fromkeys(name for one in ran for name in one.errors)
+    rows: dict[str, list[ShownFigure | None]] = {
+        name_metric(name): [one.errors[name].show() if name in one.errors else None for one in ran]
+        for name in names
     }
-    print_table(console, columns, ["condition", "estimator"])
-
-
-def _name(metric: str) -> str:
-    """Return what a column or a row holds, with its unit."""
-    found = find_words(metric)
-    return f"{found.words} [{found.unit}]" if found.unit else found.words
+    if several or any(one.consistency for one in ran):
+        rows[_NEES] = [ratio.show() if (ratio := _find_ratio(one)) else None for one in ran]
+    if several:
+        heads: dict[str, list[Any]] = {
+            "condition": [one.condition for one in ran],
+            "estimator": [one.label for one in ran],
+            "converged": [ShownFigure(f"{one.converged_runs} of {one.runs}") for one in ran],
+        }
+        return FindingTable("conditions", "", heads | rows)
+    columns = {one.label: [row[k] for row in rows.values()] for k, one in enumerate(ran)}
+    return FindingTable("estimators", "", {"": list(rows), **columns})
 
 
 def _summarize(one: Outcome) -> str:
@@ -188,21 +174,15 @@ def _summarize(one: Outcome) -> str:
     parts = []
     for metric, words in _IN_WORDS.items():
         if (found := one.errors.get(metric)) is not None:
-            parts.append(f"{words} {_format_estimate(found, 3)} {find_words(metric).unit}")
+            parts.append(f"{words} {found.show(3)} {find_words(metric).unit}")
     if ratio := _find_ratio(one):
-        parts.append(f"{_NEES} {_format_estimate(ratio, 3)}, 1 is right")
+        parts.append(f"{_NEES} {ratio.show(3)}, 1 is right")
     return f"{one.label}: {'; '.join(parts) or 'no run converged'}"
 
 
 def _find_ratio(outcome: Outcome) -> Estimate | None:
     found = outcome.consistency
     return Estimate(found.ratio, found.low, found.high) if found else None
-
-
-def _format_estimate(estimate: Estimate | None, digits: int = 4) -> str:
-    if estimate is None:
-        return "-"
-    return f"{format_number(estimate.value, digits)} ({estimate.interval})"
 
 
 def run_card(
@@ -234,15 +214,12 @@ def run_card(
         except KeyboardInterrupt:
             console.print(f"{kept} has the finished runs; the same command with --resume continues.")
             raise
-    console.print(f"{card.estimator}, beside {card.against}: {describe_suite(card)}", soft_wrap=True)
-    console.print(card.summary, soft_wrap=True)
-    for sentence in card.sentences:
-        console.print(sentence, soft_wrap=True)
-    for lost in card.lost[:_MOST_FAILURES]:
-        text = f"lost: {lost.flight}, draw {lost.draw}: {lost.reason[:200]}; {lost.command}"
-        console.print(Text(text, "red"), soft_wrap=True)
-    if len(card.lost) > _MOST_FAILURES:
-        console.print(f"{len(card.lost) - _MOST_FAILURES} more draws are lost; --json and -o name them.")
+    head = f"{card.estimator}, beside {card.against}: {describe_suite(card)}"
+    print_findings(console, [head, card.summary, *card.sentences])
+    failures = [
+        f"lost: {one.flight}, draw {one.draw}: {one.reason[:200]}; {one.command}" for one in card.lost
+    ]
+    _print_failures(console, failures, "draws are lost; --json and -o name them.")
     if out is not None:
         store.write_json(out, card.model_dump())
         console.print(f"Wrote {out}.")
@@ -252,25 +229,34 @@ def run_card(
     return card
 
 
+def _print_failures(console: Console, texts: Sequence[str], rest: str) -> None:
+    """Print the first of some failures, and how many more there are."""
+    print_findings(console, [Text(text, "red") for text in texts[:_MOST_FAILURES]])
+    if len(texts) > _MOST_FAILURES:
+        console.print(f"{len(texts) - _MOST_FAILURES} more {rest}")
+
+
 def check_card(path: Path, guard: Guard, jobs: int | None, *, console: Console) -> list[str]:
     """Repeat drawn runs of the card in a file; print and return what differs."""
     find_own_estimators()
     card = read_card(path)
     with _show_progress(f"card of {card.estimator}") as progress:
         found = verify_card(card, guard=guard, jobs=jobs, progress=progress)
-    for sentence in found:
-        console.print(Text(sentence, "red"), soft_wrap=True)
-    if not found:
-        console.print(f"{path}: the repeated runs are those of the card.", soft_wrap=True)
+    print_findings(
+        console,
+        [Text(one, "red") for one in found] or [f"{path}: the repeated runs are those of the card."],
+    )
     return found
 
 
 def write_sensors(folder: Path, *, quick: bool, console: Console) -> None:
     """Write the sensor data of the suite, and print the next step."""
     write_suite(folder, quick=quick)
-    console.print(f"Wrote {folder}: a folder for each draw, with its tables in sensors/.", soft_wrap=True)
+    written = f"Wrote {folder}: a folder for each draw, with its tables in sensors/."
     extent = " --quick" if quick else ""
-    console.print(f"Next: solution.csv into each, then bench card -e file:{folder}{extent}", soft_wrap=True)
+    print_findings(
+        console, [written, f"Next: solution.csv into each, then bench card -e file:{folder}{extent}"]
+    )
 
 
 def print_comparison(paths: tuple[Path, Path], *, console: Console) -> list[ComparedLine]:
@@ -278,9 +264,8 @@ def print_comparison(paths: tuple[Path, Path], *, console: Console) -> list[Comp
     first, second = (read_card(path) for path in paths)
     names = name_cards((first, second), [str(path) for path in paths])
     found = compare_cards(first, second, names)
-    console.print(f"{names[0]} and {names[1]}: {describe_suite(first)}", soft_wrap=True)
-    if different := list_differences(first, second):
-        console.print(f"Made with other versions: {', '.join(different)}.", style="yellow", soft_wrap=True)
-    for line in found:
-        console.print(line.sentence, soft_wrap=True)
+    different = list_differences(first, second)
+    versions = Text(f"Made with other versions: {', '.join(different)}.", "yellow")
+    head = f"{names[0]} and {names[1]}: {describe_suite(first)}"
+    print_findings(console, [head, *([versions] if different else []), *(one.sentence for one in found)])
     return found

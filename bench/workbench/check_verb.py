@@ -26,7 +26,7 @@ from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.log_campaign import list_recordings
 from bench.workbench.new_log import RECORDINGS
-from bench.workbench.printing import print_finding_table, print_findings
+from bench.workbench.printing import print_findings, print_table
 
 _MOST_NAMES = 8  # of metrics that are undecided
 _WORDS = get_args(Word)[::-1]
@@ -114,7 +114,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
         console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
         if proven:
-            print_finding_table(console, tabulate_verdicts(proven))
+            print_table(console, tabulate_verdicts(proven))
         if undecided:
             more = len(undecided) - _MOST_NAMES
             rest = f" and {more} more (--json has their intervals)" if more > 0 else ""

@@ -17,15 +17,15 @@ from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.stored import load_campaign
 from bench.errors import ConfigError
 from bench.evaluation.key_figures import is_key_figure
+from bench.evaluation.metric_words import name_metric
 from bench.findings.looks import find_look
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
-from bench.report.page import name_metric
 from bench.saving import save
 from bench.wording import format_number
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.flight_verbs import print_end
-from bench.workbench.printing import print_finding_table, print_findings
+from bench.workbench.printing import print_findings, print_table
 
 _MAIN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg", "nees_mean")
 """Metrics that are printed without being asked for."""
@@ -61,8 +61,7 @@ def _print_compared(console: Console, one: Compared, whole: bool) -> None:
         ]
         own = len({one.first, one.other, "metric", "verdict"}) == 4
         heads = (one.first, one.other) if own else ("first", "second")
-        table = tabulate_verdicts(rows, f"{estimator}, {profile}", heads)
-        print_finding_table(console, table)
+        print_table(console, tabulate_verdicts(rows, f"{estimator}, {profile}", heads))
     print_findings(console, one.sentences)
     if not whole:
         console.print("All key figures: --table")

@@ -18,6 +18,7 @@ from bench.run_result import RunResult
 from bench.stages import FLYING, Stage, Watcher
 from bench.wording import one_line
 from bench.workbench.console import PlainConsole
+from bench.workbench.printing import print_findings
 
 RUNS = Path("runs")
 """Default folder for results."""
@@ -173,8 +174,9 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
     if limit is not None:
         store.trim_cache(int(1e9 * limit))
     cache = store.measure_cache()
-    console.print(f"{cache.folder}: {cache.flights} flights, {cache.size / 1e9:.3f} GB", soft_wrap=True)
-    console.print(f"limit: {cache.limit / 1e9:g} GB, set by {store.LIMIT}; the least recently used go first")
+    size = f"{cache.folder}: {cache.flights} flights, {cache.size / 1e9:.3f} GB"
+    limits = f"limit: {cache.limit / 1e9:g} GB, set by {store.LIMIT}; the least recently used go first"
+    print_findings(console, [size, limits])
 
 
 @contextlib.contextmanager

@@ -11,11 +11,12 @@ from collections.abc import Iterable
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.pager import Pager
-from rich.table import Table
 
 from bench.errors import ConfigError
+from bench.findings import make_table
 from bench.places import PACKAGE
 from bench.wording import suggest
+from bench.workbench.printing import print_table
 
 FOLDER = PACKAGE / "guide"
 """One Markdown file per topic; its ``README.md`` lists them."""
@@ -35,12 +36,9 @@ def read_topics() -> dict[str, str]:
 
 def list_topics(console: Console) -> None:
     """Print every topic with a description of one line."""
-    table = Table(title="Topics (bench guide TOPIC)", title_justify="left", show_header=False, box=None)
-    table.add_column(no_wrap=True)
-    table.add_column(overflow="fold")
-    for topic, about in read_topics().items():
-        table.add_row(topic, about)
-    console.print(table)
+    rows = list(read_topics().items())
+    table = make_table("topics", "Topics (bench guide TOPIC)", ("topic", "how to"), rows)
+    print_table(console, table, most=None)
 
 
 def show_topic(topic: str, console: Console) -> None:

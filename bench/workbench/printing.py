@@ -1,51 +1,158 @@
-"""Print what was found, the same way for every verb: its tables, then its sentences."""
+"""Print what was found, the same way for every verb: its tables, then its sentences.
+
+A table that is too wide for the console is printed as several, and nothing is cut.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import takewhile
+from typing import NamedTuple
 
-from rich.console import Console
+from rich import box
+from rich.console import Console, JustifyMethod
+from rich.table import Table
+from rich.text import Text
 
 from bench.findings import FindingTable
-from bench.notebook import format_cell
-from bench.workbench.divided_table import TableColumn, print_table
+from bench.findings.looks import LOOKS
+from bench.notebook import ShownFigure, format_cell
 
 _MOST_ROWS = 40  # of a table that are printed
+_WIDEST_TEXT = 24  # a column of text in a table too wide for the console
+_GAP = 2  # between columns
 
 
-def print_findings(console: Console, sentences: Iterable[str], tables: Iterable[FindingTable] = ()) -> None:
+def print_findings(
+    console: Console, sentences: Iterable[str | Text], tables: Iterable[FindingTable] = ()
+) -> None:
     """Print tables, and a paragraph for each sentence."""
     for table in tables:
-        print_finding_table(console, table)
+        print_table(console, table)
     for sentence in sentences:
         console.print(sentence, soft_wrap=True)
 
 
-def print_finding_table(console: Console, table: FindingTable) -> None:
-    """Print the first rows of a table; if it has to be divided, each part has the columns that name a row."""
-    columns = {
-        name: TableColumn(
-            [format_cell(value) for value in values[:_MOST_ROWS]],
-            words=any(isinstance(value, str) for value in values),
-        )
-        for name, values in table.columns.items()
-    }
-    print_table(console, columns, _find_keys(table), table.title)
-    rows = max((len(values) for values in table.columns.values()), default=0)
-    if rows > _MOST_ROWS:
-        console.print(f"{rows - _MOST_ROWS} more rows: -o DIR writes all.", style="dim")
+def print_table(console: Console, table: FindingTable, most: int | None = _MOST_ROWS) -> None:
+    """Print the first rows of a table; verdicts have their look, and a row with a name alone is a heading.
+
+    If it is too wide, intervals stand below their figures; if it still is, each part has the columns that
+    name a row, and as many others as there is room for.
+    """
+    if table.title:
+        console.print(table.title, style="table.title")
+    if not table.columns:
+        return
+    columns = {name: values[:most] for name, values in table.columns.items()}
+    whole = _draw(_show(name, values) for name, values in columns.items())
+    if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
+        console.print(whole)
+    else:
+        narrow = {name: _show(name, values, narrow=True) for name, values in columns.items()}
+        for part in _divide(narrow, _find_keys(columns), console.width):
+            shown = {name: narrow[name] for name in part}
+            longest = max(part, key=lambda name: _measure([name, *map(format_cell, columns[name])]))
+            spare = max(0, console.width - 1 - sum(one.width + _GAP for one in shown.values()))
+            shown[longest] = shown[longest]._replace(width=shown[longest].width + spare)
+            console.print(_draw(shown.values()))
+    left = max(map(len, table.columns.values()), default=0) - max(map(len, columns.values()), default=0)
+    if left > 0:
+        console.print(f"{left} more rows: -o DIR writes all.", style="dim")
 
 
-def _find_keys(table: FindingTable) -> list[str]:
-    """Return the fewest of the first columns that tell all rows apart."""
+def _find_keys(columns: Mapping[str, Sequence[object]]) -> list[str]:
+    """Return the fewest of the first columns that tell all rows apart; figures with bounds do not."""
 
     def differ(names: Sequence[str]) -> bool:
-        rows = list(zip(*(table.columns[name] for name in names), strict=True))
+        rows = list(zip(*(columns[name] for name in names), strict=True))
         return len(set(rows)) == len(rows)
 
-    names = list(table.columns)
-    keys = next((names[:k] for k in range(1, len(names)) if differ(names[:k])), names[:1])
+    def names_rows(name: str) -> bool:
+        return not any(isinstance(value, ShownFigure) for value in columns[name])
+
+    names = list(takewhile(names_rows, columns)) or list(columns)[:1]
+    most = min(len(names), len(columns) - 1)
+    keys = next((names[:k] for k in range(1, most + 1) if differ(names[:k])), names[:1])
     for name in keys[1:-1]:
         fewer = [key for key in keys if key != name]
         keys = fewer if differ(fewer) else keys
     return keys
+
+
+class _Column(NamedTuple):
+    """A column as it is printed."""
+
+    head: str
+    cells: Sequence[str]
+    styles: Sequence[str]
+    words: bool  # text, not numbers
+    width: int
+
+
+def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Column:
+    """Return a column; if narrow, its head is broken after underscores and spaces, and text is wrapped."""
+    words = any(isinstance(value, str) for value in values)
+    outside = any(isinstance(value, ShownFigure) and value.outside for value in values)
+    styles = [_find_style(value) for value in values]
+    cells = [_format(value, marked=outside, narrow=narrow) for value in values]
+    if not narrow:
+        return _Column(name, cells, styles, words, _measure([name, *cells]))
+    pieces = re.findall(r"[^_ ]*[_ ]*", name)
+    widest = _measure(cells)
+    if words:
+        word = _measure([word for cell in cells for word in cell.split()])
+        widest = min(widest, max(word, _WIDEST_TEXT))
+    width = max(widest, _measure([piece.rstrip() for piece in pieces]))
+    lines = [""]
+    for piece in pieces:
+        if len((lines[-1] + piece).rstrip()) > width:
+            lines.append("")
+        lines[-1] += piece
+    return _Column("\n".join(line.rstrip() for line in lines), cells, styles, words, width)
+
+
+def _format(value: object, *, marked: bool, narrow: bool) -> str:
+    """Return a cell; in a column with a mark the digits of the other figures stand above its own."""
+    if not isinstance(value, ShownFigure):
+        return format_cell(value)
+    text = f"{value.text}{' !' if value.outside else '  ' if marked else ''}"
+    return f"{text}{chr(10) if narrow else ' '}({value.bounds})" if value.bounds else text
+
+
+def _find_style(value: object) -> str:
+    if isinstance(value, ShownFigure):
+        return "bold red" if value.outside else ""
+    return LOOKS[value].style if isinstance(value, str) and value in LOOKS else ""
+
+
+def _measure(texts: Iterable[str]) -> int:
+    return max((len(line) for text in texts for line in text.split("\n")), default=0)
+
+
+def _divide(columns: Mapping[str, _Column], keys: Sequence[str], room: int) -> Iterator[list[str]]:
+    """Yield the names of the columns of each part, as many as there is room for beside the keys."""
+    part: list[str] = []
+    for name in columns:
+        together = {*keys, *part, name}
+        taken = sum(columns[one].width + _GAP for one in together)
+        if taken > room and not set(part) <= {*keys}:
+            yield part
+            part = list(keys)
+        if name not in part:
+            part.append(name)
+    yield part
+
+
+def _draw(columns: Iterable[_Column]) -> Table:
+    drawn: Collection[_Column] = list(columns)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    for one in drawn:
+        kind: JustifyMethod = "left" if one.words else "right"
+        table.add_column(one.head, justify=kind, overflow="fold", max_width=one.width)
+    cells = ([Text(*pair) for pair in zip(one.cells, one.styles, strict=True)] for one in drawn)
+    for row in zip(*cells, strict=True):
+        name, *others = row
+        heading = others and not any(cell.plain for cell in others)
+        table.add_row(*row, style="bold" if heading and name.plain else None)
+    return table

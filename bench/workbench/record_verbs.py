@@ -7,23 +7,24 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from bench import api, config, log_pipeline, store
 from bench.config.checks import is_code
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
-from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.outages import DRIFT_MEANING, tabulate_drifts
+from bench.findings import FindingTable
+from bench.notebook import ShownFigure
 from bench.run_result import RunResult
 from bench.saving import save
 from bench.specs import TriadSpec
 from bench.stages import Stage
 from bench.wording import one_line
 from bench.workbench import result_table
-from bench.workbench.divided_table import TableColumn, print_table
 from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end, print_result, show_stages
 from bench.workbench.new_log import new_log
+from bench.workbench.printing import print_findings
 
 
 def navigate_log(
@@ -87,7 +88,7 @@ def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = 
     console.print(f"{judge}, {result.evaluation}", soft_wrap=True)
     print_result(console, result, table=table)
     if result.more["outages"]:
-        _print_drifts(console, result.more["outages"])
+        print_findings(console, [DRIFT_MEANING], [tabulate_drifts(result.more["outages"])])
     elif cuts and "reference" not in document:
         console.print(
             "Withheld fixes tell little of the IMU; the recording is too short for cuts without GNSS"
@@ -104,17 +105,6 @@ def _find_log(name: str, console: Console, rates: str | None) -> str:
     else:
         new_log(name, console=console, rates=rates)
     return str(log)
-
-
-def _print_drifts(console: Console, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print the drift in each outage, intervals below their values."""
-    texts, keys = zip(*map(format_drift_row, rows), strict=True), DRIFT_COLUMNS[:2]
-    columns = {
-        head: TableColumn([text.replace(" (", "\n(") for text in cells], words=head in keys)
-        for head, cells in zip(DRIFT_COLUMNS, texts, strict=True)
-    }
-    print_table(console, columns, keys, "Horizontal drift without GNSS [m]")
-    console.print(DRIFT_MEANING, soft_wrap=True)
 
 
 def write_recording(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:
@@ -195,13 +185,10 @@ def measure_allan(
     source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
     picture = out or Path(f"allan-{source}.png")
     measured = api.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
-    for curve in measured.curves:
-        _print_allan_table(curve, console)
-        if log is not None:
-            console.print(_describe_fit(curve), soft_wrap=True)
-    console.print(f"picture: {picture}")
-    if measured.simulated:
-        console.print(f"{measured.outside} of {measured.points} values lie outside their 99.9 % band (!).")
+    fits = [_describe_fit(curve) for curve in measured.curves if log is not None]
+    outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band (!)."
+    sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
+    print_findings(console, sentences, map(_tabulate_allan, measured.curves))
     return measured.held
 
 
@@ -240,23 +227,20 @@ def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
-def _print_allan_table(curve: AllanCurve, console: Console) -> None:
-    """Print a curve; ``!`` marks a ratio outside its band."""
+def _tabulate_allan(curve: AllanCurve) -> FindingTable:
+    """Return a curve beside that of the datasheet, if it has one."""
     unit, factor = SHOWN_UNITS[curve.triad]
-    columns = {
-        "tau [s]": TableColumn([f"{tau:g}" for tau in curve.tau]),
-        "measured": TableColumn([f"{factor * value:.4g}" for value in curve.measured]),
-    }
+    columns: dict[str, list[Any]] = {"tau [s]": curve.tau.tolist()}
+    columns["measured"] = (factor * curve.measured).tolist()
     if curve.terms:
         low, ratio, high = (x / curve.expected for x in (curve.low, curve.measured, curve.high))
-        marks = np.where((low <= ratio) & (ratio <= high), "  ", " !")
-        columns |= {
-            "datasheet": TableColumn([f"{factor * value:.4g}" for value in curve.expected]),
-            "ratio": TableColumn([f"{value:.3f}{mark}" for value, mark in zip(ratio, marks, strict=True)]),
-            "99.9 % band": TableColumn([f"{a:.3f} to {b:.3f}" for a, b in zip(low, high, strict=True)]),
-        }
-    columns["degrees of freedom"] = TableColumn([f"{value:.0f}" for value in curve.edf])
-    print_table(console, columns, ["tau [s]"], f"{curve.triad}, Allan deviation in {unit}")
+        columns["datasheet"] = (factor * curve.expected).tolist()
+        columns["ratio (99.9 % band)"] = [
+            ShownFigure(f"{one:.3f}", f"{least:.3f} to {most:.3f}", outside=not least <= one <= most)
+            for least, one, most in zip(low, ratio, high, strict=True)
+        ]
+    columns["degrees of freedom"] = [round(value) for value in curve.edf.tolist()]
+    return FindingTable(curve.triad, f"{curve.triad}, Allan deviation in {unit}", columns)
 
 
 def _describe_fit(curve: AllanCurve) -> str:

@@ -6,18 +6,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from textwrap import wrap
 from typing import Any
 
-from rich import box
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from bench.data import NavSolution
 from bench.evaluation import headline, verdict
 from bench.evaluation.headline import Headline, make_headline
 from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metric_words import find_words, format_metric, group_metrics
+from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
+from bench.findings import FindingTable
+from bench.notebook import ShownFigure
 from bench.wording import format_number
-from bench.workbench.divided_table import TableColumn, print_table
+from bench.workbench.printing import print_table
 
 ROOM = 14
 """Lines for the headlines of a run: with what stands before and behind them a screen of 24."""
@@ -55,16 +55,12 @@ def _wrap_headline(one: Headline, width: int) -> Iterator[str]:
 
 
 def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, NavSolution]) -> None:
-    """Print verdicts and main metrics, one column per estimator, alignments and errors not modelled.
-
-    A table that is too wide for the console is divided into several.
-    """
+    """Print verdicts and main metrics, one column per estimator, alignments and errors not modelled."""
     for values in measured.values():
         if text := values.get("verdict_text"):
             console.print(text, style=headline.judge_look(str(values["verdict"]), values).style)
     names = list_key_figures(measured)
-    for table in _divide(console, measured, names):
-        console.print(table)
+    print_table(console, _tabulate_metrics(measured, names), most=None)
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
     if explained := explain_rows(names):
@@ -75,21 +71,37 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
     _print_remarks(console, measured, solutions)
 
 
+def _tabulate_metrics(measured: Measured, names: Sequence[str]) -> FindingTable:
+    """Return the table of some metrics by heading, with their bounds."""
+    columns: dict[str, list[str | ShownFigure]] = {"": [], **{label: [] for label in measured}}
+    for heading, members in group_metrics(names).items():
+        for name in (None, *members):
+            columns[""].append(name_metric(name) if name else heading)
+            for label, values in measured.items():
+                columns[label].append(_show_metric(name, values) if name else ShownFigure(""))
+    return FindingTable("metrics", "", columns)
+
+
+def _show_metric(name: str, values: Mapping[str, Any]) -> ShownFigure:
+    outside, bounds = verdict.is_outside(name, values), format_bounds(name, values)
+    return ShownFigure(format_metric(name, values.get(name)), bounds, outside)
+
+
 def print_bound(console: Console, measured: Measured) -> None:
     """Print the errors over those of the best linear estimator, where they were asked for."""
     held = {label: values["bound"] for label, values in measured.items() if values.get("bound")}
     if not held:
         return
-    cells: dict[str, dict[str, str]] = {}
+    cells: dict[str, dict[str, ShownFigure]] = {}
     for label, rows in held.items():
         for row in rows:
-            low, high = (_format_end(row[end]) for end in ("low", "high"))
-            text = f"{format_number(row['ratio'])}\n{low}-{high}"
-            cells.setdefault(f"{row['quantity']} {row['phase']}", {})[label] = text
+            interval = f"{_format_end(row['low'])} to {_format_end(row['high'])}"
+            figure = ShownFigure(format_number(row["ratio"]), interval)
+            cells.setdefault(f"{row['quantity']} {row['phase']}", {})[label] = figure
+    columns = {label: [found.get(label, ShownFigure("")) for found in cells.values()] for label in held}
     head = "rms over that of the best linear estimator"
-    columns = {label: TableColumn([texts.get(label, "") for texts in cells.values()]) for label in held}
-    print_table(console, {head: TableColumn(list(cells), words=True), **columns}, [head])
-    meaning = "Below each ratio its 99.9 % interval, by the correlation in time of this one run."
+    print_table(console, FindingTable("bound", "", {head: list(cells), **columns}))
+    meaning = "Beside or below each ratio its 99.9 % interval, by the correlation in time of this one run."
     console.print(meaning, style="dim")
 
 
@@ -117,47 +129,3 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
             remarks.setdefault(f"not modelled: {', '.join(values['unmodelled'])}", []).append(label)
     for text, labels in remarks.items():
         console.print(f"{', '.join(labels)}: {text}")
-
-
-def _divide(console: Console, measured: Measured, names: Sequence[str]) -> Iterator[Table]:
-    """Yield tables that fit into the console, each with as many estimators as there is room for."""
-    labels = list(measured)
-    table = _make_table({label: measured[label] for label in labels}, names, narrow=False)
-    if _width(console, table) <= console.width:
-        yield table
-        return
-    while labels:
-        for count in range(len(labels), 0, -1):
-            table = _make_table({label: measured[label] for label in labels[:count]}, names, narrow=True)
-            if _width(console, table) <= console.width or count == 1:
-                break
-        yield table
-        labels = labels[count:]
-
-
-def _width(console: Console, table: Table) -> int:
-    return console.measure(table, options=console.options.update(max_width=10_000)).maximum
-
-
-def _make_table(measured: Measured, names: Sequence[str], *, narrow: bool) -> Table:
-    """Return the table of some estimators; if narrow, with bounds below the values."""
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("", no_wrap=True)
-    for label in measured:
-        table.add_column(label.replace("-", "-\n") if narrow else label, justify="right", no_wrap=True)
-    table.add_column("")
-    for group, members in group_metrics(names).items():
-        table.add_row(Text(group, "bold"))
-        for name in members:
-            cells = (_make_cell(name, values, narrow=narrow) for values in measured.values())
-            table.add_row(f" {find_words(name).words}", *cells, find_words(name).unit)
-    return table
-
-
-def _make_cell(name: str, values: Mapping[str, Any], *, narrow: bool) -> Text:
-    """Return a value with its bounds, marked if it is outside."""
-    outside, bounds = verdict.is_outside(name, values), format_bounds(name, values)
-    text = format_metric(name, values.get(name)) + (" !" if outside else "")
-    if bounds:
-        text += f"\n{bounds.replace(' to ', '-')}" if narrow else f" ({bounds})"
-    return Text(text, "bold red" if outside else "")

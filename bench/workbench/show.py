@@ -7,40 +7,37 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from bench import config
 from bench.config.figure_table import ASSUMED, tabulate_figures
 from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
+from bench.findings import FindingTable, make_table
 from bench.navigation.built_in import BUILT_IN
+from bench.notebook import ShownFigure
 from bench.signals.terrain import read_grid
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
-from bench.workbench.divided_table import TableColumn, print_table
+from bench.workbench.printing import print_table
 
 _DEG = 180 / math.pi
+_OF_KEYS = ("key", "may be", "default", "what")
 
 
 def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any]) -> None:
     """Print the legs of a flight and its extremes, as `bench.pipeline.fly_over` returns them."""
     console.print(f"{one_line(profile.title)}: {profile.flight.label}")
-    table = Table()
-    for column in ("from", "to"):
-        table.add_column(column, justify="right", no_wrap=True)
-    table.add_column("leg", overflow="fold")
-    for start, end, text in summary["legs"]:
-        table.add_row(f"{start:.1f} s", f"{end:.1f} s", text)
-    console.print(table)
-    figures = Table.grid(padding=(0, 2))
-    for name, text in _describe_flight(summary).items():
-        figures.add_row(name, text)
+    legs = [
+        (ShownFigure(f"{start:.1f} s"), ShownFigure(f"{end:.1f} s"), text)
+        for start, end, text in summary["legs"]
+    ]
+    figures = _describe_flight(summary)
     if (terrain := profile.sensors.terrain) is not None:
+        low, high = summary["height_min_m"], summary["height_max_m"]
         grid = f"over {terrain.path.name}, {read_grid(terrain).describe()}"
-        figures.add_row(
-            "above ground", f"{summary['height_min_m']:.0f} to {summary['height_max_m']:.0f} m {grid}"
-        )
-    console.print(figures)
+        figures["above ground"] = f"{low:.0f} to {high:.0f} m {grid}"
+    print_table(console, make_table("legs", "", ("from", "to", "leg"), legs), most=None)
+    print_table(console, make_table("flight", "", ("figure", "value"), list(figures.items())))
     for _, _, text in summary["table"]:
         console.print(f"{profile.flight.label}: {text}", soft_wrap=True)
     print_sanity(console, summary["sanity"])
@@ -140,15 +137,15 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
     for name, entries in list_catalog(kind).items():
         if kind == "legs":
             for entry in entries:
-                _print_grid(
-                    console, f"{entry.name}: {entry.title}", [_describe_key(key) for key in entry.keys]
-                )
+                rows = [_describe_key(key) for key in entry.keys]
+                _print_rows(console, f"{entry.name}: {entry.title}", _OF_KEYS, rows)
             continue
         rows = []
         for entry in entries:
             what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
             rows.append((entry.kind, entry.name, what) if name == "sensors" else (entry.name, what))
-        _print_grid(console, f"{name.capitalize()} ({_SHELVES[name][0]})", rows)
+        heads = ("kind", "name", "what") if name == "sensors" else ("name", "what")
+        _print_rows(console, f"{name.capitalize()} ({_SHELVES[name][0]})", heads, rows)
     if kind == "estimators":
         _print_options(console)
     for line in list_plugin_problems():
@@ -159,22 +156,19 @@ def print_sensors(console: Console) -> None:
     """Print the figures of all sensors of the catalog, a table for each kind."""
     for kind in KINDS:
         figures = tabulate_figures(kind)
-        columns = {name: TableColumn(cells, words=name in (kind, "class")) for name, cells in figures.items()}
-        print_table(console, columns, [kind], kind)
+        columns = {
+            name: cells if name in (kind, "class") else [ShownFigure(cell) for cell in cells]
+            for name, cells in figures.items()
+        }
+        print_table(console, FindingTable(kind, kind, columns), most=None)
     text = f"{ASSUMED} assumed, no source states it; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)
 
 
-def _print_grid(console: Console, title: str, rows: Sequence[Sequence[str]]) -> None:
-    console.print(title, style="italic", soft_wrap=True)
-    grid = Table(show_header=False, box=None, padding=(0, 2))
-    for _ in rows[0] if rows else ():
-        grid.add_column(overflow="fold")
-    for row in rows:
-        grid.add_row(*row)
-    if rows:
-        console.print(grid)
-    console.print()
+def _print_rows(console: Console, title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table of words; of one without rows its title."""
+    table = make_table("rows", title, heads, rows) if rows else FindingTable("rows", title, {})
+    print_table(console, table, most=None)
 
 
 def _describe_key(key: KeyEntry) -> tuple[str, ...]:
@@ -185,7 +179,7 @@ def _describe_key(key: KeyEntry) -> tuple[str, ...]:
     default = "required" if key.required else "optional"
     if key.default is not None:
         default = key.default if isinstance(key.default, str) else f"{key.default:g} {key.unit}"
-    return f"{key.name:14}", f"{holds:26}", f"{default:8}", key.words
+    return key.name, holds, default, key.words
 
 
 def _print_options(console: Console) -> None:
@@ -200,4 +194,4 @@ def _print_options(console: Console) -> None:
         known = described(base) if base else []
         rows = [option for option in described(model) if option not in known]
         shared = f": those of {owners[base][0]}{', and' if rows else ''}" if base else ""
-        _print_grid(console, f"Options of {', '.join(names)}{shared}", rows)
+        _print_rows(console, f"Options of {', '.join(names)}{shared}", ("option", "default", "what"), rows)

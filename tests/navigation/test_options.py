@@ -45,5 +45,5 @@ def test_the_list_of_estimators_shows_their_options():
     text = out.getvalue()
     assert "Options of loose-15, loose-22, loose-mems, loose-full, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text
-    assert text.count("  magnetometer  ") == 2  # of the compiled filters, and of ukf
+    assert text.count(" magnetometer  ") == 2  # of the compiled filters, and of ukf
     assert "Rate of the covariance step [Hz]" in text

@@ -28,7 +28,7 @@ from bench.store.study_folder import save_study
 from bench.studies import STUDIES
 from bench.studies.conducting import find_study
 from bench.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
-from bench.workbench.printing import print_finding_table
+from bench.workbench.printing import print_table
 
 SHORT = {"outages_s": (60, 300)}
 
@@ -113,7 +113,7 @@ def test_a_wide_table_is_divided_and_nothing_is_cut(width):
         "remark": ["word " * 12] * 6,
     }
     file = io.StringIO()
-    print_finding_table(Console(file=file, width=width), FindingTable("t", "The title", columns))
+    print_table(Console(file=file, width=width), FindingTable("t", "The title", columns))
     lines = file.getvalue().splitlines()
     assert max(map(len, lines)) <= width
     assert "…" not in file.getvalue()

@@ -15,11 +15,14 @@ from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.noise_curves import AllanCurve
+from bench.evaluation.outages import tabulate_drifts
+from bench.findings import FindingTable
+from bench.notebook import ShownFigure
+from bench.places import PACKAGE
 from bench.workbench import record_verbs
 from bench.workbench.campaign_verb import print_campaign
 from bench.workbench.check_verb import tabulate_verdicts
-from bench.workbench.divided_table import TableColumn, print_table
-from bench.workbench.printing import print_finding_table
+from bench.workbench.printing import print_table
 from bench.workbench.result_table import print_bound
 
 METRICS = ("pos_rmse_h_m", "heading_rmse_deg", "cep95_m")
@@ -57,18 +60,19 @@ def test_the_bound_of_many_estimators_is_divided_and_each_part_names_its_rows():
         )
         parts = words.count("─ ")
         assert all(words.count(name) == 1 for name in names)
-        assert words.count("1016-1457") == len(names) * len(rows)
+        assert words.count("(1016 to 1457)") == len(names) * len(rows)
         assert words.count("GNSS") == parts * len(rows)
         assert (parts > 1) == (width < 200)
 
 
-def test_drifts_in_outages_are_not_cut(monkeypatch):
-    monkeypatch.setattr(record_verbs, "DRIFT_MEANING", "")
+def test_drifts_in_outages_are_not_cut():
     ends = {f"{name}_{end}m": 1016.4 for name in ("median_h", "p95_h") for end in ("low_", "", "high_")}
     row = {"duration_s": 5.0, "estimator": "an-estimator", "places": 10, **ends}
     row |= {"claimed_median_h_m": 1016.4, "closed_form_median_h_m": 1016.4}
-    words = print_at(60, lambda console: record_verbs._print_drifts(console, [row, row]))
-    assert words.count("an-estimator") == 2 * words.count("─ ") > 2
+    words = print_at(
+        60, lambda console: print_table(console, tabulate_drifts([row, row | {"estimator": "another"}]))
+    )
+    assert words.count("an-estimator") == words.count("another") == words.count("─ ") > 1
     assert words.count("(1020 to 1020)") == 4
 
 
@@ -77,27 +81,24 @@ def test_an_allan_table_is_not_cut_and_marks_what_is_outside(width):
     tau, expected = np.array([0.005, 4096.0]), np.array([1e-3, 2e-3])
     bands = {"low": 0.9 * expected, "high": 1.1 * expected, "expected": expected, "terms": {"N": expected}}
     curve = AllanCurve("gyro", tau, expected * [1.0, 1.234], np.array([119999.0, 48.0]), **bands)
-    words = print_at(width, lambda console: record_verbs._print_allan_table(curve, console)).split()
-    assert words.count("4096") == (2 if width == 60 else 1)
-    assert words.count("0.900") == words.count("1.100") == 2
+    words = print_at(width, lambda console: print_table(console, record_verbs._tabulate_allan(curve))).split()
+    assert words.count("4096") == 1
+    assert words.count("(0.900") == words.count("1.100)") == 2
     assert words[words.index("!") - 1] == "1.234"
     assert words.count("!") == 1
     assert "119999" in words
 
 
 def test_a_head_is_broken_after_spaces_and_underscores():
-    columns = {
-        "unit": TableColumn(["long " * 9] * 2, words=True),
-        "ANEES / n of_it_m": TableColumn(["1.00 (0.9 to 1)"] * 2),
-    }
-    lines = print_at(40, lambda console: print_table(console, columns, ["unit"])).splitlines()
+    columns = {"unit": ["long " * 9] * 2, "ANEES / n of_it_m": [ShownFigure("1.00 (0.9 to 1)")] * 2}
+    lines = print_at(40, lambda console: print_table(console, FindingTable("", "", columns))).splitlines()
     assert [line.split("  ")[-1].strip() for line in lines[1:3]] == ["ANEES / n of_", "it_m"]
 
 
 def test_a_title_may_be_wider_than_its_table():
     title = "Words above a table of one narrow column"
-    said = print_at(60, lambda console: print_table(console, {"unit": TableColumn(["m"])}, ["unit"], title))
-    assert said.splitlines()[0].rstrip() == title
+    said = print_at(30, lambda console: print_table(console, FindingTable("", title, {"unit": ["m"]})))
+    assert " ".join(said.split()).startswith(title)
 
 
 def test_changes_of_a_comparison_are_not_cut():
@@ -109,8 +110,25 @@ def test_changes_of_a_comparison_are_not_cut():
     assert row.format_change() == "-29.0% (-100.0% to +9.5e+142%)"
     assert replace(row, low=-0.3, high=12.5).format_change() == "-29.0% (-30.0% to +1250.0%)"
     table = tabulate_verdicts([row], "flight", ("the-first", "the-other"))
-    words = print_at(60, lambda console: print_finding_table(console, table))
+    words = print_at(60, lambda console: print_table(console, table))
     assert "undecided" in words
+
+
+def test_intervals_stand_below_their_figures_only_where_there_is_no_room():
+    columns = {
+        "": ["Heading", "error"],
+        "mine": [ShownFigure(""), ShownFigure("12.3", "1 to 20", outside=True)],
+    }
+    table = FindingTable("", "", columns | {"theirs": [ShownFigure(""), ShownFigure("4", "3 to 5")]})
+    wide = print_at(60, lambda console: print_table(console, table)).splitlines()
+    assert " ".join(wide[-2].split()) == "error 12.3 ! (1 to 20) 4 (3 to 5)"
+    narrow = print_at(30, lambda console: print_table(console, table)).splitlines()
+    assert [" ".join(line.split()) for line in narrow[-3:-1]] == ["error 12.3 ! 4", "(1 to 20) (3 to 5)"]
+
+
+def test_what_is_found_is_printed_by_one_module():
+    users = [path.name for path in PACKAGE.rglob("*.py") if "rich.table" in path.read_text(encoding="utf-8")]
+    assert users == ["printing.py"], "make a FindingTable, and let print_findings print it"
 
 
 @pytest.mark.parametrize("several", [False, True], ids=["ten estimators", "conditions"])
@@ -137,6 +155,7 @@ def test_the_table_of_a_campaign_is_divided_and_nothing_is_cut(several):
     parts = sum("─" in line for line in table.splitlines())
     assert parts > 1
     for row in range(10):
-        assert words.count(f"an-estimator-{row}") == (parts if several else 1)
+        assert words.count(f"an-estimator-{row}") == 1
+        assert words.count(f"unit-{row}-with-a-long-name") == (parts if several else 0)
     if not several:
         assert table.count("heading error") == parts
