@@ -30,16 +30,18 @@ from bench.exchange.client_session import ClientSession
 from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.steering import Commanded, Commands
+from bench.flight_specs import FlightSpec
 from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
+from bench.sensor_specs import SensorsSpec
 from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
 from bench.signals.terrain import ground_at
-from bench.specs import CLIENT, FlightSpec, Guidance, Profile, SensorsSpec
+from bench.specs import CLIENT, Guidance, Profile
 from bench.store import join_pieces
 from bench.wording import one_line
 

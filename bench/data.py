@@ -19,7 +19,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray, as_float, read_only
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.instruments import INSTRUMENTS, InstrumentReports
 from bench.moved import moved_from
-from bench.specs import DEFAULT_DATE, AssumedSpecs
+from bench.sensor_specs import DEFAULT_DATE, AssumedSpecs
 
 _LLA = ("lat_rad", "lon_rad", "alt_m")
 _Q_NB = ("q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z")

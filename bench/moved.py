@@ -21,6 +21,9 @@ NAMES: Mapping[str, str] = {
         f"bench.specs.{name}": f"bench.instruments.{name}"
         for name in ("BaroSpec", "StaticPressureSpec", "MagSpec", "AirspeedSpec")
     },
+    **{f"bench.specs.{name}": f"bench.flight_specs.{name}" for name in ("FlightSpec", "TableSpec", "Leg")},
+    **{f"bench.specs.{name}": f"bench.sensor_specs.{name}" for name in ("ImuSpec", "GnssSpec", "TriadSpec")},
+    "bench.specs.stream": "bench.random_streams.stream",
 }
 """Name that is gone from a module -> the name that replaced it."""
 

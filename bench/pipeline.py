@@ -27,10 +27,12 @@ from bench.data import (
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.exchange.loading import load_estimators
+from bench.flight_specs import FlightSpec, TableSpec
 from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
 from bench.run_result import RunResult
-from bench.specs import CLIENT, IN_FLIGHT, AssumedSpecs, EstimatorChoice, FlightSpec, Profile, TableSpec
+from bench.sensor_specs import AssumedSpecs
+from bench.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
 from bench.stages import FLYING, Stages, Watcher
 
 

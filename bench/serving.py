@@ -16,8 +16,9 @@ from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.exchange.streaming import listen, parse_address
 from bench.flight.steering import Commands
+from bench.flight_specs import FlightSpec
 from bench.run_result import RunResult
-from bench.specs import CLIENT, FlightSpec, Profile
+from bench.specs import CLIENT, Profile
 
 Gives = Literal["estimate", "commands"]
 

@@ -17,8 +17,9 @@ from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.flight.truth import Stretch
+from bench.flight_specs import FlightSpec
+from bench.random_streams import stream
 from bench.sensors import draws
-from bench.specs import FlightSpec, stream
 from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan
 from tests.weaving import weaving

@@ -46,8 +46,8 @@ from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.observations import read_observations
 from bench.exchange.solutions import read_solution
 from bench.exchange.trajectory import read_trajectory
+from bench.flight_specs import TableSpec
 from bench.places import PACKAGE
-from bench.specs import TableSpec
 from bench.store import parquet
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats

@@ -34,7 +34,7 @@ from bench.instruments import INSTRUMENTS
 from bench.navigation import options
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
-from bench.specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.sensor_specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import from_si
 from bench.wording import as_toml, read_words
 from bench.workbench.guide import FOLDER

@@ -16,10 +16,10 @@ from scipy.signal import lfilter
 from bench import earth, rotation
 from bench.data import Trajectory
 from bench.exchange.trajectory import read_trajectory
+from bench.flight_specs import TableSpec
 from bench.navigation.error_state_filter.vehicle_motion import SHAKING_SD, SLIP_FORCE
 from bench.navigation.error_state_filter.vehicle_states import SQUAT_SD
 from bench.navigation.options import FusionOptions
-from bench.specs import TableSpec
 from bench.store import join_pieces
 
 KNOTS = 50.0  # rate of the table [Hz]

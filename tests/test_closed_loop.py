@@ -18,7 +18,7 @@ from bench.flight import fly_pieces
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Taxi
-from bench.specs import FlightSpec
+from bench.flight_specs import FlightSpec
 from tests.flight.plans import plan, short_plan
 from tests.flight.test_legs_ground import KINDS, standing
 

@@ -97,7 +97,7 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
         "navigation/error_state_filter/schedule.py",
         "navigation/error_state_filter/state_processes.py",
         "data.py",
-        "specs.py",
+        "sensor_specs.py",
         "units.py",
     ):
         path = folder / "bench" / name

@@ -8,7 +8,8 @@ import pytest
 from bench.arrays import as_float, as_kind, read_only
 from bench.data import Events, ImuData, NavSolution, SensorData, Trajectory, no_events
 from bench.instruments import BaroData
-from bench.specs import AssumedSpecs, ImuSpec, TriadSpec, stream
+from bench.random_streams import stream
+from bench.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
 from tests.synthetic import still
 
 

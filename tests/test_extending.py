@@ -137,7 +137,7 @@ class Weave(AtSpeed):
 
 IMU_TERM = Toy(
     inserted={
-        "bench/specs.py": [
+        "bench/sensor_specs.py": [
             (
                 "    @property\n    def instability_sd(self)",
                 '    shear_sd: float = triad_figure(_ANGLES, _ANGLES, error="shear", default=0.0)\n\n',

@@ -21,8 +21,8 @@ from bench.places import PACKAGE
 from bench.plots.content import Content
 from bench.plots.tabs.flight_data import FLIGHT
 from bench.run_result import RunResult
+from bench.sensor_specs import Fault
 from bench.sensors import sense
-from bench.specs import Fault
 from bench.units import to_si
 from tests.weaving import units
 

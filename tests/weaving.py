@@ -13,7 +13,7 @@ from bench import rotation
 from bench.data import AirData, Controls, Trajectory, no_events
 from bench.instruments import BaroSpec
 from bench.navigation import mechanization
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
+from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 
 DEG = np.pi / 180
 

@@ -26,8 +26,9 @@ from bench.campaigns.campaign_file import (
 )
 from bench.config import load_profile
 from bench.errors import ConfigError
+from bench.flight_specs import FlightSpec
 from bench.places import PACKAGE
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, FlightSpec, Guard, Profile
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 
 _BLOCK = 1 << 20  # [byte]
 _MOST_NAMED = 200  # files that wrappers name

@@ -17,7 +17,8 @@ from bench.evaluation.block_nees import BlockNees, judge_blocks
 from bench.evaluation.error_series import TITLES, error_series
 from bench.navigation import estimator
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodelled
-from bench.specs import AssumedSpecs, EstimatorChoice, SensorsSpec
+from bench.sensor_specs import AssumedSpecs, SensorsSpec
+from bench.specs import EstimatorChoice
 
 LOST = dict.fromkeys(TITLES, BlockNees(3, np.inf, 0.0, np.inf, 0.0))
 """The claims of a filter that ended without a solution."""

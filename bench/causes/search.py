@@ -20,7 +20,8 @@ from bench.evaluation.block_nees import BlockNees, find_broken_block
 from bench.evaluation.error_series import TITLES
 from bench.navigation import built_in, estimator
 from bench.navigation.forward_filters import FORWARD
-from bench.specs import AssumedSpecs, EstimatorChoice, SensorsSpec
+from bench.sensor_specs import AssumedSpecs, SensorsSpec
+from bench.specs import EstimatorChoice
 from bench.wording import format_number
 
 LEAST = 0.30

@@ -25,7 +25,7 @@ from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.fields import XYZ, triad_figures_of
 from bench.instruments import INSTRUMENTS
-from bench.specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.sensor_specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import from_si, to_si
 from bench.wording import quantity, suggest
 

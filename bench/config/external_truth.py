@@ -11,7 +11,7 @@ from pathlib import Path
 from bench.config.profile_tables import ExperimentTable, ScriptTable, TrackTable, TrajectoryTable
 from bench.errors import ConfigError, FlightError
 from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
-from bench.specs import Flight, ScriptSpec, TableSpec, TrackSpec
+from bench.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
 from bench.wording import quantity, suggest, tell_where
 
 _TABLES = (".csv", ".parquet")

@@ -14,7 +14,7 @@ from bench.config.tables import ROWS, Table, between
 from bench.fields import figures_of
 from bench.instruments import INSTRUMENTS
 from bench.orbit_sets import LETTERS, SYSTEM_NAMES
-from bench.specs import Fault, GnssSpec, ImuSpec
+from bench.sensor_specs import Fault, GnssSpec, ImuSpec
 from bench.units import to_si
 from bench.wording import quantity
 

@@ -10,7 +10,7 @@ import numpy as np
 from bench.config.listing import find_sheets
 from bench.config.toml_file import read_toml
 from bench.fields import triad_figures_of
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 from bench.units import from_si, to_si
 from bench.wording import format_number
 

@@ -15,8 +15,9 @@ from bench.config.sheet import convert_figures
 from bench.errors import ConfigError
 from bench.flight.legs.keys import check_leg
 from bench.flight.legs.runway import TakeOff
+from bench.flight_specs import AircraftSpec, Leg, LegStart, Runway, TerrainSpec
 from bench.signals.terrain import ENDINGS, describe_terrain, ground_at
-from bench.specs import AircraftSpec, EstimatorChoice, Leg, LegStart, Runway, TerrainSpec
+from bench.specs import EstimatorChoice
 from bench.wording import quantity, tell_where
 
 

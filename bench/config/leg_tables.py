@@ -14,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between
 from bench.flight.legs.keys import KeyedField, keys_of
-from bench.specs import Leg
+from bench.flight_specs import Leg
 from bench.units import to_si
 
 

@@ -23,8 +23,9 @@ from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
+from bench.flight_specs import AircraftSpec, ForeignSpec, RunwaySpec
 from bench.installed import find_folders
-from bench.specs import AircraftSpec, ForeignSpec, Profile, RunwaySpec
+from bench.specs import Profile
 from bench.wording import one_line, quantity, suggest, tell_where
 
 

@@ -17,7 +17,7 @@ from bench.installed import find_folders, find_installed, list_problems
 from bench.instruments import INSTRUMENTS
 from bench.navigation.built_in import BUILT_IN
 from bench.places import PACKAGE
-from bench.specs import GnssSpec, TriadSpec
+from bench.sensor_specs import GnssSpec, TriadSpec
 from bench.units import split_unit
 from bench.wording import quantity
 

@@ -20,8 +20,9 @@ from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
+from bench.sensor_specs import DEFAULT_DATE, AssumedSpecs
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import DEFAULT_DATE, DEFAULT_GUARD, AssumedSpecs, EstimatorChoice, EvaluationWindow, Guard
+from bench.specs import DEFAULT_GUARD, EstimatorChoice, EvaluationWindow, Guard
 from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")

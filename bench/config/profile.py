@@ -36,25 +36,11 @@ from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
 from bench.errors import ConfigError
 from bench.flight import legs
+from bench.flight_specs import AircraftSpec, Flight, FlightSpec, Gust, Runway, TerrainSpec, WindLayer
+from bench.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
-from bench.specs import (
-    CLIENT,
-    DEFAULT_GUARD,
-    AircraftSpec,
-    AssumedSpecs,
-    EstimatorChoice,
-    Flight,
-    FlightSpec,
-    Guard,
-    Guidance,
-    Gust,
-    Profile,
-    Runway,
-    SensorsSpec,
-    TerrainSpec,
-    WindLayer,
-)
+from bench.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
 
 _OUTSIDE = ("file:", "command:")
 _DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter

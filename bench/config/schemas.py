@@ -21,7 +21,7 @@ from bench.fields import figures_of, triad_figures_of
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
 from bench.instruments import INSTRUMENTS
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 from bench.wording import read_words
 
 Schema = dict[str, Any]

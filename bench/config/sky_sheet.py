@@ -15,7 +15,7 @@ from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, collect_errors
 from bench.errors import ConfigError
 from bench.orbit_sets import GLONASS, GPS, SYSTEM_NAMES, GlonassSets, KeplerSets, parse_systems
-from bench.specs import SkySpec
+from bench.sensor_specs import SkySpec
 from bench.units import STANDARD_GRAVITY
 
 _DAY = 86400.0

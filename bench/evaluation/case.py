@@ -16,7 +16,8 @@ from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
 from bench.fields import XYZ
-from bench.specs import AssumedSpecs, EvaluationWindow, Fault
+from bench.sensor_specs import AssumedSpecs, Fault
+from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT, split_unit
 
 Outages = Sequence[tuple[float, float]]

@@ -15,7 +15,7 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.case import Alarms, Case
 from bench.instruments import INSTRUMENTS
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from bench.units import HOUR, SAME_INSTANT
 
 _SHOWS_IN: Mapping[str, tuple[str, ...]] = {

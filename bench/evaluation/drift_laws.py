@@ -26,7 +26,7 @@ import numpy as np
 from bench import rotation
 from bench.arrays import FloatArray
 from bench.evaluation.case import Case, find_outage_rows
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.units import STANDARD_GRAVITY
 
 RADIUS = 6_371_000.0  # mean radius of the Earth [m]

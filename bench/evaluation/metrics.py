@@ -31,7 +31,8 @@ from bench.evaluation.error_series import (
 )
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
-from bench.specs import AssumedSpecs, EvaluationWindow, Fault
+from bench.sensor_specs import AssumedSpecs, Fault
+from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT, unit_of
 
 Value = float | None

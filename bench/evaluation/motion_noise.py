@@ -14,7 +14,7 @@ from bench.arrays import FloatArray
 from bench.data import ImuData
 from bench.evaluation.recorded_motion import Check
 from bench.evaluation.rest_noise import assume_noise
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 
 SEGMENT = 4.0
 """Length of the stretches whose spectra are averaged [s]."""

@@ -11,11 +11,11 @@ from scipy.special import gammaincinv
 
 from bench.arrays import FloatArray, IntArray
 from bench.data import AirData, Trajectory, no_controls, no_events
+from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import make_noise_terms
 from bench.signals import allan
-from bench.specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.units import STANDARD_GRAVITY
 
 FAST, SLOW = (200.0, 300.0), (1.0, 65536.0)

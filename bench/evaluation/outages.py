@@ -17,7 +17,7 @@ from bench.evaluation.drift_laws import RAYLEIGH_95, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.ensemble import estimate_quantile
 from bench.findings import FindingTable, make_table
 from bench.notebook import ShownFigure
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.wording import format_number
 
 

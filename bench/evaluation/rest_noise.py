@@ -16,7 +16,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import ImuData
 from bench.evaluation.noise_curves import format_noise_figures
 from bench.evaluation.recorded_motion import Check
-from bench.specs import ImuSpec, TriadSpec
+from bench.sensor_specs import ImuSpec, TriadSpec
 
 TAU = 1.0
 """Averaging time of the Allan deviation [s]: a bias changes little within it."""

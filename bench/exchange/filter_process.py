@@ -30,6 +30,7 @@ from bench.exchange.filter_server import ANSWER, REQUEST, watch
 from bench.exchange.record_messages import RecordMessage, read_message
 from bench.navigation.engine.record_cuts import without_orbits
 from bench.scratch import make_scratch
+from bench.sensor_specs import AssumedSpecs
 from bench.spawned import (
     LOOK,
     PATIENCE,
@@ -40,7 +41,7 @@ from bench.spawned import (
     end_group,
     measure_cpu,
 )
-from bench.specs import AssumedSpecs, EstimatorChoice, Guard
+from bench.specs import EstimatorChoice, Guard
 
 _START = """import sys
 sys.path[:] = {path!r}

@@ -14,7 +14,7 @@ import numpy as np
 from bench.errors import ConfigError
 from bench.exchange.mat_file import find_structure, read_mat
 from bench.places import PACKAGE
-from bench.specs import GAUSS_MARKOV_PEAK
+from bench.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.units import ENDINGS
 from bench.wording import one_line, quote_toml
 

@@ -14,11 +14,11 @@ from bench.data import GnssObservations, SkyView
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
 from bench.exchange.rows import LogRows
 from bench.navigation.engine.kept_rows import take_observations
+from bench.sensor_specs import GnssSpec, SkySpec
 from bench.sensors.sky import find_loop_noise, make_processing
 from bench.signals import receiver
 from bench.signals.orbits import C
 from bench.signals.processing import Processing
-from bench.specs import GnssSpec, SkySpec
 
 
 class RecordedRanges(NamedTuple):

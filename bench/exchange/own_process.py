@@ -17,8 +17,9 @@ import numpy as np
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.exchange.filter_process import FilterProcess, pack_specs, take_process
+from bench.sensor_specs import AssumedSpecs
 from bench.spawned import Printed
-from bench.specs import AssumedSpecs, EstimatorChoice
+from bench.specs import EstimatorChoice
 
 _LEAST = 60.0  # time to start a process and import a module [s]
 

@@ -35,7 +35,7 @@ from bench.data import (
 )
 from bench.fields import Record, columns_of
 from bench.instruments import INSTRUMENTS
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 ALIGNED = 8
 """Every array begins at a multiple of this in the body [byte]."""

@@ -20,8 +20,8 @@ from bench.earth import matrix_en, to_ecef, to_geodetic
 from bench.errors import ConfigError
 from bench.exchange.track_files import LEAST_FIXES, FixSeries
 from bench.exchange.track_fit import TrackFit, fit_track
+from bench.flight_specs import TrackSpec
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate, to_rotvec
-from bench.specs import TrackSpec
 from bench.units import STANDARD_GRAVITY
 
 _RATE = 20.0  # rows per second of the motion

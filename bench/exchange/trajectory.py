@@ -35,8 +35,8 @@ from bench.exchange.track_files import READERS, order_fixes, read_track
 from bench.exchange.track_motion import TableMotion, make_motion
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
+from bench.flight_specs import TableSpec, TrackSpec
 from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
-from bench.specs import TableSpec, TrackSpec
 from bench.units import FACTORS, STANDARD_GRAVITY, split_unit
 
 MOST_ROWS = 3_000_000

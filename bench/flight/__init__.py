@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from bench.data import Trajectory
 from bench.flight.belief import Belief
 from bench.flight.summary import Summary, summarise
+from bench.flight_specs import FlightSpec, ScriptSpec
 from bench.moved import moved_from
-from bench.specs import FlightSpec, ScriptSpec
 
 __all__ = ["Summary", "fly", "fly_pieces", "summarise"]
 

@@ -23,9 +23,9 @@ from typing import IO
 
 from bench.data import Trajectory
 from bench.errors import FlightError
+from bench.flight_specs import FlightSpec, ScriptSpec
 from bench.scratch import make_scratch
 from bench.spawned import find_last_line, measure_cpu
-from bench.specs import FlightSpec, ScriptSpec
 
 PATIENCE = 60.0
 """CPU time that a child may use, or time that it may idle, before it does something else [s]."""

@@ -18,8 +18,8 @@ from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
 from bench.flight.trimming import INTEGRATORS, ON_WHEELS
+from bench.flight_specs import FlightSpec
 from bench.signals.terrain import ground_at
-from bench.specs import FlightSpec
 
 SURFACES = ("aileron", "elevator", "rudder")
 

@@ -13,7 +13,7 @@ from bench.data import OffPath, Trajectory
 from bench.earth import matrix_en, to_ecef
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.off_track import measure_off_track
-from bench.specs import FlightSpec
+from bench.flight_specs import FlightSpec
 from bench.units import SAME_INSTANT
 
 _ALONG = 0.035  # an approach is on its centreline when its track is first so close to it [rad]

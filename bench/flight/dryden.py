@@ -21,7 +21,8 @@ from bench.arrays import FloatArray
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE
-from bench.specs import FlightSpec, stream
+from bench.flight_specs import FlightSpec
+from bench.random_streams import stream
 
 GUSTS = ("u", "v", "w", "p", "q", "r")
 """Columns of gusts: [m/s] and [rad/s]."""

@@ -29,7 +29,7 @@ from bench.flight.trimming import (
     run_engines,
     trim_aircraft,
 )
-from bench.specs import AircraftSpec, FlightSpec, Leg
+from bench.flight_specs import AircraftSpec, FlightSpec, Leg
 
 _DT = 0.0025
 _HEAVY = 6000.0  # [kg]

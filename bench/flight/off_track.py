@@ -11,7 +11,7 @@ from bench.data import Trajectory
 from bench.earth import matrix_en, to_ecef
 from bench.flight.legs.tracks import Waypoints
 from bench.flight.shaping import G
-from bench.specs import FlightSpec
+from bench.flight_specs import FlightSpec
 
 _ROLL = 5.0  # by which a turn begins before its arc and ends after it [s]
 

@@ -27,8 +27,8 @@ from bench.flight.state_log import NEIGHBOURS, StateLog
 from bench.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
 from bench.flight.wind import Weather
+from bench.flight_specs import FlightSpec, ScriptSpec
 from bench.signals.terrain import ground_at
-from bench.specs import FlightSpec, ScriptSpec
 
 _Part = TypeVar("_Part")
 

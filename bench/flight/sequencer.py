@@ -20,7 +20,7 @@ from bench.flight.legs.keys import AtSpeed
 from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.trimming import Trim
 from bench.flight.wind import Weather
-from bench.specs import FlightSpec, Leg
+from bench.flight_specs import FlightSpec, Leg
 
 __all__ = ["Cockpit", "FlownLeg", "describe", "engage", "fly_legs"]
 

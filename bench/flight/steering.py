@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass
 from bench.errors import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.shaping import GUIDANCE_RATE, Steps
-from bench.specs import Leg
+from bench.flight_specs import Leg
 
 
 @dataclass(frozen=True, slots=True)

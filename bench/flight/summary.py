@@ -9,9 +9,9 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.earth import difference_n
+from bench.flight_specs import TerrainSpec
 from bench.rotation import to_euler
 from bench.signals.terrain import ground_at
-from bench.specs import TerrainSpec
 from bench.units import STANDARD_GRAVITY
 
 

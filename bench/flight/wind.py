@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.flight.jsbsim_units import FT
-from bench.specs import FlightSpec, Gust
+from bench.flight_specs import FlightSpec, Gust
 from bench.units import SAME_INSTANT
 
 _LOCAL_FRAME = 3  # of a cosine gust: north, east, down

@@ -15,7 +15,7 @@ import numpy as np
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line, suggest
 
 

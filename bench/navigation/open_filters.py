@@ -27,7 +27,7 @@ from bench.navigation.engine.record_cuts import (
 )
 from bench.navigation.engine.session import Kept, Replaced, SessionState, rebuild
 from bench.navigation.start import alignment
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from bench import durable
 from bench.errors import ConfigError
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.store import check_file
 
 if TYPE_CHECKING:

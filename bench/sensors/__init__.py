@@ -13,10 +13,10 @@ from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
 from bench.instruments import INSTRUMENTS
+from bench.sensor_specs import SensorsSpec
 from bench.sensors import faults, gnss, imu, initial, sky
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import check_duration, select_output_times
-from bench.specs import SensorsSpec
 
 
 def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:

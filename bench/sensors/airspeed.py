@@ -9,10 +9,10 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import AirspeedData, AirspeedSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
-from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[AirspeedData, FloatArray]:

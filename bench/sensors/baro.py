@@ -5,10 +5,10 @@ from __future__ import annotations
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import BaroData, BaroSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors import static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
-from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[BaroData, FloatArray]:

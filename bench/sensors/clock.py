@@ -7,11 +7,11 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Trajectory
+from bench.sensor_specs import SkySpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import rate_at
 from bench.signals import allan
 from bench.signals.orbits import C
-from bench.specs import SkySpec
 
 _STAGES = (0.05, 0.55, 6.05, 66.55, 732.05, 8052.55)  # correlation times of flicker [s]
 _FLAT = (0.1, 1e4, 161)  # averaging times over which the Allan deviation of their sum is flat [s]

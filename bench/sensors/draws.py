@@ -13,9 +13,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
+from bench.random_streams import stream
 from bench.sensors.processes import simulate_gauss_markov
 from bench.sensors.timing import find_rows
-from bench.specs import stream
 from bench.units import SAME_INSTANT
 
 _Kept = TypeVar("_Kept")

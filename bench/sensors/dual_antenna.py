@@ -10,9 +10,9 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import HeadingData, HeadingSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
-from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[HeadingData, FloatArray]:

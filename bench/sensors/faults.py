@@ -16,9 +16,9 @@ import numpy as np
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssFixes, ImuData
 from bench.instruments import InstrumentData
+from bench.sensor_specs import Fault, GnssSpec, ImuSpec, TriadSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import find_interval_rows
-from bench.specs import Fault, GnssSpec, ImuSpec, TriadSpec
 
 Faults = Sequence[Fault]
 _Record = TypeVar("_Record", GnssFixes, InstrumentData)

@@ -12,10 +12,10 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GnssFixes, Trajectory
 from bench.orbit_sets import GPS
+from bench.sensor_specs import Fault, GnssSpec
 from bench.sensors import faults
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import find_outage_rows
-from bench.specs import Fault, GnssSpec
 
 _MASK = float(np.deg2rad(5.0))  # elevation mask of the satellites in use [rad]
 

@@ -17,10 +17,10 @@ from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import ImuData, Trajectory
+from bench.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu_terms, vibration
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import choose_bias_stages
-from bench.specs import ImuSpec, TriadSpec
 
 _BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
 _FAST = 1.0  # a bias stage with a shorter correlation time has a step at every sample [s]

@@ -14,9 +14,9 @@ from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData
+from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import apply_lag
-from bench.specs import ImuSpec, ThermalSpec, TriadSpec
 
 
 def check_imu(spec: ImuSpec) -> list[str]:

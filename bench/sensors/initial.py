@@ -6,8 +6,8 @@ import numpy as np
 
 from bench import earth, rotation
 from bench.data import InitialState, Trajectory
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
-from bench.specs import SensorsSpec
 
 
 def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> InitialState:

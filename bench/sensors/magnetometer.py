@@ -10,10 +10,10 @@ from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
 from bench.instruments import MagData, MagSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.signals.magnetic import field_n
-from bench.specs import SensorsSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[MagData, FloatArray]:

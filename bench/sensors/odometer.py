@@ -6,9 +6,9 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Trajectory
 from bench.instruments import OdometerData, OdometerSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
-from bench.specs import SensorsSpec
 
 _CLEAR = 0.3  # height of the IMU above its height at rest at which the wheel leaves the ground [m]
 

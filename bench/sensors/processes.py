@@ -7,8 +7,8 @@ import numpy as np
 from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
+from bench.sensor_specs import TriadSpec
 from bench.signals import allan
-from bench.specs import TriadSpec
 
 # Correlation times of the flicker stages over that of the triad [1]. At least three are needed to stay within
 # 5 % of a flat Allan deviation from 0.1 to 10 correlation times; these, a factor 11 apart, stay within 1 %.

@@ -7,11 +7,12 @@ import numpy as np
 from bench import rotation
 from bench.arrays import BoolArray, FloatArray
 from bench.data import Trajectory
+from bench.flight_specs import TerrainSpec
 from bench.instruments import RadarData, RadarSpec
+from bench.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.signals.terrain import ground_at
-from bench.specs import SensorsSpec, TerrainSpec
 
 
 def report(truth: Trajectory, on_board: SensorsSpec, draws: SensorDraws) -> tuple[RadarData, FloatArray]:

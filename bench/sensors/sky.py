@@ -18,6 +18,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GnssFixes, GnssObservations, SkyView, Trajectory
 from bench.orbit_sets import SYSTEM_NAMES
+from bench.sensor_specs import Fault, GnssSpec, SkySpec
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
@@ -30,7 +31,6 @@ from bench.signals.delays import mapping_kernel
 from bench.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.signals.orbits import C
 from bench.signals.processing import ErrorBudget, Processing
-from bench.specs import Fault, GnssSpec, SkySpec
 
 _CHIP = (C / 1.023e6, C / 0.511e6, C / 1.023e6 / np.sqrt(3.0), C / 2.046e6)
 """Chip of the civil code by system [m], their ICDs; the correlation of BOC(1,1) is three times as steep."""

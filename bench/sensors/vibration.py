@@ -12,9 +12,9 @@ from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.compiled import kernel
 from bench.data import AirData, Trajectory
+from bench.sensor_specs import VibrationSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.imu_terms import compute_oscillator_step
-from bench.specs import VibrationSpec
 
 _WINDOW = 10.0  # a gust is the deviation of the wind from its mean over this time [s]
 

@@ -12,12 +12,12 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import Trajectory
 from bench.orbit_sets import GLONASS, GlonassSets, KeplerSets
+from bench.sensor_specs import SkySpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
 from bench.signals.orbits import GPS_EARTH_RATE, C
-from bench.specs import SkySpec
 
 _GEOMETRIC = 1e-3  # lowest elevation for which delays are computed [rad]
 _RISE = 4e-4  # upper limit of the rate of elevation [rad/s]: 3.9 km/s at 20 000 km, and an aircraft

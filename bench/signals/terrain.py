@@ -21,7 +21,7 @@ from bench.arrays import FloatArray
 from bench.earth import difference_n, radii
 from bench.errors import ConfigError
 from bench.files import check_file
-from bench.specs import Runway, TerrainSpec
+from bench.flight_specs import Runway, TerrainSpec
 
 ENDINGS = (".hgt", ".asc")
 """Endings of the files that can be read."""

@@ -22,9 +22,9 @@ import numpy as np
 
 from bench import disk_arrays, durable
 from bench.data import AirData, Controls, Events, Trajectory
+from bench.flight_specs import Flight, FlightSpec, ScriptSpec
 from bench.places import PACKAGE, cache_folder
 from bench.scratch import LOCK, make_scratch
-from bench.specs import Flight, FlightSpec, ScriptSpec
 from bench.store.cache_size import hold_entry, read_hashed, read_limit, trim_cache, write_hashed
 from bench.store.provenance import list_versions
 
@@ -52,7 +52,8 @@ _SOURCES = (
     "earth.py",
     "arrays.py",
     "data.py",
-    "specs.py",
+    "flight_specs.py",
+    "random_streams.py",
 )
 """Files of the package that truth depends on."""
 

@@ -20,7 +20,7 @@ from bench.config.listing import CATALOG, list_missing_figures
 from bench.config.toml_file import read_toml
 from bench.errors import ConfigError
 from bench.fields import triad_figures_of
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 from bench.units import from_si, to_si
 
 CLASSES = ("consumer", "industrial", "tactical", "navigation")

@@ -27,7 +27,8 @@ from bench.findings import Findings, FindingTable, make_table
 from bench.findings.series import ESTIMATORS, Plot, draw_line
 from bench.flight.desired_path import measure_steered
 from bench.flight.legs.landing import Flare
-from bench.specs import FlightSpec, Profile
+from bench.flight_specs import FlightSpec
+from bench.specs import Profile
 from bench.studies.study import (
     FLOWN_BY,
     Count,

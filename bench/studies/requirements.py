@@ -28,7 +28,7 @@ from bench.evaluation.drift_laws import SCHULER
 from bench.findings import Findings, FindingTable, make_table, series
 from bench.findings.series import Plot
 from bench.navigation import mechanization
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.studies.catalog_units import find_units
 from bench.studies.study import Durations, Positive, StudyOptions, StudyWorkers, Words
 from bench.units import DEG, HOUR, STANDARD_GRAVITY

@@ -52,9 +52,10 @@ from bench.evaluation.required_performance import (
 )
 from bench.findings import Findings, FindingTable
 from bench.flight.desired_path import measure_off_path
+from bench.flight_specs import FlightSpec
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_observations
-from bench.specs import FlightSpec, Profile
+from bench.specs import Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import (
     FLOWN_BY,

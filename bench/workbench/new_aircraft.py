@@ -34,8 +34,8 @@ from bench.flight.gain_design import (
     plan_acceptance,
     prepare_aircraft,
 )
+from bench.flight_specs import AircraftSpec, ForeignSpec
 from bench.rotation import to_euler
-from bench.specs import AircraftSpec, ForeignSpec
 from bench.units import STANDARD_GRAVITY
 from bench.wording import suggest
 

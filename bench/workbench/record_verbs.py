@@ -18,7 +18,7 @@ from bench.findings import FindingTable
 from bench.notebook import ShownFigure
 from bench.run_result import RunResult
 from bench.saving import save
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 from bench.stages import Stage
 from bench.wording import one_line
 from bench.workbench import result_table

@@ -16,7 +16,7 @@ from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.error_state import dynamics
 from bench.navigation.mechanization import propagate
 from bench.navigation.start import alignment
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
 BIASES = (("gyro_bias", "rad_s"), ("accel_bias", "m_s2"))

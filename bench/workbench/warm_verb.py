@@ -12,8 +12,9 @@ from bench import config, pipeline
 from bench.compiled import choose_cache
 from bench.errors import ConfigError
 from bench.flight.legs.level import Straight
+from bench.flight_specs import FlightSpec
 from bench.navigation.built_in import BUILT_IN
-from bench.specs import EstimatorChoice, EvaluationWindow, FlightSpec, Profile
+from bench.specs import EstimatorChoice, EvaluationWindow, Profile
 
 _EVERY_SENSOR = "all-sensors"
 """The shipped profile with the sensors that any built-in estimator uses."""

@@ -24,7 +24,8 @@ from bench.data import Trajectory
 from bench.evaluation.block_nees import BlockNees, find_broken_block, judge_blocks
 from bench.evaluation.error_series import error_series
 from bench.navigation import built_in, estimator
-from bench.specs import AssumedSpecs, Fault, Profile, SensorsSpec
+from bench.sensor_specs import AssumedSpecs, Fault, SensorsSpec
+from bench.specs import Profile
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 USE, OPTIONS = "loose-15", {"covariance_hz": 10.0}

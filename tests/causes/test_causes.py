@@ -15,7 +15,8 @@ from bench.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_c
 from bench.causes.search import advise, describe_causes, find_causes
 from bench.evaluation.block_nees import BlockNees
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, imu_errors
-from bench.specs import AssumedSpecs, AxisFigures, EstimatorChoice, Profile, SensorsSpec, TriadSpec
+from bench.sensor_specs import AssumedSpecs, AxisFigures, SensorsSpec, TriadSpec
+from bench.specs import EstimatorChoice, Profile
 from tests.causes import planted
 
 LOOSE = EstimatorChoice("loose-15", "loose-15")

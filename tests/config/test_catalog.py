@@ -15,9 +15,9 @@ from bench.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.config.figure_table import tabulate_figures
 from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
+from bench.sensor_specs import ThermalSpec
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
-from bench.specs import ThermalSpec
 from tests.synthetic import still
 
 CATALOG = Path(bench.__file__).parent / "catalog"

@@ -28,7 +28,7 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
 from bench.navigation.built_in import BUILT_IN
 from bench.places import PACKAGE
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 
 SHIPPED = [row.name for row in config.list_profiles()]
 

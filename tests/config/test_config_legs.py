@@ -5,7 +5,7 @@ import math
 import pytest
 
 from bench import config, earth
-from bench.specs import Runway
+from bench.flight_specs import Runway
 from tests.config.test_config import errors, write
 
 RUNWAY_LEGS = [

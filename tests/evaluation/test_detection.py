@@ -22,8 +22,9 @@ from bench.evaluation.detection import (
     measure_delay,
 )
 from bench.navigation.models.loose_tight import Loose
+from bench.sensor_specs import Fault
 from bench.sensors import sense
-from bench.specs import EvaluationWindow, Fault
+from bench.specs import EvaluationWindow
 from tests.weaving import units, weaving
 
 STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))

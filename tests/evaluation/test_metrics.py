@@ -11,7 +11,8 @@ from bench import rotation
 from bench.data import Events, Innovations, SensorTruth, no_innovations
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, find_metric, judge
-from bench.specs import AssumedSpecs, EvaluationWindow, Fault
+from bench.sensor_specs import AssumedSpecs, Fault
+from bench.specs import EvaluationWindow
 from bench.units import unit_of
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 from tests.weaving import units

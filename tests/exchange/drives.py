@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from bench import earth, rotation
 from bench.exchange.trajectory import read_trajectory
-from bench.specs import TableSpec
+from bench.flight_specs import TableSpec
 from bench.store import join_pieces
 
 ORIGIN = np.array([np.deg2rad(47.0), np.deg2rad(11.0), 600.0])

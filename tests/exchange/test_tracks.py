@@ -20,7 +20,7 @@ from bench.exchange.trajectory import read_trajectory
 from bench.flight import fly
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import STurns
-from bench.specs import TableSpec, TrackSpec
+from bench.flight_specs import TableSpec, TrackSpec
 from bench.store.truth_cache import join_pieces
 from tests.flight.inertial import replay
 from tests.flight.plans import plan

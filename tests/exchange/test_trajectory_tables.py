@@ -22,8 +22,8 @@ from bench.data import Trajectory
 from bench.earth import to_ecef
 from bench.errors import ConfigError
 from bench.exchange import trajectory
+from bench.flight_specs import TableSpec
 from bench.rotation import multiply, to_rotvec
-from bench.specs import TableSpec
 from bench.store import parquet as parquet_file
 from bench.store.truth_cache import join_pieces, truth_key
 from tests.flight.inertial import inertial, largest_difference, navigate, replay

@@ -16,7 +16,7 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.flight.recorder import record_plan
 from bench.flight.truth import Stretch, make_truth
-from bench.specs import FlightSpec, Leg
+from bench.flight_specs import FlightSpec, Leg
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft

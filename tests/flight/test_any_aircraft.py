@@ -28,8 +28,8 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.model_files import copy_aircraft
 from bench.flight.trimming import TrimCondition, trim_aircraft
+from bench.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.rotation import rotate, to_euler
-from bench.specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT

@@ -14,7 +14,7 @@ from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT
 from bench.flight.legs.level import Straight
 from bench.flight.trimming import TrimCondition, present_accelerations, trim_aircraft, wait
-from bench.specs import stream
+from bench.random_streams import stream
 from tests.flight.gust_spectra import CENTRES, SPAN, measure, shaping
 from tests.flight.plans import AEROSONDE, plan
 

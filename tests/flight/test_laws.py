@@ -25,7 +25,7 @@ from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
-from bench.specs import FlightSpec
+from bench.flight_specs import FlightSpec
 from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
 

@@ -14,8 +14,8 @@ from bench.flight.legs.keys import AtSpeed, Bank, Key, keys_of, write_key
 from bench.flight.legs.landing import Approach, LandingRoll
 from bench.flight.legs.surfaces import AileronRoll
 from bench.flight.shaping import smooth
+from bench.flight_specs import LegStart
 from bench.rotation import to_euler
-from bench.specs import LegStart
 from bench.units import split_unit
 from tests.config.test_config import PROFILE, errors, write
 

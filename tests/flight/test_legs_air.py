@@ -16,7 +16,7 @@ from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
 from bench.flight.legs.turns import STurns, Turn
-from bench.specs import Gust, WindLayer
+from bench.flight_specs import Gust, WindLayer
 from tests.flight.plans import AEROSONDE, plan, roll, truth_of, turned
 
 # --- by heading ---------------------------------------------------------------------------------------

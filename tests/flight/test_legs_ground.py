@@ -15,7 +15,7 @@ from bench.flight import fly
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
-from bench.specs import AircraftSpec, Runway
+from bench.flight_specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan, truth_of
 
 LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)

@@ -31,8 +31,9 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.flight.recorder import simulation_step
 from bench.flight.truth import Stretch
+from bench.flight_specs import FlightSpec
 from bench.navigation import mechanization
-from bench.specs import FlightSpec, Profile
+from bench.specs import Profile
 from bench.store.truth_cache import truth_pieces
 from tests.flight.inertial import inertial, largest_difference, navigate
 from tests.flight.plans import FIGURE_EIGHT, plan, short_plan, truth_of

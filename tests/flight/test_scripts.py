@@ -25,7 +25,7 @@ from bench.flight.executive import silent_log
 from bench.flight.increments import from_states
 from bench.flight.jsbsim_units import FT
 from bench.flight.model_files import script_facts
-from bench.specs import ScriptSpec
+from bench.flight_specs import ScriptSpec
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 

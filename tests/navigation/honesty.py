@@ -30,7 +30,8 @@ from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
-from bench.specs import AssumedSpecs, ImuSpec, Profile, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.specs import Profile
 from tests.measured import SHOWN, stamp, write_measured
 
 FOLDER = Path(bench.__file__).parent

@@ -23,7 +23,8 @@ from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
-from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
+from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
+from bench.specs import EvaluationWindow
 from tests.builders import at_rest, band, put
 from tests.weaving import DEG, IMU, units, weaving
 

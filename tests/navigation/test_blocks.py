@@ -19,9 +19,10 @@ from bench.navigation.error_state_filter.imu_states import EVERY_ERROR
 from bench.navigation.error_state_filter.state_blocks import index_of, state_model
 from bench.navigation.error_state_filter.state_processes import CUBE, STEADY, WARMTH, Block, States
 from bench.navigation.models.loose_tight import Loose
+from bench.random_streams import stream
+from bench.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
-from bench.specs import ImuSpec, TriadSpec, stream
 from tests.builders import first_rows
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving

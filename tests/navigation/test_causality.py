@@ -11,7 +11,7 @@ import pytest
 from bench import sensors
 from bench.navigation.built_in import load
 from bench.navigation.causality import LookAhead, change_later, measure_look_ahead
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import GNSS, units, weaving
 

@@ -18,7 +18,8 @@ from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.estimator import find_same
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import AxisFigures, EvaluationWindow, ImuSpec, TriadSpec
+from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
+from bench.specs import EvaluationWindow
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student
 
 RUNS = 40

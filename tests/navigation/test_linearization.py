@@ -28,7 +28,7 @@ from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.models.loose_tight import Passage
 from bench.navigation.start.steady_course import Gyros
-from bench.specs import ImuSpec, ThermalSpec, TriadSpec
+from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from tests.builders import put, take
 from tests.navigation.test_tight import UNITS as WITH_SKY
 from tests.weaving import DEG, units, weaving

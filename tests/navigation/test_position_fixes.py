@@ -22,7 +22,7 @@ from bench.exchange.log_start import find_start
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
-from bench.specs import ImuSpec, TriadSpec
+from bench.sensor_specs import ImuSpec, TriadSpec
 from tests import twin
 from tests.builders import band, student
 from tests.exchange import drives, test_log_formats

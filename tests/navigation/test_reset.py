@@ -14,7 +14,7 @@ import bench
 from bench import earth, rotation, sensors
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from tests.builders import band
 from tests.navigation.test_pieces import assert_same_solution, joined, pieces
 from tests.weaving import units, weaving

@@ -13,7 +13,7 @@ from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.ranging import Channels
 from bench.navigation.models.loose_tight import Tight
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from tests.builders import band, ensemble
 from tests.navigation.test_tight import SKY, shifted, taken
 from tests.weaving import units, weaving

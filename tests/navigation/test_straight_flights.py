@@ -17,7 +17,7 @@ import bench
 from bench import pipeline
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from tests.navigation import honesty
 
 TOUR, CLIMB = (str(Path(__file__).parent / f"{name}.toml") for name in ("tour", "climb"))

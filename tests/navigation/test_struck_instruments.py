@@ -20,7 +20,7 @@ from bench.evaluation.error_series import error_series
 from bench.instruments import INSTRUMENTS, AirspeedSpec, HeadingSpec, MagSpec, OdometerSpec, RadarSpec
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
-from bench.specs import Fault
+from bench.sensor_specs import Fault
 from tests.weaving import BARO, units, weaving
 
 START, END, LAST = 70.0, 110.0, 180.0

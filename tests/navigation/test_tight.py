@@ -27,9 +27,10 @@ from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.orbit_sets import GLONASS, GPS
+from bench.sensor_specs import Fault
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
-from bench.specs import EvaluationWindow, Fault
+from bench.specs import EvaluationWindow
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.synthetic import still

@@ -20,7 +20,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHOR
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.ranging import Channels
 from bench.navigation.models.loose_tight import Loose, Tight
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from tests import twin
 from tests.builders import take
 from tests.flight.plans import truth_of

@@ -15,7 +15,7 @@ from bench.evaluation.error_series import error_series
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
-from bench.specs import GnssSpec
+from bench.sensor_specs import GnssSpec
 from tests.builders import student
 
 RECEIVER = GnssSpec(

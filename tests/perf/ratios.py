@@ -33,11 +33,13 @@ from bench.campaigns.heap import keep_freed_memory
 from bench.data import Sensed, Trajectory
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
+from bench.flight_specs import FlightSpec
 from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.report import page
-from bench.specs import FlightSpec, ImuSpec, Profile, ThermalSpec, TriadSpec, VibrationSpec
+from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.specs import Profile
 from tests.perf import closed
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 

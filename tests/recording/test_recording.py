@@ -37,7 +37,8 @@ from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
 from bench.plots.tabs import comparison
 from bench.recording import drawing, layout, words
 from bench.run_result import RunResult
-from bench.specs import IN_FLIGHT, AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
+from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
+from bench.specs import IN_FLIGHT
 
 ORIGIN = np.array([np.deg2rad(47.26), np.deg2rad(11.34), 1200.0])
 SCALARS = "Scalars:scalars"

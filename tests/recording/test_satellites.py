@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import config, rotation
 from bench.recording import column, sky_view, write
 from bench.run_result import RunResult
+from bench.sensor_specs import Fault
 from bench.sensors import sense
-from bench.specs import Fault
 from tests.synthetic import still
 
 BANK = np.deg2rad(60.0)  # right wing down: what the antenna loses is to the left

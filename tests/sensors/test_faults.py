@@ -23,9 +23,9 @@ from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import check_table
 from bench.errors import ConfigError
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
+from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from bench.sensors import faults, sense
 from bench.sensors.draws import SensorDraws
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from tests.builders import band
 from tests.synthetic import still, turning
 

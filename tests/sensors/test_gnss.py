@@ -20,9 +20,9 @@ from bench.config.datasheets import read_gnss
 from bench.errors import ConfigError
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.models.classic.process_model import per_axis
+from bench.sensor_specs import GnssSpec
 from bench.sensors import gnss, sky
 from bench.sensors.draws import SensorDraws
-from bench.specs import GnssSpec
 from tests.builders import Z, band
 from tests.synthetic import ORIGIN, still, turning
 
@@ -290,8 +290,8 @@ def day():
 
 def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
+    from bench.sensor_specs import SkySpec
     from bench.sensors.view import compute_view
-    from bench.specs import SkySpec
 
     rows = np.arange(1, len(day.t))
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bench.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu, processes
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan
-from bench.specs import ImuSpec, TriadSpec
 from tests.builders import Z, band
 from tests.synthetic import still, turning
 

@@ -16,9 +16,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.data import AirData
 from bench.fields import triad_figures_of
+from bench.random_streams import stream
+from bench.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import imu, imu_terms, processes, vibration
 from bench.sensors.draws import SensorDraws
-from bench.specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec, stream
 from tests.builders import band
 from tests.synthetic import still, turning
 

@@ -15,9 +15,9 @@ from numpy.testing import assert_array_equal
 import bench
 from bench.config.datasheets import SENSORS
 from bench.data import AirData, SensorData, Trajectory
+from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import sense, sense_piece
 from bench.sensors.draws import SensorDraws
-from bench.specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from tests.sensors.test_faults import CASES, RECEIVERS, script
 
 CATALOG = Path(bench.__file__).parent / "catalog"

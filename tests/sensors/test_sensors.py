@@ -12,10 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import disk_arrays, earth, rotation
 from bench.data import AirData
 from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
-from bench.sensors import initial, sense
-from bench.sensors.draws import SensorDraws
-from bench.sensors.timing import select_output_times
-from bench.specs import (
+from bench.random_streams import stream
+from bench.sensor_specs import (
     AssumedSpecs,
     Fault,
     GnssSpec,
@@ -24,8 +22,10 @@ from bench.specs import (
     ThermalSpec,
     TriadSpec,
     VibrationSpec,
-    stream,
 )
+from bench.sensors import initial, sense
+from bench.sensors.draws import SensorDraws
+from bench.sensors.timing import select_output_times
 from tests.builders import band
 from tests.synthetic import still, turning
 from tests.weaving import weaving

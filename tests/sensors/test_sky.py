@@ -18,12 +18,13 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
 from bench.orbit_sets import GLONASS, GPS
+from bench.sensor_specs import SkySpec
 from bench.sensors import clock, gnss, sky
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
 from bench.signals.processing import Processing
-from bench.specs import EvaluationWindow, SkySpec
+from bench.specs import EvaluationWindow
 from tests.builders import band
 from tests.data import gnss_file
 from tests.synthetic import ORIGIN, still, turning

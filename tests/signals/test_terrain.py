@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.earth import displace
 from bench.errors import ConfigError
+from bench.flight_specs import Runway
 from bench.signals.terrain import describe_terrain, ground_at, read_grid
-from bench.specs import Runway
 from tests.valley import FILE, make_heights, write_grid
 
 SOUTH, WEST, CELL, ROWS, COLUMNS = 46.9, 10.8, 0.01, 31, 41  # [deg]

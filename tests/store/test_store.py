@@ -39,9 +39,9 @@ from bench.data import (
     no_innovations,
 )
 from bench.errors import BenchError
+from bench.flight_specs import FlightSpec
 from bench.instruments import AirspeedData, BaroData, MagData
 from bench.run_result import RunResult
-from bench.specs import FlightSpec
 from bench.store import cache_size, truth_cache
 from tests.exchange.exported import make_run
 from tests.synthetic import turning

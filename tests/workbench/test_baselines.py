@@ -30,7 +30,8 @@ from bench.errors import ConfigError
 from bench.evaluation.metrics import METRICS
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import DEFAULT_GUARD, EvaluationWindow, Guard, stream
+from bench.random_streams import stream
+from bench.specs import DEFAULT_GUARD, EvaluationWindow, Guard
 from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli
 

@@ -13,7 +13,7 @@ from bench import disk_arrays, earth, log_pipeline, sensors
 from bench.evaluation import motion_fit
 from bench.exchange import imports
 from bench.exchange.trajectory import read_trajectory
-from bench.specs import TableSpec
+from bench.flight_specs import TableSpec
 from bench.store import join_pieces, parquet
 from tests.exchange import drives
 from tests.weaving import units

@@ -18,7 +18,7 @@ from bench.evaluation.linear.terms import check_sensors, model_errors
 from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES
 from bench.navigation.models.loose_tight import Fusion
 from bench.navigation.models.smoother import Smoother
-from bench.specs import SensorsSpec
+from bench.sensor_specs import SensorsSpec
 
 _RATE = 1.0  # of the instants of a run that are held against the bound [Hz]
 

@@ -11,8 +11,8 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import Trajectory
 from bench.navigation.error_state_filter.error_state import dynamics_kernel, transition_kernel
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.sensor_specs import ImuSpec
 from bench.sensors.imu_terms import compute_temperature
-from bench.specs import ImuSpec
 
 STEP = 0.1  # longest step: the attitude turns by a few degrees in it [s]
 FACTORS = CUBE + 6

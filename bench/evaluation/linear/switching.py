@@ -8,9 +8,9 @@ from typing import Any
 from bench import sensors
 from bench.data import Sensed, Trajectory
 from bench.evaluation.linear.terms import INITIAL, Source, list_sources
+from bench.sensor_specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.initial import draw_initial_state
-from bench.specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 
 
 def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int, run: int) -> Sensed:

@@ -21,13 +21,13 @@ from bench.errors import ConfigError
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
+from bench.sensor_specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import imu as imu_model
 from bench.sensors import static_pressure, vibration
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import find_constellation_changes
 from bench.sensors.processes import choose_bias_stages
 from bench.sensors.timing import find_epoch_rows
-from bench.specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 
 IMU = -1
 """What a process acts on, beside the sensors of `measurement_rows`: gyros or accelerometers."""
@@ -125,7 +125,7 @@ _BARO = {
     "barometer walk": ("bias_walk",),
     "barometer noise": ("white_sd", "quantization"),
 }
-INITIAL = {  # source -> figures of `bench.specs.SensorsSpec`
+INITIAL = {  # source -> figures of `bench.sensor_specs.SensorsSpec`
     "initial position": ("initial_pos_sd",),
     "initial velocity": ("initial_vel_sd",),
     "initial tilt": ("initial_tilt_sd",),

@@ -15,7 +15,7 @@ import numpy as np
 from bench import durable, rotation
 from bench.errors import ExportError
 from bench.exchange.exports.outgoing import ExportData
-from bench.specs import GAUSS_MARKOV_PEAK
+from bench.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
 FORMATS = {

@@ -13,7 +13,7 @@ import numpy as np
 from bench import durable, earth, rotation
 from bench.data import GnssFixes
 from bench.exchange.exports.outgoing import ExportData, Track
-from bench.specs import GAUSS_MARKOV_PEAK
+from bench.sensor_specs import GAUSS_MARKOV_PEAK
 
 FORMATS = {"navego": "the structures imu, gnss and ref of NaveGo"}
 NEEDS_START = True

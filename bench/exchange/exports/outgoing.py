@@ -119,7 +119,7 @@ class ExportData:
         return found
 
     def assumed(self, triad: str) -> Mapping[str, Any]:
-        """Return the figures of "gyro" or "accel" that the filters assume, as in `bench.specs.TriadSpec`."""
+        """Return the figures of "gyro" or "accel" that filters assume, as `bench.sensor_specs.TriadSpec`."""
         figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
         return figures
 

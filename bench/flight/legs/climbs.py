@@ -10,7 +10,7 @@ from bench.errors import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, write_key
 from bench.flight.shaping import Steps, smooth, ticks
-from bench.specs import ALTITUDES, CLIMBS, LegStart
+from bench.flight_specs import ALTITUDES, CLIMBS, LegStart
 
 _CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
 _NEAR_ALT = 2.0  # an altitude is reached within [m]

@@ -14,7 +14,7 @@ from dataclasses import MISSING, dataclass, field, fields
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from bench.specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
+from bench.flight_specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
 from bench.units import from_si, unit_of
 from bench.wording import quantity
 

@@ -24,7 +24,7 @@ from bench.flight.legs.runway import (
 )
 from bench.flight.paths import Follower, SegmentPath
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
-from bench.specs import SECONDS, Leg, LegStart
+from bench.flight_specs import SECONDS, Leg, LegStart
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]

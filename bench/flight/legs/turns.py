@@ -20,7 +20,7 @@ from bench.flight.legs.keys import (
     write_key,
 )
 from bench.flight.shaping import G, Steps, roll_time, smooth, ticks, turned_in_roll
-from bench.specs import LegStart
+from bench.flight_specs import LegStart
 
 _NEAR_HEADING = math.radians(2.0)  # a heading is reached within [rad]
 _PATIENCE = 120.0  # how much longer than planned a turn may take [s]

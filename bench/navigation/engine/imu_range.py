@@ -6,7 +6,7 @@ import numpy as np
 
 from bench.arrays import BoolArray
 from bench.data import ImuData
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.units import DEG, STANDARD_GRAVITY
 
 IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it

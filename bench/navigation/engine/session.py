@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from bench.arrays import IntArray
 from bench.data import SensorData
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 _T = TypeVar("_T")
 Kept = Annotated[_T, "kept"]

@@ -19,7 +19,7 @@ from bench.data import EventRow, GnssFixes, ImuData
 from bench.instruments import InstrumentData
 from bench.navigation.engine.imu_range import IN_RANGE, find_beyond, limits
 from bench.navigation.engine.session import Kept, SessionState
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
 BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]

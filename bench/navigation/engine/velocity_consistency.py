@@ -16,7 +16,7 @@ from bench.data import EventRow, GnssFixes
 from bench.earth import matrix_en, to_ecef
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.session import Kept, SessionState
-from bench.specs import GnssSpec
+from bench.sensor_specs import GnssSpec
 
 WINDOWS = (10.0, 30.0, 100.0)
 """Times over which positions are compared with velocities [s]; a slow ramp shows over a long one."""

@@ -44,9 +44,9 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.options import FixAccuracy
+from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec
 from bench.signals import air
 from bench.signals.magnetic import field_n
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec
 
 LATENCY, LAG = "GNSS latency", "lag of the receiver under acceleration"
 

@@ -17,9 +17,9 @@ from bench.navigation.error_state_filter.state_processes import (
     Block,
     States,
 )
+from bench.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
 from bench.signals import air
 from bench.signals.allan import fit_flat_deviation
-from bench.specs import AssumedSpecs, ImuSpec, TriadSpec
 
 AIR_SD = 10.0  # of the temperature of the air about the standard atmosphere [K]
 AIR_WALK = 0.01  # change of that on the way, 0.6 K in an hour [K/sqrt(s)]

@@ -26,7 +26,7 @@ from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.range_states import list_range_errors
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
-from bench.specs import GnssSpec, ImuSpec
+from bench.sensor_specs import GnssSpec, ImuSpec
 
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
 """Actions: measure and update at once, measure, update with what was measured, output, just go there."""

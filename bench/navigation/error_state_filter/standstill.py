@@ -13,7 +13,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import ImuData
 from bench.earth import EARTH_RATE, GAMMA_E
 from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
-from bench.specs import ImuSpec, TriadSpec
+from bench.sensor_specs import ImuSpec, TriadSpec
 
 WINDOW = 1.0  # [s]
 VELOCITY_SD = 0.02  # of an aircraft that stands and rocks in the wind [m/s]

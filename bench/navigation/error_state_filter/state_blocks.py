@@ -31,7 +31,7 @@ from bench.navigation.error_state_filter.state_processes import (
 )
 from bench.navigation.error_state_filter.vehicle_states import vehicle
 from bench.navigation.options import FusionOptions
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.arrays import FloatArray
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 STEADY, WARMTH, ABSOLUTE, SQUARE, CUBE = 6, 7, 8, 14, 20
 """What a state multiplies beside a rate (0 to 2) or specific force (3 to 5): 1, the temperature of the IMU

@@ -36,7 +36,7 @@ from bench.navigation.error_state_filter.aiding_sensors import (
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import GnssOnlyOptions, read_options
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 STATES = tuple(f"acceleration_{axis}_m_s2" for axis in "ned")
 

@@ -32,7 +32,7 @@ from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, 
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
-from bench.specs import AssumedSpecs, ImuSpec
+from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 BIASES = tuple(
     f"{name}_bias_{axis}_{unit}" for name, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"

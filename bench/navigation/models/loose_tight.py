@@ -72,7 +72,7 @@ from bench.navigation.start.steady_course import (
     has_large_bias,
 )
 from bench.navigation.start.turn_on import FromTurnOn
-from bench.specs import AssumedSpecs, ImuSpec
+from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
 _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]

@@ -40,7 +40,7 @@ from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.start.steady_course import Gyros, has_large_bias
 from bench.navigation.start.turn_on import smooth_from_turn_on
 from bench.navigation.start.whole_records import run_between_gaps
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 from bench.wide_rows import LANES, add_row, set_row, wide
 
 _ROUNDING = 1e-14  # of a scaled variance: what is left of it is rounding

@@ -75,7 +75,7 @@ from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, 
 from bench.navigation.options import AidingOptions, FusionOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 
 @kernel

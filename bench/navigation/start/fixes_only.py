@@ -17,7 +17,7 @@ from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
-from bench.specs import GnssSpec
+from bench.sensor_specs import GnssSpec
 
 _HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
 _BRIEF = 0.1  # rate of decay from which on an error of the fixes is as good as white [1/s]

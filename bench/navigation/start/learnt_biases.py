@@ -10,7 +10,7 @@ from bench.arrays import FloatArray
 from bench.data import NavSolution, SensorData
 from bench.navigation.engine.imu_range import find_beyond
 from bench.navigation.start.fixes_only import End
-from bench.specs import AxisFigures, ImuSpec, TriadSpec
+from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
-from bench.specs import TriadSpec
+from bench.sensor_specs import TriadSpec
 
 WINDOW = 1.0  # length of the means that are compared to detect motion [s]
 LEAST_REST = 10.0  # shortest standstill that is used [s]

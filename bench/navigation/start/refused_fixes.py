@@ -20,7 +20,7 @@ from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
 from bench.navigation.options import FixAccuracy
-from bench.specs import GnssSpec
+from bench.sensor_specs import GnssSpec
 
 _SHARE = 0.75  # of the positions of a window that are refused, those that the gate believed again among them
 _FEWEST = 10  # fixes in a window

@@ -47,7 +47,7 @@ from bench.navigation.start.steady_course import (
     STRAIGHT,
     TURNED_SD,
 )
-from bench.specs import ImuSpec
+from bench.sensor_specs import ImuSpec
 from bench.units import STANDARD_GRAVITY
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]

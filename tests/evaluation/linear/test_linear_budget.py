@@ -21,7 +21,7 @@ from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import model_errors
 from bench.instruments import BaroSpec
 from bench.navigation.built_in import load
-from bench.specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
+from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from tests.builders import band
 from tests.synthetic import still
 from tests.weaving import BARO, DEG, IMU, units, weaving

@@ -9,8 +9,8 @@ import numpy as np
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.state_processes import Block, States, assumed
 from bench.orbit_sets import GPS, SYSTEM_NAMES
+from bench.sensor_specs import AssumedSpecs, SkySpec
 from bench.signals.orbits import C
-from bench.specs import AssumedSpecs, SkySpec
 
 RANGES = (16, 12, 12, 16)
 """Satellites of each system whose range error has a state; one more than these waits until one has set.

@@ -40,6 +40,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
 from bench.navigation.error_state_filter.ranges.range_states import RANGES, multipath_sd
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, name_satellite
+from bench.sensor_specs import GnssSpec, SkySpec
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -51,7 +52,6 @@ from bench.signals.delays import (
 )
 from bench.signals.orbits import GPS_EARTH_RATE, L1
 from bench.signals.processing import GROUND, Processing
-from bench.specs import GnssSpec, SkySpec
 
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]

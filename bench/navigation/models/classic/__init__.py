@@ -38,7 +38,7 @@ from bench.navigation.models.stepped_filters import SteppedPassage
 from bench.navigation.options import ClassicOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
-from bench.specs import AssumedSpecs
+from bench.sensor_specs import AssumedSpecs
 
 
 def _read_fixes(fixes: GnssFixes, *_: object) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from bench.earth import EARTH_RATE
 from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix, noise_matrix
 from bench.navigation.models.classic.navigator import Earth, Nav, Vector, reduced
-from bench.specs import AssumedSpecs, TriadSpec
+from bench.sensor_specs import AssumedSpecs, TriadSpec
 
 SIZE = 22
 NOISES = 28

@@ -30,7 +30,7 @@ from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, plan
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GraphOptions, read_options
 from bench.navigation.start.whole_records import run_between_gaps
-from bench.specs import AssumedSpecs, ImuSpec
+from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 _SMALL = 0.01  # step of the last pass, in standard deviations
 _LEAST = np.array([1e-7, 1e-6, 1e-10, 1e-8])  # of noise of gyro and accelerometer, of their biases, SI
