@@ -75,9 +75,8 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress, None).truth])
     sources = ("evaluation/replay.py", "navigation/mechanization.py")
-    return store.cached_summary(
-        profile.flight, lambda: _fly_pieces(profile, progress, None, []), summarize, sources
-    )
+    pieces = partial(_fly_pieces, profile, progress, None, [])
+    return store.cached_summary(profile.flight, pieces, summarize, sources)
 
 
 def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
@@ -296,17 +295,17 @@ def _run(
         for label, values in metrics.items()
     }
     clock["causes"] = _read_work_clock()
+    begin = profile.evaluation.begin
     for choice in profile.estimators if causes is not False else ():
         label, values = choice.label, metrics[choice.label]
         if verdicts[label]["verdict"] not in BROKEN:
             continue
         found = dict[str, Any]()
         if choice.use not in built_in.BUILT_IN:
-            antenna_b, begin = sensed.data.antenna_b, profile.evaluation.begin
-            found = find_mistakes(truth, [solutions[label]], antenna_b, begin)
+            found = find_mistakes(truth, [solutions[label]], sensed.data.antenna_b, begin)
         if not found and _is_searched(choice, causes):
             found = explain_run(
-                DrawnRun(truth, profile.sensors, profile.seed, run, profile.evaluation.begin, specs),
+                DrawnRun(truth, profile.sensors, profile.seed, run, begin, specs),
                 choice,
                 built[label],
                 solutions[label],
@@ -324,7 +323,6 @@ def _run(
     if bound and worked:
         errors = {label: judged[label][0] for label in worked}
         smoothing = {label: held.smooths(built[label]) for label in worked}
-        begin = profile.evaluation.begin
         ratios = held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
         for label, rows in ratios.items():
             metrics[label]["bound"] = rows
