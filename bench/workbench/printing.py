@@ -80,7 +80,7 @@ def _find_keys(columns: Mapping[str, Sequence[object]]) -> list[str]:
     return keys
 
 
-class _Column(NamedTuple):
+class _Shown(NamedTuple):
     """A column as it is printed."""
 
     head: str
@@ -90,14 +90,14 @@ class _Column(NamedTuple):
     width: int
 
 
-def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Column:
+def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Shown:
     """Return a column; if narrow, its head is broken after underscores and spaces, and text is wrapped."""
     words = any(isinstance(value, str) for value in values)
     outside = any(isinstance(value, ShownFigure) and value.outside for value in values)
     styles = [_find_style(value) for value in values]
     cells = [_format(value, marked=outside, narrow=narrow) for value in values]
     if not narrow:
-        return _Column(name, cells, styles, words, _measure([name, *cells]))
+        return _Shown(name, cells, styles, words, _measure([name, *cells]))
     pieces = re.findall(r"[^_ ]*[_ ]*", name)
     widest = _measure(cells)
     if words:
@@ -109,7 +109,7 @@ def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Colu
         if len((lines[-1] + piece).rstrip()) > width:
             lines.append("")
         lines[-1] += piece
-    return _Column("\n".join(line.rstrip() for line in lines), cells, styles, words, width)
+    return _Shown("\n".join(line.rstrip() for line in lines), cells, styles, words, width)
 
 
 def _format(value: object, *, marked: bool, narrow: bool) -> str:
@@ -130,7 +130,7 @@ def _measure(texts: Iterable[str]) -> int:
     return max((len(line) for text in texts for line in text.split("\n")), default=0)
 
 
-def _divide(columns: Mapping[str, _Column], keys: Sequence[str], room: int) -> Iterator[list[str]]:
+def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> Iterator[list[str]]:
     """Yield the names of the columns of each part, as many as there is room for beside the keys."""
     part: list[str] = []
     for name in columns:
@@ -144,8 +144,8 @@ def _divide(columns: Mapping[str, _Column], keys: Sequence[str], room: int) -> I
     yield part
 
 
-def _draw(columns: Iterable[_Column]) -> Table:
-    drawn: Collection[_Column] = list(columns)
+def _draw(columns: Iterable[_Shown]) -> Table:
+    drawn: Collection[_Shown] = list(columns)
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     for one in drawn:
         kind: JustifyMethod = "left" if one.words else "right"
