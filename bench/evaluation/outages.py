@@ -74,7 +74,7 @@ def make_drift_row(
 
 DRIFT_COLUMNS = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
 DRIFT_MEANING = (
-    "In brackets: the 95 % confidence interval of the quantile. Claimed: the median by the covariance of the "
+    "With each quantile stands its 95 % confidence interval. Claimed: the median by the covariance of the "
     "filter. Law: the median expected from bias instability and noise of the assumed datasheet, with a "
     "perfect start."
 )

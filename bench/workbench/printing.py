@@ -117,7 +117,8 @@ def _format(value: object, *, marked: bool, narrow: bool) -> str:
     if not isinstance(value, ShownFigure):
         return format_cell(value)
     text = f"{value.text}{' !' if value.outside else '  ' if marked else ''}"
-    return f"{text}{chr(10) if narrow else ' '}({value.bounds})" if value.bounds else text
+    below, beside = f"{text}\n{value.bounds}", f"{text} ({value.bounds})"
+    return text if not value.bounds else below if narrow else beside
 
 
 def _find_style(value: object) -> str:

@@ -60,7 +60,7 @@ def test_the_bound_of_many_estimators_is_divided_and_each_part_names_its_rows():
         )
         parts = words.count("─ ")
         assert all(words.count(name) == 1 for name in names)
-        assert words.count("(1016 to 1457)") == len(names) * len(rows)
+        assert words.count("1016 to 1457") == len(names) * len(rows)
         assert words.count("GNSS") == parts * len(rows)
         assert (parts > 1) == (width < 200)
 
@@ -73,7 +73,7 @@ def test_drifts_in_outages_are_not_cut():
         60, lambda console: print_table(console, tabulate_drifts([row, row | {"estimator": "another"}]))
     )
     assert words.count("an-estimator") == words.count("another") == words.count("─ ") > 1
-    assert words.count("(1020 to 1020)") == 4
+    assert words.count("1020 to 1020") == 4
 
 
 @pytest.mark.parametrize("width", [60, 80])
@@ -83,7 +83,7 @@ def test_an_allan_table_is_not_cut_and_marks_what_is_outside(width):
     curve = AllanCurve("gyro", tau, expected * [1.0, 1.234], np.array([119999.0, 48.0]), **bands)
     words = print_at(width, lambda console: print_table(console, record_verbs._tabulate_allan(curve))).split()
     assert words.count("4096") == 1
-    assert words.count("(0.900") == words.count("1.100)") == 2
+    assert " ".join(words).count("0.900 to 1.100") == 2
     assert words[words.index("!") - 1] == "1.234"
     assert words.count("!") == 1
     assert "119999" in words
@@ -123,7 +123,7 @@ def test_intervals_stand_below_their_figures_only_where_there_is_no_room():
     wide = print_at(60, lambda console: print_table(console, table)).splitlines()
     assert " ".join(wide[-2].split()) == "error 12.3 ! (1 to 20) 4 (3 to 5)"
     narrow = print_at(30, lambda console: print_table(console, table)).splitlines()
-    assert [" ".join(line.split()) for line in narrow[-3:-1]] == ["error 12.3 ! 4", "(1 to 20) (3 to 5)"]
+    assert [" ".join(line.split()) for line in narrow[-3:-1]] == ["error 12.3 ! 4", "1 to 20 3 to 5"]
 
 
 def test_what_is_found_is_printed_by_one_module():
