@@ -32,12 +32,13 @@ function readTable(runs) {
   return [xs, ys];
 }
 
-// Fill what other tables have more columns for: between two points of a line everything lies on it.
+// Fill what other tables have more columns for: between two points of a line everything lies on it, in a gap nothing.
 function interpolate(xs, ys) {
   let last = -1;
   ys.forEach((y, k) => {
     if (y === undefined) return;
-    if (y !== null && last >= 0 && ys[last] !== null)
+    if (last >= 0 && (y === null || ys[last] === null)) ys.fill(null, last + 1, k);
+    else if (last >= 0)
       for (let j = last + 1; j < k; j++) ys[j] = ys[last] + (y - ys[last]) * (xs[j] - xs[last]) / (xs[k] - xs[last]);
     last = k;
   });
