@@ -27,8 +27,8 @@ CLASSES = ("consumer", "industrial", "tactical", "navigation")
 """Classes of IMUs, from cheap to dear. The catalog has no prices."""
 
 _INCOMPLETE = ("kvh-dsp-1760",)  # gyros without accelerometers
-_LIMITS = ("range", "bandwidth", "quantization")
-"""Figures whose absence makes a model no better by a class: they are not filled in."""
+LIMITS = ("range", "bandwidth", "quantization")
+"""Figures whose absence makes a model no better by a class: they are not filled in, and limit nothing."""
 
 
 class Typical(NamedTuple):
@@ -96,7 +96,7 @@ def _find_unit(name: str) -> CatalogImu:
 def _fill_gaps(grade: str, absent: Sequence[str]) -> Iterator[Typical]:
     for gap in absent:
         triad, _, sought = gap.partition(" ")
-        if sought not in _LIMITS:
+        if sought not in LIMITS:
             yield from find_typical(grade, triad, sought)
 
 

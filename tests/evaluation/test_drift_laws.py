@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from bench.evaluation.drift_laws import RADIUS, drift_sd
-from bench.evaluation.outages import place_outages
+from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
 from bench.units import DEG, STANDARD_GRAVITY
 from tests.weaving import IMU
 
@@ -84,3 +84,15 @@ def test_outages_are_spread_from_the_first_place_to_the_last():
     assert_allclose(place_outages(100.0, 160.0, 60.0, 2), [100.0, 100.0])
     with pytest.raises(ValueError, match="an outage of 60 s does not fit between 100 and 159 s"):
         place_outages(100.0, 159.0, 60.0, 2)
+
+
+def test_a_row_of_drifts_has_the_quantiles_of_a_vector_of_two_axes():
+    """Of s on each axis, half of the lengths are below s sqrt(2 ln 2), and 95 % below s sqrt(2 ln 20)."""
+    drifts = [OutageDrift(0.0, 60.0, drift, 1.0, 2.0) for drift in (3.0, 4.0, 5.0)]
+    row = make_drift_row("x", 60.0, drifts, IMU)
+    expected = drift_sd(60.0, IMU)
+    assert row["closed_form_median_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
+    assert row["closed_form_p95_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(20.0)), rel=1e-4)
+    assert row["claimed_median_h_m"] == pytest.approx(2.0 * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
+    assert (row["places"], row["median_h_m"]) == (3, 4.0)
+    assert row["rms_h_m"] == pytest.approx(np.sqrt(50.0 / 3.0))

@@ -86,6 +86,17 @@ def test_the_derivatives_of_the_fit_are_those_of_its_own_integral(sound):
         assert_allclose(sign * U[..., k], expected, atol=2e-2 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize(("sd", "good", "value"), [(0.01, True, 1.02), (0.5, True, None), (0.01, False, 1.5)])
+def test_a_gain_of_the_specific_force_is_told_if_it_is_known(sd, good, value):
+    gain = np.where(np.array(motion_fit.NAMES) == "accel_gain", np.log(value or 1.02), 0.0)
+    cov, empty = sd**2 * np.eye(len(gain)), np.empty(0)
+    found = motion_checks._check_force_gain(
+        motion_fit.MotionFit(gain, cov, empty, np.empty((0, 3, 3)), empty)
+    )
+    assert found.good is good
+    assert found.value == (None if value is None else pytest.approx(value))
+
+
 def test_what_no_stretch_tells_is_as_uncertain_as_it_was_before(sound):
     """Biases within 6 deg/s and 0.1 of gravity, gains, turns and times about right, a measured arm."""
     motion = RecordedMotion.from_records(sound.imu, sound.fixes)

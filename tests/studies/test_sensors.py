@@ -214,7 +214,7 @@ def test_the_answer_says_if_it_rests_on_figures_that_no_source_states(tmp_path):
     gaps = next(one for one in found.tables if one.name == "gaps").columns
     rows = list(zip(gaps["unit"], gaps["absent"], gaps["key"], gaps["basis"], strict=True))
     assert (names[0], "gyro bias instability", "gyro.bias_instability_deg_h", "assumed") in rows
-    assert (names[0], "gyro bandwidth", "", "zero") in rows
+    assert (names[0], "gyro bandwidth", "", "no limit") in rows
     same, _ = ask(names, Flights(steady(bare=1.0, full=3.0)))
     assert any("with zero in their place the answer is the same" in one for one in same.verdicts)
 
