@@ -60,6 +60,7 @@ class AircraftSpec:
     gains: Mapping[str, float]  # properties of the guidance system, by their name below ``guidance/``
     rough_gains: Mapping[str, float]  # of those the ones that differ from moderate turbulence on
     flare_gains: Mapping[str, float]  # and those that differ in a flare from light turbulence on
+    approach_gains: Mapping[str, float]  # and those that differ on an approach and in its flare
     min_speed: float = figure("mps", *SPEEDS)
     """Slowest true airspeed that a profile may ask for [m/s]."""
     max_speed: float = figure("mps", *SPEEDS)

@@ -78,6 +78,8 @@ class AircraftTable(Table):
     """A table: gains of [guidance] that are other ones from moderate turbulence on."""
     rough_flare: dict[str, float] = Field(default_factory=dict)
     """The same in a flare, from light turbulence on."""
+    approach: dict[str, float] = Field(default_factory=dict)
+    """The same on an approach and in its flare, in any air."""
 
 
 def find_profile(name: str | Path) -> tuple[Path, str]:
@@ -220,7 +222,7 @@ def _make_aircraft(
     missing = [name for name in table.assumed if name not in table.model_fields_set]
     if missing:
         raise ConfigError(f"{shown}: assumed names {missing[0]!r}, which is not a table of this file")
-    for key in ("rough_air", "rough_flare"):
+    for key in ("rough_air", "rough_flare", "approach"):
         unknown = [name for name in getattr(table, key) if name not in table.guidance]
         if unknown:
             raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is no gain of [guidance]")
@@ -235,6 +237,7 @@ def _make_aircraft(
         gains=table.guidance,
         rough_gains=table.rough_air,
         flare_gains=table.rough_flare,
+        approach_gains=table.approach,
         **convert_figures(AircraftSpec, limits),
         antenna_b=_from_imu(table.antenna, imu),
         category=table.category,

@@ -90,14 +90,15 @@ class Cockpit:
         self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
         self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
         self.aircraft, self.runway = spec.aircraft, spec.runway
+        begun = {name: reader(f"guidance/{name}")() for name in spec.aircraft.gains}
+        self.approach_gains = spec.aircraft.approach_gains
+        self._landed = [(writer(name), begun[name], to) for name, to in self.approach_gains.items()]
+        begun |= self.approach_gains
         flared = spec.aircraft.flare_gains if spec.severity >= LIGHT else {}
-        self._flared = [(writer(name), reader(f"guidance/{name}")(), to) for name, to in flared.items()]
+        self._flared = [(writer(name), begun[name], to) for name, to in flared.items()]
         self.start_lla = spec.lat, spec.lon, spec.alt  # of the flight [rad, rad, m]
         self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
-        # what the loops lag behind a moving set-point
-        self.bank_lag = 2 / gain("bank-lag-rad_sec")
-        self.pitch_lag = 1 / gain("pitch-lag-rad_sec")
-        self.climb_lag = self.pitch_lag + 1 / gain("climb-gain")
+        self._read_lags()
         self._plan: tuple[float, float, int, int] | None = None  # an airspeed change on its way
         self.speed_wanted = 0.0  # the airspeed set-point [m/s]
         self.alt_wanted = self.alt()  # the altitude set-point [m]
@@ -176,6 +177,18 @@ class Cockpit:
         self.alt_wanted = alt
         self.set_alt(alt)
         self.lon_mode(3)
+
+    def _read_lags(self) -> None:
+        """Find out what the loops lag behind a moving set-point [s]."""
+        self.bank_lag = 2 / self.gain("bank-lag-rad_sec")
+        self.pitch_lag = 1 / self.gain("pitch-lag-rad_sec")
+        self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
+
+    def hold_approach(self, share: float) -> None:
+        """Go over from the gains of flight, 0, to those of an approach, 1."""
+        for write, begun, end in self._landed:
+            write(begun + share * (end - begun))
+        self._read_lags()
 
     def hold_firmly(self, share: float) -> None:
         """Go over from the gains of flight, 0, to those of a flare in rough air, 1."""

@@ -21,6 +21,7 @@ from bench.flight.trimming import (
 )
 from bench.flight.wind import set_wind
 
+_ABOVE = (10.0, 100.0)  # heights with the wheels off the ground, of small and large aircraft [ft]
 _DROP = 0.02  # from which it is let down on its wheels [m]
 _SETTLE = 30.0  # until gear and friction are at rest [s]
 _AT_REST = 1e-5  # fastest motion of what is at rest [m/s]
@@ -39,14 +40,18 @@ def stand(fdm: Any, condition: TrimCondition, *, guided: bool = True, say: Say =
     place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for name in ("u-fps", "v-fps", "w-fps", "phi-rad", "theta-rad"):
         fdm[f"ic/{name}"] = 0.0
-    fdm["ic/h-agl-ft"] = 10.0
     manager = fdm.get_property_manager()  # what is no wheel counts among the units too
     units = (manager.get_node(f"gear/unit[{k}]/AGL-ft") for k in range(int(fdm["gear/num-units"])))
     wheels = [unit for unit in units if unit is not None]
     if not wheels:
         raise FlightError(f"aircraft {fdm.get_model_name()} has no wheels to stand on")
-    _evaluate(fdm)
-    fdm["ic/h-agl-ft"] = 10.0 - min(wheel.get_double_value() for wheel in wheels) + _DROP / FT
+    for above in _ABOVE:
+        fdm["ic/h-agl-ft"] = above
+        _evaluate(fdm)
+        clear = min(wheel.get_double_value() for wheel in wheels)
+        if clear > 0:  # 0 in the ground, too
+            break
+    fdm["ic/h-agl-ft"] = above - clear + _DROP / FT
     _evaluate(fdm)
     for name, number in {**INTEGRATORS, **ON_WHEELS}.items():  # run_ic resets them
         fdm[f"simulation/integrator/{name}"] = number

@@ -15,6 +15,8 @@ from bench.flight import fly
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
+from bench.flight.recorder import prepare
+from bench.flight.sequencer import FlownLeg, fly_legs
 from bench.flight_specs import AircraftSpec, Runway
 from tests.flight.plans import AEROSONDE, plan, truth_of
 
@@ -43,12 +45,16 @@ class Kind(NamedTuple):
     before: tuple[float, float]  # an approach begins so far before the threshold, so high above it [m]
     sink: float  # most at touch-down [m/s]
     wheels: float  # a wheel touches below: the gear stretched and the nose up [m]
+    off: float = 5.0  # most off the centreline on the wheels [m]
+    top: float = 40.0  # of a take-off [m]
 
 
 NAVION = load_profile("circuit-navion").flight.aircraft
+JET = load_profile("airliner").flight.aircraft
 KINDS = {
     "aerosonde": Kind(AEROSONDE, (2.5, 24.0), 200.0, 250.0, (1800.0, 80.0), 1.5, 0.35),
     "navion": Kind(NAVION, (3.0, 46.0), 400.0, 300.0, (2700.0, 120.0), 1.0, 1.36),
+    "jet747": Kind(JET, (6.0, 90.0), 2000.0, 450.0, (5000.0, 250.0), 1.6, 5.6, 7.0, 150.0),
 }
 
 
@@ -112,12 +118,12 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
         wind["wind_from"] = ALONG - radians(90.0)
     rate, speed = kind.climb
     start = {**wind, "aircraft": kind.aircraft, "speed": speed}
-    up = fly(standing(Static(2.0), TakeOff(40.0, rate, speed), Straight(2.0), **start))
+    up = fly(standing(Static(2.0), TakeOff(kind.top, rate, speed), Straight(2.0), **start))
     along, off, _ = runway_frame(up)
     height = height_of_cg(up, kind.aircraft)
-    assert np.abs(off[height < on_wheels]).max() < 5.0
+    assert np.abs(off[height < on_wheels]).max() < kind.off
     assert along[height < on_wheels].max() < kind.run
-    assert_allclose(height[-1], 40.0, atol=2.5)
+    assert_allclose(height[-1], kind.top, atol=2.5)
     assert np.diff(height)[height[1:] > on_wheels].min() > -0.02  # it does not come down again
 
     down = fly(plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(10.0), **final(kind), **wind))
@@ -126,7 +132,7 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
     sink = down.vel_n[touch - 30 : touch, 2]  # the last 0.3 s; wheels may touch 0.05 s before the leg ends
     assert height_of_cg(down, kind.aircraft)[touch] < on_wheels
     assert 0.1 < sink.max() < kind.sink
-    assert np.abs(off[touch:]).max() < 5.0
+    assert np.abs(off[touch:]).max() < kind.off
     assert 0.0 < along[touch] < kind.touch
     assert np.linalg.norm(down.vel_n[-1]) < 1e-4
     assert "touch-down at" in down.events.select("leg")[1][2]
@@ -159,7 +165,7 @@ def test_a_touch_and_go_rolls_and_climbs_again(name):
     """It touches, rolls at least as long as asked along the centreline, and leaves the ground for good."""
     kind = KINDS[name]
     start = final(kind._replace(before=(kind.before[0] / 2, kind.before[1] / 2)))
-    go = TouchAndGo(40.0, *kind.climb, roll=2.0)
+    go = TouchAndGo(kind.top, *kind.climb, roll=2.0)
     truth = fly(
         plan(Approach(radians(3.5), 60.0), Flare(), go, **start, wind_from=ALONG + 1.2, wind_speed=3.0)
     )
@@ -169,8 +175,8 @@ def test_a_touch_and_go_rolls_and_climbs_again(name):
     rolling = height < kind.wheels
     seconds = np.flatnonzero(rolling)[-1] * truth.t[1]
     assert 5.5 < seconds < 20.0
-    assert np.abs(off[rolling]).max() < 5.0
-    assert_allclose(height[-1], 40.0, atol=2.5)
+    assert np.abs(off[rolling]).max() < kind.off
+    assert_allclose(height[-1], kind.top, atol=2.5)
     assert np.diff(height)[height[1:] > kind.wheels + 0.2].min() > -0.02
     inside = (truth.controls.t > begun) & (truth.controls.t < end)
     throttle = truth.controls.throttle[inside]
@@ -224,18 +230,47 @@ def test_gusts_do_not_tip_a_landing(kind, severity, across, seed):
     assert np.abs(truth.vel_n[truth.t > truth.t[-1] - 3.0]).max() < 0.1
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("severity", [3, 4])
-def test_twelve_of_twelve_land_in_turbulence_and_wind_across(severity):
-    """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground.
+def measure_landing(truth) -> tuple[float, float, float, float]:
+    """Sink, way along the runway and distance off it at the touch-down, most off it in the roll [m/s, m].
 
     The sink is the largest of the last 0.3 s before the touch-down.
     """
+    touch = round(truth.events.select("leg")[1][1] / truth.t[1])
+    along, off, _ = runway_frame(truth)
+    sink = truth.vel_n[touch - 30 : touch, 2].max()
+    return float(sink), float(along[touch]), float(abs(off[touch])), float(np.abs(off[touch:]).max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "severity", "most"),
+    [("aerosonde", 3, 2.0), ("aerosonde", 4, 3.0), ("jet747", 3, 1.8), ("jet747", 4, 2.4)],
+)
+def test_twelve_of_twelve_land_in_turbulence_and_wind_across(name, severity, most):
+    """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground."""
     for seed in range(21, 33):
-        truth = land_in(severity, 4.0, seed, KINDS["aerosonde"])
+        truth = land_in(severity, 4.0, seed, KINDS[name])
         assert np.abs(truth.vel_n[-1]).max() < 0.1
-        touch = round(truth.events.select("leg")[1][1] / truth.t[1])
-        assert truth.vel_n[touch - 30 : touch, 2].max() < {3: 2.0, 4: 3.0}[severity]
+        assert measure_landing(truth)[0] < most
+
+
+def test_gains_of_an_approach_hold_until_the_touch_down():
+    """With the lags that follow from them; the landing roll ends with those of flight."""
+    kind = KINDS["jet747"]
+    near = kind._replace(before=(2500.0, 100.0))
+    spec = plan(Approach(radians(3.5), 60.0), Flare(), LandingRoll(0.1), **final(near))
+    fdm, cockpit = prepare(spec, 1 / 400)
+    flown: list[FlownLeg] = []
+    held = {}
+    for _ in fly_legs(cockpit, spec, flown):
+        held[len(flown)] = fdm["guidance/bank-gain"], cockpit.bank_lag, cockpit.climb_lag
+        for _ in range(20):
+            fdm.run()
+    gains = kind.aircraft.gains
+    rough = {**gains, **kind.aircraft.approach_gains}
+    for leg, asked in enumerate((rough, rough, gains)):
+        lags = 2 / asked["bank-lag-rad_sec"], 1 / asked["pitch-lag-rad_sec"] + 1 / asked["climb-gain"]
+        assert_allclose(held[leg], (asked["bank-gain"], *lags))
 
 
 def test_the_glide_path_is_flown():

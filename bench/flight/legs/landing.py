@@ -30,6 +30,7 @@ _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]
 _FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
 _USUAL_GLIDE = math.radians(3.5)  # that flare heights are for
+_GAINS = 2.0  # in which the gains become those of an approach [s]
 _FLARE_TIME = 40.0  # until the wheels touch [s]
 _STANDS = 0.02  # slower is standing [m/s]
 _BRAKE = 0.6  # share of the brakes of a landing
@@ -77,6 +78,9 @@ class Approach(Leg):
         if above() < 0:
             raise FlightError(f"an approach begins below the glide path; this is {-above():.0f} m above it")
         cockpit.change_speed(figures.approach_speed)
+        for share in smooth(_GAINS) if cockpit.approach_gains else ():
+            cockpit.hold_approach(share)
+            yield
         bank = min(_FINAL_BANK, cockpit.aircraft.max_bank)
         follower = Follower(cockpit, plane, line, bank)
         # no step to begin with

@@ -212,6 +212,7 @@ def lower_nose(cockpit: Cockpit, centre: Centreline) -> Steps:
     cockpit.set_bank(0.0)
     for share in smooth(1.5):
         cockpit.hold_firmly(1 - share)
+        cockpit.hold_approach(1 - share)
         cockpit.set_steering(share)
         cockpit.set_pitch((1 - share) * pitch)
         cockpit.set_throttle((1 - share) * throttle)
