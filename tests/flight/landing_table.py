@@ -6,29 +6,18 @@ A name flies only that aircraft: ``python -m tests.flight.landing_table jet747``
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 
-from bench.config.library import read_jsbsim_aircraft
 from bench.errors import FlightError
-from tests.flight.test_legs_ground import KINDS, Kind, land_in, measure_landing
+from tests.flight.test_legs_ground import KINDS, land_in, measure_landing
 
-CESSNA = Kind(
-    read_jsbsim_aircraft("c172x", None, Path()),
-    (2.5, 50.0),
-    400.0,
-    300.0,
-    (2700.0, 120.0),
-    1.0,
-    1.5,
-)
 SEEDS = range(21, 33)
 
 
 def main(names: list[str]) -> None:
     """Print a row for each aircraft and severity."""
-    for name, kind in {**KINDS, "jsbsim:c172x": CESSNA}.items():
+    for name, kind in KINDS.items():
         for severity, words in ((3, "light"), (4, "moderate")):
             landed = []
             for seed in SEEDS if not names or name in names else ():
