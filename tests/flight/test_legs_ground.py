@@ -244,7 +244,13 @@ def measure_landing(truth) -> tuple[float, float, float, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "severity", "most"),
-    [("aerosonde", 3, 2.0), ("aerosonde", 4, 3.0), ("navion", 3, 2.0), ("navion", 4, 3.3), ("jet747", 3, 1.8)],
+    [
+        ("aerosonde", 3, 2.0),
+        ("aerosonde", 4, 3.0),
+        ("navion", 3, 2.0),
+        ("navion", 4, 3.3),
+        ("jet747", 3, 1.8),
+    ],
 )
 def test_twelve_of_twelve_land_in_turbulence_and_wind_across(name, severity, most):
     """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground."""
