@@ -66,7 +66,8 @@ def is_array(value: object, dtype: np.dtype[Any], shape: Shape) -> bool:
 
 def is_short_and_finite(array: FloatArray) -> bool:
     """Tell whether an array is finite, where one look tells it: it has few rows."""
-    return len(array) <= _FEW and bool(np.isfinite(array).all())
+    # `all` takes twice as long
+    return len(array) <= _FEW and np.count_nonzero(np.isfinite(array)) == array.size
 
 
 def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:
@@ -105,10 +106,15 @@ def take_increasing(column: FloatArray, rows: IntArray) -> FloatArray:
     return column[rows]
 
 
+def same_array(one: FloatArray, other: FloatArray) -> bool:
+    """Tell whether two arrays are equal: at once if they are one."""
+    return one is other or np.array_equal(one, other)
+
+
 def read_only(array: NDArray[Any]) -> NDArray[Any]:
     """Return a read-only view: columns of records are such, and kernels are compiled once, for them."""
     view = array.view()
-    view.flags.writeable = False
+    view.setflags(write=False)
     return view
 
 
@@ -125,6 +131,8 @@ def _check_finite(name: str, array: FloatArray) -> None:
 def _fits(got: tuple[int, ...], shape: Shape) -> bool:
     if len(got) != len(shape):
         return False
+    if got[1:] == shape[1:] and shape and shape[0] is None:  # nearly all: a column of any length
+        return True
     for want, have in zip(shape, got, strict=True):  # noqa: SIM110 - a generator takes twice as long
         if want is not None and want != have:
             return False

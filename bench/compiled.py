@@ -302,10 +302,18 @@ def types_of(*arguments: Any) -> KernelTypes:
 def _describe_types(value: Any) -> Any:
     """Return what the type of a value follows from, without numba: of tuples, arrays and numbers."""
     if isinstance(value, tuple):
-        return type(value), *map(_describe_types, value)
+        kind = type(value)
+        return kind if _holds_integers(kind) else (kind, *map(_describe_types, value))
     if isinstance(value, np.ndarray):
         return type(value), value.dtype.num, value.ndim, value.flags.num & _SEEN_FLAGS
     return type(value)
+
+
+@cache
+def _holds_integers(kind: type) -> bool:
+    """Return whether a named tuple declares nothing but integers: its own type says it all."""
+    hints = getattr(kind, "__annotations__", {}).values()
+    return {"int"} == {getattr(one, "__forward_arg__", one) for one in hints}
 
 
 def find_address(function: Callable[..., object], types: KernelTypes) -> int:

@@ -30,7 +30,7 @@ def wide(shape: tuple[int, ...]) -> FloatArray:
     whole = *shape[:-1], -(-shape[-1] // LANES) * LANES
     size = math.prod(whole)
     memory = np.zeros(size + LANES)
-    begin = -memory.ctypes.data // memory.itemsize % LANES
+    begin = -memory.__array_interface__["data"][0] // memory.itemsize % LANES
     return memory[begin : begin + size].reshape(whole)
 
 

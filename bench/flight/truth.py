@@ -75,8 +75,9 @@ def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory
         known = t_air <= t[-1] + 1e-9
         air = stretch.air[known]
         air = np.where(np.isfinite(air), air, 0.0)  # the sanity report says so
-        pressure, temperature, true, calibrated, attack, slip = air[:, :6].T
-        wind_n, engine = air[:, 6:9], air[:, 9]
+        columns = air.T.copy()
+        pressure, temperature, true, calibrated, attack, slip = columns[:6]
+        wind_n, engine = air[:, 6:9], columns[9]
         yield Trajectory(
             t=t,
             lla=lla,
@@ -85,7 +86,7 @@ def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory
             dtheta_b=alpha[: n * substeps].reshape(n, substeps, 3).sum(axis=1),
             dvel_b=beta[: n * substeps].reshape(n, substeps, 3).sum(axis=1),
             air=AirData(t_air[known], pressure, temperature, true, calibrated, attack, slip, wind_n, engine),
-            controls=Controls(t_air[known], *air[:, 10:].T),
+            controls=Controls(t_air[known], *columns[10:]),
             events=Events.from_rows(stretch.events or []),
         )
         q_nb = q_nb[-1]

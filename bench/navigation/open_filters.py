@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from bench.arrays import same_array
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
@@ -224,7 +225,7 @@ class PieceFilter(SessionState):
             raise EstimatorError("ground height and date must be those of the first piece")
         if head.specs != without_orbits(piece.specs):
             raise EstimatorError("the datasheets assumed must be those of the first piece")
-        if not np.array_equal(head.antenna_b, piece.antenna_b):
+        if not same_array(head.antenna_b, piece.antenna_b):
             if self.passage is None:
                 raise EstimatorError(
                     f"{self.use!r} cannot go over to another antenna before it has found its start"

@@ -77,8 +77,8 @@ def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) 
     """Return the table of the rows of a log."""
     if len(numbers) == 0:
         return no_innovations()
-    t, z, S, found = numbers.T
-    code, component, accepted = marks.T[:3]
+    t, z, S, found = np.ascontiguousarray(numbers.T)
+    code, component, accepted = np.ascontiguousarray(marks.T[:3])
     return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,11 @@ class Rows(NamedTuple):
         return Rows(*(np.concatenate(pair) for pair in zip(self, other, strict=True)))
 
 
+_NO_ROWS = Rows(
+    np.zeros(0), np.zeros(0), np.zeros((0, 9)), np.zeros((0, 6)), np.zeros(0, np.int64), np.zeros(0, np.int64)
+)
+
+
 class Waiting(NamedTuple):
     """What waits, of all kinds."""
 
@@ -49,16 +55,16 @@ class Waiting(NamedTuple):
     @classmethod
     def of(cls, rows: Mapping[int, Rows], satellites: int) -> Waiting:
         """Return the rows of all kinds, ``satellites`` that of satellites, as one."""
-        none = np.zeros(0, np.int64)
-        nothing = np.empty(0)
-        every = [Rows(nothing, nothing, np.zeros((0, 9)), np.zeros((0, 6)), none, none), *rows.values()]
-        kind = np.repeat(np.array([0, *rows]), [len(one.t) for one in every])
-        t, arrival, values, variance, slot, number = (np.concatenate(one) for one in zip(*every, strict=True))
-        tabled = kind != satellites
-        if not tabled.all():
+        every = [_NO_ROWS, *rows.values()]
+        lengths = [len(one.t) for one in every]
+        kind = np.repeat(np.array([0, *rows]), lengths)
+        t, arrival, values, variance, slot, number = map(np.concatenate, zip(*every, strict=True))
+        row = np.arange(len(t))
+        if satellites in rows:
+            tabled = kind != satellites
             values, variance = values[tabled], variance[tabled]
-        row = np.where(tabled, np.cumsum(tabled) - 1, number)
-        ends = np.cumsum([len(one.t) for one in every]).tolist()
+            row = np.where(tabled, np.cumsum(tabled) - 1, number)
+        ends = list(accumulate(lengths))
         return cls(kind, t, arrival, slot, row, values, variance, list(map(slice, ends, ends[1:])))
 
 
@@ -82,16 +88,16 @@ def give_slots(measure: IntArray, use: IntArray, slot: IntArray, go_to: int) -> 
     """
     slot = slot.copy()
     busy = [-1] * int(slot.max(initial=0))  # until which step each slot is taken
-    for k in np.flatnonzero(slot > 0):
+    for k in np.flatnonzero(slot > 0).tolist():
         busy[slot[k] - 1] = int(use[k])
     late = np.flatnonzero((slot == 0) & (measure != use) & (measure <= go_to))
-    for k in late[np.argsort(measure[late], kind="stable")]:
-        free = [s for s, until in enumerate(busy) if until < measure[k]]
-        if not free:
-            free = [len(busy)]
-            busy.append(0)
-        busy[free[0]] = int(use[k])
-        slot[k] = free[0] + 1
+    late = late[np.argsort(measure[late], kind="stable")]
+    given = []
+    for begun, until in zip(measure[late].tolist(), use[late].tolist(), strict=True):
+        at = next((at for at, end in enumerate(busy) if end < begun), len(busy))
+        busy[at : at + 1] = [until]
+        given.append(at + 1)
+    slot[late] = given
     return slot
 
 

@@ -23,6 +23,8 @@ def refusals(
 
     ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
     """
+    if not so_far and marks[:, 2].all():
+        return []
     ended: list[tuple[int, tuple[float, float, int]]] = []
     first = marks[:, 1] == 0
     for channel in {*np.unique(marks[first & (marks[:, 2] == 0), 3]).tolist(), *so_far}:

@@ -146,23 +146,25 @@ def fork(value: Any) -> Any:
         return value
     if isinstance(value, np.ndarray):
         return _copy_array(value) if value.flags.writeable else value
+    if isinstance(value, tuple):
+        return kind(*map(fork, value)) if hasattr(kind, "_fields") else kind(map(fork, value))
     if hasattr(value, "restore"):
         return value.copy()
     if isinstance(value, dict):
         return {key: fork(one) for key, one in value.items()}
-    if hasattr(value, "_fields"):
-        return kind(*map(fork, value))
-    if isinstance(value, list | tuple | deque):
+    if isinstance(value, list | deque):
         return kind(map(fork, value))
     return value
 
 
 def _copy_array(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy, C-ordered and writeable; rows of whole cache lines begin at one (`bench.wide_rows`)."""
-    from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
+    if array.ndim == 2 and array.dtype == np.float64:
+        from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
 
-    wide = array.ndim == 2 and array.dtype == np.float64 and array.shape[1] % LANES == 0
-    return widened(array) if wide else np.array(array, order="C")
+        if array.shape[1] % LANES == 0:
+            return widened(array)
+    return np.array(array, order="C")
 
 
 def _plain(value: Any) -> Any:

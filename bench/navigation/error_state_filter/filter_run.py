@@ -312,7 +312,7 @@ class ForwardRun(SessionState):
         plan, sky = schedule.plan(look_back), schedule.sky
         steps, entries = plan.steps, plan.entries
         start = schedule.t
-        visible = int(np.diff(sky.epoch_start).max(initial=0))
+        visible = int(np.diff(sky.epoch_start).max(initial=0)) if len(sky.t) else 0
         now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
         gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
         refused = dict(self.refused)
@@ -340,7 +340,7 @@ class ForwardRun(SessionState):
         data = Measurements(
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
         )
-        kinds = np.unique(entries[entries[:, 1] < USE, 2])
+        kinds = np.flatnonzero(np.bincount(entries[entries[:, 1] < USE, 2]))
         _fusion_kernel(
             entries,
             place_fillers(kinds, (now, data, model.index, pending, work.measure), sky),

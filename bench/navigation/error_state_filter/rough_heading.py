@@ -146,5 +146,6 @@ def yaw_kernel(C: FloatArray, H: FloatArray) -> float:
 def add_arm(P: FloatArray, antenna_b: FloatArray) -> None:
     """Add to P (M, n, n) what an antenna (3,) off the IMU does to its position where the heading is any."""
     lost = np.abs(P[:, 8, 8] / UNKNOWN_HEADING_SD**2 - 1.0) < 0.01
-    for axis in range(2):
-        P[lost, axis, axis] += antenna_b[0] ** 2 + antenna_b[1] ** 2
+    if lost.any():
+        for axis in range(2):
+            P[lost, axis, axis] += antenna_b[0] ** 2 + antenna_b[1] ** 2

@@ -34,6 +34,7 @@ _BEFORE = -2  # step of what was measured in an earlier piece
 
 
 _ACTIONS = np.array([AT_ONCE, MEASURE, USE, OUTPUT, GO_ON])
+_NONE = np.empty(0, np.int64)
 
 
 class StepPlan(NamedTuple):
@@ -302,9 +303,10 @@ class Schedule(SessionState):
         return rows, valid, arrival[rows]
 
     def _leave_out(self, name: str, t: FloatArray, rows: IntArray, why: str) -> None:
-        out = np.zeros(len(t), np.bool_)
-        out[rows] = True
-        self.events += timeline.left_out(name, t, out, why)
+        if len(rows):
+            out = np.zeros(len(t), np.bool_)
+            out[rows] = True
+            self.events += timeline.left_out(name, t, out, why)
 
     def _wait(
         self,
@@ -370,10 +372,13 @@ class Schedule(SessionState):
         entries[: len(picked), 4] = slot[picked]
         entries[len(picked) + m :, 2] = 100
         entries = entries[np.lexsort((entries[:, 3], entries[:, 1], entries[:, 2], entries[:, 0]))]
-        left = {
-            kind: rows._replace(slot=slot[part]).take(~done[part])
-            for (kind, rows), part in zip(self.waiting.items(), every.parts, strict=True)
-        }
+        if done.all():
+            left = {kind: rows.take(slice(0)) for kind, rows in self.waiting.items()}
+        else:
+            left = {
+                kind: rows._replace(slot=slot[part]).take(~done[part])
+                for (kind, rows), part in zip(self.waiting.items(), every.parts, strict=True)
+            }
         most = int(slot.max(initial=0)) + 1
         wide, variance = every.values, every.variance
         return StepPlan(steps, entries, ahead, most, wide, wide[:, :6], variance, outputs, left, go_to)
@@ -395,20 +400,18 @@ class Schedule(SessionState):
             step = self._step_at(steps.t, t)
             due = np.flatnonzero(inside & (step <= go_to))
             return due, step[due], np.zeros(len(due))
+        if not len(t):
+            return _NONE, _NONE, t
         at = np.searchsorted(steps.t, t - TIME_TOLERANCE)
-        last = at >= len(steps.t)
-        there, span = np.zeros(len(t), np.bool_), np.ones(len(t))
-        there[~last] = np.abs(steps.t[at[~last]] - t[~last]) <= TIME_TOLERANCE
-        span[~last] = steps.span[at[~last]]
-        begun = np.where(at > 0, steps.t[at - 1], self.t) if len(steps.t) else np.full(len(t), self.t)
+        ends, spans = np.append(steps.t, np.inf), np.append(steps.span, 1.0)  # nothing is beyond the last
         at_start = np.abs(t - self.t) <= TIME_TOLERANCE
-        step = np.where(at_start, -1, np.where(there, at, at - 1))
-        there |= at_start
-        known = (t >= self.start - TIME_TOLERANCE) & (there | ~last)
-        due = np.flatnonzero(known & ((step < go_to) | (there & (step == go_to))))
-        ahead = np.where(there, 0.0, (t - begun) / span)[due]
-        at = step[due]
-        return due, at, ahead
+        there = at_start | (np.abs(ends[at] - t) <= TIME_TOLERANCE)
+        step = np.where(at_start, -1, at - 1 + there)
+        known = (t >= self.start - TIME_TOLERANCE) & (there | (at < len(steps.t)))
+        due = np.flatnonzero(known & (step < go_to + there))
+        begun = np.where(at > 0, ends[at - 1], self.t)
+        ahead = np.where(there, 0.0, (t - begun) / spans[at])[due]
+        return due, step[due], ahead
 
     def advance(self, plan: StepPlan) -> FloatArray:
         """Forget what a filter has done by a plan; return the instants (M,) of the answers that are final."""

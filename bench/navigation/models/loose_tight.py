@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from bench import earth
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, same_array
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import long_records
@@ -339,7 +339,7 @@ class Passage(SessionState):
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
-        if not np.array_equal(self.antenna_b, piece.antenna_b):
+        if not same_array(self.antenna_b, piece.antenna_b):
             self._go_over(piece.antenna_b)
         self.take(piece, last=last)
         if not last and not self.can_go(look_back):

@@ -70,6 +70,8 @@ class RefusedFixes(SessionState):
 
     def find(self, table: Innovations) -> float | None:
         """Return the first instant [s] at which the filter is lost, by its next innovations."""
+        if not len(table):
+            return None
         code = table.sensor.index(SENSORS[POSITION]) if SENSORS[POSITION] in table.sensor else -1
         rows = np.flatnonzero((table.code == code) & (table.component == 0))
         if not len(rows):

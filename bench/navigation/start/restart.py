@@ -20,7 +20,7 @@ from typing import cast
 import numpy as np
 
 from bench import earth
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, same_array
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
@@ -166,7 +166,9 @@ class BetweenGaps(SessionState):
             self._stop((ended, float(imu.t[behind] - imu.dt[behind])), found)
         stop = int(again[0]) if len(again) else len(imu)
         lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
-        self.lost = count_lost({} if len(rows) else self.lost, take_rows(imu, lost), record.specs.imu)
+        self.lost = {} if len(rows) else self.lost
+        if lost.start < stop:
+            self.lost = count_lost(self.lost, take_rows(imu, lost), record.specs.imu)
         until = np.inf if last else self.end
         rest = record
         if first or stop < len(imu) or goes_beyond(record, until):
@@ -180,7 +182,7 @@ class BetweenGaps(SessionState):
     def _with_held(self, piece: SensorData, look_back: float) -> SensorData:
         """Return a piece after what was held."""
         held = self.held
-        if not np.array_equal(self.head.antenna_b, piece.antenna_b):
+        if not same_array(self.head.antenna_b, piece.antenna_b):
             if self.pause is not None:
                 raise EstimatorError("it cannot go over to another antenna before it has started again")
             if held is not None:  # of the antenna before
