@@ -32,7 +32,7 @@ STATES = tuple(
 
 
 def _check_increasing(name: str, t: FloatArray) -> None:
-    if not (np.diff(t) > 0).all():
+    if not (t[1:] > t[:-1]).all():
         k = int(np.argmax(np.diff(t) <= 0))
         raise ValueError(f"{name} must increase; row {k + 1} has {t[k + 1]:g} s after {t[k]:g} s")
 
@@ -64,7 +64,9 @@ class Events(Record):
     def from_rows(cls, rows: Iterable[EventRow]) -> Events:
         """Make events from rows in any order; they are sorted by time."""
         ordered = sorted(((*row, "")[:5] for row in rows), key=lambda row: row[:2])
-        t, t_end, *texts = zip(*ordered, strict=True) if ordered else ((),) * 5
+        if not ordered:
+            return no_events()
+        t, t_end, *texts = zip(*ordered, strict=True)
         return cls(np.array(t, float), np.array(t_end, float), *texts)
 
     def rows(self) -> list[EventRow]:
@@ -76,7 +78,7 @@ class Events(Record):
 @cache
 def no_events() -> Events:
     """Return events without rows."""
-    return Events.from_rows([])
+    return Events(np.empty(0), np.empty(0), (), (), ())
 
 
 @declared

@@ -40,7 +40,7 @@ def find_rows(name: str, t: FloatArray, wanted: FloatArray) -> IntArray:
         If two of them fall on the same sample instant.
     """
     rows: IntArray = np.searchsorted(t, wanted - SAME_INSTANT)
-    if not (np.diff(rows) > 0).all():
+    if not (rows[1:] > rows[:-1]).all():
         rate, truth_rate = 1.0 / (wanted[1] - wanted[0]), (len(t) - 1) / (t[-1] - t[0])
         raise ValueError(f"{name}: rate {rate:g} Hz is above the {truth_rate:g} Hz of the truth")
     return rows
