@@ -6,6 +6,7 @@ import numpy as np
 
 from bench.arrays import BoolArray
 from bench.data import ImuData
+from bench.navigation.engine.kept_rows import take_rows
 from bench.sensor_specs import ImuSpec
 from bench.units import DEG, STANDARD_GRAVITY
 
@@ -45,10 +46,11 @@ def find_beyond(imu: ImuData, spec: ImuSpec) -> list[tuple[str, BoolArray]]:
     return found
 
 
-def count_lost(counts: dict[str, int], lost: ImuData, spec: ImuSpec) -> dict[str, int]:
-    """Return counts of samples without use with more of them: of all, and by the words of a range."""
-    if not len(lost):
+def count_lost(counts: dict[str, int], imu: ImuData, rows: slice, spec: ImuSpec) -> dict[str, int]:
+    """Return counts of samples without use with those of some rows: of all, and by the words of a range."""
+    if not len(imu.t[rows]):
         return counts
+    lost = take_rows(imu, rows)
     more = {_ALL: len(lost)} | {why: int(rows.sum()) for why, rows in find_beyond(lost, spec)}
     return {why: counts.get(why, 0) + count for why, count in more.items()}
 

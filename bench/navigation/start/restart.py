@@ -25,7 +25,6 @@ from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import count_lost, name_ranges
-from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
@@ -162,13 +161,11 @@ class BetweenGaps(SessionState):
             self._take(cut_piece(record, sound, after, ended), look_back, found, ended=ended)
             first, after = behind, ended
             lost = slice(int(rows[k - 1]) + 1 if k else 0, behind)
-            self.lost = count_lost(self.lost if k == 0 else {}, take_rows(imu, lost), record.specs.imu)
+            self.lost = count_lost(self.lost if k == 0 else {}, imu, lost, record.specs.imu)
             self._stop((ended, float(imu.t[behind] - imu.dt[behind])), found)
         stop = int(again[0]) if len(again) else len(imu)
         lost = slice(int(rows[-1]) + 1 if len(rows) else 0, stop)
-        self.lost = {} if len(rows) else self.lost
-        if lost.start < stop:
-            self.lost = count_lost(self.lost, take_rows(imu, lost), record.specs.imu)
+        self.lost = count_lost({} if len(rows) else self.lost, imu, lost, record.specs.imu)
         until = np.inf if last else self.end
         rest = record
         if first or stop < len(imu) or goes_beyond(record, until):
