@@ -116,3 +116,21 @@ def test_the_report_in_a_browser(text, result, tmp_path, width, scheme, medium):
         assert found["above"] <= found["top"] < FOLD
         check_moved(found, result)
     assert (found["width"], found["dark"]) == (width, scheme == "dark")
+
+
+def test_a_gap_between_two_points_of_a_line_stays_one_at_the_columns_of_other_lines(tmp_path):
+    source = (PACKAGE / "report" / "page.js").read_text(encoding="utf-8")
+    function = re.search(r"^function interpolate.*?^}", source, re.DOTALL | re.MULTILINE).group()
+    call = (
+        "const u = undefined, ys = [u, 1, u, 3, null, u, u, 5, u, u, 8, u]; interpolate([...ys.keys()], ys);"
+    )
+    path = tmp_path / "gap.html"
+    path.write_text(f"<pre></pre><script>{function} {call} document.querySelector('pre').textContent = "
+                    "JSON.stringify(ys.map((y) => y === undefined ? 'none' : y))</script>")  # fmt: skip
+    done = subprocess.run(
+        [BROWSER, "--headless=new", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'user'}",
+         "--dump-dom", f"file://{path}"],
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    found = json.loads(unescape(re.search(r"<pre>(.*?)</pre>", done.stdout).group(1)))
+    assert found == ["none", 1, 2, 3, None, None, None, 5, 6, 7, 8, "none"]
