@@ -349,13 +349,35 @@ def test_a_correction_is_no_turn_that_was_flown(heading, share):
     seen = H @ hidden
     dx[8] = heading
     corrections.axes_kernel(state, dx, drives, factor, turn)
-    corrections.reset_kernel(P, turn, drives, factor)
+    corrections.reset_kernel(P, turn, drives, factor, np.empty((3, 18)))
     corrections.turn_rows_kernel(H, turn, drives, factor)
     error_state.feedback_kernel(state, dx)
     assert_allclose(P, P.T, atol=1e-15)
     assert_allclose(velocity_rows() @ P, 0.0, atol=1e-12)
     assert np.abs(velocity_rows() @ np.outer(hidden, hidden)).max() > 1e-5
     assert_allclose(H @ P @ H.T, np.outer(seen, seen), rtol=1e-12, atol=1e-12)
+
+
+def test_a_reset_turns_p_by_its_axes():
+    """T P T' with whole matrices: tilts by the heading, all of a force by its turn."""
+    rng = np.random.default_rng(8)
+    n, drives, factor = 20, np.array([[15, 13, 0], [17, 12, 0], [18, 10, 0]]), np.array([5.0, -2.0, 3.0])
+    state = np.concatenate([[0.8, 0.2, 500.0, 40.0, -20.0, 0.0], rotation.from_euler(0.2, 0.1, 1.1)])
+    turn, dx = np.empty((5, 3)), rng.normal(size=n) * 0.3
+    corrections.axes_kernel(state, dx, drives, factor, turn)
+    assert np.abs(turn[:3] - np.eye(3)).max() > 0.01
+    T, force = np.eye(n), np.zeros((3, n))
+    s, c = np.sin(dx[8]), np.cos(dx[8])
+    T[6:8, 6:8] = [[c, s], [-s, c]]
+    force[:, 12:15] = np.eye(3)
+    force[1, 15], force[0, 17] = 5.0, -2.0
+    T[12:15] += (turn[:3] - np.eye(3)) @ force
+    root = rng.normal(size=(n, n))
+    P = root @ root.T
+    expected = T @ P @ T.T
+    corrections.reset_kernel(P, turn, drives, factor, np.empty((3, n)))
+    assert_allclose(P, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(P, P.T)
 
 
 def test_layout_names_every_state_once():

@@ -13,6 +13,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.navigation.engine.gate import DRIFTED, LOST, STEPPED, growth
 from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.engine.late_updates import (
+    DEPTH,
+    late_rows_kernel,
+    late_update_kernel,
+    late_updates,
+    settle_kernel,
+)
+from bench.wide_rows import widened
 
 N = 16
 
@@ -206,3 +214,55 @@ def test_two_states_seen_together_open_by_the_least_step_that_explains():
     step = opened - P - np.outer(x, x)
     assert_allclose(step[2:4, 2:4], 2500.0 * np.outer([-0.6, 0.8], [-0.6, 0.8]), rtol=1e-9, atol=1e-6)
     assert_allclose(np.array([0.8, 0.6]) @ step[2:4, 2:4], 0.0, atol=1e-6)
+
+
+# --- updates whose change of P waits ------------------------------------------------------------------------
+
+
+def late(P, dx, H, z, r, lengths):
+    """P, dx and the rows times P that each sub-vector saw, by updates that wait."""
+    n = len(P)
+    P, dx, memory, count, seen = widened(P), dx.copy(), late_updates(n), 0, []
+    for a, m in zip(np.cumsum(lengths) - lengths, lengths, strict=True):
+        part = slice(a, a + m)
+        late_rows_kernel(P, H[part], memory, count)
+        seen.append(memory.HP[:m, :n].copy())
+        count = late_update_kernel(P, dx, H[part], z[part], r[part], memory, count)
+    settle_kernel(P, memory, count)
+    return P, dx, np.vstack(seen)
+
+
+@pytest.mark.parametrize("lengths", [[1], [3, 3], [1] * 7, [3, 1, 2] * 4, [1] * (2 * DEPTH + 3)])
+def test_updates_that_wait_equal_those_that_do_not(lengths):
+    """Also the rows of a later sub-vector know of them; P is exactly symmetric."""
+    P, dx, H, z, r = problem(7, sum(lengths))
+    found, moved, seen = late(P, dx, H, z, r, np.array(lengths))
+    sd = np.sqrt(np.diag(P))
+    a = 0
+    for m in lengths:
+        part = slice(a, a + m)
+        assert_allclose(seen[part] / sd, H[part] @ P / sd, rtol=0, atol=1e-9)
+        P, dx = stacked(P, dx, H[part], z[part], r[part])
+        a += m
+    assert_allclose(found[:, :N] / np.outer(sd, sd), P / np.outer(sd, sd), rtol=0, atol=1e-12)
+    assert_allclose(moved / sd, dx / sd, rtol=0, atol=1e-12)
+    assert_array_equal(found[:, :N], found[:, :N].T)
+    assert not found[:, N:].any()
+
+
+@pytest.mark.parametrize("count", [15, 60, 5000])
+def test_what_shrinks_p_by_orders_does_not_wait(count):
+    """As `many_updates`; did they all wait, P would not be positive after the first fifteen."""
+    memory, waits, wide_P = late_updates(15), 0, None
+
+    def update(P, dx, h, z, r, *_):
+        nonlocal waits, wide_P
+        wide_P = widened(P) if wide_P is None else wide_P
+        late_rows_kernel(wide_P, h[None], memory, waits)
+        waits = late_update_kernel(wide_P, dx, h[None], np.array([z]), np.array([r]), memory, waits)
+
+    many_updates(update, count)
+    settle_kernel(wide_P, memory, waits)
+    P = wide_P[:, :15]
+    assert_array_equal(P, P.T)
+    assert smallest_eigenvalue(P) > 0

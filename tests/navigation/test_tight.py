@@ -20,7 +20,7 @@ from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import error_state, measurement_rows
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
-from bench.navigation.error_state_filter.ranges import ranging
+from bench.navigation.error_state_filter.ranges import ranging, satellite_states
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGES
 from bench.navigation.error_state_filter.schedule import Schedule
@@ -85,7 +85,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     n = 15 + 1 + 3 + 3 + sum(RANGES[:2]) + len(ANCHORS) + 1  # baro, clock, lever arm, ranges, atmosphere
     schedule = Schedule(initial.t, data.specs.imu, compensate=True)
     schedule.take(data, last=True)
-    schedule.add_satellites(data.observations, SKY, initial.lla[0], ranging.Channels())
+    schedule.add_satellites(data.observations, SKY, initial.lla[0], satellite_states.Channels())
     sky = schedule.sky
     aid = measurement_rows.Measurements(
         np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
@@ -247,7 +247,7 @@ def refused(solution, name):
 
 def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
     o = sensed.data.observations
-    names, which = ranging.name_satellites(o)
+    names, which = satellite_states.name_satellites(o)
     sat = int(np.bincount(which).argmax())
     rows = np.flatnonzero((which == sat) & (o.t >= 30.0))
     data = replace(sensed.data, observations=shifted(o, rows, 100.0))
@@ -279,7 +279,7 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
     A ramp ten times as steep is seen sooner; none of another satellite is refused.
     """
     o = sensed.data.observations
-    names, which = ranging.name_satellites(o)
+    names, which = satellite_states.name_satellites(o)
     sat = int(np.bincount(which).argmax())
     rows = np.flatnonzero((which == sat) & (o.t >= 20.0))
     delay = {}
@@ -296,7 +296,7 @@ def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
 def scripted(truth, sensed, step, ramp, start, end, **options):
     """Fault of the pseudorange of the satellite seen most, its metrics, and the solution."""
     o = sensed.data.observations
-    names, which = ranging.name_satellites(o)
+    names, which = satellite_states.name_satellites(o)
     row = np.flatnonzero(which == np.bincount(which).argmax())[0]
     name = names[which[row]]
     satellite = (int(o.system[row]), int(o.sat[row]))

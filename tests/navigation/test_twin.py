@@ -18,7 +18,7 @@ from bench import config, pipeline, rotation, sensors
 from bench.data import GnssFixes, ImuData
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
-from bench.navigation.error_state_filter.ranges.ranging import Channels
+from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.sensor_specs import ImuSpec
 from tests import twin

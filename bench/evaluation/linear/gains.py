@@ -13,7 +13,7 @@ from bench.evaluation.linear.path import LinearPath, make_path
 from bench.navigation.engine.kalman import update_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_kernel
 from bench.navigation.error_state_filter.error_state import GYRO
-from bench.navigation.error_state_filter.filter_run import Nodes, join_nodes
+from bench.navigation.error_state_filter.filter_run import Nodes
 from bench.navigation.error_state_filter.measurement_rows import (
     BARO,
     POSITION,
@@ -77,7 +77,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
             "use loose-22 or loose-mems"
         )
     solution, stretches = filter_.forward(data, sensed.initial)
-    nodes = join_nodes(stretches)
+    nodes = _join_nodes(stretches)
     table = solution.innovations
     model = state_model(sensed.initial, data.specs, filter_.blocks_for(data))
     path = make_path(truth, data.specs.imu, nodes.t)
@@ -174,3 +174,18 @@ def _numbers(t: FloatArray, code: int, data: SensorData) -> IntArray:
     if record is None:
         return np.zeros(len(t), np.int64)
     return np.clip(np.searchsorted(record.t_arrival, t - 1e-6), 0, len(record.t) - 1)
+
+
+def _join_nodes(stretches: list[Nodes]) -> Nodes:
+    """Return stretches of a run, in their order, as one."""
+    if len(stretches) == 1:
+        return stretches[0]
+    firsts = np.cumsum([0, *(len(one.t) for one in stretches)])
+    output = [
+        np.where(one.output >= 0, one.output + first, -1)
+        for one, first in zip(stretches, firsts[:-1], strict=True)
+    ]
+    t, state, P, Phi = (
+        np.concatenate([getattr(one, name) for one in stretches]) for name in ("t", "state", "P", "Phi")
+    )
+    return Nodes(stretches[0].layout, t, state, P, Phi, np.concatenate(output))

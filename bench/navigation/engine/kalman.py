@@ -23,22 +23,41 @@ def nis_kernel(
     work: FloatArray,
     HP: FloatArray,
 ) -> float:
+    """Return :func:`nis_of_kernel` of z (m,) = H dx + v; ``HP`` (m, n) ends as H P."""
+    m, n = H.shape
+    for a in range(m):
+        for i in range(n):
+            HP[a, i] = 0.0
+        for j in range(n):
+            if H[a, j] != 0.0:
+                for i in range(n):
+                    HP[a, i] += P[j, i] * H[a, j]
+    nis: float = nis_of_kernel(HP, dx, H, z, r, var, work)
+    return nis
+
+
+@kernel
+def nis_of_kernel(
+    HP: FloatArray,
+    dx: FloatArray,
+    H: FloatArray,
+    z: FloatArray,
+    r: FloatArray,
+    var: FloatArray,
+    work: FloatArray,
+) -> float:
     """Return the normalized innovation squared of z (m,) = H dx + v; NaN if its covariance is not positive.
 
     Fill var (m,) with the diagonal of the covariance S = H P H' + diag(r). ``work`` (m, m + 1) ends as the
-    Cholesky factor of S and the innovation divided by it, ``HP`` (m, n) as H P.
+    Cholesky factor of S and the innovation divided by it. ``HP`` (m, n) is H P.
     """
     m, n = H.shape
     nis = 0.0
     for a in range(m):
         e = z[a]
-        for i in range(n):
-            HP[a, i] = 0.0
         for j in range(n):
             if H[a, j] != 0.0:
                 e -= H[a, j] * dx[j]
-                for i in range(n):
-                    HP[a, i] += P[j, i] * H[a, j]
         for b in range(a + 1):
             s = r[a] if a == b else 0.0
             for i in range(n):

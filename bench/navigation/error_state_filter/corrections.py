@@ -188,29 +188,49 @@ def _force_kernel(errors: FloatArray, drives: IntArray, factor: FloatArray, forc
 
 
 @kernel
-def reset_kernel(P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
+def reset_kernel(
+    P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray, force: FloatArray
+) -> None:
     """Turn tilts and accelerometer biases of P (n, n) as a feedback turns the axes of the unit.
 
-    What turns is the error of the accelerometers in all; the biases take the change.
+    What turns is the error of the accelerometers in all; the biases take the change. ``force`` (3, n) or more
+    is memory.
     """
-    n = P.shape[0]
-    _turn_columns_kernel(P, turn, drives, factor)
-    for i in range(n):
-        for k in range(i):
-            P[i, k], P[k, i] = P[k, i], P[i, k]
-    _turn_columns_kernel(P, turn, drives, factor)
+    n, s, c = P.shape[0], turn[3, 0], turn[3, 1]
+    north, east = P[PHI], P[PHI + 1]
+    for k in range(n):
+        north[k], east[k] = c * north[k] + s * east[k], c * east[k] - s * north[k]
+    for i in range(3):
+        into, row = force[i], P[ACCEL + i]
+        for k in range(n):
+            into[k] = row[k]
+    for d in range(drives.shape[0]):
+        if drives[d, 1] >= ACCEL:
+            into, row, by = force[drives[d, 1] - ACCEL], P[drives[d, 0]], factor[d]
+            for k in range(n):
+                into[k] += by * row[k]
+    x, y, z = force[0], force[1], force[2]
+    for i in range(3):
+        row, p, q, r = P[ACCEL + i], turn[i, 0], turn[i, 1], turn[i, 2]
+        for k in range(n):
+            row[k] += p * x[k] + q * y[k] + r * z[k] - force[i, k]
+    _turn_columns_kernel(P[PHI], turn, drives, factor)
+    _turn_columns_kernel(P[PHI + 1], turn, drives, factor)
+    for i in range(3):
+        _turn_columns_kernel(P[ACCEL + i], turn, drives, factor)
+    for k in range(n):  # P is symmetric
+        P[k, PHI], P[k, PHI + 1] = P[PHI, k], P[PHI + 1, k]
+        P[k, ACCEL], P[k, ACCEL + 1], P[k, ACCEL + 2] = P[ACCEL, k], P[ACCEL + 1, k], P[ACCEL + 2, k]
 
 
 @inner
-def _turn_columns_kernel(P: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
-    """Turn the errors that each row of P (n, n) is of."""
+def _turn_columns_kernel(row: FloatArray, turn: FloatArray, drives: IntArray, factor: FloatArray) -> None:
+    """Turn the errors that a row (n,) of P is of."""
     s, c, force = turn[3, 0], turn[3, 1], turn[4]
-    for k in range(P.shape[0]):
-        row = P[k]
-        row[PHI], row[PHI + 1] = c * row[PHI] + s * row[PHI + 1], c * row[PHI + 1] - s * row[PHI]
-        _force_kernel(row, drives, factor, force)
-        for i in range(3):
-            row[ACCEL + i] += turn[i, 0] * force[0] + turn[i, 1] * force[1] + turn[i, 2] * force[2] - force[i]
+    row[PHI], row[PHI + 1] = c * row[PHI] + s * row[PHI + 1], c * row[PHI + 1] - s * row[PHI]
+    _force_kernel(row, drives, factor, force)
+    for i in range(3):
+        row[ACCEL + i] += turn[i, 0] * force[0] + turn[i, 1] * force[1] + turn[i, 2] * force[2] - force[i]
 
 
 @kernel

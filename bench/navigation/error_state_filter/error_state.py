@@ -16,7 +16,8 @@ a covariance which stays as it is takes each correction for a turn that was flow
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
@@ -72,18 +73,19 @@ class StateLayout:
     """
 
     blocks: tuple[tuple[str, str, int], ...]  # (name, unit of its values, size)
+    size: int = field(compare=False)  # number of states
+    _places: dict[str, slice] = field(compare=False, repr=False)
 
     def __init__(self, *extra: tuple[str, str, int]) -> None:
-        object.__setattr__(self, "blocks", (*CORE_BLOCKS, *extra))
-
-    @property
-    def size(self) -> int:
-        """Number of states."""
-        return sum(size for _, _, size in self.blocks)
+        blocks = (*CORE_BLOCKS, *extra)
+        ends = list(accumulate(size for _, _, size in blocks))
+        places = {name: slice(end - size, end) for (name, _, size), end in zip(blocks, ends, strict=True)}
+        for name, value in (("blocks", blocks), ("size", ends[-1]), ("_places", places)):
+            object.__setattr__(self, name, value)
 
     def has(self, name: str) -> bool:
         """Tell whether the layout has a block of this name."""
-        return any(block == name for block, _, _ in self.blocks)
+        return name in self._places
 
     def slice(self, name: str) -> slice:
         """Return the rows of a block.
@@ -93,11 +95,8 @@ class StateLayout:
         KeyError
             If the layout has no such block.
         """
-        start = 0
-        for block, _, size in self.blocks:
-            if block == name:
-                return slice(start, start + size)
-            start += size
+        if name in self._places:
+            return self._places[name]
         raise KeyError(f"no state block {name!r}; there are {', '.join(b for b, _, _ in self.blocks)}")
 
     def labels(self) -> tuple[str, ...]:

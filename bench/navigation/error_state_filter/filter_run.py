@@ -41,9 +41,15 @@ from bench.navigation.error_state_filter.propagation import (
     work_for,
 )
 from bench.navigation.error_state_filter.ranges.ranging import SkyRows, place_fillers, renew_kernel
+from bench.navigation.error_state_filter.ranges.satellite_states import Channels, narrow, widen
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
-from bench.navigation.error_state_filter.state_blocks import Index, Process, StateModel
+from bench.navigation.error_state_filter.state_blocks import (
+    Index,
+    Process,
+    StateModel,
+    first_of_satellites,
+)
 from bench.wide_rows import widened
 
 LONGEST = 3
@@ -53,9 +59,9 @@ LONGEST = 3
 class Stores(NamedTuple):
     """What a run stores."""
 
-    state: FloatArray  # (M, n + 1) at each output
+    state: FloatArray  # (M, told + 1) at each output: all states but the last ones, of single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
-    variance: FloatArray  # (M, n - 9) of the other states
+    variance: FloatArray  # (M, told - 9) of the other states
     node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
     node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
     node_cov: FloatArray  # (N, 2, n, n)
@@ -197,21 +203,6 @@ class Nodes:
     output: IntArray  # (M,) node of each instant of its solution, -1 outside the record
 
 
-def join_nodes(stretches: list[Nodes]) -> Nodes:
-    """Return stretches of a run, in their order, as one."""
-    if len(stretches) == 1:
-        return stretches[0]
-    firsts = np.cumsum([0, *(len(one.t) for one in stretches)])
-    output = [
-        np.where(one.output >= 0, one.output + first, -1)
-        for one, first in zip(stretches, firsts[:-1], strict=True)
-    ]
-    t, state, P, Phi = (
-        np.concatenate([getattr(one, name) for one in stretches]) for name in ("t", "state", "P", "Phi")
-    )
-    return Nodes(stretches[0].layout, t, state, P, Phi, np.concatenate(output))
-
-
 class ForwardRun(SessionState):
     """A filter on its way through a record.
 
@@ -264,7 +255,8 @@ class ForwardRun(SessionState):
         self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
         self.carried = self.work.carried.whole.copy()
         self.pending = pending_for(n, 1, 6)
-        none = np.empty((0, n + 1)), np.empty((0, n, n)), no_innovations(), no_events()
+        told = first_of_satellites(model.index, n)
+        none = np.empty((0, told + 1)), np.empty((0, told, told)), no_innovations(), no_events()
         self.nothing = solution(np.empty(0), model.layout, *none)  # without instants
         self.moved, self.refused = False, {}
 
@@ -296,19 +288,21 @@ class ForwardRun(SessionState):
         require_range("pending/tags (component)", component, LONGEST)
         require_range("pending/tags (length)", length - 1, LONGEST)
 
-    def go(self, schedule: Schedule, names: list[str], look_back: float) -> tuple[NavSolution, Nodes]:
+    def go(self, schedule: Schedule, channels: Channels, look_back: float) -> tuple[NavSolution, Nodes]:
         """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.
 
         Parameters
         ----------
         schedule : Schedule
             Everything to measure that is known; it forgets what is done.
-        names : list of str
-            Of the channels of the gate.
+        channels : Channels
+            Those of the gate, and the states that satellites have.
         look_back : float
             How far before the last sample to stop [s] (`Schedule.plan`).
         """
-        model, n, keep = self.model, self.model.layout.size, self.keep
+        model, keep, names = self.model, self.keep, channels.names
+        process, index, n = model.process, model.index, model.layout.size
+        told = first_of_satellites(index, n)
         plan, sky = schedule.plan(look_back), schedule.sky
         steps, entries = plan.steps, plan.entries
         start = schedule.t
@@ -316,6 +310,10 @@ class ForwardRun(SessionState):
         now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
         gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
         refused = dict(self.refused)
+        if not keep and len(used := channels.used(index, n)) < n:
+            n = len(used)
+            now, pending, gate = narrow(used, now, pending, gate)
+            process, index = process.take(used), index.take(used)
         size = 7 * len(plan.variance) + 2 * len(sky.t)
         log = new_log(size)
         m = len(plan.outputs)
@@ -323,14 +321,16 @@ class ForwardRun(SessionState):
         whole = schedule.last and start == self.initial.t
         empty = np.empty if whole else disk_arrays.empty
         stores = Stores(
-            np.empty((m, n + 1)),
+            np.empty((m, told + 1)),
             np.empty((m, 9, 9)),
-            np.empty((m, n - 9)),
+            np.empty((m, told - 9)),
             np.empty(len(at)),
             empty((len(at), 2, n + 1)),
             empty((len(at), 2, n, n)),
             empty((len(at), n, n)),
         )
+        if len(self.work.update.row) != n:
+            self.work = work_for(n, process.drives)
         work = self.work
         work.carried.whole[:] = self.carried
         if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
@@ -343,11 +343,11 @@ class ForwardRun(SessionState):
         kinds = np.flatnonzero(np.bincount(entries[entries[:, 1] < USE, 2]))
         _fusion_kernel(
             entries,
-            place_fillers(kinds, (now, data, model.index, pending, work.measure), sky),
+            place_fillers(kinds, (now, data, index, pending, work.measure), sky),
             plan.ahead,
             now,
-            model.process,
-            model.index,
+            process,
+            index,
             ImuSteps(
                 np.append(steps.t, start),  # the last one serves the start, index -1
                 steps.span,
@@ -366,6 +366,8 @@ class ForwardRun(SessionState):
             stores,
             work,
         )
+        if n < model.layout.size:
+            now, pending, gate = widen(used, now, pending, gate, self.now, self.gate)
         self.now, self.pending, self.gate, self.refused = now, pending, gate, refused
         self.carried = work.carried.whole.copy()
         count = int(log.filled[0])
@@ -386,8 +388,8 @@ class ForwardRun(SessionState):
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:
-            answered = entries[entries[:, 1] == OUTPUT, 0]
-            node[np.searchsorted(t, wanted[plan.outputs])] = np.searchsorted(at, answered)
+            outputs = entries[entries[:, 1] == OUTPUT, 0]
+            node[np.searchsorted(t, wanted[plan.outputs])] = np.searchsorted(at, outputs)
         nodes = Nodes(
             model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
         )
@@ -420,7 +422,12 @@ def answers(
     table: Innovations,
     events: Events,
 ) -> NavSolution:
-    """Return the same from covariances (M, 9, 9) and the variances (M, n - 9) of the further states."""
+    """Return the same from covariances (M, 9, 9) and the variances (M, told - 9) of the further states.
+
+    What follows on the first ``told`` states is no part of an answer.
+    """
+    with np.errstate(invalid="ignore"):
+        sd = np.sqrt(variance)
     return NavSolution(
         t=t,
         lla=state[:, :3],
@@ -429,9 +436,9 @@ def answers(
         gyro_bias_b=state[:, 10:13],
         accel_bias_b=state[:, 13:16],
         cov=cov,
-        extra_names=layout.labels(),
-        extra=state[:, 10:],
-        extra_sd=np.sqrt(np.where(variance >= 0, variance, np.nan)),
+        extra_names=layout.labels()[: variance.shape[1]],
+        extra=state[:, 10 : variance.shape[1] + 10],
+        extra_sd=sd,
         innovations=table,
         events=events,
     )

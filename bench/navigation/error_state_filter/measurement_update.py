@@ -20,12 +20,12 @@ from bench.navigation.engine.gate import (
     note_kernel,
 )
 from bench.navigation.engine.kalman import (
-    nis_kernel,
+    nis_of_kernel,
     open_all_kernel,
     open_kernel,
     stretch_kernel,
-    update_kernel,
 )
+from bench.navigation.engine.late_updates import late_rows_kernel, late_update_kernel, settle_kernel
 from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel, turn_rows_kernel
 from bench.navigation.error_state_filter.error_state import (
     StateLayout,
@@ -136,6 +136,7 @@ def use_kernel(
     if rows > 0 and pending.tags[first, 0] != MAGNETIC and pending.tags[first, 0] != HEADING:
         blind_kernel(now.state, P, pending.H[first : first + rows])
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
+    late, waits = work.late, 0
     satellites: int = gate.opens.shape[0]
     if rows > 0 and pending.tags[first, 0] == PSEUDORANGE:
         ranges_agree = outvoted_kernel(PSEUDORANGE, first, rows, pending, trust)
@@ -149,14 +150,16 @@ def use_kernel(
         H, z, r = pending.H[a : a + m], pending.z[a : a + m], pending.r[a : a + m]
         for b in range(m):
             r[b] *= level
-        nis = nis_kernel(P, dx, H, z, r, work.var, work.square, work.rows)
+        late_rows_kernel(P, H, late, waits)
+        nis = nis_of_kernel(late.HP, dx, H, z, r, work.var, work.square)
         sound = nis <= gate.nis[m]
         doubted = not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0
         if doubted and code == POSITION and a + 3 < first + rows:
             H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
+            waits = settle_kernel(P, late, waits)
             drifted, moves = fix_kernel(
                 t, P, dx, H_6, z_6, r_6, gate.nis[3], gate.readmit_after_s, trust,
-                work.innovation, work.var, work.square, work.rows,
+                work.innovation, work.var, work.square, late.HP,
             )  # fmt: skip
         passed = sound or drifted
         squares, spread, excess, e = 0.0, 0.0, 0.0, work.innovation
@@ -191,26 +194,29 @@ def use_kernel(
         for b in range(m):
             component = pending.tags[a + b, 2]
             note_kernel(t, code, channel, component, e[b], work.var[b], nis, verdict != REFUSED, log)
-        if verdict != REFUSED:
+        if verdict != REFUSED and verdict != SOUND:
+            waits = settle_kernel(P, late, waits)
             if verdict == DRIFTED:
                 stretch_kernel(P, H, work.square, work.row)
-            elif verdict != SOUND and code in (PSEUDORANGE, RANGE_RATE):
+            elif code in (PSEUDORANGE, RANGE_RATE):
                 open_all_kernel(P, before, e[0], gate.opens[code])
-            elif verdict != SOUND:
+            else:
                 lost = verdict == LOST
                 open_kernel(P, before, H, e, gate.opens[code], lost, work.square, work.row)
-            for b in range(m):
-                update_kernel(P, dx, H[b], z[b], r[b], work.row, work.other_row)
+            late_rows_kernel(P, H, late, waits)
+        if verdict != REFUSED:
+            waits = late_update_kernel(P, dx, H, z, r, late, waits)
         if gate.memory > 0.0 and np.isfinite(excess):
             gate.level[code] = max(level + gate.memory * (excess - level), 0.01)
         a += m
+    settle_kernel(P, late, waits)
     for slot in range(pending.live.shape[0]):  # rows that wait were measured before this correction
         for b in range(slot * pending.width, slot * pending.width + pending.live[slot]):
             for i in range(n):
                 pending.z[b] -= pending.H[b, i] * dx[i]
     if dx[8] != 0.0:
         axes_kernel(now.state, dx, work.drives, work.factor, work.turn)
-        reset_kernel(P, work.turn, work.drives, work.factor)
+        reset_kernel(P, work.turn, work.drives, work.factor, late.HP)
         for slot in range(pending.live.shape[0]):
             wait = pending.H[slot * pending.width : slot * pending.width + pending.live[slot]]
             turn_rows_kernel(wait, work.turn, work.drives, work.factor)

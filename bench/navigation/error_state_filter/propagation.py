@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
+from bench.navigation.engine.late_updates import LateUpdates, late_updates
 from bench.navigation.engine.session import Growing
 from bench.navigation.error_state_filter.corrections import factor_kernel, increments_kernel
 from bench.navigation.error_state_filter.error_state import (
@@ -88,9 +89,8 @@ class UpdateWork(NamedTuple):
     """Memory of an update."""
 
     row: FloatArray  # (n,)
-    other_row: FloatArray  # (n,)
     square: FloatArray  # (6, 7)
-    rows: FloatArray  # (6, n)
+    late: LateUpdates
     var: FloatArray  # (6,)
     innovation: FloatArray  # (6,)
     turn: FloatArray  # (5, 3) of the axes by a correction
@@ -166,9 +166,8 @@ def work_for(n: int, drives: IntArray) -> Work:
         ),
         update=UpdateWork(
             np.zeros(n),
-            np.zeros(n),
             np.zeros((6, 7)),
-            np.zeros((6, n)),
+            late_updates(n),
             np.zeros(6),
             np.zeros(6),
             np.zeros((5, 3)),

@@ -24,6 +24,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
 from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.range_states import list_range_errors
+from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy
 from bench.sensor_specs import GnssSpec, ImuSpec
@@ -228,9 +229,7 @@ class Schedule(SessionState):
             return
         self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
 
-    def add_satellites(
-        self, o: GnssObservations, gnss: GnssSpec, lat: float, channels: ranging.Channels
-    ) -> None:
+    def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channels: Channels) -> None:
         """Take the usable satellites of each epoch, and let them have ``channels`` and states."""
         assert gnss.sky is not None
         values, variance = ranging.correct_observations(o, gnss)

@@ -72,6 +72,11 @@ class Index(NamedTuple):
     troposphere: int
     course_offset: int
 
+    def take(self, used: IntArray) -> Index:
+        """Return the index of a layout of the ``used`` states alone."""
+        place = {one: k for k, one in enumerate(used.tolist())}
+        return Index(*(place.get(one, -1) for one in self))
+
 
 class Process(NamedTuple):
     """How n states move between measurements; columns as in :class:`States`."""
@@ -85,6 +90,19 @@ class Process(NamedTuple):
         FloatArray  # (4,) IMU above reference at the start [K]; in the end at height 0 [K], per m [K/m]; s
     )
     range: FloatArray  # (2,) of the gyros [rad/s] and accelerometers [m/s^2]
+
+    def take(self, used: IntArray) -> Process:
+        """Return the processes of the ``used`` states, all that drive among them."""
+        drives = self.drives.copy()
+        drives[:, 0] = np.searchsorted(used, drives[:, 0])
+        q, decay_time, decay_distance, stationary = (one[used] for one in self[:4])
+        return Process(q, decay_time, decay_distance, stationary, drives, self.thermal, self.range)
+
+
+def first_of_satellites(index: Index, n: int) -> int:
+    """Return the first of n states that single satellites have; they are the last ones."""
+    first = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
+    return min([one for one in first if one >= 0], default=n)
 
 
 @dataclass(frozen=True, slots=True)

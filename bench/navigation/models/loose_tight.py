@@ -47,8 +47,8 @@ from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
-from bench.navigation.error_state_filter.ranges import ranging
-from bench.navigation.error_state_filter.ranges.range_states import RANGES
+from bench.navigation.error_state_filter.ranges.range_states import RANGE_ERRORS, RANGES
+from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import (
@@ -290,7 +290,7 @@ class Passage(SessionState):
 
     schedule: Kept[Schedule]
     run: Kept[ForwardRun]
-    channels: Kept[ranging.Channels]
+    channels: Kept[Channels]
     samplers: Kept[dict[int, ImuSampler]]
     course: Kept[SteadyCourse]
     antenna_b: Replaced[FloatArray]
@@ -313,7 +313,9 @@ class Passage(SessionState):
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
         self.course = SteadyCourse(initial, steady=gyros.steady)
-        model = state_model(initial, specs, filter_.blocks_for(first) + self.course.blocks(), gyros.sd)
+        blocks = filter_.blocks_for(first) + self.course.blocks()
+        blocks.sort(key=lambda block: block is RANGE_ERRORS)
+        model = state_model(initial, specs, blocks, gyros.sd)
         watch = None
         if "velocity" in options.integrity and specs.gnss is not None:
             watch = MovedFixes(specs.gnss, options.gate_probability)
@@ -323,7 +325,7 @@ class Passage(SessionState):
         )  # fmt: skip
         self.schedule.events += events
         self.samplers = filter_.samplers(initial.t, specs.imu)
-        self.channels = ranging.Channels()
+        self.channels = Channels()
         field = np.zeros((4, 3))
         if MAGNETOMETER in self.used:
             field = magnetic_map(initial.lla, first.date)
@@ -388,7 +390,7 @@ class Passage(SessionState):
 
         After the last piece all are; before, what may still come up to ``look_back`` [s] late decides which.
         """
-        return self.run.go(self.schedule, self.channels.names, look_back)
+        return self.run.go(self.schedule, self.channels, look_back)
 
     def _go_over(self, antenna_b: FloatArray) -> None:
         """Take what comes from now on for that of another antenna (3,) [m], b."""

@@ -35,6 +35,7 @@ from bench.navigation.error_state_filter.error_state import (
 )
 from bench.navigation.error_state_filter.filter_run import Nodes, answers, spread
 from bench.navigation.error_state_filter.rough_heading import add_arm
+from bench.navigation.error_state_filter.state_blocks import first_of_satellites, index_of
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.start.steady_course import Gyros, has_large_bias
@@ -118,8 +119,9 @@ def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
     """Return smoothed nodes as answers at the instants t (M,) that they serve."""
     rows = np.flatnonzero(nodes.output >= 0)
     at = nodes.output[rows]
-    state, cov = nodes.state[at, 1], nodes.P[at, 1, :9, :9]
-    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:]
+    told = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
+    state, cov = nodes.state[at, 1, : told + 1], nodes.P[at, 1, :9, :9]
+    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:told]
     if len(rows) != len(t):
         state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
     add_arm(cov, antenna_b)
@@ -195,13 +197,13 @@ def _smooth_kernel(state: FloatArray, P: FloatArray, Phi: FloatArray, work: Smoo
             for k in range(n):
                 D[i, k] = later[i, k]
         _turn_heading(-d[PHI + 2], work.turn)
-        reset_kernel(D, work.turn, work.drives, work.factor)
+        reset_kernel(D, work.turn, work.drives, work.factor, work.product)
         for i in range(n):
             for k in range(n):
                 D[i, k] -= before[i, k]
         _correct_kernel(P[j, 1], work)
         _turn_heading(e[PHI + 2], work.turn)
-        reset_kernel(P[j, 1], work.turn, work.drives, work.factor)
+        reset_kernel(P[j, 1], work.turn, work.drives, work.factor, work.product)
         feedback_kernel(state[j, 1], e)
 
 

@@ -390,7 +390,7 @@ class SigmaPointFlight(SteppedFilter):
         turn = np.empty((5, 3))
         drives, factor = np.empty((0, 3), np.int64), np.empty(0)
         axes_kernel(self.estimate, x, drives, factor, turn)
-        reset_kernel(self.P, turn, drives, factor)
+        reset_kernel(self.P, turn, drives, factor, np.empty((3, len(self.P))))
         self.estimate = less_errors(self.estimate, x)
 
 

@@ -84,16 +84,16 @@ def _range_errors(specs: AssumedSpecs) -> list[States]:
         names = [f"{name}_{k}" for k in numbers] or [name]
         found.extend(States(one, "1", 1, 1.0, decay_time=decay, stationary=1.0) for one in names)
 
+    if vertical > 0.0:
+        add("ionosphere", 1.0 / times[1], range(1, len(ANCHORS) + 1))
+    if sky.troposphere_sd > 0.0:
+        add("troposphere", 1.0 / max(sky.troposphere_correlation, 1.0))
     for system in sky.constellations:
         parts = np.square(list_range_errors(sky, system))
         if parts.any():
             add(
                 f"{SYSTEMS[system]}_range", float(parts.sum() / (parts @ times)), range(1, RANGES[system] + 1)
             )
-    if vertical > 0.0:
-        add("ionosphere", 1.0 / times[1], range(1, len(ANCHORS) + 1))
-    if sky.troposphere_sd > 0.0:
-        add("troposphere", 1.0 / max(sky.troposphere_correlation, 1.0))
     return found
 
 
@@ -112,5 +112,7 @@ RANGE_ERRORS = Block(
 of each satellite orbit, clock, multipath, and what the ionosphere has more there, as one Gauss-Markov process
 with the mean of their times, by their variances: what is slow must not average out.
 
-A state goes to a satellite that rises when the one that had it is gone: `ranging.Channels`.
+The states of satellites are the last of a layout, and no part of an answer. One that no satellite has had is
+no part of the work, either. A state goes to a satellite that rises when the one that had it is gone:
+`satellite_states.Channels`.
 """

@@ -21,14 +21,13 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import find_address, inner, types_of
 from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
-from bench.navigation.engine.session import Growing, Kept, SessionState, require
+from bench.navigation.engine.session import Growing, require
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
     ROWS,
     SATELLITE_ROWS,
-    SENSORS,
     Measurements,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
@@ -37,9 +36,10 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
     ionosphere_kernel,
     whiten_anchors,
 )
-from bench.navigation.error_state_filter.ranges.range_states import RANGES, multipath_sd
+from bench.navigation.error_state_filter.ranges.range_states import multipath_sd
+from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_blocks import Index
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, name_satellite
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS
 from bench.sensor_specs import GnssSpec, SkySpec
 from bench.signals import receiver
 from bench.signals.delays import (
@@ -56,9 +56,6 @@ from bench.signals.processing import GROUND, Processing
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
 _TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
-_GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
-_FIRST = np.concatenate([[0], np.cumsum(RANGES)])
-_PLACES = [range(_FIRST[k], _FIRST[k + 1]) for k in range(len(RANGES))]
 _PART = 1e-3  # least share of the variance of a range that is white
 _NONE, _TAKEN = -1, -2
 MULTIPATH_DECAY = GROUND.multipath_decay  # [rad]
@@ -75,7 +72,7 @@ class SkyRows(NamedTuple):
     t: FloatArray  # (K,) time of the GPS day [s]
     ionosphere: FloatArray  # (K,) ionospheric delay over that on L1; 0 with two frequencies [1]
     combined: FloatArray  # (K,) multipath of the range in use over that of one carrier [1]
-    which: IntArray  # (K, 5) system, channels of range and rate, state of its own (-1: none), is that new
+    which: IntArray  # (K, 5) system, channels of range and rate, state of its own (-1: none), does it begin
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
@@ -219,62 +216,6 @@ def _by_row(sky: SkyRows) -> tuple[Any, ...]:
 
 def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
     return SkyRows(*columns, *sky[len(columns) :])
-
-
-def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
-    """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
-    numbers, which = np.unique(_number(o), return_inverse=True)
-    return [name_satellite(*divmod(n, 1000)) for n in numbers.tolist()], which.astype(np.int64)
-
-
-def _number(o: GnssObservations) -> IntArray:
-    return 1000 * o.system + o.sat
-
-
-class Channels(SessionState):
-    """What each satellite has: channels of the gate for range and rate, and a state of its own.
-
-    The channels follow on those of the sensors, in the order in which satellites appear. The states of a
-    constellation are few: one that rises gets that of the satellite which has been gone for the longest time,
-    `_GONE` at least; it is not used before.
-    """
-
-    names: Kept[list[str]]
-    held: Kept[IntArray]  # (states,) number of the satellite that has each state
-    seen: Kept[FloatArray]  # (states,) when it was seen last [s]
-
-    def __init__(self) -> None:
-        self.names = list(SENSORS)
-        self.held = np.full(sum(RANGES), -1)
-        self.seen = np.full(len(self.held), -1e9)
-
-    def of_satellites(self, o: GnssObservations) -> IntArray:
-        """Return the channel (K,) of the range of each row of a record; new satellites get one."""
-        satellites, which = name_satellites(o)
-        for one in satellites:
-            if f"{one} range" not in self.names:
-                self.names += [f"{one} range", f"{one} rate"]
-        return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
-
-    def give_states(self, o: GnssObservations, rows: IntArray) -> tuple[IntArray, IntArray]:
-        """Return the state of each row, by its place in its constellation, and whether it is new there."""
-        own, fresh = np.full(len(rows), -1), np.zeros(len(rows), np.int64)
-        seen, where = self.seen.tolist(), {one: k for k, one in enumerate(self.held.tolist()) if one >= 0}
-        for k, (one, t) in enumerate(zip(_number(o)[rows].tolist(), o.t[rows].tolist(), strict=True)):
-            place = where.get(one)
-            if place is None:
-                free = min(_PLACES[one // 1000], key=seen.__getitem__)
-                if t - seen[free] < _GONE:
-                    continue
-                before = [other for other, at in where.items() if at == free]
-                for other in before:
-                    del where[other]
-                where[one], fresh[k], place = free, len(before), free
-            seen[place] = max(seen[place], t)
-            own[k] = place - _PLACES[one // 1000].start
-        self.seen = np.array(seen)
-        self.held[list(where.values())] = list(where)
-        return own, fresh
 
 
 def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: SkyRows) -> IntArray:

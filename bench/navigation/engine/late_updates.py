@@ -1,0 +1,107 @@
+"""Scalar updates whose change of P waits: a measurement of many rows then goes over P once.
+
+An update by z = h' dx + v, var v = r, takes g g' off P, g = P h / sqrt(s) and s = h' P h + r: the Joseph form
+with the best gain (A-5.4.5). It takes the same off both sides of the diagonal, so that P stays exactly
+symmetric. A later row takes off what waits: its P h is less the sum of g (g' h).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import inner, kernel
+from bench.wide_rows import add_row, set_row, wide
+
+DEPTH = 16
+"""Most updates that wait: more of them cost each row more than going over P."""
+_SHRINKS = 1e6
+"""An update that leaves less than this part of a variance does not wait: a row after it would lose digits."""
+
+
+class LateUpdates(NamedTuple):
+    """Updates that P (n, n) lacks, and the rows under way; matrices are `bench.wide_rows.wide`."""
+
+    G: FloatArray  # (DEPTH, n) g of each update
+    HP: FloatArray  # (6, n) rows of a sub-vector times P
+    at: IntArray  # (n,) columns of a row that are not zero
+
+
+def late_updates(n: int) -> LateUpdates:
+    """Return the memory for n states."""
+    return LateUpdates(wide((DEPTH, n)), wide((6, n)), np.zeros(n, np.int64))
+
+
+@inner
+def _lower_kernel(H: FloatArray, a: int, first: int, last: int, late: LateUpdates) -> None:
+    """Take the updates ``first`` to ``last`` off row a of HP, that of H (m, n)."""
+    G, HP, at, found = late.G, late.HP, late.at, 0
+    if first == last:
+        return
+    for j in range(H.shape[1]):
+        if H[a, j] != 0.0:
+            at[found] = j
+            found += 1
+    for k in range(first, last):
+        part = 0.0
+        for i in range(found):
+            part -= G[k, at[i]] * H[a, at[i]]
+        add_row(HP, a, part, G, k, 0, HP.shape[1])
+
+
+@kernel
+def late_rows_kernel(P: FloatArray, H: FloatArray, late: LateUpdates, count: int) -> None:
+    """Fill HP with the rows H (m, n) times the P that ``count`` updates which wait would leave."""
+    HP, width = late.HP, late.HP.shape[1]
+    for a in range(H.shape[0]):
+        set_row(HP, a, 0.0, HP, a, 0, width)
+        for j in range(H.shape[1]):
+            if H[a, j] != 0.0:
+                add_row(HP, a, H[a, j], P, j, 0, width)
+        _lower_kernel(H, a, 0, count, late)
+
+
+@kernel
+def late_update_kernel(
+    P: FloatArray, dx: FloatArray, H: FloatArray, z: FloatArray, r: FloatArray, late: LateUpdates, count: int
+) -> int:
+    """Update dx (n,) by the rows H (m, n) of z (m,), HP filled; return how many updates wait then."""
+    HP, n = late.HP, dx.shape[0]
+    for a in range(H.shape[0]):
+        s, e = r[a], z[a]
+        for i in range(n):
+            if H[a, i] != 0.0:
+                s += H[a, i] * HP[a, i]
+                e -= H[a, i] * dx[i]
+        for i in range(n):
+            dx[i] += HP[a, i] / s * e
+        set_row(late.G, count, 1.0 / np.sqrt(s), HP, a, 0, HP.shape[1])
+        for b in range(a + 1, H.shape[0]):
+            _lower_kernel(H, b, count, count + 1, late)
+        count += 1
+        if count == DEPTH or s > _SHRINKS * r[a]:
+            count = settle_kernel(P, late, count)
+    return count
+
+
+@kernel
+def settle_kernel(P: FloatArray, late: LateUpdates, count: int) -> int:
+    """Take the updates that wait off P; return 0, the number that wait then."""
+    G, k, n, width = late.G, 0, P.shape[0], P.shape[1]
+    while k + 4 <= count:
+        a, b, c, d = G[k], G[k + 1], G[k + 2], G[k + 3]
+        for i in range(n):
+            row, p, q, r, s = P[i], a[i], b[i], c[i], d[i]
+            for j in range(width):
+                row[j] -= p * a[j] + q * b[j] + r * c[j] + s * d[j]
+        k += 4
+    while k < count:
+        a = G[k]
+        for i in range(n):
+            row, p = P[i], a[i]
+            for j in range(width):
+                row[j] -= p * a[j]
+        k += 1
+    return 0

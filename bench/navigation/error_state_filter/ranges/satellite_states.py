@@ -1,0 +1,127 @@
+"""Which satellite has which channels and state, and a filter without the states that none has had."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import FloatArray, IntArray
+from bench.compiled import kernel
+from bench.data import GnssObservations
+from bench.navigation.engine.session import Kept, SessionState, fork
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
+from bench.navigation.error_state_filter.measurement_update import Gate
+from bench.navigation.error_state_filter.propagation import FilterState, Pending
+from bench.navigation.error_state_filter.ranges.range_states import RANGES
+from bench.navigation.error_state_filter.state_blocks import Index
+from bench.orbit_sets import name_satellite
+from bench.wide_rows import widened
+
+_GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
+_PLACES = np.column_stack([np.cumsum(RANGES) - RANGES, np.cumsum(RANGES)])  # by system: first, and end
+
+
+def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
+    """Return the satellites of a record (as G05 and R07) and the index of each row among them."""
+    numbers, which = np.unique(_number(o), return_inverse=True)
+    return [name_satellite(*divmod(n, 1000)) for n in numbers.tolist()], which.astype(np.int64)
+
+
+def _number(o: GnssObservations) -> IntArray:
+    return 1000 * o.system + o.sat
+
+
+class Channels(SessionState):
+    """What each satellite has: channels of the gate for range and rate, and a state of its own.
+
+    The channels follow on those of the sensors, in the order in which satellites appear. The states of a
+    constellation are few: one that rises gets that of the satellite which has been gone for the longest time,
+    `_GONE` at least; it is not used before.
+    """
+
+    names: Kept[list[str]]
+    held: Kept[IntArray]  # (states,) number of the satellite that has each state
+    seen: Kept[FloatArray]  # (states,) when it was seen last [s]
+
+    def __init__(self) -> None:
+        self.names = list(SENSORS)
+        self.held = np.full(sum(RANGES), -1)
+        self.seen = np.full(len(self.held), -1e9)
+
+    def of_satellites(self, o: GnssObservations) -> IntArray:
+        """Return the channel (K,) of the range of each row of a record; new satellites get one."""
+        satellites, which = name_satellites(o)
+        for one in satellites:
+            if f"{one} range" not in self.names:
+                self.names += [f"{one} range", f"{one} rate"]
+        return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
+
+    def give_states(self, o: GnssObservations, rows: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the state of each row, by its place in its constellation, and whether it begins there."""
+        own, fresh = np.full(len(rows), -1), np.zeros(len(rows), np.int64)
+        held, seen = self.held.copy(), self.seen.copy()
+        _give_kernel(_number(o)[rows], o.t[rows], _PLACES, _GONE, held, seen, own, fresh)
+        self.held, self.seen = held, seen
+        return own, fresh
+
+    def used(self, index: Index, n: int) -> IntArray:
+        """Return the states out of n that have a use so far: all but those which no satellite has had."""
+        used = np.ones(n, np.bool_)
+        places = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
+        for first, (begin, end) in zip(places, _PLACES, strict=True):
+            if first >= 0:
+                used[first : first + end - begin] = self.held[begin:end] >= 0
+        return np.flatnonzero(used)
+
+
+@kernel
+def _give_kernel(
+    number: IntArray,
+    t: FloatArray,
+    places: IntArray,
+    gone: float,
+    held: IntArray,
+    seen: FloatArray,
+    own: IntArray,
+    fresh: IntArray,
+) -> None:
+    """Fill own and fresh (K,) as :meth:`Channels.give_states` returns them; ``held`` and ``seen`` go on."""
+    for k in range(number.shape[0]):
+        begin, end = places[number[k] // 1000]
+        free, place = begin, -1
+        for j in range(begin, end):
+            if held[j] == number[k]:
+                place = j
+            if seen[j] < seen[free]:
+                free = j
+        if place < 0 and t[k] - seen[free] >= gone:
+            place = free
+            fresh[k] = 1
+            held[free] = number[k]
+        if place >= 0:
+            seen[place] = max(seen[place], t[k])
+            own[k] = place - begin
+
+
+def narrow(
+    used: IntArray, now: FilterState, pending: Pending, gate: Gate
+) -> tuple[FilterState, Pending, Gate]:
+    """Return the same of the ``used`` ones of n states, which begin with the first nine."""
+    state = np.concatenate([now.state[:10], now.state[used[9:] + 1]])
+    P = widened(now.P[np.ix_(used, used)])
+    return (
+        FilterState(state, P, now.dx[used]),
+        pending._replace(H=np.take(pending.H, used, axis=1)),
+        gate._replace(opens=np.take(gate.opens, used, axis=1)),
+    )
+
+
+def widen(
+    used: IntArray, now: FilterState, pending: Pending, gate: Gate, before: FilterState, all_: Gate
+) -> tuple[FilterState, Pending, Gate]:
+    """Undo :func:`narrow`; the states that are not used are as ``before``."""
+    whole, n = fork(before), len(before.dx)
+    whole.state[:10], whole.state[used[9:] + 1] = now.state[:10], now.state[10:]
+    whole.P[np.ix_(used, used)] = now.P[:, : len(used)]
+    H = np.zeros((len(pending.H), n))
+    H[:, used] = pending.H
+    return whole, pending._replace(H=H), gate._replace(opens=all_.opens)
