@@ -20,6 +20,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHOR
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Loose, Tight
+from bench.navigation.start.steady_course import AS_SPECIFIED
 from bench.sensor_specs import ImuSpec
 from tests import twin
 from tests.builders import take
@@ -120,6 +121,17 @@ def test_without_aiding_and_without_baro_they_agree_too():
         assert_same(twin.navigate(sensed.data, sensed.initial), solution)
 
 
+def satellites_at_end(sensed):
+    """The states of satellites, in the order of the twin, and their sd, which are no part of an answer."""
+    passage = Tight(covariance_hz=None)._passage(sensed.data, sensed.initial, [], AS_SPECIFIED)
+    passage.feed(sensed.data, 0.0, last=True)
+    o, run = sensed.data.observations, passage.run
+    own, _ = Channels().give_states(o, np.arange(len(o.t)))
+    of = dict(zip(zip(o.system, o.sat, strict=True), own + RANGES[0] * o.system, strict=True))
+    at = np.array([of[one] for one in sorted(of)]) + run.model.index.gps_range_1
+    return run.now.state[at + 1], np.sqrt(run.now.P[at, at])
+
+
 @pytest.mark.parametrize("wander", [False, True])
 def test_tight_and_its_twin_agree_over_half_a_minute(wander):
     """The twin differences what the filter leaves out of H (the Earth rate on the arm, 2e-4 of the rate
@@ -133,19 +145,22 @@ def test_tight_and_its_twin_agree_over_half_a_minute(wander):
     answer = twin.navigate(sensed.data, sensed.initial, tight=True)
     assert len(answer.nis) > 700
     assert (distance(answer, solution) < tolerance).all()
-    o, known = sensed.data.observations, list(range(7))
-    if wander:  # states of satellites, in the order of the twin
-        own, _ = Channels().give_states(o, np.arange(len(o.t)))
-        of = dict(zip(zip(o.system, o.sat, strict=True), own + RANGES[0] * o.system, strict=True))
-        known += [10 + of[one] for one in sorted(of)]
-        known += [10 + sum(RANGES[:2]) + k for k in range(len(ANCHORS) + 1)]
-    known += [7, 8, 9]
-    off = (answer.bias - solution.extra[:, known]) / solution.extra_sd[:, known]
-    assert np.abs(off).max() < (3e-3 if wander else 1e-3)
     sd = np.sqrt(np.einsum("kii->ki", answer.cov))
+    close = 3e-3 if wander else 1e-3
+    common = list(range(7)) + list(range(len(sd[0]) - 12, len(sd[0]) - 9))  # ranges are in between
+    known = list(range(10))
+    if wander:
+        (own, own_sd), shared = satellites_at_end(sensed), len(ANCHORS) + 1
+        common[7:7] = range(7 + len(own), 7 + len(own) + shared)
+        known[7:7] = range(10, 10 + shared)
+        ranges = slice(7, 7 + len(own))
+        assert np.abs((answer.bias[-1, ranges] - own) / own_sd).max() < close
+        assert np.abs(own_sd / sd[-1, 9:][ranges] - 1).max() < 1e-3
+    off = (answer.bias[:, common] - solution.extra[:, known]) / solution.extra_sd[:, known]
+    assert np.abs(off).max() < close
     scale = sd[:, :9, None] * sd[:, None, :9]
     assert np.abs((answer.cov[:, :9, :9] - solution.cov) / scale).max() < 1e-3
-    assert np.abs(solution.extra_sd[:, known] / sd[:, 9:] - 1).max() < 1e-3
+    assert np.abs(solution.extra_sd[:, known] / sd[:, 9:][:, common] - 1).max() < 1e-3
     one_each = solution.innovations.component == 0
     np.testing.assert_allclose(solution.innovations.nis[one_each], answer.nis, rtol=2e-3, atol=2e-3)
     for defect in ({"sat_clock_rate": 1e-3}, {"sat_clock": 0.05}):
