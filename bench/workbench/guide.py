@@ -13,10 +13,8 @@ from rich.markdown import Markdown
 from rich.pager import Pager
 
 from bench.errors import ConfigError
-from bench.findings import make_table
 from bench.places import PACKAGE
 from bench.wording import suggest
-from bench.workbench.printing import print_table
 
 FOLDER = PACKAGE / "guide"
 """One Markdown file per topic; its ``README.md`` lists them."""
@@ -36,6 +34,9 @@ def read_topics() -> dict[str, str]:
 
 def list_topics(console: Console) -> None:
     """Print every topic with a description of one line."""
+    from bench.findings import make_table  # numbers, which who reads a page does without
+    from bench.workbench.printing import print_table
+
     rows = list(read_topics().items())
     table = make_table("topics", "Topics (bench guide TOPIC)", ("topic", "how to"), rows)
     print_table(console, table, most=None)
