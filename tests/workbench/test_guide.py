@@ -384,7 +384,7 @@ def test_the_floors_of_readme_are_those_that_are_checked():
     written = re.search(r"```text\n(__main__ : cli > .*?)```", text, re.DOTALL)
     assert written is not None
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
-    floors = [set(re.split(r" [|:] ", floor.strip())) for floor in written[1].split(">")]
+    floors = [set(re.split(r"\s+[|:]\s+", floor.strip())) for floor in written[1].split(">")]
     assert floors == [set(re.split(r" [|:] ", floor)) for floor in contracts[0]["layers"]]
 
 
