@@ -9,7 +9,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import Trajectory
 from bench.earth import matrix_en, to_ecef
-from bench.flight.legs.tracks import Waypoints
+from bench.flight.legs.tracks import PointToPoint
 from bench.flight.shaping import G
 from bench.flight_specs import FlightSpec
 
@@ -46,7 +46,7 @@ def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tu
     off, course = np.full(len(t), np.nan), np.full(len(t), np.nan)
     for number, (leg, (start, end, _)) in enumerate(zip(spec.legs, truth.events.select("leg"), strict=False)):
         inside = np.flatnonzero((t >= start) & (t < end))
-        if not isinstance(leg, Waypoints) or len(inside) < len(leg.points):
+        if not isinstance(leg, PointToPoint) or len(inside) < len(leg.points):
             continue
         places = [point.place((spec.lat, spec.lon, spec.alt)) for point in leg.points]
         alt = float(lla[inside, 2].mean())

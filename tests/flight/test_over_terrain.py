@@ -13,7 +13,7 @@ from scipy.interpolate import RegularGridInterpolator
 from bench.config import load_profile
 from bench.errors import ConfigError, FlightError
 from bench.flight.legs.level import Straight
-from bench.flight.legs.tracks import TerrainFollowing, Waypoint, clear_heights
+from bench.flight.legs.tracks import Point, TerrainFollowing, clear_heights
 from bench.instruments import RadarSpec
 from bench.sensors import radar
 from bench.sensors.draws import SensorDraws
@@ -96,7 +96,7 @@ def test_heights_that_clear_the_ground_are_never_below_it_nor_too_steep():
 def test_the_leg_keeps_its_height_above_the_ground(describe):
     """Never more than 6 m below, and over the hills it follows them."""
     spec = describe(hills(size=25.0))
-    leg = TerrainFollowing((Waypoint(north=0.0, east=4000.0),), radians(30.0), 150.0)
+    leg = TerrainFollowing((Point(north=0.0, east=4000.0),), radians(30.0), 150.0)
     truth = truth_of(record_whole(plan(leg, terrain=spec, alt=1130.0, heading=radians(90.0))), 100.0)
     lat, lon, alt = truth.lla.T
     above = alt - ground_at(spec, lat, lon)
@@ -116,7 +116,7 @@ def test_the_leg_keeps_its_height_above_the_ground(describe):
         ({"terrain.alt_m": 3.0}, "[terrain] has file and alt_m; leave one of them out"),
         ({"start.lat_deg": 10.0}, "[terrain] file = 'valley.asc' has no height at the start"),
         ({"start.alt_m": 500.0}, "the ground at 584 m is not below the start at alt_m = 500 m"),
-        ({"leg.2.points": [{"north_m": 0.0, "east_m": 1.0, "alt_m": 9.0}]}, "points[0] has alt_m"),
+        ({"leg.2.points": [{"north_m": 0.0, "east_m": 1.0, "alt_m": 9.0}]}, "points[0]: unknown key 'alt_m'"),
         (
             {"estimator.1.options": {"radar": True}},
             "'loose-15': options: radar = true takes a height for one",

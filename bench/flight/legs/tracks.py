@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -26,17 +27,11 @@ _Course = Annotated[float, Key("course_deg", "over ground, of the first track; e
 
 
 @dataclass(frozen=True)
-class Waypoint:
+class Point:
     """A point to fly by: latitude and longitude, or metres from the start of the profile."""
 
     lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
     lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None
-    alt: (
-        Annotated[
-            float, Key("alt_m", "ellipsoidal; else that before it; not of terrain-following", *ALTITUDES)
-        ]
-        | None
-    ) = None
     north: Annotated[float, Key("north_m", "from the start", -100e3, 100e3)] | None = None
     east: Annotated[float, Key("east_m", "from the start", -100e3, 100e3)] | None = None
 
@@ -57,18 +52,21 @@ class Waypoint:
 
 
 @dataclass(frozen=True)
-class Waypoints(AtSpeed):
+class Waypoint(Point):
+    """A point with an altitude."""
+
+    alt: Annotated[float, Key("alt_m", "ellipsoidal; else that before it", *ALTITUDES)] | None = None
+
+
+@dataclass(frozen=True)
+class PointToPoint(AtSpeed):
     """Follow the tracks from point to point; turns begin early enough to meet the next track."""
 
-    kind = "waypoints"
-    points: Annotated[tuple[Waypoint, ...], Key("points", "flown by, but for the last")]
+    points: Annotated[tuple[Point, ...], Key("points", "flown by, but for the last")]
     bank: Bank
 
     def describe(self) -> str:
         return f"{format_count(len(self.points), 'point')}, bank {format_deg(self.bank)}"
-
-    def alt_after(self, start: LegStart) -> float:
-        return next((point.alt for point in reversed(self.points) if point.alt is not None), start.alt)
 
     def fly(self, cockpit: Cockpit) -> Steps:
         """Turn to the first point, then fly by each on an arc tangent to both its tracks, to the last."""
@@ -76,9 +74,7 @@ class Waypoints(AtSpeed):
         radius = turn_radius(cockpit, self.bank)
         path = _begin_path(plane)
         path.straight(run_in(cockpit, self.bank))
-        alts = [cockpit.alt_wanted]
-        for point in self.points:
-            alts.append(alts[-1] if point.alt is None else point.alt)
+        alts = self._list_alts(cockpit.alt_wanted)
         places = [point.place(cockpit.start_lla) for point in self.points]
         at = [plane.point(*place, alt) for place, alt in zip(places, alts[1:], strict=True)]
         path.towards(at[0], radius, "waypoint 1")
@@ -104,15 +100,41 @@ class Waypoints(AtSpeed):
             cockpit, plane, path, self.bank, self._find_heights(cockpit, plane, path, ways, alts)
         )
 
+    def _list_alts(self, first: float) -> list[float]:
+        """Return the altitudes [m] at the start, the first, and at each point."""
+        return [first] * (len(self.points) + 1)
+
+    @abstractmethod
     def _find_heights(
         self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
     ) -> Heights | None:
-        """Return the heights along the path: those of the points at their ways; None: the present one."""
+        """Return the heights along the path, whose points are at their ways; None: the present one."""
+
+
+@dataclass(frozen=True)
+class Waypoints(PointToPoint):
+    """Follow the tracks from point to point; turns begin early enough to meet the next track."""
+
+    kind = "waypoints"
+    points: Annotated[tuple[Waypoint, ...], Key("points", "flown by, but for the last")]
+
+    def alt_after(self, start: LegStart) -> float:
+        return self._list_alts(start.alt)[-1]
+
+    def _list_alts(self, first: float) -> list[float]:
+        alts = [first]
+        for point in self.points:
+            alts.append(alts[-1] if point.alt is None else point.alt)
+        return alts
+
+    def _find_heights(
+        self, cockpit: Cockpit, plane: Plane, path: SegmentPath, ways: list[float], alts: list[float]
+    ) -> Heights | None:
         return Heights(cockpit, ways, alts) if len({*alts}) > 1 else None
 
 
 @dataclass(frozen=True)
-class TerrainFollowing(Waypoints):
+class TerrainFollowing(PointToPoint):
     """Follow the tracks from point to point at a height above the ground, or more where that is too steep."""
 
     kind = "terrain-following"
@@ -120,10 +142,6 @@ class TerrainFollowing(Waypoints):
 
     def describe(self) -> str:
         return f"{self.height:g} m above ground, {super().describe()}"
-
-    def check(self, start: LegStart) -> list[str]:
-        given = [k for k, point in enumerate(self.points, 1) if point.alt is not None]
-        return [f"points[{given[0] - 1}] has alt_m; the height is that above the ground"] if given else []
 
     def alt_after(self, start: LegStart) -> float:
         return math.nan
