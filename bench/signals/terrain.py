@@ -34,6 +34,7 @@ _TILE_VOID = -32768
 _HEADER = re.compile(r"\s*([A-Za-z_]+)[ \t]+(\S+)[ \t]*(?:\r?\n|$)")
 _HEADER_LINES = 6
 _HIGHEST = 12_000.0  # no ground is further from the ellipsoid [m]
+_AROUND = 0.01  # of a cell that columns around the Earth may miss or overlap, by the digits of the file
 _BEFORE, _BEYOND, _BESIDE = 300.0, 3000.0, 100.0  # of a runway's threshold and centreline: level ground [m]
 _ROUNDING = 1e-6  # of a place on the edge of a grid, in steps
 _EDGE = 300.0  # in which level ground goes over to that of the grid [m]
@@ -41,7 +42,10 @@ _EDGE = 300.0  # in which level ground goes over to that of the grid [m]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TerrainGrid:
-    """Heights at crossings of meridians and parallels; row 0 is the southernmost, column 0 westernmost."""
+    """Heights at crossings of meridians and parallels; row 0 is the southernmost, column 0 westernmost.
+
+    Columns that lie all around the Earth have the first again behind the last.
+    """
 
     south: float  # [rad]
     west: float  # [rad]
@@ -51,10 +55,12 @@ class TerrainGrid:
     def heights_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
         """Return the heights at places (...) [rad] [m]; NaN outside and beside one that is missing."""
         row = (np.asarray(lat, float) - self.south) / self.step
-        east = np.asarray(lon, float) - self.west
-        turns = np.floor((east + _ROUNDING * self.step) / math.tau)
-        column = (east - math.tau * turns) / self.step
-        ends = np.array(self.heights.shape) - 1
+        beyond = np.asarray(lon, float) - self.west
+        turns = np.floor((beyond + _ROUNDING * self.step) / math.tau)
+        column = (beyond - math.tau * turns) / self.step
+        rows, columns = self.heights.shape
+        around = abs(columns * self.step - math.tau) < _ROUNDING * self.step
+        ends = np.array([rows - 1, columns - (not around)])
         inside = (row > -_ROUNDING) & (row < ends[0] + _ROUNDING)
         inside &= (column > -_ROUNDING) & (column < ends[1] + _ROUNDING)
         row, column = (
@@ -62,9 +68,9 @@ class TerrainGrid:
         )
         i, j = (np.minimum(v.astype(np.int64), end - 1) for v, end in zip((row, column), ends, strict=True))
         y, x = row - i, column - j
-        h = self.heights
-        south = (1 - x) * h[i, j] + x * h[i, j + 1]
-        north = (1 - x) * h[i + 1, j] + x * h[i + 1, j + 1]
+        h, east = self.heights, (j + 1) % columns
+        south = (1 - x) * h[i, j] + x * h[i, east]
+        north = (1 - x) * h[i + 1, j] + x * h[i + 1, east]
         return np.where(inside, (1 - y) * south + y * north, np.nan)
 
     def describe(self) -> str:
@@ -214,6 +220,8 @@ def _make_grid(south: float, west: float, step: float, heights: FloatArray, show
         raise ConfigError(
             f"{shown}: {where}: not degrees of latitude and longitude; a map projection is not read"
         )
+    if abs(columns * step - 360) < _AROUND * step:
+        step = 360 / columns
     if np.isnan(heights).all():
         raise ConfigError(f"{shown}: it holds no height")
     if not np.nanmax(np.abs(heights)) <= _HIGHEST:

@@ -101,6 +101,20 @@ def test_a_grid_around_the_earth_has_a_height_at_every_longitude(describe, west)
     assert_allclose(look(spec, SOUTH, lon), np.abs(np.remainder(lon + 180, 360) - 180), atol=1e-9)
 
 
+@pytest.mark.parametrize("west", [-179.5, 0.5])
+def test_cells_around_the_earth_meet_behind_the_last(describe, west):
+    """Of 360 columns the first follows the last: down from 10770 m to 0 m within a cell."""
+    heights = np.tile(30.0 * np.arange(360), (2, 1))
+    seam = west - 0.5
+    lon = seam + np.array([-0.5, -0.25, 0.0, 0.25, 0.5, 0.75, 360.0, 180.0])
+    by_hand = [10770.0, 8077.5, 5385.0, 2692.5, 0.0, 7.5, 5385.0, 5385.0]
+    assert_allclose(look(describe(heights, west=west, cell=1.0), SOUTH, lon), by_hand, atol=1e-6)
+    few_digits = describe(heights, west=west, cell=0.99999)
+    assert_allclose(look(few_digits, SOUTH, seam), 5385.0, atol=0.01)
+    one_missing = describe(heights[:, :359], west=west, cell=1.0)
+    assert np.isnan(look(one_missing, SOUTH, seam - 0.5))
+
+
 def test_the_ground_is_level_around_a_runway(describe):
     """300 m before the threshold to 3 km beyond, 100 m to either side; 300 m on it is that of the grid."""
     runway = Runway(np.radians(47.05), np.radians(11.0), 620.0, np.radians(70.0))
