@@ -56,7 +56,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
     ConfigError
         If the fixes do not tell the motion, or no vehicle of its kind moves like that.
     """
-    notes = list(track.notes)
+    notes = [*track.notes, *doubt_degrees(track.lla)]
     asked = (track.t >= spec.begin) & (track.t <= spec.end)
     if asked.sum() < LEAST_FIXES:
         raise ConfigError(
@@ -71,8 +71,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
         )
     origin, C_en = to_ecef(lla[0]), matrix_en(lla[0, 0], lla[0, 1])
     fixes = (to_ecef(lla) - origin) @ C_en
-    level, height, used = _smooth(t, fixes, spec, notes)
-    _check_resolved(t[used], level, spec, shown)
+    level, height = _smooth(t, fixes, spec, notes, shown)
     at = np.arange(math.floor((t[-1] - t[0]) * _RATE + 1e-6) + 1) / _RATE + t[0]
     pos, vel, acc = (
         np.column_stack(
@@ -94,6 +93,17 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
     q_eb = continuous(multiply(q_en, q_nb))
     _report(at - t[0], level, height, force_n, q_nb, vel_n, spec, notes, shown)
     return TableMotion(at - t[0], pos_e, q_eb, None, [(0.0, 0.0, "table", note) for note in notes])
+
+
+def doubt_degrees(lla: FloatArray) -> list[str]:
+    """Return a remark where latitudes and longitudes [rad] as written in degrees may have been radians.
+
+    Those within 90 and 180 deg then all lie in an open sea around 0, 0.
+    """
+    if (np.abs(np.degrees(lla[:, :2])) > [0.5 * math.pi, math.pi]).any():
+        return []
+    lat, lon = np.degrees(lla[0, :2])
+    return [f"{lat:.4f}, {lon:.4f} deg is in the sea off West Africa: are latitude and longitude in radians?"]
 
 
 def _choose_piece(
@@ -119,8 +129,8 @@ def _choose_piece(
 
 
 def _smooth(
-    t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str]
-) -> tuple[TrackFit, TrackFit, BoolArray]:
+    t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str
+) -> tuple[TrackFit, TrackFit]:
     """Fit north and east together, and down; without outliers, and at rest where the vehicle stands."""
     used: BoolArray = np.ones(len(t), dtype=bool)
     weights, target = np.ones(len(t)), fixes.copy()
@@ -142,6 +152,7 @@ def _smooth(
         notes.append(f"{int(wild.sum())} fixes were left out as outliers, up to {off[wild].max():.3g} m off")
         used[wild] = False
         level, height = fit()
+    _check_resolved(t[used], level, spec, shown)  # a curve through the middle of circles stands
     speed = np.linalg.norm(level.spline.derivative()(t), axis=1)
     stands, total = _find_standing(t, speed), 0.0
     if stands:
@@ -149,11 +160,10 @@ def _smooth(
             target[rows] = fixes[rows].mean(axis=0)
             weights[rows] = _HELD
             total += float(t[rows.stop - 1] - t[rows.start])
-        notes.append(
-            f"stands {len(stands)} times, {total:.4g} s in all; its place there is the mean of the fixes"
-        )
+        count = "once" if len(stands) == 1 else f"{len(stands)} times"
+        notes.append(f"stands {count}, {total:.4g} s in all; its place there is the mean of the fixes")
         level, height = fit()
-    return level, height, used
+    return level, height
 
 
 def _find_standing(t: FloatArray, speed: FloatArray) -> list[slice]:

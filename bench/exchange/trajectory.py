@@ -32,7 +32,7 @@ from bench.exchange.table_files import (
     read_table,
 )
 from bench.exchange.track_files import READERS, order_fixes, read_track
-from bench.exchange.track_motion import TableMotion, make_motion
+from bench.exchange.track_motion import TableMotion, doubt_degrees, make_motion
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
 from bench.flight_specs import TableSpec, TrackSpec
@@ -48,6 +48,7 @@ _CHUNK = 50_000  # truth samples made at a time
 
 _NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # |norm of a quaternion - 1| above which it is reported, refused
 _GAP = 5.0  # an interval longer than this many median intervals is a gap
+_ALONG = 0.9  # mean cosine between heading and path above which the nose points along it
 _TURN_RATE = math.radians(720.0)  # largest rate between rows; aircraft turn slower; assumed [rad/s]
 _TURN = math.radians(90.0)  # largest rotation between rows; beyond it the motion is not known [rad]
 _SPEED_OFF = 0.05  # tolerance of the velocity against the derivative of the position [m/s] ...
@@ -182,8 +183,13 @@ def _check_rows(table: TableColumns, shown: str) -> TableMotion:
     check_positions(table, position, np.arange(1, len(t) + 1), _LIMITS, _RADII, shown)
     pos_e = to_ecef(position) if table.stems["position"][0] == "lat" else position
     lat, lon, _ = to_geodetic(pos_e).T
+    notes += [(0.0, 0.0, "sanity", text) for text in doubt_degrees(np.column_stack([lat, lon]))]
     q_en = from_matrix(matrix_en(lat, lon))
     q_eb = _read_attitudes(table, shown, q_en, t - t[0], notes)
+    if (name := table.names["attitude"][-1]) in ("heading_deg", "yaw_deg"):
+        path_n = rotate(conjugate(q_en[:-1]), np.diff(pos_e, axis=0))
+        if remark := _doubt_headings(name, np.degrees(table.columns["attitude"][:-1, 2]), path_n):
+            notes.append((0.0, float(t[-1] - t[0]), "sanity", remark))
     vel_e = table.columns.get("velocity")
     if vel_e is not None and table.stems["velocity"][0] == "vel_n":
         vel_e = rotate(q_en, vel_e)
@@ -241,6 +247,18 @@ def _read_attitudes(
         worst_norm = f"row {worst + 1} the worst: {norm[worst]:.9g}"
         notes.append((float(t[rows[0]]), float(t[rows[-1]]), "sanity", f"{words}, {worst_norm}"))
     return continuous(q if stems[0] == "q_eb_w" else multiply(q_en, q))
+
+
+def _doubt_headings(name: str, headings: FloatArray, path_n: FloatArray) -> str:
+    """Return a remark where headings (N,) [deg] are along the path from row to row in radians only."""
+    if np.abs(headings).max() > 2 * math.pi + 1e-6:
+        return ""
+    course, way = np.arctan2(path_n[:, 1], path_n[:, 0]), np.hypot(path_n[:, 0], path_n[:, 1]) + 1e-9
+    as_deg, as_rad = (np.average(np.cos(h - course), weights=way) for h in (np.radians(headings), headings))
+    if as_deg > _ALONG or as_rad < _ALONG:
+        return ""
+    ends = f"{headings.min():.3g} to {headings.max():.3g}"
+    return f"{name}, {ends}, is along the path as radians only: it would be {name[:-3]}rad"
 
 
 # --- the motion ---------------------------------------------------------------------------------------

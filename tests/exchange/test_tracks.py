@@ -156,6 +156,22 @@ def test_a_track_that_does_not_resolve_its_turns_is_refused(tmp_path, swinging):
         list(read_trajectory(TableSpec("t", tmp_path / "t.csv", 100.0, None)))
 
 
+def test_circles_are_not_taken_for_a_standstill():
+    """A fix in 5 s on circles of 19 s: the smoothest curve stays in their middle."""
+    rows = circle(seconds=300.0, step=5.0, radius=76.0)
+    fixes = FixSeries(rows[:, 0], np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]), ())
+    with pytest.raises(ConfigError, match=r"5 s apart, do not resolve its turns: .* missed by \d\d"):
+        make_motion(fixes, TrackSpec(), "circles")
+
+
+def test_degrees_that_may_be_radians_are_told():
+    rows = circle()
+    for scale, told in ((1.0, False), (pi / 180, True)):
+        lla = np.column_stack([np.radians(scale * rows[:, 1:3]), rows[:, 3]])
+        motion = make_motion(FixSeries(rows[:, 0], lla, ()), TrackSpec(noise=1.0), "t")
+        assert any("are latitude and longitude in radians?" in text for *_, text in motion.notes) == told
+
+
 def test_noise_is_estimated_where_it_is_not_told():
     rng = np.random.default_rng(2)
     t = np.arange(0.0, 600.0)
@@ -178,7 +194,7 @@ def test_standing_still_stays_still():
     standing = (motion.t > 75) & (motion.t < 105)
     speed = np.linalg.norm(np.diff(motion.pos_e[standing], axis=0), axis=1) * 20.0
     assert speed.max() < 0.01
-    assert any("stands 1 times" in note[3] for note in motion.notes)
+    assert any("stands once, " in note[3] for note in motion.notes)
     roll, pitch, _ = rotation.to_euler(
         rotation.multiply(
             rotation.conjugate(rotation.from_matrix(earth.matrix_en(*lla[0, :2]))), motion.q_eb[standing]

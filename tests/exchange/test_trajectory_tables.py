@@ -233,6 +233,24 @@ def test_what_is_inconsistent_is_reported_with_its_row_and_flown(tmp_path, chang
     assert re.search(message, sanity(fly(edited(tmp_path, change))))
 
 
+@pytest.mark.parametrize("turned", [0.0, -90.0])
+def test_angles_in_radians_below_a_name_in_degrees_are_told(tmp_path, turned):
+    """The flight winds about north; turned, its headings are on both sides of 0."""
+    table = turns(20.0, 60.0)
+    east, north = table["lon_deg"] - 11.4, table["lat_deg"] - 47.3
+    if turned:  # to the west, about
+        table["lat_deg"] = 47.3 + east * np.cos(np.radians(47.3))
+        table["lon_deg"] = 11.4 - north / np.cos(np.radians(47.3))
+    table["heading_deg"] = (table["heading_deg"] + turned + 180.0) % 360.0 - 180.0
+    names = (*GEODETIC, *EULER)
+    assert "radians" not in sanity(fly(write(tmp_path / "t.csv", table, names)))
+    table["heading_deg"] = np.radians(table["heading_deg"])
+    said = sanity(fly(write(tmp_path / "t.csv", table, names)))
+    assert "is along the path as radians only: it would be heading_rad" in said
+    table["lat_deg"], table["lon_deg"] = np.radians(table["lat_deg"]), np.radians(table["lon_deg"])
+    assert "are latitude and longitude in radians?" in sanity(fly(write(tmp_path / "t.csv", table, names)))
+
+
 def test_rows_off_the_truth_between_its_knots_are_reported(tmp_path):
     clean = edited(tmp_path, lambda table: None, rate=100.0)
     assert sanity(fly(clean)) == ""
