@@ -233,6 +233,14 @@ def test_what_is_inconsistent_is_reported_with_its_row_and_flown(tmp_path, chang
     assert re.search(message, sanity(fly(edited(tmp_path, change))))
 
 
+def test_headings_of_a_flight_to_the_north_are_degrees(tmp_path):
+    """A few tenths of a degree are along the path as radians, too."""
+    n = np.arange(201)
+    table = {"t_s": n / 20, "lat_deg": 47.0 + 1e-5 * n, **dict.fromkeys(("lon_deg", "alt_m"), 0 * n + 11.0)}
+    table |= {"roll_deg": 0.0 * n, "pitch_deg": 0.0 * n, "heading_deg": 0.0 * n + 0.3}
+    assert sanity(fly(write(tmp_path / "t.csv", table, (*GEODETIC, *EULER)))) == ""
+
+
 @pytest.mark.parametrize("turned", [0.0, -90.0])
 def test_angles_in_radians_below_a_name_in_degrees_are_told(tmp_path, turned):
     """The flight winds about north; turned, its headings are on both sides of 0."""
