@@ -30,6 +30,7 @@ _STANDING, _STANDS_FOR = 0.4, 10.0  # slower than that [m/s] for so long [s] is 
 _HELD = 1e6  # weight of the place of a standstill
 _SLOW = 1.0  # the course of a slower vehicle is not known [m/s]
 _GAP = 3.0  # an interval longer than this many median intervals is told
+_SPARSE, _LARGE = 2.0, 2.0  # interval [s] and estimated noise [m] beyond which it may be turns; assumed
 _MISSED, _MISSED_NOISE = 15.0, 6.0  # a fix missed by more [m] and [sd] is not predicted by its neighbours
 _LOAD = (-0.5, 5.0)  # of an aircraft; assumed [g]
 _ROLL_RATE = math.radians(120.0)  # of an aircraft; assumed [rad/s]
@@ -163,6 +164,12 @@ def _smooth(
         count = "once" if len(stands) == 1 else f"{len(stands)} times"
         notes.append(f"stands {count}, {total:.4g} s in all; its place there is the mean of the fixes")
         level, height = fit()
+    step = float(np.median(np.diff(t)))
+    if spec.noise is None and step > _SPARSE and level.noise > _LARGE:
+        notes.append(
+            f"fixes {step:.3g} s apart: of the {level.noise:.3g} m of noise a part may be turns that they "
+            "do not resolve, which the curve leaves out; noise_m keeps them"
+        )
     return level, height
 
 
