@@ -100,7 +100,7 @@ ALTERED = {
     "a place before them": ("loose-22", f"{SCHEDULE}/earlier", put(-1), "earlier must be whole numbers"),
     "a slot that is not there": (
         "loose-22",
-        f"{SCHEDULE}/waiting/0/slot",
+        f"{SCHEDULE}/waiting/slot",
         put(70),
         "slot must be whole numbers",
     ),
@@ -108,7 +108,7 @@ ALTERED = {
     "a slot of nothing": ("loose-22", f"{RUN}/pending/live", put(6, -1), r"tags \(length\) must be whole"),
     "rows of nothing that waits": (
         "loose-22",
-        f"{SCHEDULE}/waiting/0/slot",
+        f"{SCHEDULE}/waiting/slot",
         lambda a: a * 0,
         "of the measurements that wait",
     ),

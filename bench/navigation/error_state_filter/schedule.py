@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
+from bench.arrays import BoolArray, FloatArray, IntArray, read_only, take_increasing
+from bench.compiled import inner, kernel
 from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import Rows, Waiting, check_rows, give_slots, join_rows, take_rows
+from bench.navigation.engine.kept_rows import Rows, check_rows, join_rows, make_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
@@ -32,10 +33,7 @@ from bench.sensor_specs import GnssSpec, ImuSpec
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
 """Actions: measure and update at once, measure, update with what was measured, output, just go there."""
 _BEFORE = -2  # step of what was measured in an earlier piece
-
-
-_ACTIONS = np.array([AT_ONCE, MEASURE, USE, OUTPUT, GO_ON])
-_NONE = np.empty(0, np.int64)
+_FREE = -3  # step until which a slot is taken that nothing waits in
 
 
 class StepPlan(NamedTuple):
@@ -45,11 +43,11 @@ class StepPlan(NamedTuple):
     entries: IntArray  # (E, 5) as `filter_run` takes them
     ahead: FloatArray  # (A,) part of the next step that an answer lies ahead [1]
     slots: int  # that hold all which waits
-    measured: FloatArray  # (R, 9) values, and of a fix its antenna [m], b, of all but satellites
+    measured: FloatArray  # (R, 9) values, and of a fix its antenna [m], b
     values: FloatArray  # (R, 6) of them the values
     variance: FloatArray  # (R, 6)
     outputs: IntArray  # (A,) rows of ``output_t`` that are answered
-    left: dict[int, Rows]  # what waits afterwards
+    left: Rows  # what waits afterwards
     go_to: int  # last step taken
 
 
@@ -81,7 +79,7 @@ class Schedule(SessionState):
     span: Replaced[FloatArray]  # (N,) of each, from the one before [s]
     output_t: Replaced[FloatArray]  # (M,) answers wanted [s]
     events: Kept[list[EventRow]]
-    waiting: Replaced[dict[int, Rows]]  # measurements, by their kind
+    waiting: Replaced[Rows]  # measurements
     sky: Replaced[ranging.SkyRows]
     _intake: Kept[ImuIntake]
     _again: Replaced[ImuData | None]  # samples to give again with the next piece
@@ -112,7 +110,8 @@ class Schedule(SessionState):
         self._again = None
         self._earlier = self.rows = np.empty(0, np.int64)
         self.span = self.output_t = np.empty(0)
-        self.waiting, self._newest, self._names = {}, {}, {}
+        self._newest, self._names = {}, {}
+        self.waiting = make_rows(0, nothing, nothing)
         self.sky = ranging.empty_sky()
         self.last = False
 
@@ -130,10 +129,9 @@ class Schedule(SessionState):
         require(bool((np.diff(reached) >= 0).all()), "imu/t", "must increase, and begin where the filter is")
         require(self.end == reached[-1], "intake/newest", "must be the last sample")
         ranging.check_sky(sky)
-        for kind, one in self.waiting.items():
-            check_rows(f"waiting/{kind}", one)
-            epochs = len(sky.epoch_start) - 1
-            require_range(f"waiting/{kind}/number", one.number, epochs if kind == SATELLITE_ROWS else 1)
+        check_rows("waiting", waiting := self.waiting)
+        of_satellites = waiting.kind == SATELLITE_ROWS
+        require_range("waiting/number", waiting.number[of_satellites], len(sky.epoch_start) - 1)
 
     @property
     def end(self) -> float:
@@ -201,7 +199,7 @@ class Schedule(SessionState):
         """
         assert sensor.read is not None
         record, spec = getattr(sensors, sensor.record), assumed(sensors.specs, sensor.spec)
-        if not len(record) and sensor.kind in self.waiting and self._watch is None:
+        if not len(record) and self._watch is None:
             return
         values, white = sensor.read(record, spec, sensors, initial, layout)
         white = white + more
@@ -225,9 +223,8 @@ class Schedule(SessionState):
 
     def add_samples(self, kind: int, t: FloatArray, values: FloatArray, variance: FloatArray) -> None:
         """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
-        if not len(t) and kind in self.waiting:
-            return
-        self._wait(kind, t, t, values, np.broadcast_to(variance, (len(t), 6)))
+        if len(t):
+            self._wait(kind, t, t, values, variance)
 
     def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channels: Channels) -> None:
         """Take the usable satellites of each epoch, and let them have ``channels`` and states."""
@@ -317,12 +314,9 @@ class Schedule(SessionState):
         number: IntArray | None = None,
     ) -> None:
         """Let measurements wait for their step."""
-        wide, spread = np.zeros((len(t), 9)), np.zeros((len(t), 6))
-        wide[:, : values.shape[1]], spread[:, : variance.shape[1]] = values, variance
-        none = np.zeros(len(t), np.int64)
-        rows = Rows(t, arrival, wide, spread, none, none if number is None else number)
-        before = self.waiting.get(kind)
-        self.waiting = {**self.waiting, kind: rows if before is None else before.joined(rows)}
+        rows = make_rows(kind, t, arrival)
+        rows.values[:, : values.shape[1]], rows.variance[:, : variance.shape[-1]] = values, variance
+        self.waiting = self.waiting.joined(rows if number is None else rows._replace(number=number))
 
     def plan(self, look_back: float = 0.0) -> StepPlan:
         """Return what a filter does up to where nothing can come any more that is valid before.
@@ -331,17 +325,17 @@ class Schedule(SessionState):
         """
         if self.last:
             self._forget_late()
-        every = Waiting.of(self.waiting, SATELLITE_ROWS)
-        everywhere = every.t[every.slot == 0] if self._compensate else np.empty(0)
+        rows, wanted = self.waiting, self.output_t
+        everywhere = rows.t[rows.slot == 0] if self._compensate else np.empty(0)
         if self._cut:
-            everywhere = np.append(everywhere, self.output_t)
+            everywhere = np.append(everywhere, wanted)
         steps = timeline.steps(
             self.imu,
             self.rows,
             self.span,
             self.t,
             everywhere,
-            everywhere if self._as_sampled else np.concatenate([everywhere, every.arrival]),
+            everywhere if self._as_sampled else np.concatenate([everywhere, rows.arrival]),
             self._spec,
             self._earlier,
         )
@@ -349,68 +343,32 @@ class Schedule(SessionState):
         if not self.last:
             known = (imu_t := self.imu_t) <= self.end - look_back - 2.0 * TIME_TOLERANCE
             go_to = int(np.searchsorted(steps.t, imu_t[known][-1])) if known.any() else -1
-        measure = use = self._step_at(steps.t, every.arrival)
-        if self._compensate:
-            at_once = np.abs(every.t - every.arrival) < TIME_TOLERANCE
-            measure = np.where(at_once, use, self._step_at(steps.t, every.t))
-        measure = np.where(every.slot > 0, _BEFORE, measure)
-        slot = give_slots(measure, use, every.slot, go_to)
-        begun, done, late = measure <= go_to, use <= go_to, slot > 0
-        now, new, later = (
-            np.flatnonzero(one) for one in (done & ~late, begun & late & (every.slot == 0), done & late)
-        )
-        outputs, at, ahead = self._answers(steps, go_to)
-        go_on = np.full(int(not self.last), go_to)
-        step = np.concatenate([use[now], measure[new], use[later], at, go_on])
-        picked, m = np.concatenate([now, new, later]), len(at)
-        entries = np.zeros((len(step), 5), np.int64)
-        entries[:, 0] = step
-        entries[:, 1] = np.repeat(_ACTIONS, [len(now), len(new), len(later), m, len(go_on)])
-        entries[: len(picked), 2], entries[len(picked) :, 2] = every.kind[picked], 99
-        entries[: len(picked), 3], entries[len(picked) : len(picked) + m, 3] = every.row[picked], np.arange(m)
-        entries[: len(picked), 4] = slot[picked]
-        entries[len(picked) + m :, 2] = 100
+        m, asked = len(rows.t), len(wanted)
+        slot, left, work = rows.slot.copy(), np.empty(m, np.bool_), np.empty((2, m), np.int64)
+        busy = np.full(int(slot.max(initial=0)) + m, _FREE)
+        entries, ahead = np.empty((2 * m + asked + 1, 5), np.int64), np.empty(asked)
+        outputs = np.empty(asked, np.int64)
+        count, due, slots = _plan_kernel(
+            read_only(steps.t), read_only(steps.span), self.t, go_to, rows.kind, rows.t, rows.arrival,
+            rows.number, np.argsort(rows.t, kind="stable"), self._compensate, wanted, self.start, self.end,
+            self._cut or self._as_sampled, self.last, slot, left, work, busy, entries, ahead, outputs,
+        )  # fmt: skip
+        entries = entries[:count]
         entries = entries[np.lexsort((entries[:, 3], entries[:, 1], entries[:, 2], entries[:, 0]))]
-        if done.all():
-            left = {kind: rows.take(slice(0)) for kind, rows in self.waiting.items()}
-        else:
-            left = {
-                kind: rows._replace(slot=slot[part]).take(~done[part])
-                for (kind, rows), part in zip(self.waiting.items(), every.parts, strict=True)
-            }
-        most = int(slot.max(initial=0)) + 1
-        wide, variance = every.values, every.variance
-        return StepPlan(steps, entries, ahead, most, wide, wide[:, :6], variance, outputs, left, go_to)
+        wide, waits = rows.values, rows._replace(slot=slot).take(left)
+        ahead, outputs = ahead[:due], outputs[:due]
+        values, variance = wide[:, :6], rows.variance
+        return StepPlan(steps, entries, ahead, slots + 1, wide, values, variance, outputs, waits, go_to)
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""
-        for kind, rows in self.waiting.items():
-            outside = rows.arrival - TIME_TOLERANCE > self._last_sample
-            if outside.any():
-                if kind in self._names:
-                    self.events += timeline.left_out(self._names[kind], rows.t, outside, timeline.OUTSIDE)
-                self.waiting = {**self.waiting, kind: rows.take(~outside)}
-
-    def _answers(self, steps: Steps, go_to: int) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return which answers are due, the step each comes after, and the part of the next it lies ahead."""
-        t = self.output_t
-        if self._cut or self._as_sampled:
-            inside = (t >= self.start - TIME_TOLERANCE) & (t <= self.end + TIME_TOLERANCE)
-            step = self._step_at(steps.t, t)
-            due = np.flatnonzero(inside & (step <= go_to))
-            return due, step[due], np.zeros(len(due))
-        if not len(t):
-            return _NONE, _NONE, t
-        at = np.searchsorted(steps.t, t - TIME_TOLERANCE)
-        ends, spans = np.append(steps.t, np.inf), np.append(steps.span, 1.0)  # nothing is beyond the last
-        at_start = np.abs(t - self.t) <= TIME_TOLERANCE
-        there = at_start | (np.abs(ends[at] - t) <= TIME_TOLERANCE)
-        step = np.where(at_start, -1, at - 1 + there)
-        known = (t >= self.start - TIME_TOLERANCE) & (there | (at < len(steps.t)))
-        due = np.flatnonzero(known & (step < go_to + there))
-        begun = np.where(at > 0, ends[at - 1], self.t)
-        ahead = np.where(there, 0.0, (t - begun) / spans[at])[due]
-        return due, step[due], ahead
+        rows = self.waiting
+        outside = rows.arrival - TIME_TOLERANCE > self._last_sample
+        if outside.any():
+            for kind, name in self._names.items():
+                out = outside & (rows.kind == kind)
+                self.events += timeline.left_out(name, rows.t, out, timeline.OUTSIDE)
+            self.waiting = rows.take(~outside)
 
     def advance(self, plan: StepPlan) -> FloatArray:
         """Forget what a filter has done by a plan; return the instants (M,) of the answers that are final."""
@@ -429,14 +387,133 @@ class Schedule(SessionState):
         self.imu = take_rows(self.imu, np.concatenate([past, self.rows[done:]]))
         self._earlier, self.rows = np.split(np.arange(len(self.imu)), [len(past)])
         self.span = self.span[done:]
-        if SATELLITE_ROWS in self.waiting:
-            rows = self.waiting[SATELLITE_ROWS]
-            self.sky = ranging.take_epochs(self.sky, rows.number)
-            numbered = rows._replace(number=np.arange(len(rows.t)))
-            self.waiting = {**self.waiting, SATELLITE_ROWS: numbered}
+        if len(self.sky.epoch_start) > 1:
+            of_satellites = self.waiting.kind == SATELLITE_ROWS
+            self.sky = ranging.take_epochs(self.sky, self.waiting.number[of_satellites])
+            number = np.where(of_satellites, np.cumsum(of_satellites) - 1, 0)
+            self.waiting = self.waiting._replace(number=number)
         return answered
 
-    def _step_at(self, steps_t: FloatArray, t: FloatArray) -> IntArray:
-        """Return the step that ends at each instant t (M,) [s], -1 at the start."""
-        at = np.searchsorted(steps_t, t - TIME_TOLERANCE)
-        return np.where(t < self.t + TIME_TOLERANCE, -1, at)
+
+@inner
+def _find_kernel(t: FloatArray, wanted: float) -> int:
+    """Return the first of increasing instants t (K,) that is not before the one ``wanted``; K: none."""
+    low, high = 0, t.shape[0]
+    while low < high:
+        middle = (low + high) // 2
+        if t[middle] < wanted:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@inner
+def _step_kernel(t: FloatArray, start: float, wanted: float) -> int:
+    """Return the step out of those that end at t (K,) that ends at an instant [s], -1 at the start."""
+    return -1 if wanted < start + TIME_TOLERANCE else _find_kernel(t, wanted - TIME_TOLERANCE)
+
+
+@inner
+def _slots_kernel(
+    measure: IntArray, use: IntArray, order: IntArray, go_to: int, slot: IntArray, busy: IntArray
+) -> int:
+    """Give each measurement (M,) its slot: 0 if it is used at once, else one that is free while it waits.
+
+    Those that have one keep it; those to measure after the step ``go_to`` get none. ``order`` is that in
+    which they are measured, ``busy`` until which step each slot is taken. Return the last slot in use.
+    """
+    most = 0
+    for k in range(slot.shape[0]):
+        if slot[k] > 0:
+            busy[slot[k] - 1] = use[k]
+            most = max(most, slot[k])
+    for at in range(slot.shape[0]):
+        k = order[at]
+        if slot[k] == 0 and measure[k] != use[k] and measure[k] <= go_to:
+            free = 0
+            while busy[free] >= measure[k]:
+                free += 1
+            busy[free] = use[k]
+            slot[k] = free + 1
+            most = max(most, slot[k])
+    return most
+
+
+@inner
+def _write_kernel(entries: IntArray, at: int, step: int, action: int, kind: int, row: int, slot: int) -> int:
+    """Write an entry; return the place of the next."""
+    one = entries[at]
+    one[0], one[1], one[2], one[3], one[4] = step, action, kind, row, slot
+    return at + 1
+
+
+@kernel
+def _plan_kernel(
+    t: FloatArray,
+    span: FloatArray,
+    now: float,
+    go_to: int,
+    kind: IntArray,
+    valid: FloatArray,
+    arrival: FloatArray,
+    number: IntArray,
+    order: IntArray,
+    compensate: bool,
+    wanted: FloatArray,
+    start: float,
+    end: float,
+    at_ends: bool,
+    last: bool,
+    slot: IntArray,
+    left: BoolArray,
+    work: IntArray,
+    busy: IntArray,
+    entries: IntArray,
+    ahead: FloatArray,
+    outputs: IntArray,
+) -> tuple[int, int, int]:
+    """Write the entries of a plan until the step ``go_to``; return how many, of how many answers, and slots.
+
+    The steps end at t (K,) after ``span``, the first begins at ``now`` [s]. Of what waits (M,) ``order`` is
+    that of validity, ``slot`` goes on, and ``left`` is what has not been used then. Of the answers ``wanted``
+    (A,) those that are due fill ``outputs``, and how far ahead of a step's end each lies; with ``at_ends``
+    each is given at the first step's end from its instant on.
+    """
+    measure, use, e, m = work[0], work[1], 0, 0
+    for k in range(slot.shape[0]):
+        use[k] = _step_kernel(t, now, arrival[k])
+        measure[k] = use[k]
+        if slot[k] > 0:
+            measure[k] = _BEFORE
+        elif compensate and abs(valid[k] - arrival[k]) >= TIME_TOLERANCE:
+            measure[k] = _step_kernel(t, now, valid[k])
+    slots = _slots_kernel(measure, use, order, go_to, slot, busy)
+    for k in range(slot.shape[0]):
+        row = number[k] if kind[k] == SATELLITE_ROWS else k
+        left[k] = use[k] > go_to
+        if slot[k] > 0 and measure[k] != _BEFORE:
+            e = _write_kernel(entries, e, measure[k], MEASURE, kind[k], row, slot[k])
+        if not left[k]:
+            e = _write_kernel(entries, e, use[k], USE if slot[k] > 0 else AT_ONCE, kind[k], row, slot[k])
+    for k in range(wanted.shape[0]):
+        asked = wanted[k]
+        at = _find_kernel(t, asked - TIME_TOLERANCE)
+        at_start = abs(asked - now) <= TIME_TOLERANCE
+        there = at_start or (at < t.shape[0] and abs(t[at] - asked) <= TIME_TOLERANCE)
+        part = 0.0
+        if at_ends:
+            step = _step_kernel(t, now, asked)
+            due = asked <= end + TIME_TOLERANCE and step <= go_to
+        else:
+            step = -1 if at_start else at - 1 + there
+            due = (there or at < t.shape[0]) and step < go_to + there
+            if due and not there:
+                part = (asked - (t[at - 1] if at > 0 else now)) / span[at]
+        if due and asked >= start - TIME_TOLERANCE:
+            outputs[m], ahead[m] = k, part
+            e = _write_kernel(entries, e, step, OUTPUT, 99, m, 0)
+            m += 1
+    if not last:
+        e = _write_kernel(entries, e, go_to, GO_ON, 100, 0, 0)
+    return e, m, slots

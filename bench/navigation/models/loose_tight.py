@@ -409,14 +409,14 @@ class Passage(SessionState):
         schedule, run = self.schedule, self.run
         sky, live = schedule.sky, run.pending.live
         kinds = {sensor.kind for sensor in self.used} | self.samplers.keys() | {measurement_rows.COURSE_ROWS}
-        require(schedule.waiting.keys() <= kinds, "waiting", "must be those of the sensors of the filter")
+        waiting = schedule.waiting
+        known = kinds.issuperset(waiting.kind.tolist())
+        require(known, "waiting/kind", "must be those of the sensors of the filter")
+        require_range("waiting/slot", waiting.slot, len(live))
+        held, of_satellites = np.full(len(waiting.t), 2 * LONGEST), waiting.kind == SATELLITES.kind
+        held[of_satellites] = 2 * np.diff(sky.epoch_start)[waiting.number[of_satellites]]
         most = np.zeros(len(live), np.int64)
-        for kind, rows in schedule.waiting.items():
-            require_range(f"waiting/{kind}/slot", rows.slot, len(live))
-            held = np.full(len(rows.t), 2 * LONGEST)
-            if kind == SATELLITES.kind and len(held):
-                held = 2 * np.diff(sky.epoch_start)[rows.number]
-            np.maximum.at(most, rows.slot, held)
+        np.maximum.at(most, waiting.slot, held)
         most[0] = 2 * LONGEST
         require(bool((live <= most).all()), "pending/live", "must be of the measurements that wait")
         require_range("sky/which (channel)", sky.which[:, 1:3], len(run.gate.trust.misses))
