@@ -205,7 +205,7 @@ class Record(Rebuilt):
             raise ValueError(f"{type(self).__name__}: columns differ in length: {rows}")
 
     def __len__(self) -> int:
-        return len(getattr(self, next(iter(columns_of(type(self))))))
+        return len(getattr(self, _first_column(type(self))))
 
     def __repr__(self) -> str:
         """Return the number of rows, their span, and the columns with their units."""
@@ -284,6 +284,7 @@ def _find_columns(record: Any) -> Mapping[str, Column]:
 
 
 _columns: Callable[[type], Mapping[str, Column]] = cache(_find_columns)
+_first_column: Callable[[type], str] = cache(lambda record: next(iter(columns_of(record))))
 
 
 def figures_of(spec: type) -> dict[str, Figure]:

@@ -105,7 +105,7 @@ ALTERED = {
         "slot must be whole numbers",
     ),
     "more rows than a slot has": ("loose-22", f"{RUN}/pending/live", put(10**9, -1), "live must be whole"),
-    "a slot of nothing": ("loose-22", f"{RUN}/pending/live", put(6, -1), r"tags \(length\) must be whole"),
+    "a slot of nothing": ("loose-22", f"{RUN}/pending/live", put(6, 0), r"tags \(length\) must be whole"),
     "rows of nothing that waits": (
         "loose-22",
         f"{SCHEDULE}/waiting/slot",

@@ -340,10 +340,9 @@ class ForwardRun(SessionState):
         data = Measurements(
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
         )
-        kinds = np.flatnonzero(np.bincount(entries[entries[:, 1] < USE, 2]))
         _fusion_kernel(
             entries,
-            place_fillers(kinds, (now, data, index, pending, work.measure), sky),
+            place_fillers(set(entries[:, 2].tolist()), (now, data, index, pending, work.measure), sky),
             plan.ahead,
             now,
             process,

@@ -161,17 +161,17 @@ class Schedule(SessionState):
         EstimatorError
             If one of these has been passed.
         """
-        passed = (sensors.output_t < self.t - TIME_TOLERANCE) & (sensors.output_t > self.start)
-        if passed.any():
-            refuse("an answer", float(sensors.output_t[passed][0]), self.t)
+        if len(wanted := sensors.output_t):
+            passed = (wanted < self.t - TIME_TOLERANCE) & (wanted > self.start)
+            if passed.any():
+                refuse("an answer", float(wanted[passed][0]), self.t)
+            self.output_t = np.append(self.output_t, wanted)
         imu = sensors.imu if self._again is None else join_rows(self._again, sensors.imu)
         rows, span, events, again = self._intake.take(imu, self._spec, last=last)
         self.events += events
         self._again = take_rows(imu, again) if len(again) else None
         taken = imu if len(rows) == len(imu) else take_rows(imu, rows)
         self.last = last
-        if len(sensors.output_t):
-            self.output_t = np.append(self.output_t, sensors.output_t)
         if not len(taken):
             return taken
         if len(self.imu):

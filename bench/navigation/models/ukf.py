@@ -346,7 +346,7 @@ class SigmaPointFlight(SteppedFilter):
         work, now = self.work, self.work.ahead
         if kind not in self.fillers:
             arguments = now, self.data, self.model.index, self.pending, work.measure
-            self.fillers[kind] = int(place_fillers(np.array([kind]), arguments, empty_sky())[kind])
+            self.fillers[kind] = int(place_fillers([kind], arguments, empty_sky())[kind])
         truths, z = less_errors(self.estimate, points.x), np.empty((len(points.x), 6))
         rows = _predict_kernel(
             self.fillers[kind], truths, self.w_ib_b, now, self.data, self.model.index, self.pending,

@@ -13,6 +13,7 @@ at this elevation, and is no part of R. Satellites share those of the ionosphere
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -218,16 +219,16 @@ def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
     return SkyRows(*columns, *sky[len(columns) :])
 
 
-def place_fillers(kinds: IntArray, arguments: tuple[Any, ...], sky: SkyRows) -> IntArray:
+def place_fillers(kinds: Iterable[int], arguments: tuple[Any, ...], sky: SkyRows) -> IntArray:
     """Return by kind of record the address of what fills its rows, 0 for a kind that is not among ``kinds``.
 
     ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
     """
     at, types = np.zeros(max(ROWS) + 1, np.int64), None
-    for kind in kinds.tolist():
+    for kind in kinds:
         if kind == SATELLITE_ROWS:
             at[kind] = find_address(satellites_kernel, types_of(0, 0, *arguments, sky))
-        else:
+        elif kind in ROWS:
             types = types or types_of(0, 0, *arguments)
             at[kind] = find_address(ROWS[kind], types)
     return at

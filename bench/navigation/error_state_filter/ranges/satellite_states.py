@@ -7,7 +7,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GnssObservations
-from bench.navigation.engine.session import Kept, SessionState, fork
+from bench.navigation.engine.session import Replaced, SessionState, fork
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate
 from bench.navigation.error_state_filter.propagation import FilterState, Pending
@@ -38,9 +38,9 @@ class Channels(SessionState):
     `_GONE` at least; it is not used before.
     """
 
-    names: Kept[list[str]]
-    held: Kept[IntArray]  # (states,) number of the satellite that has each state
-    seen: Kept[FloatArray]  # (states,) when it was seen last [s]
+    names: Replaced[list[str]]
+    held: Replaced[IntArray]  # (states,) number of the satellite that has each state
+    seen: Replaced[FloatArray]  # (states,) when it was seen last [s]
 
     def __init__(self) -> None:
         self.names = list(SENSORS)
@@ -52,7 +52,7 @@ class Channels(SessionState):
         satellites, which = name_satellites(o)
         for one in satellites:
             if f"{one} range" not in self.names:
-                self.names += [f"{one} range", f"{one} rate"]
+                self.names = [*self.names, f"{one} range", f"{one} rate"]
         return np.array([self.names.index(f"{one} range") for one in satellites], np.int64)[which]
 
     def give_states(self, o: GnssObservations, rows: IntArray) -> tuple[IntArray, IntArray]:
@@ -67,8 +67,9 @@ class Channels(SessionState):
         """Return the states out of n that have a use so far: all but those which no satellite has had."""
         used = np.ones(n, np.bool_)
         places = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
-        for first, held in zip(places, np.split(self.held, np.cumsum(RANGES)[:-1]), strict=True):
+        for first, (begin, end) in zip(places, _PLACES, strict=True):
             if first >= 0:
+                held = self.held[begin:end]
                 used[first : first + len(held)] = held >= 0
         return np.flatnonzero(used)
 
