@@ -270,8 +270,7 @@ class InstrumentReports:
     @property
     def instruments(self) -> dict[str, Any]:
         """The records present, by name of the instrument."""
-        found = {name: getattr(self, name) for name in INSTRUMENTS}
-        return {name: record for name, record in found.items() if record is not None}
+        return {name: one for name in INSTRUMENTS if (one := getattr(self, name)) is not None}
 
 
 @dataclass(frozen=True, slots=True)

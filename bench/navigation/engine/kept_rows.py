@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import fields, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -55,14 +57,17 @@ def check_rows(place: str, rows: Rows) -> None:
         require(column.shape == shape, f"{place}/{name}", f"must have shape {shape}")
 
 
+_names: Callable[[Any], tuple[str, ...]] = cache(lambda kind: tuple(f.name for f in fields(kind)))
+
+
 def columns(record: Any) -> dict[str, Any]:
     """Return the fields of a record by name."""
-    return {f.name: getattr(record, f.name) for f in fields(record)}
+    return {name: getattr(record, name) for name in _names(type(record))}
 
 
 def take_rows(record: Any, rows: Any) -> Any:
     """Return rows of a record of columns."""
-    return type(record)(*(getattr(record, f.name)[rows] for f in fields(record)))
+    return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
 
 
 def take_observations(o: GnssObservations, rows: BoolArray) -> GnssObservations:

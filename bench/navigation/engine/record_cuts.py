@@ -34,8 +34,8 @@ def nothing_known(t: FloatArray) -> NavSolution:
 
 def aiding_records(sensors: SensorData) -> dict[str, Any]:
     """Return the aiding records, by name."""
-    found = {"fixes": sensors.fixes, "observations": sensors.observations}
-    return {name: record for name, record in found.items() if record is not None} | sensors.instruments
+    gnss = ("fixes", "observations")
+    return {name: one for name in gnss if (one := getattr(sensors, name)) is not None} | sensors.instruments
 
 
 def without_orbits(specs: Any) -> Any:
@@ -107,5 +107,6 @@ def cut_piece(record: SensorData, samples: slice | IntArray, after: float, until
 
 def goes_beyond(record: SensorData, t: float) -> bool:
     """Return whether anything arrives or is wanted after an instant [s], IMU samples aside."""
-    late = any((one.t_arrival > t + TIME_TOLERANCE).any() for one in aiding_records(record).values())
-    return late or bool((record.output_t > t).any())
+    arrival = (one.t_arrival for one in aiding_records(record).values())
+    late = any(len(one) and (one > t + TIME_TOLERANCE).any() for one in arrival)
+    return late or bool(len(record.output_t) and (record.output_t > t).any())

@@ -348,7 +348,7 @@ class ForwardRun(SessionState):
             process,
             index,
             ImuSteps(
-                np.append(steps.t, start),  # the last one serves the start, index -1
+                np.concatenate([steps.t, [start]]),  # the last one serves the start, index -1
                 steps.span,
                 steps.row,
                 steps.share,

@@ -175,8 +175,8 @@ class Schedule(SessionState):
         if not len(taken):
             return taken
         if len(self.imu):
-            rows = np.append(self.rows, rows + len(self.imu))
-            imu, span = join_rows(self.imu, imu), np.append(self.span, span)
+            rows, span = np.concatenate([self.rows, rows + len(self.imu)]), np.concatenate([self.span, span])
+            imu = join_rows(self.imu, imu)
         self.imu, self.rows, self.span = imu, rows, span
         return taken
 
