@@ -195,7 +195,7 @@ def alter(arrays: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
         lambda: np.concatenate([array, array]),
         lambda: np.zeros(array.shape, np.int64 if array.dtype.kind == "f" else np.float64),
         lambda: array.ravel(),
-        lambda: array * array.dtype.type(0),
+        lambda: np.zeros_like(array),
         lambda: array[::-1].copy(),
         *(lambda k=k: put(odd[array.dtype.kind][k], int(draw.integers(array.size)))(array) for k in range(3)),
     ]

@@ -340,9 +340,10 @@ class ForwardRun(SessionState):
         data = Measurements(
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
         )
+        kinds = set(entries[entries[:, 1] < USE, 2].tolist())
         _fusion_kernel(
             entries,
-            place_fillers(set(entries[:, 2].tolist()), (now, data, index, pending, work.measure), sky),
+            place_fillers(kinds, (now, data, index, pending, work.measure), sky),
             plan.ahead,
             now,
             process,

@@ -131,6 +131,8 @@ class Schedule(SessionState):
         ranging.check_sky(sky)
         check_rows("waiting", waiting := self.waiting)
         of_satellites = waiting.kind == SATELLITE_ROWS
+        if not self._compensate:
+            require_range("waiting/slot", waiting.slot, 1)
         require_range("waiting/number", waiting.number[of_satellites], len(sky.epoch_start) - 1)
 
     @property

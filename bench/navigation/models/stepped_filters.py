@@ -16,7 +16,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.piecewise import answer_now
-from bench.navigation.engine.session import Kept, SessionState
+from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -126,6 +126,11 @@ class SteppedPassage(SessionState):
         wanted = self.schedule.output_t
         self.schedule.output_t = wanted[wanted < self.end - TIME_TOLERANCE]
         return answer_now(self, head)
+
+    def check(self) -> None:
+        """Check that what waits is of the sensors in use."""
+        known = {sensor.kind for sensor in self.aiding}.issuperset(self.schedule.waiting.kind.tolist())
+        require(known, "waiting/kind", "must be those of the sensors of the filter")
 
     def _take(self, piece: SensorData, *, last: bool) -> None:
         self.schedule.take(piece, last=last)

@@ -228,7 +228,7 @@ def place_fillers(kinds: Iterable[int], arguments: tuple[Any, ...], sky: SkyRows
     for kind in kinds:
         if kind == SATELLITE_ROWS:
             at[kind] = find_address(satellites_kernel, types_of(0, 0, *arguments, sky))
-        elif kind in ROWS:
+        else:
             types = types or types_of(0, 0, *arguments)
             at[kind] = find_address(ROWS[kind], types)
     return at
