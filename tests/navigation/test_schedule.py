@@ -5,7 +5,8 @@ import numpy as np
 import bench
 from bench.data import ImuData
 from bench.navigation.engine.timeline import TIME_TOLERANCE
-from bench.navigation.error_state_filter.schedule import AT_ONCE, GO_ON, MEASURE, OUTPUT, USE, Schedule
+from bench.navigation.error_state_filter.schedule import Schedule
+from bench.navigation.error_state_filter.step_entries import AT_ONCE, GO_ON, MEASURE, OUTPUT, USE
 
 
 def take(schedule: Schedule, spec, begin: float, end: float, rng) -> None:

@@ -43,13 +43,14 @@ from bench.navigation.error_state_filter.propagation import (
 from bench.navigation.error_state_filter.ranges.ranging import SkyRows, place_fillers, renew_kernel
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels, narrow, widen
 from bench.navigation.error_state_filter.rough_heading import add_arm
-from bench.navigation.error_state_filter.schedule import GO_ON, MEASURE, OUTPUT, USE, Schedule
+from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
     Index,
     Process,
     StateModel,
     first_of_satellites,
 )
+from bench.navigation.error_state_filter.step_entries import GO_ON, MEASURE, OUTPUT, USE
 from bench.wide_rows import widened
 
 LONGEST = 3

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, read_only, take_increasing
-from bench.compiled import inner, kernel
 from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
@@ -27,13 +26,9 @@ from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.range_states import list_range_errors
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_processes import assumed
+from bench.navigation.error_state_filter.step_entries import FREE, plan_kernel
 from bench.navigation.options import FixAccuracy
 from bench.sensor_specs import GnssSpec, ImuSpec
-
-AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
-"""Actions: measure and update at once, measure, update with what was measured, output, just go there."""
-_BEFORE = -2  # step of what was measured in an earlier piece
-_FREE = -3  # step until which a slot is taken that nothing waits in
 
 
 class StepPlan(NamedTuple):
@@ -347,10 +342,10 @@ class Schedule(SessionState):
             go_to = int(np.searchsorted(steps.t, imu_t[known][-1])) if known.any() else -1
         m, asked = len(rows.t), len(wanted)
         slot, left, work = rows.slot.copy(), np.empty(m, np.bool_), np.empty((2, m), np.int64)
-        busy = np.full(int(slot.max(initial=0)) + m, _FREE)
+        busy = np.full(int(slot.max(initial=0)) + m, FREE)
         entries, ahead = np.empty((2 * m + asked + 1, 5), np.int64), np.empty(asked)
         outputs = np.empty(asked, np.int64)
-        count, due, slots = _plan_kernel(
+        count, due, slots = plan_kernel(
             read_only(steps.t), read_only(steps.span), self.t, go_to, rows.kind, rows.t, rows.arrival,
             rows.number, np.argsort(rows.t, kind="stable"), self._compensate, wanted, self.start, self.end,
             self._cut or self._as_sampled, self.last, slot, left, work, busy, entries, ahead, outputs,
@@ -395,127 +390,3 @@ class Schedule(SessionState):
             number = np.where(of_satellites, np.cumsum(of_satellites) - 1, 0)
             self.waiting = self.waiting._replace(number=number)
         return answered
-
-
-@inner
-def _find_kernel(t: FloatArray, wanted: float) -> int:
-    """Return the first of increasing instants t (K,) that is not before the one ``wanted``; K: none."""
-    low, high = 0, t.shape[0]
-    while low < high:
-        middle = (low + high) // 2
-        if t[middle] < wanted:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
-@inner
-def _step_kernel(t: FloatArray, start: float, wanted: float) -> int:
-    """Return the step out of those that end at t (K,) that ends at an instant [s], -1 at the start."""
-    return -1 if wanted < start + TIME_TOLERANCE else _find_kernel(t, wanted - TIME_TOLERANCE)
-
-
-@inner
-def _slots_kernel(
-    measure: IntArray, use: IntArray, order: IntArray, go_to: int, slot: IntArray, busy: IntArray
-) -> int:
-    """Give each measurement (M,) its slot: 0 if it is used at once, else one that is free while it waits.
-
-    Those that have one keep it; those to measure after the step ``go_to`` get none. ``order`` is that in
-    which they are measured, ``busy`` until which step each slot is taken. Return the last slot in use.
-    """
-    most = 0
-    for k in range(slot.shape[0]):
-        if slot[k] > 0:
-            busy[slot[k] - 1] = use[k]
-            most = max(most, slot[k])
-    for at in range(slot.shape[0]):
-        k = order[at]
-        if slot[k] == 0 and measure[k] != use[k] and measure[k] <= go_to:
-            free = 0
-            while busy[free] >= measure[k]:
-                free += 1
-            busy[free] = use[k]
-            slot[k] = free + 1
-            most = max(most, slot[k])
-    return most
-
-
-@inner
-def _write_kernel(entries: IntArray, at: int, step: int, action: int, kind: int, row: int, slot: int) -> int:
-    """Write an entry; return the place of the next."""
-    one = entries[at]
-    one[0], one[1], one[2], one[3], one[4] = step, action, kind, row, slot
-    return at + 1
-
-
-@kernel
-def _plan_kernel(
-    t: FloatArray,
-    span: FloatArray,
-    now: float,
-    go_to: int,
-    kind: IntArray,
-    valid: FloatArray,
-    arrival: FloatArray,
-    number: IntArray,
-    order: IntArray,
-    compensate: bool,
-    wanted: FloatArray,
-    start: float,
-    end: float,
-    at_ends: bool,
-    last: bool,
-    slot: IntArray,
-    left: BoolArray,
-    work: IntArray,
-    busy: IntArray,
-    entries: IntArray,
-    ahead: FloatArray,
-    outputs: IntArray,
-) -> tuple[int, int, int]:
-    """Write the entries of a plan until the step ``go_to``; return how many, of how many answers, and slots.
-
-    The steps end at t (K,) after ``span``, the first begins at ``now`` [s]. Of what waits (M,) ``order`` is
-    that of validity, ``slot`` goes on, and ``left`` is what has not been used then. Of the answers ``wanted``
-    (A,) those that are due fill ``outputs``, and how far ahead of a step's end each lies; with ``at_ends``
-    each is given at the first step's end from its instant on.
-    """
-    measure, use, e, m = work[0], work[1], 0, 0
-    for k in range(slot.shape[0]):
-        use[k] = _step_kernel(t, now, arrival[k])
-        measure[k] = use[k]
-        if slot[k] > 0:
-            measure[k] = _BEFORE
-        elif compensate and abs(valid[k] - arrival[k]) >= TIME_TOLERANCE:
-            measure[k] = _step_kernel(t, now, valid[k])
-    slots = _slots_kernel(measure, use, order, go_to, slot, busy)
-    for k in range(slot.shape[0]):
-        row = number[k] if kind[k] == SATELLITE_ROWS else k
-        left[k] = use[k] > go_to
-        if slot[k] > 0 and measure[k] != _BEFORE:
-            e = _write_kernel(entries, e, measure[k], MEASURE, kind[k], row, slot[k])
-        if not left[k]:
-            e = _write_kernel(entries, e, use[k], USE if slot[k] > 0 else AT_ONCE, kind[k], row, slot[k])
-    for k in range(wanted.shape[0]):
-        asked = wanted[k]
-        at = _find_kernel(t, asked - TIME_TOLERANCE)
-        at_start = abs(asked - now) <= TIME_TOLERANCE
-        there = at_start or (at < t.shape[0] and abs(t[at] - asked) <= TIME_TOLERANCE)
-        part = 0.0
-        if at_ends:
-            step = _step_kernel(t, now, asked)
-            due = asked <= end + TIME_TOLERANCE and step <= go_to
-        else:
-            step = -1 if at_start else at - 1 + there
-            due = (there or at < t.shape[0]) and step < go_to + there
-            if due and not there:
-                part = (asked - (t[at - 1] if at > 0 else now)) / span[at]
-        if due and asked >= start - TIME_TOLERANCE:
-            outputs[m], ahead[m] = k, part
-            e = _write_kernel(entries, e, step, OUTPUT, 99, m, 0)
-            m += 1
-    if not last:
-        e = _write_kernel(entries, e, go_to, GO_ON, 100, 0, 0)
-    return e, m, slots

@@ -20,7 +20,8 @@ from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.schedule import GO_ON, OUTPUT, Schedule
+from bench.navigation.error_state_filter.schedule import Schedule
+from bench.navigation.error_state_filter.step_entries import GO_ON, OUTPUT
 
 _STRIDE = 0.1  # so far a filter goes at once: planning costs as much as taking some samples [s]
 

@@ -25,7 +25,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.filter_run import answers
 from bench.navigation.error_state_filter.imu_states import core_states
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
-from bench.navigation.error_state_filter.schedule import OUTPUT
+from bench.navigation.error_state_filter.step_entries import OUTPUT
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, plan_fixes
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GraphOptions, read_options
