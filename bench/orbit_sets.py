@@ -102,6 +102,7 @@ class OrbitTable:
     clock: FloatArray  # (S, N) without its eccentric term [s]
     sd: FloatArray  # (S, N) what the file says of its accuracy [m]; 0: nothing
     joined: BoolArray  # (S, N - 1, 2) whether orbit, clock may be interpolated between two epochs
+    shown: str  # names of the files
 
     def __len__(self) -> int:
         return len(self.sat)

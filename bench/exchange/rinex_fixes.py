@@ -22,9 +22,8 @@ from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
-from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
-from bench.signals import dilution, orbits, receiver, smoothing
-from bench.signals.orbits import DAY
+from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite, parse_systems
+from bench.signals import dilution, orbit_tables, orbits, receiver, smoothing
 from bench.signals.processing import Processing
 
 _EPOCH = datetime(1980, 1, 6)
@@ -79,7 +78,7 @@ class RinexFixes:
     @property
     def day(self) -> str:
         """The date of the first epoch, ISO 8601, GPS time."""
-        return _format_day(self.observations.origin + self.observations.t[0])
+        return _format_time(self.observations.origin + self.observations.t[0])[:10]
 
     @property
     def hours(self) -> str:
@@ -308,16 +307,19 @@ def solve_files(
         klobuchar=nav.klobuchar,
         processing=processing,
     )
+    unserved = _describe_unserved(raw, nav, processing)
     if not np.isfinite(seen.sat_clock).any():
-        raise ConfigError(
-            f"{nav.shown}: its ephemerides, {_format_days(nav)}, fit no satellite of {raw.shown}, "
-            f"{_format_day(raw.origin + raw.t[0])} to {_format_day(raw.origin + raw.t[-1])}"
+        times = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])
+        text = (
+            f"{nav.shown}: its ephemerides, {_format_span(times)}, fit no satellite of {raw.shown}, "
+            f"{_format_span(raw.origin + raw.t)}"
         )
+        raise ConfigError("; ".join([text, *unserved, *nav.reasons[:_MOST_LINES]]))
     solution = receiver.solve_fixes(seen, processing)
     dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     reasons, reason = lost_epochs.explain(seen, solution, processing)
     solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)
-    notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes]
+    notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes, *unserved]
     if raw.recounted:
         notes.append(f"{raw.recounted} epochs have another number of satellites than they say: kept")
     if raw.others:
@@ -429,13 +431,31 @@ def _describe_unsolved(solved: RinexFixes) -> list[str]:
     return lines
 
 
-def _format_days(nav: NavigationFile) -> str:
-    t = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])
-    return f"{_format_day(float(t.min()))} to {_format_day(float(t.max()))}"
+def _describe_unserved(raw: ObservationFile, nav: NavigationFile, processing: Processing) -> list[str]:
+    """Return a line for each wanted system that has precise orbits, but none at the times of its ranges."""
+    lines, tag = [], np.repeat(raw.t, np.diff(raw.epoch_start)) + raw.origin
+    code = np.fmin(*raw.pseudorange.T)
+    for system in sorted(parse_systems(processing.systems)):
+        rows = np.flatnonzero((raw.system == system) & np.isfinite(code))
+        sat, t = raw.sat[rows], tag[rows] - code[rows] / orbits.C
+        tables = [table for table in nav.precise if table.system == system]
+        served = any((orbit_tables.find_rows(one, sat, t) >= 0).any() for one in tables)
+        if served or not tables or not len(rows):
+            continue
+        lacks, most = f"no orbit for {SYSTEM_NAMES[system]}", max(len(one.t) for one in tables)
+        why = f"{_format_span(np.concatenate([one.t for one in tables]))}, {lacks} at the times observed"
+        if most < orbit_tables.NODES:
+            why = f"{lacks}: has {most} epochs in a row; {orbit_tables.NODES} are needed"
+        lines.append(f"{', '.join(dict.fromkeys(one.shown for one in tables))}: {why}")
+    return lines
 
 
-def _format_day(seconds: float) -> str:
-    return str((_EPOCH + timedelta(days=seconds // DAY)).date())
+def _format_span(seconds: FloatArray) -> str:
+    """Return the first and the last day, of one day the hours."""
+    first, last = (_EPOCH + timedelta(seconds=float(t)) for t in (seconds.min(), seconds.max()))
+    if first.date() == last.date():
+        return f"{first:%Y-%m-%d %H:%M} to {last:%H:%M}"
+    return f"{first.date()} to {last.date()}"
 
 
 def _format_time(seconds: float) -> str:

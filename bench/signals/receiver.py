@@ -108,7 +108,7 @@ def _find_satellites(
         choices = _rank([one for one in given if not isinstance(one, OrbitTable)], free)
         tables = [one for one in given if isinstance(one, OrbitTable)]
         for table in tables:
-            rows = np.flatnonzero(ours)
+            rows = np.flatnonzero(ours & np.isnan(out.clock))
             _take_precise(out, table, choices, rows, tag[rows], sat[rows], code[rows], band[rows], processing)
         for one in [] if tables else choices:
             rows = np.flatnonzero(ours & np.isnan(out.clock))

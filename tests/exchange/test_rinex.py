@@ -287,7 +287,7 @@ def test_bench_fixes(tmp_path, capsys):
     assert abs(lat - np.rad2deg(fixes.lla[0, 0])) > 5e-5
     assert main([*asked, str(gnss_file("brdc3050.12n"))]) == 2
     said = capsys.readouterr().err
-    assert "its ephemerides, 2012-10-31 to 2012-10-31, fit no satellite of" in said
+    assert "its ephemerides, 2012-10-31 00:00 to 23:59, fit no satellite of" in said
     assert said.strip().count("\n") == 0
 
 

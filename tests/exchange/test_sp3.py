@@ -203,19 +203,104 @@ def test_nothing_is_interpolated_over_a_gap_an_event_or_a_manoeuvre(tmp_path):
     assert find_gaps(tmp_path, "g.sp3", None, sat=44)[0] == list(range(count - 1))
 
 
+def cut_sp3(source, path, start, stop, edit=lambda line: line):
+    """Write the epochs from ``start`` to before ``stop`` of a file."""
+    text = source.read_text().split("\n*  ")
+    path.write_text(
+        "\n*  ".join([text[0], *map(edit, text[1:][start:stop])]).removesuffix("\nEOF\n") + "\nEOF\n"
+    )
+    return path
+
+
+def assert_same(got, expected):
+    assert [table.system for table in got] == [table.system for table in expected]
+    for one, other in zip(got, expected, strict=True):
+        for name in ("sat", "t", "pos_e", "clock", "sd", "joined"):
+            a, b = getattr(one, name), getattr(other, name)
+            assert np.array_equal(a, b, equal_nan=a.dtype == float), name
+
+
 def test_two_files_are_one_table_and_times_are_those_of_their_system(tmp_path):
     whole = write_sp3(tmp_path / "whole.sp3")
-    text = whole.read_text().splitlines()
-    starts = [k for k, line in enumerate(text) if line.startswith("*")]
-    (tmp_path / "one.sp3").write_text("\n".join([*text[: starts[14]], "EOF"]))
-    (tmp_path / "two.sp3").write_text("\n".join([*text[: starts[0]], *text[starts[13] :]]))
-    parts = [read_precise_orbits(tmp_path / name) for name in ("two.sp3", "one.sp3")]
-    [joined], [alone] = make_tables(parts), make_tables([read_precise_orbits(whole)])
-    for name in ("sat", "t", "pos_e", "clock", "joined"):
-        assert np.array_equal(getattr(joined, name), getattr(alone, name), equal_nan=name != "joined")
+    parts = [cut_sp3(whole, tmp_path / "two.sp3", 13, 25), cut_sp3(whole, tmp_path / "one.sp3", 0, 14)]
+    [alone] = read_orbits([whole]).precise
+    assert_same(read_orbits(parts).precise, [alone])
     for scale, ahead in (("UTC", -18.0), ("TAI", 19.0), ("BDT", -14.0), ("GAL", 0.0)):
         other = write_sp3(tmp_path / "other.sp3", scale=scale, ahead=ahead)
         assert np.array_equal(read_precise_orbits(other).t, alone.t)
+
+
+def test_files_of_single_systems_and_of_other_hours_are_those_of_all(tmp_path):
+    """Each system has its own epochs: a table that went on beside the other's would lose intervals."""
+    both = write_sp3(tmp_path / "both.sp3", (GPS, GALILEO))
+    gps = write_sp3(tmp_path / "gps.sp3")
+    galileo = write_sp3(tmp_path / "gal.sp3", [GALILEO])
+    assert_same(read_orbits([gps, galileo]).precise, read_orbits([both]).precise)
+    short = cut_sp3(galileo, tmp_path / "short.sp3", 6, 18)
+    assert_same(
+        read_orbits([gps, short]).precise, [*read_orbits([gps]).precise, *read_orbits([short]).precise]
+    )
+
+
+def test_of_several_values_of_a_satellite_the_first_that_is_one_counts(tmp_path):
+    """Midnight is in two files, in the first without clocks; orbits are those of the first."""
+    whole = write_sp3(tmp_path / "whole.sp3")
+
+    def blank(text):
+        rows = [row[:46] + " 999999.999999" if row.startswith("P") else row for row in text.split("\n")]
+        return "\n".join(rows) if "12 00  0.0" in rows[0] else text
+
+    def move(text):
+        rows = [row[:16] + "99" + row[18:] if row.startswith("PG05") else row for row in text.split("\n")]
+        return "\n".join(rows)
+
+    one = cut_sp3(whole, tmp_path / "one.sp3", 0, 13, blank)
+    two = cut_sp3(whole, tmp_path / "two.sp3", 12, 25, move)
+    [joined], [alone] = (read_orbits(paths).precise for paths in ([one, two], [whole]))
+    assert joined.joined.all()
+    assert np.array_equal(joined.clock, alone.clock)
+    moved = np.abs(joined.pos_e - alone.pos_e).max(axis=2) > 0
+    assert not moved[:, :13].any()
+    assert moved[joined.sat == 5, 13:].all()
+
+
+def test_files_of_other_steps_and_gaps_are_tables_of_their_own(sp3, tmp_path):
+    coarse, fine = write_sp3(tmp_path / "a.sp3"), write_sp3(tmp_path / "b.sp3", hours=1, step=300.0)
+    far = tmp_path / "far.sp3"
+    far.write_text(coarse.read_text().replace("2020 06 25", "2021 06 25"))
+    alone = [read_orbits([path]).precise[0] for path in (coarse, fine, far)]
+    assert_same(read_orbits([fine, coarse, far]).precise, [alone[1], alone[0], alone[2]])
+    observations = stored_gnss_file(OBSERVATIONS)
+    options = {"systems": "gps", "ionosphere": "free"}
+    best, both, other = (
+        bench.solve_rinex(observations, paths, **options) for paths in (coarse, [fine, coarse, far], fine)
+    )
+    hour = np.isfinite(other.seen.sat_clock)
+    assert 0 < hour.sum() < np.isfinite(best.seen.sat_clock).sum()
+    for solved, rows in ((other, hour), (best, ~hour)):
+        assert np.array_equal(both.seen.sat_pos_e[rows], solved.seen.sat_pos_e[rows], equal_nan=True)
+
+
+def test_a_file_that_serves_no_satellite_says_why(tmp_path):
+    """Beside a good one: a line for the system; alone: the error with the hours and what was left out."""
+    gps, galileo = write_sp3(tmp_path / "gps.sp3"), write_sp3(tmp_path / "gal.sp3", [GALILEO])
+    later, short = tmp_path / "later.sp3", cut_sp3(gps, tmp_path / "short.sp3", 0, 8)
+    later.write_text(gps.read_text().replace("2020 06 25", "2021 06 25"))
+    short.write_text(short.read_text().removesuffix("EOF\n"))
+    few = f"{short}: no orbit for GPS: has 8 epochs in a row; 10 are needed"
+    wrong = f"{later}: 2021-06-25 09:00 to 15:00, no orbit for GPS at the times observed"
+    observations, options = stored_gnss_file(OBSERVATIONS), {"systems": "gps,galileo", "ionosphere": "free"}
+    for path, note in ((later, wrong), (short, few), (gps, None)):
+        solved = bench.solve_rinex(observations, [path, galileo], **options)
+        assert [line for line in solved.notes if "no orbit for" in line] == ([note] if note else [])
+    solved = bench.solve_rinex(observations, [later, galileo], systems="galileo", ionosphere="free")
+    assert not any("no orbit for" in line for line in solved.notes)
+    with pytest.raises(ConfigError, match="short") as error:
+        bench.solve_rinex(observations, short, **options)
+    said = str(error.value)
+    assert said.startswith(f"{short}: its ephemerides, 2020-06-25 09:00 to 10:45, fit no satellite of ")
+    assert f"2020-06-25 00:00 to 23:30; {few}; {short}: line" in said
+    assert said.endswith("the file ends without EOF after 8 of 25 epochs")
 
 
 DAMAGED = {
@@ -301,6 +386,7 @@ def test_glonass_needs_its_channels(tmp_path):
     options = {"systems": "both", "ionosphere": "free"}
     alone = bench.solve_rinex(files[0], path, **options)
     assert any("GLONASS needs a navigation file beside SP3" in note for note in alone.notes)
+    assert not any("no orbit for" in note for note in alone.notes)
     assert np.isnan(alone.seen.sat_clock[alone.seen.system == GLONASS]).all()
     beside = bench.solve_rinex(files[0], [path, files[1]], **options)
     broadcast = bench.solve_rinex(*files, **options)

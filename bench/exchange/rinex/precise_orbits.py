@@ -6,7 +6,7 @@ Hilla, The Extended Standard Product 3 Orbit Format (SP3-d), NGS, 2016.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -178,28 +178,37 @@ def _make_file(shown: str, found: _PreciseRows, lines: Lines) -> PreciseFile:
 
 
 def make_tables(files: Sequence[PreciseFile]) -> list[OrbitTable]:
-    """Return the orbits and clocks of several files by system; of equal epochs the first counts."""
-    times = np.concatenate([file.t for file in files])
-    t, kept = np.unique(times, return_index=True)
-    names = sorted({name for file in files for name in file.names})
-    values = np.full((len(names), len(times), 7), np.nan)
-    values[..., 4:] = 0.0
-    start = 0
+    """Return the orbits and clocks of several files: a table of each system, step and stretch without a gap.
+
+    Of several values of a satellite at an epoch that of the first file counts; so does the first table.
+    """
+    alike: dict[tuple[int, float, float], list[PreciseFile]] = {}
     for file in files:
-        values[np.searchsorted(names, file.names), start : start + len(file.t)] = file.values
-        start += len(file.t)
-    values = values[:, kept]
-    step = np.diff(t)
-    close = step < 1.5 * np.median(step) if len(step) else step > 0
+        step = round(float(np.median(np.diff(file.t))), 3) if len(file.t) > 1 else np.inf
+        for system in {LETTERS.index(name[0]) for name in file.names}:
+            alike.setdefault((system, step, round(file.t[0] % step, 3)), []).append(file)
+    return [table for (system, step, _), parts in alike.items() for table in _join(system, step, parts)]
+
+
+def _join(system: int, step: float, files: Sequence[PreciseFile]) -> Iterator[OrbitTable]:
+    """Yield the tables of one system of files with the same step [s]."""
+    names = sorted({name for file in files for name in file.names if name[0] == LETTERS[system]})
+    t = np.unique(np.concatenate([file.t for file in files]))
+    values = np.full((len(names), len(t), 7), np.nan)
+    for file in files:
+        rows = [k for k, name in enumerate(file.names) if name in names]
+        place = np.ix_(np.searchsorted(names, [file.names[k] for k in rows]), np.searchsorted(t, file.t))
+        found = values[place]
+        for first, columns in ((0, [0, 1, 2, 5]), (3, [3, 4, 6])):  # an orbit, a clock and what is said of it
+            lacks = np.isnan(found[..., first, None])
+            found[..., columns] = np.where(lacks, file.values[rows][..., columns], found[..., columns])
+        values[place] = found
     known = np.isfinite(values[..., [0, 3]])
-    joined = known[:, :-1] & known[:, 1:] & (values[:, 1:, 5:] == 0) & close[:, None]
-    tables = []
-    for system, letter in enumerate(LETTERS):
-        rows = [k for k, name in enumerate(names) if name[0] == letter]
-        if rows:
-            sat, own = np.array([int(names[k][1:]) for k in rows]), values[rows]
-            tables.append(OrbitTable(system, sat, t, own[..., :3], own[..., 3], own[..., 4], joined[rows]))
-    return tables
+    joined = known[:, :-1] & known[:, 1:] & (values[:, 1:, 5:] == 0)
+    sat, shown = np.array([int(name[1:]) for name in names]), ", ".join(file.shown for file in files)
+    for k in np.split(np.arange(len(t)), np.flatnonzero(np.diff(t) > 1.5 * step) + 1):
+        own = values[:, k]
+        yield OrbitTable(system, sat, t[k], own[..., :3], own[..., 3], own[..., 4], joined[:, k[:-1]], shown)
 
 
 def read_orbits(paths: Sequence[Path]) -> NavigationFile:
