@@ -264,12 +264,13 @@ def test_of_several_values_of_a_satellite_the_first_that_is_one_counts(tmp_path)
     assert moved[joined.sat == 5, 13:].all()
 
 
-def test_files_of_other_steps_and_gaps_are_tables_of_their_own(sp3, tmp_path):
+def test_files_of_other_steps_and_gaps_are_tables_of_their_own(tmp_path):
     coarse, fine = write_sp3(tmp_path / "a.sp3"), write_sp3(tmp_path / "b.sp3", hours=1, step=300.0)
     far = tmp_path / "far.sp3"
     far.write_text(coarse.read_text().replace("2020 06 25", "2021 06 25"))
-    alone = [read_orbits([path]).precise[0] for path in (coarse, fine, far)]
-    assert_same(read_orbits([fine, coarse, far]).precise, [alone[1], alone[0], alone[2]])
+    late = write_sp3(tmp_path / "late.sp3", scale="BDT")  # its quarters of an hour are others
+    files = [fine, coarse, far, late]
+    assert_same(read_orbits(files).precise, [read_orbits([path]).precise[0] for path in files])
     observations = stored_gnss_file(OBSERVATIONS)
     options = {"systems": "gps", "ionosphere": "free"}
     best, both, other = (
