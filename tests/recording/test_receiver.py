@@ -93,7 +93,7 @@ def test_a_recording_is_replaced_only_when_told(tmp_path, capsys):
     place = tmp_path / "fixes.rrd"
     arguments = ["fixes", *(str(gnss_file(name)) for name in FILES), "--recording", str(place)]
     assert main(arguments) == 0
-    assert f"rerun {place}" in " ".join(capsys.readouterr().out.split())
+    assert f"bench view {place}" in " ".join(capsys.readouterr().out.split())
     assert main(arguments) == 2
     assert "fixes.rrd" in capsys.readouterr().err
     assert main([*arguments[:-1], str(tmp_path / "fixes.txt")]) == 2
