@@ -1,18 +1,26 @@
-"""Why a receiver has no fix: the first condition that leaves too few satellites of an epoch."""
+"""Why a receiver has no fix: the first condition that leaves too few satellites of an epoch.
+
+Also which systems have precise orbits of other times only.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime, timedelta
 
 import numpy as np
 
-from bench.arrays import BoolArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssObservations
-from bench.orbit_sets import LETTERS, parse_systems
-from bench.signals import receiver
+from bench.exchange.rinex.ephemerides import NavigationFile
+from bench.exchange.rinex.observations import ObservationFile
+from bench.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
+from bench.signals import orbit_tables, orbits, receiver
 from bench.signals.processing import Processing
 from bench.signals.receiver import ReceiverSolution
+
+_EPOCH = datetime(1980, 1, 6)
 
 
 def explain(
@@ -63,3 +71,30 @@ def _list_conditions(
     above = -low.los_n[:, 2] > np.sin(processing.mask)
     solved = np.isfinite(low.los_n[:, 0])
     yield f"an elevation above the mask, {np.rad2deg(processing.mask):g} deg", rows & (above | ~solved)
+
+
+def describe_unserved(raw: ObservationFile, nav: NavigationFile, processing: Processing) -> list[str]:
+    """Return a line for each wanted system that has precise orbits, but none at the times of its ranges."""
+    lines, tag = [], np.repeat(raw.t, np.diff(raw.epoch_start)) + raw.origin
+    code = np.fmin(*raw.pseudorange.T)
+    for system in sorted(parse_systems(processing.systems)):
+        rows = np.flatnonzero((raw.system == system) & np.isfinite(code))
+        sat, t = raw.sat[rows], tag[rows] - code[rows] / orbits.C
+        tables = [table for table in nav.precise if table.system == system]
+        served = any((orbit_tables.find_rows(one, sat, t) >= 0).any() for one in tables)
+        if served or not tables or not len(rows):
+            continue
+        lacks, most = f"no orbit for {SYSTEM_NAMES[system]}", max(len(one.t) for one in tables)
+        why = f"{format_span(np.concatenate([one.t for one in tables]))}, {lacks} at the times observed"
+        if most < orbit_tables.NODES:
+            why = f"{lacks}: has {most} epochs in a row; {orbit_tables.NODES} are needed"
+        lines.append(f"{', '.join(dict.fromkeys(one.shown for one in tables))}: {why}")
+    return lines
+
+
+def format_span(seconds: FloatArray) -> str:
+    """Return the first and the last day of times (K,) [s] since 1980-01-06, of one day the hours."""
+    first, last = (_EPOCH + timedelta(seconds=float(t)) for t in (seconds.min(), seconds.max()))
+    if first.date() == last.date():
+        return f"{first:%Y-%m-%d %H:%M} to {last:%H:%M}"
+    return f"{first.date()} to {last.date()}"

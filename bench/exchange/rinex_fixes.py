@@ -22,8 +22,8 @@ from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
-from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite, parse_systems
-from bench.signals import dilution, orbit_tables, orbits, receiver, smoothing
+from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
+from bench.signals import dilution, orbits, receiver, smoothing
 from bench.signals.processing import Processing
 
 _EPOCH = datetime(1980, 1, 6)
@@ -307,12 +307,12 @@ def solve_files(
         klobuchar=nav.klobuchar,
         processing=processing,
     )
-    unserved = _describe_unserved(raw, nav, processing)
+    unserved = lost_epochs.describe_unserved(raw, nav, processing)
     if not np.isfinite(seen.sat_clock).any():
         times = np.concatenate([one.t for sets in nav.list_orbits().values() for one in sets])
         text = (
-            f"{nav.shown}: its ephemerides, {_format_span(times)}, fit no satellite of {raw.shown}, "
-            f"{_format_span(raw.origin + raw.t)}"
+            f"{nav.shown}: its ephemerides, {lost_epochs.format_span(times)}, "
+            f"fit no satellite of {raw.shown}, {lost_epochs.format_span(raw.origin + raw.t)}"
         )
         raise ConfigError("; ".join([text, *unserved, *nav.reasons[:_MOST_LINES]]))
     solution = receiver.solve_fixes(seen, processing)
@@ -429,33 +429,6 @@ def _describe_unsolved(solved: RinexFixes) -> list[str]:
         first = _format_time(raw.origin + raw.t[np.argmax(solved.reason == k)])
         lines.append(f"no fix at {count} of {len(raw.t)} epochs, the first at {first}: {reason}")
     return lines
-
-
-def _describe_unserved(raw: ObservationFile, nav: NavigationFile, processing: Processing) -> list[str]:
-    """Return a line for each wanted system that has precise orbits, but none at the times of its ranges."""
-    lines, tag = [], np.repeat(raw.t, np.diff(raw.epoch_start)) + raw.origin
-    code = np.fmin(*raw.pseudorange.T)
-    for system in sorted(parse_systems(processing.systems)):
-        rows = np.flatnonzero((raw.system == system) & np.isfinite(code))
-        sat, t = raw.sat[rows], tag[rows] - code[rows] / orbits.C
-        tables = [table for table in nav.precise if table.system == system]
-        served = any((orbit_tables.find_rows(one, sat, t) >= 0).any() for one in tables)
-        if served or not tables or not len(rows):
-            continue
-        lacks, most = f"no orbit for {SYSTEM_NAMES[system]}", max(len(one.t) for one in tables)
-        why = f"{_format_span(np.concatenate([one.t for one in tables]))}, {lacks} at the times observed"
-        if most < orbit_tables.NODES:
-            why = f"{lacks}: has {most} epochs in a row; {orbit_tables.NODES} are needed"
-        lines.append(f"{', '.join(dict.fromkeys(one.shown for one in tables))}: {why}")
-    return lines
-
-
-def _format_span(seconds: FloatArray) -> str:
-    """Return the first and the last day, of one day the hours."""
-    first, last = (_EPOCH + timedelta(seconds=float(t)) for t in (seconds.min(), seconds.max()))
-    if first.date() == last.date():
-        return f"{first:%Y-%m-%d %H:%M} to {last:%H:%M}"
-    return f"{first.date()} to {last.date()}"
 
 
 def _format_time(seconds: float) -> str:
