@@ -311,7 +311,7 @@ class ForwardRun(SessionState):
         now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
         gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
         refused = dict(self.refused)
-        if not keep and len(used := channels.used(index, n)) < n:
+        if told < n and not keep and len(used := channels.used(index, n)) < n:
             n = len(used)
             now, pending, gate = narrow(used, now, pending, gate)
             process, index = process.take(used), index.take(used)
