@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import ModuleType
 from typing import NoReturn
 
 MODULES: Mapping[str, str] = {
@@ -21,8 +22,6 @@ NAMES: Mapping[str, str] = {
         f"bench.specs.{name}": f"bench.instruments.{name}"
         for name in ("BaroSpec", "StaticPressureSpec", "MagSpec", "AirspeedSpec")
     },
-    **{f"bench.specs.{name}": f"bench.flight_specs.{name}" for name in ("FlightSpec", "TableSpec", "Leg")},
-    **{f"bench.specs.{name}": f"bench.sensor_specs.{name}" for name in ("ImuSpec", "GnssSpec", "TriadSpec")},
     "bench.specs.stream": "bench.random_streams.stream",
 }
 """Name that is gone from a module -> the name that replaced it."""
@@ -41,11 +40,17 @@ class MovedModules:
             raise ModuleNotFoundError(f"{name} {MODULES[name]}", name=name)
 
 
-def moved_from(module: str) -> Callable[[str], NoReturn]:
-    """Return a module ``__getattr__`` that names the replacement of what has left the module."""
+def moved_from(module: str, *parts: ModuleType) -> Callable[[str], NoReturn]:
+    """Return a module ``__getattr__`` that names the replacement of what has left the module.
+
+    ``parts`` are modules that hold what it held.
+    """
 
     def look_up(name: str) -> NoReturn:
         replacement = NAMES.get(f"{module}.{name}")
+        for part in parts:
+            if not name.startswith("_") and name in vars(part):
+                replacement = f"{part.__name__}.{name}"
         if replacement is not None:
             raise ImportError(f"{module}.{name} is now {replacement}")
         raise AttributeError(f"module {module!r} has no attribute {name!r}")

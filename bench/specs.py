@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from bench import flight_specs, sensor_specs
 from bench.errors import ConfigError
 from bench.flight_specs import Flight
 from bench.moved import moved_from
@@ -174,4 +175,4 @@ class Profile:
 
 
 if not TYPE_CHECKING:
-    __getattr__ = moved_from(__name__)
+    __getattr__ = moved_from(__name__, flight_specs, sensor_specs)

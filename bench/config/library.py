@@ -226,6 +226,8 @@ def _make_aircraft(
         unknown = [name for name in getattr(table, key) if name not in table.guidance]
         if unknown:
             raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is no gain of [guidance]")
+    if both := sorted(table.rough_flare.keys() & table.approach):
+        raise ConfigError(f"{shown}: {both[0]!r} is in [rough_flare] and [approach]; a landing takes one")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]
     with_guidance = next((place for place in systems if (place / "guidance.xml").is_file()), None)
     if with_guidance is None:

@@ -13,7 +13,7 @@ from bench.evaluation.metrics import find_metric
 from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED, describe_limit
 from bench.findings import FindingTable, make_table, series
 from bench.findings.series import Plot, Series
-from bench.studies.catalog_units import CLASSES, LIMITS, CatalogImu
+from bench.studies.catalog_units import CLASSES, CatalogImu
 from bench.studies.study import format_estimate
 from bench.studies.unit_limits import VarianceShares
 from bench.studies.unit_ranking import ClassStep, Ranking, UnitFlown
@@ -226,8 +226,8 @@ def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:
                 there = "assumed" if one.assumed else "stated"
                 rows.append((name, gap, one.key, one.value, ", ".join(one.units), there))
             if not mine:
-                limit = gap.partition(" ")[2] in LIMITS
-                rows.append((name, gap, "", None, "", "no limit" if limit else "zero"))
+                unlimited = gap.endswith((" range", " bandwidth"))
+                rows.append((name, gap, "", None, "", "no limit" if unlimited else "zero"))
     names = ("unit", "absent", "key", "typical", "median_of", "basis")
     return make_table("gaps", "Figures that no source states, and what is typical of the class", names, rows)
 

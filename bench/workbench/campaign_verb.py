@@ -127,7 +127,7 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     """Print the figures, as a table if asked for, the sentences, and where the files are."""
     several = len({one.condition for one in result.outcomes}) > 1
     if result.outcomes and (several or table):
-        print_table(console, _tabulate(result, several=several), most=None)
+        print_table(console, _tabulate(result, several=several))
     for one in () if several or table else result.outcomes:
         for text in wrap(_summarize(one), console.width, subsequent_indent="  "):
             console.print(text)

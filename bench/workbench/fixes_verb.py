@@ -17,7 +17,7 @@ from bench.exchange.receiver_settings import solve_rinex
 from bench.exchange.rinex.lines import find_kind
 from bench.findings import FindingTable, make_table
 from bench.store.folders import check_file
-from bench.workbench.printing import print_findings
+from bench.workbench.printing import MOST_ROWS, print_findings
 
 _COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")
 _MOST = 8  # satellites on the screen; all are in the report
@@ -60,7 +60,7 @@ def solve_fixes(
     summary = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
     tables = [*_tabulate_satellites(solved), summary]
     _, verdict = solved.judge()
-    print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables)
+    print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables, MOST_ROWS)
     if recording is not None:
         from bench.recording import fixes_recording
 

@@ -39,7 +39,7 @@ def list_topics(console: Console) -> None:
 
     rows = list(read_topics().items())
     table = make_table("topics", "Topics (bench guide TOPIC)", ("topic", "how to"), rows)
-    print_table(console, table, most=None)
+    print_table(console, table)
 
 
 def show_topic(topic: str, console: Console) -> None:

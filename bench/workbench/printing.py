@@ -19,26 +19,30 @@ from bench.findings import FindingTable
 from bench.findings.looks import LOOKS
 from bench.notebook import ShownFigure, format_cell
 
-_MOST_ROWS = 40  # of a table that are printed
+MOST_ROWS = 40  # of a table that are printed
 _WIDEST_TEXT = 24  # a column of text in a table too wide for the console
 _GAP = 2  # between columns
 
 
 def print_findings(
-    console: Console, sentences: Iterable[str | Text], tables: Iterable[FindingTable] = ()
+    console: Console,
+    sentences: Iterable[str | Text],
+    tables: Iterable[FindingTable] = (),
+    most: int | None = None,
 ) -> None:
     """Print tables, and a paragraph for each sentence."""
     for table in tables:
-        print_table(console, table)
+        print_table(console, table, most)
     for sentence in sentences:
         console.print(sentence, soft_wrap=True)
 
 
-def print_table(console: Console, table: FindingTable, most: int | None = _MOST_ROWS) -> None:
-    """Print the first rows of a table; verdicts have their look, and a row with a name alone is a heading.
+def print_table(console: Console, table: FindingTable, most: int | None = None) -> None:
+    """Print a table, or the first rows of one that is written whole to a folder.
 
-    If it is too wide, intervals stand below their figures; if it still is, each part has the columns that
-    name a row, and as many others as there is room for.
+    Verdicts have their look, and a row with a name alone is a heading. If the table is too wide, intervals
+    stand below their figures; if it still is, each part has the columns that name a row, and as many others
+    as there is room for.
     """
     if table.title:
         console.print(table.title, style="table.title")

@@ -60,7 +60,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
         if text := values.get("verdict_text"):
             console.print(text, style=headline.judge_look(str(values["verdict"]), values).style)
     names = list_key_figures(measured)
-    print_table(console, _tabulate_metrics(measured, names), most=None)
+    print_table(console, _tabulate_metrics(measured, names))
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
     if explained := explain_rows(names):

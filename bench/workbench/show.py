@@ -36,7 +36,7 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
         low, high = summary["height_min_m"], summary["height_max_m"]
         grid = f"over {terrain.path.name}, {read_grid(terrain).describe()}"
         figures["above ground"] = f"{low:.0f} to {high:.0f} m {grid}"
-    print_table(console, make_table("legs", "", ("from", "to", "leg"), legs), most=None)
+    print_table(console, make_table("legs", "", ("from", "to", "leg"), legs))
     print_table(console, make_table("flight", "", ("figure", "value"), list(figures.items())))
     for _, _, text in summary["table"]:
         console.print(f"{profile.flight.label}: {text}", soft_wrap=True)
@@ -160,7 +160,7 @@ def print_sensors(console: Console) -> None:
             name: cells if name in (kind, "class") else [ShownFigure(cell) for cell in cells]
             for name, cells in figures.items()
         }
-        print_table(console, FindingTable(kind, kind, columns), most=None)
+        print_table(console, FindingTable(kind, kind, columns))
     text = f"{ASSUMED} assumed, no source states it; - absent, the model lacks this error."
     console.print(text, soft_wrap=True)
 
@@ -168,7 +168,7 @@ def print_sensors(console: Console) -> None:
 def _print_rows(console: Console, title: str, heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table of words; of one without rows its title."""
     table = make_table("rows", title, heads, rows) if rows else FindingTable("rows", title, {})
-    print_table(console, table, most=None)
+    print_table(console, table)
 
 
 def _describe_key(key: KeyEntry) -> tuple[str, ...]:

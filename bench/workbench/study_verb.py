@@ -17,7 +17,7 @@ from bench.report.writing import write_report
 from bench.studies.conducting import study
 from bench.studies.study import Progress
 from bench.workbench.console import PlainConsole
-from bench.workbench.printing import print_findings
+from bench.workbench.printing import MOST_ROWS, print_findings
 
 
 def run_study(name: str, *, console: Console, out: Path | None, report: bool, **options: Any) -> StudyResult:
@@ -34,7 +34,7 @@ def run_study(name: str, *, console: Console, out: Path | None, report: bool, **
 
 def print_study(console: Console, result: StudyResult) -> None:
     """Print the answer and the tables of a study."""
-    print_findings(console, result.verdicts, result.findings.tables)
+    print_findings(console, result.verdicts, result.findings.tables, MOST_ROWS)
     console.print(f"{result.command}: {result.wall_s:.1f} s", style="dim", soft_wrap=True)
 
 

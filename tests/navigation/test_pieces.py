@@ -35,6 +35,7 @@ USES = {
 }
 SEVERAL = {
     "loose-22 with silences": {},
+    "tight with silences": {},
     "loose-15 from any heading": {},
 }
 """Cases in which several filters run."""
@@ -77,6 +78,13 @@ def drawn_satellites():
     gnss = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
     sensed = sensors.sense(weaving(END, 100.0), units(gnss=replace(gnss, latency=LATE)), 1, 0)
     return sensed.initial, sensed.data
+
+
+@cache
+def drawn_satellites_with_silences():
+    initial, data = drawn_satellites()
+    t = data.imu.t
+    return initial, replace(data, imu=take(data.imu, (t <= 0.4 * END) | (t > 0.4 * END + 1.5)))
 
 
 @cache
@@ -129,6 +137,7 @@ def record(use):
         "tight": drawn_satellites,
         "loose-15 at rest": drawn_at_rest,
         "loose-22 with silences": drawn_with_silences,
+        "tight with silences": drawn_satellites_with_silences,
         "loose-15 from any heading": drawn_lost,
         "loose-full with wild gyros": drawn_wild,
     }

@@ -6,7 +6,7 @@ import pytest
 from bench.errors import ConfigError
 from bench.findings import Findings, StudyResult, make_table
 from bench.findings.series import Plot, draw_line
-from bench.notebook import MOST_ROWS, Red, write_sentences, write_table
+from bench.notebook import MOST_ROWS, ShownFigure, write_sentences, write_table
 
 
 @pytest.fixture
@@ -46,5 +46,5 @@ def test_a_long_table_is_cut_and_says_so():
 
 
 def test_what_is_outside_is_marked_and_nothing_is_a_tag():
-    assert '<td style="color:red">&lt;3 !</td>' in write_table("", [""], [[Red("<3")]])
+    assert '<td style="color:red">&lt;3 !</td>' in write_table("", [""], [[ShownFigure("<3", outside=True)]])
     assert write_sentences(["a < b", ""]) == "<p>a &lt; b</p>"

@@ -11,7 +11,9 @@ from __future__ import annotations
 import types
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
+from datetime import date
 from functools import cache
 from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -305,6 +307,9 @@ def _array(hint: Any, found: Any, like: Any, place: str, *, grows: bool = False)
 
 def _number(hint: Any, found: Any, like: Any, place: str) -> Any:
     """Return a number, a truth value or a word; a number is finite if that before the first piece is."""
+    if hint is date and isinstance(found, str):
+        with suppress(ValueError):
+            found = date.fromisoformat(found)
     kinds: Any = (int, float) if hint is float else hint
     same = isinstance(found, kinds) and isinstance(found, bool) == (hint is bool)
     require(same, place, f"must be a {hint.__name__}; got {found!r:.40}")

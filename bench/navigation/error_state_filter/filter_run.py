@@ -60,9 +60,9 @@ LONGEST = 3
 class Stores(NamedTuple):
     """What a run stores."""
 
-    state: FloatArray  # (M, told + 1) at each output: all states but the last ones, of single satellites
+    state: FloatArray  # (M, shown + 1) at each output: all states but the last ones, of single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
-    variance: FloatArray  # (M, told - 9) of the other states
+    variance: FloatArray  # (M, shown - 9) of the other states
     node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
     node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
     node_cov: FloatArray  # (N, 2, n, n)
@@ -256,8 +256,8 @@ class ForwardRun(SessionState):
         self.work.carried.known[:3] = model.process.thermal[0], *model.process.range
         self.carried = self.work.carried.whole.copy()
         self.pending = pending_for(n, 1, 6)
-        told = first_of_satellites(model.index, n)
-        none = np.empty((0, told + 1)), np.empty((0, told, told)), no_innovations(), no_events()
+        shown = first_of_satellites(model.index, n)
+        none = np.empty((0, shown + 1)), np.empty((0, shown, shown)), no_innovations(), no_events()
         self.nothing = solution(np.empty(0), model.layout, *none)  # without instants
         self.moved, self.refused = False, {}
 
@@ -303,7 +303,7 @@ class ForwardRun(SessionState):
         """
         model, keep, names = self.model, self.keep, channels.names
         process, index, n = model.process, model.index, model.layout.size
-        told = first_of_satellites(index, n)
+        shown = first_of_satellites(index, n)
         plan, sky = schedule.plan(look_back), schedule.sky
         steps, entries = plan.steps, plan.entries
         start = schedule.t
@@ -311,7 +311,7 @@ class ForwardRun(SessionState):
         now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
         gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
         refused = dict(self.refused)
-        if told < n and not keep and len(used := channels.used(index, n)) < n:
+        if shown < n and not keep and len(used := channels.used(index, n)) < n:
             n = len(used)
             now, pending, gate = narrow(used, now, pending, gate)
             process, index = process.take(used), index.take(used)
@@ -322,9 +322,9 @@ class ForwardRun(SessionState):
         whole = schedule.last and start == self.initial.t
         empty = np.empty if whole else disk_arrays.empty
         stores = Stores(
-            np.empty((m, told + 1)),
+            np.empty((m, shown + 1)),
             np.empty((m, 9, 9)),
-            np.empty((m, told - 9)),
+            np.empty((m, shown - 9)),
             np.empty(len(at)),
             empty((len(at), 2, n + 1)),
             empty((len(at), 2, n, n)),
@@ -368,7 +368,7 @@ class ForwardRun(SessionState):
             work,
         )
         if n < model.layout.size:
-            now, pending, gate = widen(used, now, pending, gate, self.now, self.gate)
+            now, pending, gate = widen(used, now, pending, gate, self.now, self.gate.opens)
         self.now, self.pending, self.gate, self.refused = now, pending, gate, refused
         self.carried = work.carried.whole.copy()
         count = int(log.filled[0])
@@ -423,9 +423,9 @@ def answers(
     table: Innovations,
     events: Events,
 ) -> NavSolution:
-    """Return the same from covariances (M, 9, 9) and the variances (M, told - 9) of the further states.
+    """Return the same from covariances (M, 9, 9) and the variances (M, shown - 9) of the further states.
 
-    What follows on the first ``told`` states is no part of an answer.
+    What follows on the first ``shown`` states is no part of an answer.
     """
     with np.errstate(invalid="ignore"):
         sd = np.sqrt(variance)

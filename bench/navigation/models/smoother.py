@@ -119,9 +119,9 @@ def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
     """Return smoothed nodes as answers at the instants t (M,) that they serve."""
     rows = np.flatnonzero(nodes.output >= 0)
     at = nodes.output[rows]
-    told = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
-    state, cov = nodes.state[at, 1, : told + 1], nodes.P[at, 1, :9, :9]
-    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:told]
+    shown = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
+    state, cov = nodes.state[at, 1, : shown + 1], nodes.P[at, 1, :9, :9]
+    variance = np.einsum("kii->ki", nodes.P[:, 1])[at, 9:shown]
     if len(rows) != len(t):
         state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
     add_arm(cov, antenna_b)

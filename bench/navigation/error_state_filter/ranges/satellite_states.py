@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 from bench.data import GnssObservations
 from bench.navigation.engine.session import Replaced, SessionState, fork
@@ -117,7 +117,7 @@ def narrow(
 
 
 def widen(
-    used: IntArray, now: FilterState, pending: Pending, gate: Gate, before: FilterState, all_: Gate
+    used: IntArray, now: FilterState, pending: Pending, gate: Gate, before: FilterState, opens: BoolArray
 ) -> tuple[FilterState, Pending, Gate]:
     """Undo :func:`narrow`; the states that are not used are as ``before``."""
     whole, n = fork(before), len(before.dx)
@@ -125,4 +125,4 @@ def widen(
     whole.P[np.ix_(used, used)] = now.P[:, : len(used)]
     H = np.zeros((len(pending.H), n))
     H[:, used] = pending.H
-    return whole, pending._replace(H=H), gate._replace(opens=all_.opens)
+    return whole, pending._replace(H=H), gate._replace(opens=opens)
