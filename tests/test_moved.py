@@ -24,6 +24,12 @@ def test_a_name_that_is_gone_names_the_one_that_replaced_it(old, new):
     assert hasattr(import_module(home), name)
 
 
+def test_a_name_that_went_to_a_part_of_its_module_is_found_there():
+    for name, home in (("AssumedSpecs", "sensor_specs"), ("Runway", "flight_specs")):
+        with pytest.raises(ImportError, match=f"^bench.specs.{name} is now bench.{home}.{name}$"):
+            exec(f"from bench.specs import {name}")
+
+
 def test_other_names_are_missed_as_always():
     with pytest.raises(AttributeError, match=r"module 'bench.data' has no attribute 'NoSuchRecord'"):
         import_module("bench.data").NoSuchRecord  # noqa: B018 - the look-up is what is tested
