@@ -280,7 +280,7 @@ WRONG = [
     ),
     (["run", "short.toml", "-o", ".", "--force"], "error: .: the present folder is not replaced"),
     (["view"], "error: runs: no recording in any folder; 'bench run figure-eight' makes one"),
-    (["view", "x"], "error: x: not a results folder, there is no result.json"),
+    (["view", "x"], "error: x: no such file or folder"),
     (["check", "--baselines", "x"], "error: x: no baseline"),
 ]
 

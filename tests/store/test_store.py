@@ -665,6 +665,7 @@ MAKE_NO_TRUTH = {
     "instruments": "of the sensors",
     "moved": "names that other programs import",
     "orbit_sets": "of the receivers",
+    "sensor_specs": "of the sensors",
     "places": "where files lie",
     "scratch": "folders for a while",
     "spawned": "starts processes",
