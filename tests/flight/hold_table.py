@@ -27,7 +27,7 @@ def main(words: list[str]) -> None:
                 f"{found:.2g} of {asked:.2g} {unit}{' !' if found > asked else ''}"
                 for found, asked, unit in zip(held[:4], ask_of(severity, KINDS[name]), UNITS, strict=True)
             ]
-            throttle = f"{held.throttle:.3f} | {held.moved:.2f} 1/s"
+            throttle = f"{held.throttle:.3f}, {held.moved:.2f} 1/s"
             print(f"| `{name}` | {air} | {' | '.join(cells)} | {throttle} |", flush=True)
 
 

@@ -67,9 +67,8 @@ class Channels(SessionState):
         """Return the states out of n that have a use so far: all but those which no satellite has had."""
         used = np.ones(n, np.bool_)
         places = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
-        for first, (begin, end) in zip(places, _PLACES, strict=True):
+        for first, held in zip(places, np.split(self.held, np.cumsum(RANGES)[:-1]), strict=True):
             if first >= 0:
-                held = self.held[begin:end]
                 used[first : first + len(held)] = held >= 0
         return np.flatnonzero(used)
 
