@@ -653,7 +653,7 @@ def test_view_takes_the_newest_recording(here):
     ],
 )
 def test_view_takes_a_recording_by_its_file(here, capsys, monkeypatch, name, content, line):
-    """And says in one line what is none; the file need not be in a results folder."""
+    """A file that is none is refused in one line; a recording need not be in a results folder."""
     if content is not None:
         (here / name).write_bytes(content)
     status, _, err = say(capsys, "view", name)
