@@ -92,7 +92,16 @@ class Kernel:
         if not _takes_shortcuts():
             return self.dispatcher
         own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": _compilers()[1]}
-        return numba.njit(**self._options | own)(self.py_func)
+        part = numba.njit(**self._options | own)(self.py_func)
+        find = part.get_call_template
+
+        def find_typed(args: Any, kws: Any) -> Any:
+            """Take a constant for a number: it is one for the optimizer, and the part is translated once."""
+            unliteral = numba.types.unliteral
+            return find(tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in kws.items()})
+
+        part.get_call_template = find_typed
+        return part
 
     @property
     def _numba_type_(self) -> Any:
