@@ -30,7 +30,8 @@ _STANDING, _STANDS_FOR = 0.4, 10.0  # slower than that [m/s] for so long [s] is 
 _HELD = 1e6  # weight of the place of a standstill
 _SLOW = 1.0  # the course of a slower vehicle is not known [m/s]
 _GAP = 3.0  # an interval longer than this many median intervals is told
-_SPARSE, _LARGE = 2.0, 2.0  # interval [s] and estimated noise [m] beyond which it may be turns; assumed
+_GROWTH = 4.0**2  # a bounded acceleration leaves the middle of twice the interval off by 4 times, at least
+_BLURRED, _LOST = 2.0, 5.0  # turns taken for noise [m]: told, refused
 _MISSED, _MISSED_NOISE = 15.0, 6.0  # a fix missed by more [m] and [sd] is not predicted by its neighbours
 _LOAD = (-0.5, 5.0)  # of an aircraft; assumed [g]
 _ROLL_RATE = math.radians(120.0)  # of an aircraft; assumed [rad/s]
@@ -153,7 +154,13 @@ def _smooth(
         notes.append(f"{int(wild.sum())} fixes were left out as outliers, up to {off[wild].max():.3g} m off")
         used[wild] = False
         level, height = fit()
-    _check_resolved(t[used], level, spec, shown)  # a curve through the middle of circles stands
+    blurred = _blur(t[used], fixes[used, :2], level) if spec.noise is None else 0.0
+    _check_resolved(t[used], level, blurred, spec, shown)  # a curve through the middle of circles stands
+    if blurred > _BLURRED:
+        notes.append(
+            f"fixes {np.median(np.diff(t)):.3g} s apart: {blurred:.2g} m of the {level.noise:.3g} m of noise "
+            "may be turns that they do not resolve, which the curve leaves out; noise_m keeps them"
+        )
     speed = np.linalg.norm(level.spline.derivative()(t), axis=1)
     stands, total = _find_standing(t, speed), 0.0
     if stands:
@@ -164,12 +171,6 @@ def _smooth(
         count = "once" if len(stands) == 1 else f"{len(stands)} times"
         notes.append(f"stands {count}, {total:.4g} s in all; its place there is the mean of the fixes")
         level, height = fit()
-    step = float(np.median(np.diff(t)))
-    if spec.noise is None and step > _SPARSE and level.noise > _LARGE:
-        notes.append(
-            f"fixes {step:.3g} s apart: of the {level.noise:.3g} m of noise a part may be turns that they "
-            "do not resolve, which the curve leaves out; noise_m keeps them"
-        )
     return level, height
 
 
@@ -180,12 +181,29 @@ def _find_standing(t: FloatArray, speed: FloatArray) -> list[slice]:
     return [slice(a, b) for a, b in pairs if t[b - 1] - t[a] >= _STANDS_FOR]
 
 
-def _check_resolved(t: FloatArray, level: TrackFit, spec: TrackSpec, shown: str) -> None:
-    """Refuse fixes that do not predict each other: noise that is estimated explains nothing then."""
+def _blur(t: FloatArray, fixes: FloatArray, level: TrackFit) -> float:
+    """Return how much of the estimated noise are turns that the fixes do not resolve [m].
+
+    Noise stays what it is when every second fix is left out; turns between fixes grow with the square of the
+    interval, at least.
+    """
+    if len(t) < 2 * LEAST_FIXES:
+        return 0.0
+    halves = [fit_track(t[k::2], fixes[k::2], np.ones(len(t[k::2])), None).noise for k in (0, 1)]
+    more = float(np.mean(np.square(halves))) - level.noise**2
+    return min(level.noise, math.sqrt(max(more, 0.0) / (_GROWTH - 1)))
+
+
+def _check_resolved(t: FloatArray, level: TrackFit, blurred: float, spec: TrackSpec, shown: str) -> None:
+    """Refuse fixes that do not predict each other, and noise estimated of turns."""
+    lost = ""
     if level.missed > max(_MISSED, _MISSED_NOISE * (spec.noise or 0.0)):
+        lost = f"one that is left out is missed by {level.missed:.3g} m"
+    elif blurred > _LOST:
+        lost = f"{blurred:.2g} m of the {level.noise:.3g} m of noise are turns (noise_m keeps them)"
+    if lost:
         raise ConfigError(
-            f"{shown}: its fixes, {np.median(np.diff(t)):.3g} s apart, do not resolve its turns: "
-            f"one that is left out is missed by {level.missed:.3g} m"
+            f"{shown}: its fixes, {np.median(np.diff(t)):.3g} s apart, do not resolve its turns: {lost}"
         )
 
 

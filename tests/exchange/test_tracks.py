@@ -22,6 +22,7 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import STurns
 from bench.flight_specs import TableSpec, TrackSpec
 from bench.store.truth_cache import join_pieces
+from tests.exchange.resolution_table import FLIGHTS, RATES, find_off
 from tests.flight.inertial import replay
 from tests.flight.plans import plan
 
@@ -182,8 +183,38 @@ def test_noise_that_may_be_turns_is_told():
         motion = make_motion(FixSeries(t[at], lla, ()), TrackSpec(noise=told, vertical_noise=1.0), "t")
         off = earth.difference_n(earth.to_geodetic(motion.pos_e), places(way[: len(motion.t)]))
         assert (np.sqrt(np.mean(off**2, axis=0)) < most).all()
-        said = any("5 s apart: of the " in text for *_, text in motion.notes)
+        said = any("may be turns" in text for *_, text in motion.notes)
         assert said == (told is None)
+
+
+@pytest.mark.parametrize("name", list(FLIGHTS))
+def test_what_is_accepted_is_near_the_flight(name):
+    """A metre of noise: off by less than 2 m at 0.2 Hz, and less than 1 m above; only 0.2 Hz is refused."""
+    for rate in RATES:
+        for noise in (None, 1.0):
+            try:
+                off = find_off(name, rate, noise, seed=5)
+            except ConfigError:
+                off = 0.0 if rate < 0.5 and name.startswith(("s-turns", "circles")) else np.inf
+            assert off < (2.0 if rate < 0.5 else 1.0), (rate, noise)
+
+
+def test_turns_that_are_taken_for_noise_are_refused():
+    """With noise that is told the same fixes are a metre off."""
+    with pytest.raises(ConfigError, match=r"5 s apart, do not resolve its turns: .* m of noise are turns"):
+        find_off("s-turns, 20 deg, 45 m/s", 0.2, None)
+    assert find_off("s-turns, 20 deg, 45 m/s", 0.2, 1.0) < 1.2
+
+
+def test_noise_alone_is_not_taken_for_turns():
+    """Ten straight tracks with 6 m of noise, a fix in 5 s: each is accepted, and none is said to turn."""
+    for seed in range(10):
+        t = np.arange(0.0, 240.0, 5.0)
+        way = np.column_stack([45.0 * t, 0 * t, 0 * t]) + 6.0 * np.random.default_rng(seed).standard_normal(
+            (48, 3)
+        )
+        motion = make_motion(FixSeries(t, places(way), ()), TrackSpec(vertical_noise=6.0), "t")
+        assert not any("may be turns" in text for *_, text in motion.notes)
 
 
 def test_degrees_that_may_be_radians_are_told():

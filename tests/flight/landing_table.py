@@ -10,14 +10,14 @@ import sys
 import numpy as np
 
 from bench.errors import FlightError
-from tests.flight.test_legs_ground import KINDS, land_in, measure_landing
+from tests.flight.test_legs_ground import LANDING, land_in, measure_landing
 
 SEEDS = range(21, 33)
 
 
 def main(names: list[str]) -> None:
     """Print a row for each aircraft and severity."""
-    for name, kind in KINDS.items():
+    for name, kind in LANDING.items():
         for severity, words in ((3, "light"), (4, "moderate")):
             landed = []
             for seed in SEEDS if not names or name in names else ():
