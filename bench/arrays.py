@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -66,8 +67,8 @@ def is_array(value: object, dtype: np.dtype[Any], shape: Shape) -> bool:
 
 def is_short_and_finite(array: FloatArray) -> bool:
     """Tell whether an array is finite, where one look tells it: it has few rows."""
-    # `all` takes twice as long
-    return len(array) <= _FEW and np.count_nonzero(np.isfinite(array)) == array.size
+    # of finite values alone is the sum of squares finite; `isfinite` takes twice as long
+    return len(array) <= _FEW and math.isfinite(np.vdot(array, array))
 
 
 def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[np.generic]:

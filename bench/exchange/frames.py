@@ -24,6 +24,7 @@ covariances [m^2], [m^2/s^2], and the number of satellites (n = 161).
 from __future__ import annotations
 
 import heapq
+import itertools
 import struct
 from binascii import crc_hqx
 from collections.abc import Iterator, Mapping, Sequence
@@ -50,7 +51,7 @@ def make_messages(run: ExportData) -> Iterator[Message]:
     if run.fixes is not None:
         streams.append(_make_sentences(run))
     number = 0
-    for arrival, kind, body in heapq.merge(*streams, key=lambda row: row[0]):
+    for arrival, kind, body in heapq.merge(*streams, key=_find_arrival):
         if kind:
             yield arrival, make_frame(kind, number, body)
             number += 1
@@ -66,7 +67,12 @@ def make_frames(data: SensorData) -> list[tuple[int, bytes]]:
         covariances = [cov[:, upper[0], upper[1]].T for cov in (fixes.cov_pos_n, fixes.cov_vel_n)]
         columns = [fixes.t, *fixes.lla.T, *fixes.vel_n.T, *covariances[0], *covariances[1], fixes.satellites]
         streams.append(_make_payloads(FIX, fixes.t_arrival, columns, fixes.valid))
-    return [(kind, body) for _, kind, body in heapq.merge(*streams, key=lambda row: row[0])]
+    rows = sorted(itertools.chain.from_iterable(streams), key=_find_arrival)  # of one instant in order of streams
+    return [(kind, body) for _, kind, body in rows]
+
+
+def _find_arrival(row: tuple[float, int, bytes]) -> float:
+    return row[0]
 
 
 def _make_streams(imu: ImuData, instruments: Mapping[str, Any]) -> list[Iterator[tuple[float, int, bytes]]]:

@@ -200,8 +200,8 @@ class _Turbulence:
         if not self._rows:
             self._go_on()
         u, v, w, *rates = self._rows.pop()
-        north, east = (read() for read in self._over_ground[:2])
-        north, east = north - self._wind_fps[0], east - self._wind_fps[1]
+        read_north, read_east, _ = self._over_ground
+        north, east = read_north() - self._wind_fps[0], read_east() - self._wind_fps[1]
         speed = math.hypot(north, east)
         if speed * FT > _MOVING:
             self._north, self._east = north / speed, east / speed

@@ -94,8 +94,9 @@ class SensorDraws:
         clock = self.keep(name, lambda: [float(t[0]), 0, float(t[0])], "epochs")
         origin, done, before = clock
         count = int((t[-1] - origin + SAME_INSTANT) * rate)
+        if count <= done:
+            return np.empty(0, np.int64), np.empty(0)
         rows = find_rows(name, t, origin + np.arange(done + 1, count + 1) / rate)
-        steps = np.diff(t[rows], prepend=before)
-        if len(rows):
-            clock[1:] = [count, float(t[rows[-1]])]
-        return rows, steps
+        at = np.concatenate([[before], t[rows]])
+        clock[1:] = [count, float(at[-1])]
+        return rows, at[1:] - at[:-1]

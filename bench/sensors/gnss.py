@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 
 import numpy as np
 
@@ -64,6 +65,8 @@ def measure(
     rows, steps = draws.epochs("gnss", truth.t, spec.rate)
     t = truth.t[rows]
     lla, vel_n = compute_antenna_motion(truth, rows, antenna_b, draws)
+    if not (len(rows) or scripted or spec.tracking_bandwidth > 0):
+        return _no_fixes()
     pos_white_sd = np.array(spec.pos_white_sd_n)
     pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])
     vel_white_sd = np.array(spec.vel_white_sd_n)
@@ -106,6 +109,12 @@ def measure(
     return faults.report(fixes, scripted, "gnss", root, ~lost)
 
 
+@cache
+def _no_fixes() -> GnssFixes:
+    none, three, square = np.empty(0), np.empty((0, 3)), np.empty((0, 3, 3))
+    return GnssFixes(none, none, np.empty(0, bool), three, three, square, square, np.empty(0, int))
+
+
 def compute_antenna_motion(
     truth: Trajectory, rows: IntArray, antenna_b: tuple[float, float, float], draws: SensorDraws
 ) -> tuple[FloatArray, FloatArray]:
@@ -117,9 +126,12 @@ def compute_antenna_motion(
     -----
     ``v + C_nb (w_eb_b x l)``. The rotation of n between IMU and antenna, l / R, is neglected.
     """
+    w_ib_b = rate_at("turn", truth.t, truth.dtheta_b, rows, draws)
+    if not len(rows):
+        return w_ib_b, w_ib_b
     q_nb, lla = disk_arrays.take(truth.q_nb, rows), disk_arrays.take(truth.lla, rows)
     lever_n = rotation.rotate(q_nb, np.array(antenna_b))
-    w_ib_n = rotation.rotate(q_nb, rate_at("turn", truth.t, truth.dtheta_b, rows, draws))
+    w_ib_n = rotation.rotate(q_nb, w_ib_b)
     lat = lla[:, 0]
     w_ie_n = earth.EARTH_RATE * np.column_stack([np.cos(lat), np.zeros_like(lat), -np.sin(lat)])
     vel_n = disk_arrays.take(truth.vel_n, rows) + rotation.cross(w_ib_n - w_ie_n, lever_n)
@@ -149,11 +161,13 @@ def rate_at(
             found = np.where(old, before[np.minimum(at, -1)], found)
         return found / dt[:, None], dt
 
+    draws.put(name, np.concatenate([before, increment[-2:]])[-2:])
+    draws.put(f"{name} step", np.concatenate([width, t[-2:] - t[-3:-1]])[-2:])
+    if not len(rows):
+        return np.empty((0, increment.shape[1]))
     last, dt = mean(rows - 1)
     earlier, dt_earlier = mean(np.maximum(rows - 2, -len(before)))
     slope = dt / (dt + dt_earlier)
-    draws.put(name, np.concatenate([before, increment[-2:]])[-2:])
-    draws.put(f"{name} step", np.concatenate([width, np.diff(t[-3:])])[-2:])
     rate: FloatArray = last + slope[:, None] * (last - earlier)
     return rate
 

@@ -182,14 +182,14 @@ def _draw_bias(
         knots = np.arange(len(t))
     bias = np.zeros((len(knots) - new, 3))
     if stages is not None:
-        steps = np.diff(t[knots], prepend=t[0])[new:]
+        steps = _intervals(t[knots], new)
         bias = draws.markov("instability", steps, *stages)
         bias *= spec.by_axis("bias_instability") / spec.bias_instability
     if spec.turn_on_bias_sd > 0:
         bias += spec.by_axis("turn_on_bias_sd") * draws.constant("turn_on", 3)
     slow = np.zeros((len(slow_rows), 3))
     if spec.rate_random_walk > 0:
-        root = np.sqrt(np.diff(t[slow_rows], prepend=t[0])[new:])[:, None]
+        root = np.sqrt(_intervals(t[slow_rows], new))[:, None]
         walk = root * draws.stream("rate_walk").standard_normal((len(root), 3))
         density, before = spec.by_axis("rate_random_walk"), last[1:2] if new else []
         slow[new:] = density * draws.accumulate("rate_walk", walk)
@@ -211,6 +211,11 @@ def _draw_bias(
     return knots, bias
 
 
+def _intervals(t: FloatArray, new: bool) -> FloatArray:
+    """Return the time before each instant t (B,): 0 before the first, which is left out if not ``new``."""
+    return t[1:] - t[:-1] if new else np.diff(t, prepend=t[0])
+
+
 def choose_bias_step(spec: TriadSpec, interval: float) -> float:
     """Return the interval between the instants of the simulated biases of a triad [s]."""
     fast = spec.bias_instability > 0 and choose_bias_stages(spec)[0].min() < _FAST
@@ -220,4 +225,6 @@ def choose_bias_step(spec: TriadSpec, interval: float) -> float:
 def _select_knots(t: FloatArray, step: float) -> IntArray:
     """Return rows of t about ``step`` seconds apart, with the first and the last."""
     stride = max(1, round(step / (t[1] - t[0])))
-    return np.append(np.arange(0, len(t) - 1, stride), len(t) - 1)
+    rows = np.arange(0, len(t) - 1 + stride, stride)
+    rows[-1] = len(t) - 1
+    return rows
