@@ -293,7 +293,7 @@ def _follow(
         whole = piece
         if last_air is not None and len(last_air.t):
             whole = replace(piece, air=join_rows(last_air, piece.air))
-        last_air = take_rows(whole.air, slice(-1, None))
+        last_air = piece.air if len(piece.air.t) == 1 else take_rows(whole.air, slice(-1, None))
         measured = sense_piece(whole, profile.sensors, draws)
         end = float(piece.t[-1])
         found = pilot.answer(measured, end)

@@ -167,8 +167,9 @@ def continuous(q_ab: ArrayLike) -> FloatArray:
     """Return a series of quaternions (N, 4) without jumps of sign between neighbours."""
     q = np.array(q_ab, float)
     if len(q) > 1:
-        turns = np.where(np.sum(q[1:] * q[:-1], axis=1) < 0, -1.0, 1.0)
-        q[1:] *= np.cumprod(turns)[:, None]
+        jumps = np.sum(q[1:] * q[:-1], axis=1) < 0
+        if jumps.any():
+            q[1:] *= np.cumprod(np.where(jumps, -1.0, 1.0))[:, None]
     return q
 
 

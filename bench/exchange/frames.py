@@ -62,12 +62,14 @@ def make_messages(run: ExportData) -> Iterator[Message]:
 def make_frames(data: SensorData) -> list[tuple[int, bytes]]:
     """Return kind and payload of every row of a piece of a record in order of arrival, fixes as frames."""
     streams = _make_streams(data.imu, data.instruments)
-    if (fixes := data.fixes) is not None:
+    if (fixes := data.fixes) is not None and len(fixes):
         upper = np.triu_indices(3)
         covariances = [cov[:, upper[0], upper[1]].T for cov in (fixes.cov_pos_n, fixes.cov_vel_n)]
         columns = [fixes.t, *fixes.lla.T, *fixes.vel_n.T, *covariances[0], *covariances[1], fixes.satellites]
         streams.append(_make_payloads(FIX, fixes.t_arrival, columns, fixes.valid))
-    rows = sorted(itertools.chain.from_iterable(streams), key=_find_arrival)  # of one instant in order of streams
+    rows = sorted(
+        itertools.chain.from_iterable(streams), key=_find_arrival
+    )  # of one instant in order of streams
     return [(kind, body) for _, kind, body in rows]
 
 
@@ -100,10 +102,9 @@ def make_frame(kind: int, number: int, payload: bytes) -> bytes:
 def _make_payloads(
     kind: int, arrival: FloatArray, columns: Sequence[FloatArray], valid: BoolArray
 ) -> Iterator[tuple[float, int, bytes]]:
-    values, when = np.column_stack(columns).tolist(), _order_arrivals(arrival)
-    layout, marks = struct.Struct(f"<{len(columns)}dB"), valid.tolist()
-    for k, row in enumerate(values):
-        yield when[k], kind, layout.pack(*row, marks[k])
+    values, layout = zip(*(column.tolist() for column in columns), strict=True), f"<{len(columns)}dB"
+    for when, row, mark in zip(_order_arrivals(arrival), values, valid.tolist(), strict=True):
+        yield when, kind, struct.pack(layout, *row, mark)
 
 
 def _make_sentences(run: ExportData) -> Iterator[tuple[float, int, bytes]]:

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, join_last
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE
@@ -126,7 +126,7 @@ class GustFilters:
         v, w = root * v1 + (1 - root) * v2, root * w1 + (1 - root) * w2
         # 0.8 (pi L_w / 4b)^(1/3) / L_w, integrated over all wave numbers
         share_p = 0.8 * (length_w / self.tail_q) ** (1 / 3) * math.pi / (2 * length_w * self.tail_q)
-        return np.column_stack(
+        return join_last(
             [
                 sigma_u * u,
                 sigma_u * v,
@@ -224,6 +224,6 @@ class _Turbulence:
         drawn = self._rng.standard_normal((self._per_tick, len(phi))) @ noise.T
         states, x = np.empty_like(drawn), self._filters.states
         for k, row in enumerate(drawn):
-            x = states[k] = phi @ x + row
+            x = states[k] = phi.dot(x) + row
         self._filters.states = x.copy()
         self._rows = self._filters.gusts(states, figures)[::-1].tolist()

@@ -23,7 +23,7 @@ from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
 from bench.wording import one_line
 
-FORMAT = 2
+FORMAT = 3
 _MOST_BYTES = 2_000_000_000
 _NOTES, _SUM = "notes", "sha256"
 

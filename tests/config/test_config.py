@@ -561,6 +561,11 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is not a table of this file"),
         ('"runway", "g', '"imu", "g', "assumed names 'imu', which is not a table of this file"),
         ("[rough_air]", "[rough_air]\nroll = 1.0", "[rough_air] 'roll' is no gain of [guidance]"),
+        (
+            "[rough_flare]",
+            "[approach]\npitch-gain = 4.0\n\n[rough_flare]",
+            "'pitch-gain' is in [rough_flare] and [approach]; a landing takes one",
+        ),
     ):
         (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
         assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]

@@ -167,11 +167,11 @@ def test_arrays_too_many_and_too_few_are_refused(tmp_path):
 
 def test_a_state_of_another_format_is_refused_in_a_line(tmp_path):
     arrays, _ = saved("loose-15")
-    place = write(tmp_path / "filter.npz", arrays, notes_of(arrays) | {"format": 1})
+    place = write(tmp_path / "filter.npz", arrays, notes_of(arrays) | {"format": 2})
     with pytest.raises(EstimatorError) as refused:
         bench.resume_filter(place)
     assert str(refused.value) == (
-        f"{place} has format 1 of a saved filter, this bench reads format 2: run the record again"
+        f"{place} has format 2 of a saved filter, this bench reads format 3: run the record again"
     )
 
 
