@@ -92,12 +92,12 @@ class Kernel:
         if not _takes_shortcuts():
             return self.dispatcher
         own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": _compilers()[1]}
-        part = numba.njit(**self._options | own)(self.py_func)
+        part: Any = numba.njit(**self._options | own)(self.py_func)
+        unliteral: Any = numba.types.unliteral
         find = part.get_call_template
 
         def find_typed(args: Any, kws: Any) -> Any:
             """Take a constant for a number: it is one for the optimizer, and the part is translated once."""
-            unliteral = numba.types.unliteral
             return find(tuple(map(unliteral, args)), {name: unliteral(kind) for name, kind in kws.items()})
 
         part.get_call_template = find_typed
