@@ -19,7 +19,9 @@ from bench.exchange.track_motion import make_motion
 from bench.flight_specs import TrackSpec
 
 G = 9.80665
-FLIGHTS = {  # airspeed [m/s], bank [deg], begin and direction of each change
+FLIGHTS: dict[
+    str, tuple[float, float, tuple[tuple[int, int], ...]]
+] = {  # airspeed [m/s], bank [deg], begin and direction of each change
     "straight": (45.0, 0.0, ()),
     "half circle, 5 deg of bank, 45 m/s": (45.0, 5.0, ((60, 1), (224, -1))),
     "half circle, 25 deg, 45 m/s": (45.0, 25.0, ((60, 1), (91, -1))),
@@ -35,7 +37,9 @@ def make_flight(name: str, seconds: float = 240.0) -> FloatArray:
     """North and east (N, 2) [m] at 20 Hz."""
     speed, bank, changes = FLIGHTS[name]
     t = np.arange(0.0, seconds + _STEP / 2, _STEP)
-    share = sum((by * np.clip((t - at) / (3 + bank / 15), 0, 1) for at, by in changes), np.zeros(len(t)))
+    share = np.zeros(len(t))
+    for at, by in changes:
+        share += by * np.clip((t - at) / (3 + bank / 15), 0, 1)
     course = np.cumsum(G * tan(radians(bank)) / speed * share) * _STEP
     return np.asarray(np.cumsum(speed * np.column_stack([np.cos(course), np.sin(course)]), axis=0) * _STEP)
 

@@ -204,6 +204,7 @@ def test_turns_that_are_taken_for_noise_are_refused():
     with pytest.raises(ConfigError, match=r"5 s apart, do not resolve its turns: .* m of noise are turns"):
         find_off("s-turns, 20 deg, 45 m/s", 0.2, None)
     assert find_off("s-turns, 20 deg, 45 m/s", 0.2, 1.0) < 1.2
+    assert find_off("s-turns, 20 deg, 45 m/s", 0.2, 6.0) < 6.0  # told is told
 
 
 def test_noise_alone_is_not_taken_for_turns():
