@@ -125,4 +125,17 @@ def _describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, Flo
     good = values[converged].astype(np.float64)
     with warnings.catch_warnings():  # no run has a value there: NaN
         warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmean(good, axis=0), np.nanpercentile(good, PERCENTILES, axis=0)
+        return np.nanmean(good, axis=0), _find_percentiles(good)
+
+
+def _find_percentiles(values: FloatArray) -> FloatArray:
+    """Return `PERCENTILES` (P, M, C) over runs (R, M, C); values that only some runs have are slow."""
+    unknown = np.isnan(values).sum(axis=0)
+    found = np.full((len(PERCENTILES), *values.shape[1:]), np.nan)
+    for columns, percentile in (
+        (unknown == 0, np.percentile),
+        ((unknown > 0) & (unknown < len(values)), np.nanpercentile),
+    ):
+        if columns.any():
+            found[:, columns] = percentile(values[:, columns], PERCENTILES, axis=0)
+    return found

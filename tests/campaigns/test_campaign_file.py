@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -151,3 +152,13 @@ def test_the_campaign_file_of_the_guide_is_planned(here):
     Path("which_unit.toml").write_text(page.split("```toml which_unit.toml\n")[1].split("```")[0])
     plan = plan_runs("which_unit.toml", overrides={"estimator.1.options.gate_probability": 1e-6})
     assert (len(plan.conditions), len(plan.runs)) == (8, 320)
+
+
+def test_percentiles_over_runs_of_which_some_have_no_value():
+    """The same bits as one column at a time: known in all runs, in some, in none."""
+    values = np.random.default_rng(5).standard_normal((7, 40, 3))
+    values[2:5, 30:, 0], values[:, 35:, 1], values[:, :, 2] = np.nan, np.nan, np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        wanted = np.nanpercentile(values, groups.PERCENTILES, axis=0)
+    np.testing.assert_array_equal(groups._find_percentiles(values), wanted)

@@ -65,6 +65,15 @@ def test_independent_values_are_counted_by_how_long_an_error_lasts():
     assert count_independent(lasting(rng, 0.0, 20_000, 1)[:, 0]) > 15_000
     counts = [count_independent(lasting(rng, 10.0, 20_000, 1)[:, 0]) for _ in range(20)]
     assert np.mean(counts) == pytest.approx(2000.0 / 20.0, rel=0.25)
+    for memory in (1.0, 30.0, 300.0, 3000.0):  # sums that end in the first quarter, later, and nowhere
+        values = lasting(rng, memory, 1001, 1)[:, 0]
+        values -= 0.9 * values.mean()
+        full = np.correlate(values, values, "full")[len(values) - 1 :] / np.square(values).sum()
+        pairs = full[0:-1:2] + full[1::2]
+        until = np.flatnonzero(pairs <= 0.0)
+        total = 2.0 * pairs[: until[0] if len(until) else None].sum() - 1.0
+        wanted = np.clip(len(values) / max(total, 1.0), 1.0, len(values))
+        assert count_independent(values) == pytest.approx(wanted, rel=1e-9)
     assert count_independent(np.full(500, -3.0)) == pytest.approx(1.0)
     assert count_independent(np.array([1.0, np.nan])) == 0.0
 

@@ -19,6 +19,7 @@ from bench.evaluation.detection import (
     count_false_alarms,
     false_alarm_rate,
     false_alarm_share,
+    find_refusals,
     measure_delay,
 )
 from bench.navigation.models.loose_tight import Loose
@@ -135,6 +136,19 @@ def test_false_alarms_per_hour_are_those_of_the_seconds_without_a_fault():
     case: Any = SimpleNamespace(begin=0.0, t=np.arange(0.0, 100.5, 0.5), scripted=(fault,), alarms=alarms)
     assert false_alarm_rate(case) == pytest.approx(80.0)
     assert false_alarm_share(case) == pytest.approx(2.0 / 90.0)
+
+
+def test_the_longest_refusal_counts_by_its_time_and_a_scripted_fault_does_not():
+    """Refused for 0, 9 and 4 s, and for 30 s of a fault of its own."""
+    from bench.evaluation.consistency import nis_by_sensor
+
+    refused = [5.0, *range(20, 30), *range(40, 45), *range(60, 91)]
+    fault = Fault("spoofing", "gnss", 60.0, 91.0, "")
+    nis = nis_by_sensor(by_hand({"gnss_position": refused, "baro": [1.0, 3.0]}).innovations)
+    case: Any = SimpleNamespace(nis=nis, scripted=(fault,))
+    assert find_refusals(case) == {"gnss_position": (20.0, 29.0), "baro": (1.0, 1.0)}
+    case.scripted = ()
+    assert find_refusals(case)["gnss_position"] == (60.0, 90.0)
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():

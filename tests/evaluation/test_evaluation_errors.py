@@ -221,7 +221,7 @@ def test_nees_is_nan_only_where_the_covariance_is_not_positive_definite(truth, s
 def test_heading_sd_is_the_slope_of_heading_along_phi():
     """Against central differences of the Euler angles, at pitches where tilt matters."""
     truth = weaving_truth(duration=0.4)
-    P = np.diag([1e-4, 4e-4, 9e-4]) + 5e-5
+    P = np.array([[1e-4, 3e-5, -7e-5], [3e-5, 4e-4, 1.1e-4], [-7e-5, 1.1e-4, 9e-4]])
     cov = COV.copy()
     cov[6:, 6:] = P
     pitch = np.array([-1.0, -0.3, 0.0, 0.6, 1.2])
@@ -236,7 +236,7 @@ def test_heading_sd_is_the_slope_of_heading_along_phi():
         slopes.append((ends[0] - ends[1]) / 2e-6)
     h = np.array(slopes).T
     assert_allclose(heading_sd(solution), np.sqrt(np.einsum("ki,ij,kj->k", h, P, h)), rtol=1e-6)
-    assert np.ptp(heading_sd(solution)) > 0.01  # tilt does matter in this test
+    assert np.ptp(heading_sd(solution)) > 0.005  # tilt does matter in this test
 
 
 # --- what cannot be judged ----------------------------------------------------------------------------

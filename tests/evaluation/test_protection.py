@@ -186,6 +186,8 @@ def test_a_share_counts_flights_and_not_instants():
     half[:5] = True
     found = judge_share(half, 0.7, 5.0)
     assert found.word == "undecided"
-    assert found.more_h > 0.0
+    # an interval shrinks with the root of the flights: its end, 0.3 or less away, has to come within 0.2
+    far = (found.found.high - 0.5) / 0.2
+    assert found.more_h == pytest.approx(10.0 * (far**2 - 1.0) * 0.5)
     mixed = np.random.default_rng(3).random((10, 50)) < 0.5
     assert judge_share(mixed, 0.7, 5.0).word == "missed"

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import bench
+from bench.data import ImuData
 from bench.evaluation.recorded_motion import RecordedMotion
-from bench.evaluation.rest_noise import LEAST, measure_rest_noise
+from bench.evaluation.rest_noise import LEAST, measure_rest_noise, measure_vibration
 from tests.exchange import drives
 
 
@@ -58,3 +59,23 @@ def test_without_a_standstill_the_datasheet_counts(quiet):
     log = bench.read_log(quiet)
     assert measure_rest_noise(log.records.imu, []) is None
     assert measure_rest_noise(log.records.imu, [(0.0, 0.9 * LEAST)]) is None
+
+
+def test_noise_from_sample_to_sample_is_that_of_the_seconds_with_the_engine_on():
+    """White noise, five times as strong in the last 30 of 100 s, on a slow motion."""
+    rng, rate, n = np.random.default_rng(7), 200.0, 20_000
+    t = np.arange(1, n + 1) / rate
+    engine = np.where(t > 70.0, 5.0, 1.0)[:, None]
+    density = np.array([1e-4, 2e-4, 3e-4]), np.array([1e-2, 2e-2, 3e-2])
+    slow = 0.5 * np.sin(0.3 * t)[:, None] / rate
+    steps = [slow + engine * one * rng.standard_normal((n, 3)) / np.sqrt(rate) for one in density]
+    imu = ImuData(t, np.full(n, 1.0 / rate), np.ones(n, np.bool_), *steps)
+    for found, one in zip(measure_vibration(imu), density, strict=True):
+        np.testing.assert_allclose(found, 5.0 * one, rtol=0.15)
+
+
+def test_the_speed_over_ground_has_north_and_east():
+    still = np.zeros((2, 3))
+    vel_n = np.array([[3.0, 4.0, 7.0], [0.0, -2.0, 1.0]])
+    motion = RecordedMotion(np.arange(2.0), still, still, np.arange(2.0), still, vel_n, 0.0)
+    np.testing.assert_allclose(motion.speed, [5.0, 2.0])

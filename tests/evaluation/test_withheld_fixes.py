@@ -41,3 +41,17 @@ def test_fixes_without_velocity_judge_the_position_of_a_sound_filter(case):
     assert found["converged"]
     assert found["reason"] is None
     assert found["nees_states"] == 3.0
+
+
+def test_a_solution_without_attitude_is_that_of_the_point_and_has_no_error_of_attitude(case):
+    """The reference knows the attitude and the estimate does not: six states count, and no lever arm."""
+    data, solution = case
+    unknown = np.full_like(solution.q_nb, np.nan)
+    cov = solution.cov.copy()
+    cov[:, 6:], cov[:, :, 6:] = np.nan, np.nan
+    alone = replace(solution, q_nb=unknown, cov=cov)
+    errors, moved = fixes.point_errors(alone, solution, np.array([3.0, 0.0, 0.0]), data.imu)
+    assert errors.states == 6
+    np.testing.assert_array_equal(errors.pos_n, 0.0)
+    np.testing.assert_array_equal(errors.nees, 0.0)
+    assert np.isnan(moved.cov[:, 6:]).all()
