@@ -126,10 +126,25 @@ def _compilers() -> tuple[type, type]:
     made into machine code at once with all its parts.
     """
     from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler
+    from numba.core.compiler import Compiler, Flags
     from numba.core.compiler_machinery import PassManager
 
+    class SetFlags(Flags):
+        """Flags by what is set of them: numba asks for a hash of all, default or not, at every operator."""
+
+        def __hash__(self) -> int:
+            return len(self._values)
+
+        def __eq__(self, other: object) -> bool:
+            same = isinstance(other, SetFlags) and self._values == other._values
+            return same or bool(super().__eq__(other))  # type: ignore[no-untyped-call]
+
     class Whole(Compiler):
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            args, returns, flags, names = rest
+            kept = SetFlags(flags)  # type: ignore[no-untyped-call]
+            super().__init__(typing, target, library, args, returns, kept, names)  # type: ignore[no-untyped-call]
+
         def define_pipelines(self) -> list[Any]:
             """Return numba's passes, less those that find nothing to do."""
             lean = PassManager("kernel")
@@ -155,7 +170,7 @@ def _compilers() -> tuple[type, type]:
     class Part(Whole):
         def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
             library = library or Library(target.codegen(), "part")  # type: ignore[no-untyped-call]
-            super().__init__(typing, target, library, *rest)  # type: ignore[no-untyped-call]
+            super().__init__(typing, target, library, *rest)
 
     return Whole, Part
 
