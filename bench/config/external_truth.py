@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.config.profile_tables import ExperimentTable, ScriptTable, TrackTable, TrajectoryTable
 from bench.errors import ConfigError, FlightError
-from bench.flight.model_files import LONGEST_SCRIPT, script_facts, system_files
+from bench.flight.model_files import LONGEST_SCRIPT, class_of, script_facts, system_files
 from bench.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
 from bench.wording import quantity, suggest, tell_where
 
@@ -90,6 +90,10 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
     if not (holding[0] / "engine").is_dir():
         rest = "a JSBSim root has aircraft, engine and systems"
         raise ConfigError(f"{holding[0]} has no folder engine; {rest}")
+    try:
+        category = table.category or class_of(aircraft, holding[0])
+    except FlightError as error:
+        raise ConfigError(str(error)) from None
     return ScriptSpec(
         name=path.stem,
         path=path,
@@ -98,7 +102,7 @@ def _read_script(table: ExperimentTable, beside: Path) -> ScriptSpec:
         rate=float(table.rate_hz),
         duration=table.duration_s,
         turbulence_seed=table.seed if table.turbulence_seed is None else table.turbulence_seed,
-        category=table.category,
+        category=category,
     )
 
 

@@ -338,8 +338,8 @@ class ScriptTable(_ExternalTable):
     """JSBSim root with its aircraft; if left out, the wheel, or the root in whose scripts an .xml lies."""
     turbulence_seed: Seed | None = None
     """Seed of JSBSim's random numbers if the script sets none; that of the noise if left out."""
-    category: Category = Field(default="light", alias="class")
-    """Class of the aircraft: the limits that the sanity report uses."""
+    category: Category | None = Field(default=None, alias="class")
+    """Class of the aircraft: the limits that the sanity report uses; by mass and engines if left out."""
 
 
 class TrackTable(Table):

@@ -16,7 +16,7 @@ from typing import Any
 from bench.arrays import FloatArray
 from bench.errors import FlightError
 from bench.flight.executive import find_property, load_aircraft
-from bench.flight.jsbsim_units import FT
+from bench.flight.jsbsim_units import FT, POUND
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import SpeedChange, Straight
 from bench.flight.legs.turns import Turn
@@ -38,7 +38,7 @@ _ALTS = (1200.0, 3000.0)  # light, heavy [m]
 _DENSITIES = (1.09, 0.91)  # there [kg/m^3]
 _MISSING = re.compile(r"The property (\S+) does not exist")  # as JSBSim says it
 _MOST_STUBS = 20
-_POUND, _SQUARE_FOOT, _G = 0.45359237, 0.09290304, 9.81
+_SQUARE_FOOT, _G = 0.09290304, 9.81
 BANK, RISE, FASTER = math.radians(20.0), 150.0, 1.06
 """Of the flight that a design is accepted by: bank of its circle [rad], climb [m], change of airspeed [1]."""
 
@@ -99,7 +99,7 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
         If no steady flight is found.
     """
     fdm = load_aircraft(aircraft, _DT)
-    mass = fdm["inertia/weight-lbs"] * _POUND
+    mass = fdm["inertia/weight-lbs"] * POUND
     span = fdm["metrics/bw-ft"] * FT
     heavy = mass > _HEAVY
     alt, density = _ALTS[heavy], _DENSITIES[heavy]

@@ -13,6 +13,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from bench.errors import FlightError
+from bench.flight.jsbsim_units import POUND, SLUG
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """Of an aircraft, or of a gain."""
@@ -25,6 +26,10 @@ _DEEPEST = 100  # elements within each other; the deepest file of the jsbsim whe
 _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
 _UNWANTED = ("input", "output")
+_KILOGRAMS = {"KG": 1.0, "LBS": POUND, "SLUG": SLUG}
+_LIGHTEST = 150.0  # below it a state certifies what flies without a pilot on board, above it the EASA [kg]
+_HEAVIEST = 19_000 * POUND  # above it an aeroplane is of the transport category, 14 CFR 25 [kg]
+_AGILE = 30_000.0  # heavier ones with an afterburner are no fighters; assumed [kg]
 
 
 def read_xml(path: Path, shown: str) -> ElementTree.Element:
@@ -130,6 +135,38 @@ def script_facts(path: Path) -> ScriptFacts:
     if not step > 0:
         raise FlightError(f"{shown}: dt = {step:g} s of <run> must be above 0")
     return ScriptFacts(aircraft, length, step, root)
+
+
+def class_of(name: str, root: Path) -> str:
+    """Return the class of an aircraft of a JSBSim root, by its mass without fuel and its engines.
+
+    Below 150 kg it is "uav", with an afterburner and below 30,000 kg "fighter", above 19,000 lb "transport",
+    else "light"; so, too, without a mass.
+
+    Raises
+    ------
+    FlightError
+        When one of its files is no XML.
+    """
+    folder, shown = root / "aircraft" / name, f"aircraft {name}"
+    model = read_xml(folder / f"{name}.xml", shown)
+    try:
+        mass = sum(
+            float(part.text or "") * _KILOGRAMS[part.get("unit", "LBS").upper()]
+            for tag in ("emptywt", "pointmass/weight")
+            for part in model.findall(f"mass_balance/{tag}")
+        )
+    except (KeyError, ValueError):
+        mass = 0.0
+    if 0.0 < mass < _LIGHTEST:
+        return "uav"
+    engines = {engine.get("file", "") for engine in model.findall("propulsion/engine")}
+    places = (root / "engine", folder / "Engines", folder)
+    files = [place / f"{engine}.xml" for engine in engines for place in places]
+    found = [read_xml(file, f"{shown}/{file.name}") for file in files if file.is_file()]
+    if mass < _AGILE and any((one.findtext("augmented") or "0").strip() == "1" for one in found):
+        return "fighter"
+    return "transport" if mass > _HEAVIEST else "light"
 
 
 def copy_script(path: Path, target: Path) -> ScriptFacts:

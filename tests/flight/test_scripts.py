@@ -24,7 +24,7 @@ from bench.flight import fly, recorder
 from bench.flight.executive import silent_log
 from bench.flight.increments import from_states
 from bench.flight.jsbsim_units import FT
-from bench.flight.model_files import script_facts
+from bench.flight.model_files import class_of, script_facts
 from bench.flight_specs import ScriptSpec
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
@@ -295,3 +295,43 @@ def test_a_script_is_flown_at_least_at_its_own_step(monkeypatch):
     with pytest.raises(FlightError) as step:
         list(recorder.record_script(spec))
     assert 0.5 * asked < float(str(step.value)) <= asked
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("paraglider", "uav"),  # 99 kg with its pilot
+        ("c172x", "light"),
+        ("L410", "light"),  # of the commuter category
+        ("737", "transport"),
+        ("Concorde", "transport"),  # it has afterburners
+        ("f16", "fighter"),
+        ("F4N", "fighter"),  # above 19,000 lb
+    ],
+)
+def test_the_class_of_a_script_follows_from_mass_and_engines(name, kind):
+    assert class_of(name, WHEEL) == kind
+
+
+@pytest.mark.parametrize(
+    ("masses", "kind"),
+    [
+        ('<emptywt unit="KG">149</emptywt>', "uav"),
+        ('<emptywt unit="KG">149</emptywt><pointmass><weight unit="LBS">3</weight></pointmass>', "light"),
+        ('<emptywt unit="LBS">18999</emptywt>', "light"),
+        ("<emptywt>19001</emptywt>", "transport"),  # JSBSim takes pounds
+        ('<emptywt unit="STONE">30</emptywt>', "light"),
+        ("", "light"),
+    ],
+)
+def test_masses_of_a_script_are_added_in_their_units(tmp_path, masses, kind):
+    folder = tmp_path / "aircraft" / "mine"
+    folder.mkdir(parents=True)
+    text = f"<fdm_config><mass_balance>{masses}</mass_balance></fdm_config>"
+    (folder / "mine.xml").write_text(text)
+    assert class_of("mine", tmp_path) == kind
+
+
+def test_a_class_that_is_said_is_kept(tmp_path):
+    assert profile(tmp_path, 'script = "c1723"\nclass = "transport"').flight.category == "transport"
+    assert profile(tmp_path, 'script = "c1723"').flight.category == "light"
