@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from bench.data import NavSolution
+from bench.evaluation.headline import find_best, judge_look
 from bench.evaluation.verdict import add_verdict, find_bounds, is_outside
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
 from bench.run_result import RunResult
@@ -201,3 +202,22 @@ def test_html_shows_the_verdict_and_marks_what_is_outside():
     assert "<p>loose-15 is overconfident" in html
     assert '<td style="color:red">1031 !</td>' in html
     assert "x &lt;y&gt;" in html
+
+
+def test_an_honest_claim_that_is_of_no_use_looks_like_a_warning_and_is_never_the_best():
+    near, far = {"pos_max_h_m": 5.0}, {"pos_max_h_m": 1e6}
+    looks = {
+        (word, name): judge_look(word, values).kind
+        for word in ("consistent", "underconfident", "overconfident", "same")
+        for name, values in (("", None), ("near", near), ("far", far))
+    }
+    for name in ("", "near"):
+        assert [kind for (_, one), kind in looks.items() if one == name] == ["good", "wide", "bad", "none"]
+    assert [kind for (_, one), kind in looks.items() if one == "far"] == ["wide", "wide", "bad", "none"]
+    useless, honest, bold = (
+        {"verdict": word, **values}
+        for word, values in (("consistent", far), ("consistent", near), ("overconfident", near))
+    )
+    assert find_best({"bold": bold, "useless": useless, "honest": honest, "other": honest}) == "honest"
+    assert find_best({"bold": bold, "useless": useless}) == "bold"
+    assert find_best({}) == ""

@@ -296,3 +296,93 @@ def test_38_the_fading_fit_is_the_batch_solution():
         w = np.sqrt(np.concatenate(weights))
         first = np.linalg.lstsq((A * w[:, None]) * sd, b * w, rcond=None)[0] * sd
         assert_allclose(fit.x[:n] / sd, now @ first / sd, rtol=0, atol=1e-8)
+
+
+def metric_start():
+    """Return the covariance of the start in metres, and of each state its metres."""
+    metres = np.ones(22)
+    metres[[0, 16]], metres[[1, 17]] = FLIGHT.reduced
+    return FLIGHT.start(GRADE) / np.outer(metres, metres), metres
+
+
+def test_38_the_settled_gain_is_that_of_the_information_filter():
+    """#38: the inverse of P is carried on, without the states of the IMU, whose errors are noise."""
+    sig, (P, metres) = GRADE.sigmas, metric_start()
+    K = given_gains.settle_gain(P, NAV, sig, (1.0, 1.0))
+    kept = np.setdiff1d(np.arange(22), np.arange(9, 15))
+    part = np.ix_(kept, kept)
+    speed = math.hypot(*NAV.V[:2])
+    north = replace_nav(NAV, np.array([0.0, speed, 0.0]))
+    earth = given_gains.ellipsoid(NAV.lat, NAV.h)
+    Phi, Q = process_model.model_van_loan(north, earth, [0.0, 0.0, earth.g], sig, 1.0)
+    Phi, Q, P = (Phi * metres / metres[:, None])[part], (Q / np.outer(metres, metres))[part], P[part]
+    Q[range(3, 9), range(3, 9)] += 10.0 * np.repeat([sig.da**2, sig.eps**2], 3)
+    H = given_gains.measurement_matrix()[:7]
+    root = given_gains.measurement_noise(sig, 1.0, 1.0, False)[:7]
+    weight, h = 1.0 / np.diag(root @ root.T), H[:, kept]
+    for _ in range(300):
+        P = Phi @ P @ Phi.T + Q
+        fixed = np.linalg.inv(np.linalg.inv(P) + h[1:].T * weight[1:] @ h[1:])
+        P = np.linalg.inv(np.linalg.inv(fixed) + h[:1].T * weight[0] @ h[:1])
+    expected = np.column_stack([P @ h[:1].T * weight[0], fixed @ h[1:].T * weight[1:]])
+    assert_allclose(K[kept], expected, rtol=1e-5, atol=1e-7)
+    assert not K[9:15].any()
+
+
+def replace_nav(nav, V):
+    """Return a navigator that flies level to the north."""
+    return given_gains.Nav(nav.lat, nav.lon, nav.h, V, np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+
+
+def test_38_the_settled_gain_by_its_rates_and_course():
+    """#38: four readings between two fixes are one of half the noise; what has no rate has no gain."""
+    sig, (P, _) = GRADE.sigmas, metric_start()
+
+    def settle(rates, sig=sig, nav=NAV):
+        return given_gains.settle_gain(P, nav, sig, rates)
+
+    four, one = settle((1.0, 4.0)), settle((1.0, 1.0), replace(sig, h=0.5 * sig.h))
+    assert_allclose(four[:, 0], one[:, 0] / 4.0, rtol=1e-9, atol=1e-12)
+    assert_allclose(four[:, 1:], one[:, 1:], rtol=1e-9, atol=1e-12)
+    assert not settle((0.0, 2.0))[:, 1:].any()
+    assert settle((0.0, 2.0))[2, 0] > 0.0
+    assert not settle((2.0, 0.0))[:, 0].any()
+    assert not settle((0.0, 0.0)).any()
+    speed = math.hypot(*NAV.V[:2])
+    east, north = (
+        settle((1.0, 1.0), nav=replace_nav(NAV, np.array(V))) for V in ([speed, 0, 0.0], [0, speed, 0.0])
+    )
+    assert_allclose(east, north, rtol=1e-12)
+
+
+def test_38_rates_are_those_of_what_was_recorded(minutes):
+    data = minutes.data
+    specs = replace(
+        data.specs, gnss=replace(data.specs.gnss, rate=5.0), baro=replace(data.specs.baro, rate=2.0)
+    )
+    data = replace(data, specs=specs)
+    assert given_gains._rates(data) == (5.0, 2.0)
+    assert given_gains._rates(replace(data, baro=None)) == (5.0, 0.0)
+    assert given_gains._rates(replace(data, fixes=None)) == (0.0, 2.0)
+    assert given_gains._rates(replace(data, specs=replace(specs, gnss=None, baro=None))) == (0.0, 0.0)
+
+
+def test_38_the_fading_fit_by_parts():
+    """#38: half a second twice is a second, the barometer before the fix is both; what is known stays so."""
+    sig, P = GRADE.sigmas, FLIGHT.start(GRADE)
+    P[14], P[:, 14] = 0.0, 0.0
+    whole, parts = given_gains.FadingFit(P, sig, 20.0), given_gains.FadingFit(P, sig, 20.0)
+    rng, none, sd = np.random.default_rng(5), np.zeros((22, 22)), np.sqrt(np.diag(FLIGHT.start(GRADE)))
+    for k in range(1, 6):
+        Phi, (H, R) = FLIGHT.move(sig, k)[0], FLIGHT.measure(sig, k)
+        z, nav, rows = rng.standard_normal(7), FLIGHT.place(float(k))[0], list(range(7))
+        whole.predict(Phi @ Phi, none, 1.0)
+        whole.update(z, H, R, rows, nav)
+        for _ in range(2):
+            parts.predict(Phi, none, 0.5)
+        for some in ([0], rows[1:]):
+            parts.update(z[some], H[some], R[np.ix_(some, some)], some, nav)
+        assert_allclose(parts.x / sd, whole.x / sd, rtol=0, atol=1e-8)
+        assert parts.age == 0.0
+        assert parts.x[14] == 0.0
+        assert not parts.x[16:].any(), "the Markov errors of GNSS are noise to it"

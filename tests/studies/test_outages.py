@@ -16,7 +16,7 @@ from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd, split_drift
 from bench.studies import outage_drift, outage_tables
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight
-from bench.studies.outage_grades import find_time
+from bench.studies.outage_grades import Grown, find_time, plot_grades
 from bench.studies.outage_growth import Drift, pair_units
 from bench.studies.outage_tables import tell_drifts
 
@@ -240,3 +240,26 @@ def test_a_climb_drifts_as_straight_flight_and_a_steady_turn_less():
 def test_a_wrong_name_is_one_line(given, message):
     with pytest.raises(ConfigError, match=message):
         bench.study("outages", **given)
+
+
+def test_pictures_of_the_grades_begin_a_second_after_the_loss():
+    """Two phases of two grades, and each bias alone once: all instants but the first, which has no log."""
+    t = np.arange(4.0)
+    grades = [
+        Grown(name, phase, t, size * t, 2.0 * size * t, 3.0 * size * t)
+        for size, name in ((1.0, "grade-1"), (10.0, "grade-3"))
+        for phase in ("straight", "s-turns")
+    ]
+    plots = {one.path[-1]: one for one in plot_grades(grades)}
+    sizes = {
+        "grades-straight": 1.0,
+        "grades-s-turns": 1.0,
+        "accelerometer-bias-alone": 2.0,
+        "gyro-bias-alone": 3.0,
+    }
+    for name, factor in sizes.items():
+        lines = plots[name].series
+        assert [one.key for one in lines] == ["grade-1", "grade-3"]
+        for size, one in zip((1.0, 10.0), lines, strict=True):
+            assert_allclose(one.t, t[1:])
+            assert_allclose(one.values[:, 0], factor * size * t[1:])

@@ -12,9 +12,10 @@ from scipy import stats
 import bench
 from bench.errors import ConfigError
 from bench.evaluation.required_metrics import MET
-from bench.studies import unit_table
+from bench.studies import unit_limits, unit_table
 from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
-from bench.studies.unit_limits import VarianceShares
+from bench.studies.drawn_errors import UnitFlight
+from bench.studies.unit_limits import VarianceShares, find_limit
 from bench.studies.unit_ranking import UnitFlown, rank_units
 from bench.studies.unit_table import Options, find_law
 from tests.studies.made_units import write_unit
@@ -354,3 +355,35 @@ def test_what_limits_is_the_largest_share_unless_another_filter_would_gain_much(
         "receiver 30 % (expected 2 m RMS); the best linear filter would have 80 % of the error."
     )
     assert VarianceShares("flight", "mine", "100 s", 2.0, shares, 2.0).limiting == "the filter"
+
+
+def test_shares_are_those_of_the_budget_by_hand(monkeypatch):
+    """Sources of 1, 2, 9 and 4 m2 horizontally at the end of the longer outage; the best filter has 4 m2."""
+    t = np.arange(5.0)
+    variance = np.full((5, 3, 4), 1e6)
+    variance[3, :2] = [[0.5, 1.0, 4.5, 2.0]] * 2
+    best = np.full((5, 3), 1e6)
+    best[3, :2] = 2.0
+    sources = [SimpleNamespace(part=part) for part in ("gyro", "accel", "gnss", "initial")]
+    outages = ((1.0, 2.0), (2.0, 4.0))
+    profile = SimpleNamespace(
+        name="flight", seed=1, estimators=[SimpleNamespace(label="mine")],
+        sensors=SimpleNamespace(gnss_outages=outages),
+    )  # fmt: skip
+    monkeypatch.setattr(UnitFlight, "load", lambda self: (profile, SimpleNamespace(t=t)))
+    monkeypatch.setattr(
+        unit_limits.pipeline, "build_estimator", lambda choice: unit_limits.Loose.__new__(unit_limits.Loose)
+    )
+    monkeypatch.setattr(unit_limits.sensors, "sense", lambda *args: SimpleNamespace(data=None))
+    monkeypatch.setattr(unit_limits, "split_errors", lambda *args: SimpleNamespace(t=t, variance=variance))
+    monkeypatch.setattr(unit_limits, "model_errors", lambda *args, **more: SimpleNamespace(sources=sources))
+    monkeypatch.setattr(unit_limits, "variance_of", lambda *args, **more: best)
+    for name in ("check_aiding", "record_gains", "bound_flight"):
+        monkeypatch.setattr(unit_limits, name, lambda *args, **more: None)
+    found = find_limit(UnitFlight("flight"))
+    assert list(found.shares) == ["the receiver", "the start", "the IMU"]
+    assert list(found.shares.values()) == pytest.approx([9 / 16, 4 / 16, 3 / 16])
+    assert (found.sd, found.over_best) == (pytest.approx(4.0), pytest.approx(2.0))
+    assert found.when == "4 s, end of the outage"
+    profile.sensors.gnss_outages = ()
+    assert find_limit(UnitFlight("flight")).when == "4 s, end of the flight"

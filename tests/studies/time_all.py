@@ -7,6 +7,7 @@ first time is dearer. `logs` needs recordings and is left out. The exit status i
 
 from __future__ import annotations
 
+import os
 import resource
 import subprocess
 import sys
@@ -30,8 +31,10 @@ _ANSWERED = (0, 1, 6)  # yes, no, undecided
 def time_study(name: str) -> tuple[float, float, int]:
     """Return the CPU and wall times [s] of a study with its workers, and its exit status."""
     command = (sys.executable, "-m", "bench", "study", name, *ARGUMENTS.get(name, ()))
+    environment = dict(os.environ)
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # as it is where bench is installed
     before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.monotonic()
-    status = subprocess.run(command, capture_output=True, check=False).returncode
+    status = subprocess.run(command, env=environment, capture_output=True, check=False).returncode
     wall, after = time.monotonic() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, wall, status
 
