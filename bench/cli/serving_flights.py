@@ -25,7 +25,7 @@ from bench.errors import DONE, NEGATIVE
 @commands.command(epilog=STATUS)
 @click.argument("profile", shell_complete=completion.profile)
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes a free one  [default: 5700]")
-@click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at  [default: 127.0.0.1]")
+@click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at")
 @click.option("--allow-remote", "remote", is_flag=True, help="permit clients of other machines")
 @click.option(
     "--give",
@@ -36,9 +36,7 @@ from bench.errors import DONE, NEGATIVE
 @click.option(
     "--rate", type=float, default=0.0, metavar="R", help="seconds of flight per second at most; 0: lock-step"
 )
-@click.option(
-    "--patience", type=float, default=60.0, metavar="S", help="longest silence of the client  [default: 60]"
-)
+@click.option("--patience", type=float, default=60.0, metavar="S", help="longest silence of the client")
 @click.option("--mavlink", is_flag=True, help="the client is an autopilot as PX4; it commands, port 4560")
 @click.option(
     "--channels", metavar="LIST", help="what it moves  [default: aileron=-6,elevator=-8,rudder=-3,throttle=5]"

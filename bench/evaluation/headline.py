@@ -75,6 +75,8 @@ def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
     if not values.get("converged", True):
         reason = str(values["reason"]).removeprefix(f"{word}: ")
         error = f"{reason}{'; ' if error else ''}{error}"
+    if off := _describe_path(values):
+        error = f"{error}{'; ' if error else ''}{off}"
     return Headline(
         label=label,
         word=f"{word}, but {far}" if far else word,
@@ -89,6 +91,15 @@ def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
     )
 
 
+def _describe_path(values: Mapping[str, Any]) -> str:
+    """Return how far a flight that it flew was off its path; "" if it flew none."""
+    off = [values.get(f"{part}_across_max_m") for part in ("tse", "fte", "nse")]
+    far = [format_distance(value) for value in off if value is not None]
+    if len(far) < len(off):
+        return ""
+    return f"off its path by up to {far[0]}, believed {far[1]}, error of navigation {far[2]}"
+
+
 def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
     for name, words, unit in (
         ("pos_rmse_d_m", "height", "m"),
@@ -99,10 +110,6 @@ def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
         if value is not None:
             text = format_distance(value) if unit == "m" else f"{format_number(value, 2)} {unit}"
             yield f"{words} {text}"
-    off = [values.get(f"{part}_across_max_m") for part in ("tse", "fte", "nse")]
-    far = [format_distance(value) for value in off if value is not None]
-    if len(far) == len(off):
-        yield f"off its path by up to {far[0]}, believed {far[1]}, error of navigation {far[2]}"
     mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
     if mean is not None and low is not None and high is not None:
         yield f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"

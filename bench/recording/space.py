@@ -27,10 +27,12 @@ from bench.palette import Colour
 from bench.plots.content import Content
 from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
+from bench.specs import IN_FLIGHT
 
 _CALM = 0.1  # less wind has no arrow [m/s]
 _OBSTACLE = 15.0  # take-off and landing distances count to this height [m]
 _RUNWAY_WIDTH = 30.0  # as drawn: a profile has none [m]
+_ABREAST = 200.0  # of a runway: a low flight farther beside it is none of it [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +58,11 @@ class Scene:
 
 
 def make_scene(content: Content) -> Scene:
-    """Make the scene of the views in space; all estimators except the first are hidden."""
+    """Make the scene of the views in space; all estimators are hidden but the first and what flew."""
     truth = content.motion
     lla = disk_arrays.take(truth.lla, thin(truth.t))
     path = earth.local_ned(lla, truth.lla[0])
-    others = list(content.solutions)[1:]
+    others = [label for label in list(content.solutions)[1:] if label != IN_FLIGHT]
     return Scene(
         end=float(truth.t[-1]),
         low=path.min(axis=0),
@@ -236,7 +238,7 @@ def _send_vehicle(
 
 
 def _send_runway(stream: Any, runway: Mapping[str, float], lla: FloatArray, origin: FloatArray) -> None:
-    """Send the runway from its threshold on, as far as the flight is low over it; nothing at rest."""
+    """Send the runway from its threshold on, as far as the flight is low over or beside it, if it moves."""
     threshold = np.array([np.deg2rad(runway["lat_deg"]), np.deg2rad(runway["lon_deg"]), runway["alt_m"]])
     heading = np.deg2rad(runway["heading_deg"])
     along, across = (
@@ -244,7 +246,7 @@ def _send_runway(stream: Any, runway: Mapping[str, float], lla: FloatArray, orig
         np.array([-np.sin(heading), np.cos(heading)]),
     )
     pos = earth.local_ned(lla, threshold)
-    over = (-pos[:, 2] < _OBSTACLE) & (np.abs(pos[:, :2] @ across) < _RUNWAY_WIDTH)
+    over = (-pos[:, 2] < _OBSTACLE) & (np.abs(pos[:, :2] @ across) < _ABREAST)
     used = pos[over, :2] @ along
     if not len(used) or np.ptp(used) < _RUNWAY_WIDTH:
         return

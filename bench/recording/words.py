@@ -17,6 +17,7 @@ from bench.plots.content import Content
 from bench.plots.facts import list_facts, list_units
 from bench.recording.drawing import TIMELINE
 from bench.run_result import RunResult
+from bench.specs import IN_FLIGHT
 from bench.wording import format_number, replace_control
 
 _MARKUP = re.compile(r"[\\`*_\[\]<>#!|~]")
@@ -95,6 +96,9 @@ def make_summary(result: RunResult) -> str:
     begin = f"{result.evaluation.begin:g} s"
     colours = ", ".join(f"{_escape(label)} {look.name}" for label, look in choose_looks(metrics).items())
     truth = "Fixes are white dots" if result.truth is None else "Truth is green, fixes are white dots"
+    grey = ["runway"] if profile.get("runway") else []
+    grey += ["desired path"] if "tse_across_max_m" in metrics.get(IN_FLIGHT, {}) else []
+    truth += f", {' and '.join(grey)} grey" if grey else ""
     lost = [f"{start:g} to {end:g} s" for start, end, _ in result.events.select("gnss_outage")]
     faults = [f"{start:g} to {end:g} s: {text}" for start, end, text in result.events.select("fault")]
     lines = [

@@ -560,20 +560,29 @@ def test_the_pose_is_the_truth_in_the_level_frame_of_the_start(tmp_path, run):
     assert np.abs(C_sb - C_nb).max() > 1e-3  # it would be seen if the frames were mixed up
 
 
-def test_a_runway_lies_where_the_flight_is_low_over_it(run, tmp_path):
+@pytest.mark.parametrize("beside", [0.0, 60.0])
+def test_a_runway_lies_where_the_flight_is_low_over_it_or_beside_it(beside, run, tmp_path):
     result = make_result(run)
     assert "/world/runway" not in static_batches_of(result, tmp_path)
-    place = {"lat_deg": 47.26, "lon_deg": 11.34, "alt_m": 1199.0, "heading_deg": np.rad2deg(0.6)}
+    to_right = [-np.sin(0.6), np.cos(0.6), 0.0]
+    lat, lon, _ = earth.displace(ORIGIN, beside * np.array(to_right))
+    place = {
+        "lat_deg": np.rad2deg(lat),
+        "lon_deg": np.rad2deg(lon),
+        "alt_m": 1199.0,
+        "heading_deg": np.rad2deg(0.6),
+    }
     result.more["scene"]["runway"] = place
     found = static_batches_of(result, tmp_path)
     (outline, middle), *_ = found["/world/runway"].column("LineStrips3D:strips").to_pylist()
     threshold, end = np.array(middle)
-    assert_allclose(threshold, [0.0, 0.0, 1.0], atol=1e-3)  # one metre below the start
-    length = np.hypot(*end[:2])
-    assert_allclose(end[:2], length * np.array([np.cos(0.6), np.sin(0.6)]), rtol=1e-4)
+    assert_allclose(threshold[:2], beside * np.array(to_right[:2]), atol=1e-3)
+    assert threshold[2] == pytest.approx(1.0, abs=1e-3)  # one metre below the start
+    length = np.hypot(*(end - threshold)[:2])
+    assert_allclose((end - threshold)[:2], length * np.array([np.cos(0.6), np.sin(0.6)]), rtol=1e-4)
     pos = earth.local_ned(run["truth"].lla, ORIGIN)
     ahead, aside = pos[:, :2] @ [np.cos(0.6), np.sin(0.6)], pos[:, :2] @ [-np.sin(0.6), np.cos(0.6)]
-    over = (np.abs(aside) < 30.0) & (pos[:, 2] > -14.0)
+    over = (np.abs(aside - beside) < 200.0) & (pos[:, 2] > -14.0)
     assert ahead[over].max() < length + 0.1 < ahead[over].max() + 100.2
     assert np.linalg.norm(np.array(outline[0]) - outline[3]) == pytest.approx(30.0, abs=0.01)
     place["alt_m"] = 600.0  # all of the flight is high above it

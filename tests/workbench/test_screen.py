@@ -35,6 +35,7 @@ def take_lines(text: str) -> list[str]:
     [
         ("figure-eight", ("✓ loose-full: consistent; horizontal error 6.0 m, claims 6.1 m", "GNSS outage:")),
         ("approach", ("✗ loose-15: overconfident;", "outside 3 sigma: height 100 %")),
+        ("approach-spoofed", ("✗ in-flight: overconfident;", "by up to 60.6 m, believed 10.1 m")),
         ("gnss-faults", ("✓ baro-inertial: consistent;", "height 4.4 m")),
     ],
 )
