@@ -29,12 +29,12 @@ _CODES_2 = {
 
 
 class Signal(NamedTuple):
-    """Where code, Doppler, C/N0 and phase of a signal are among the observables; -1 if missing."""
+    """Where code, Doppler, C/N0 and phase of a signal are among the observables."""
 
     code: int
-    doppler: int
-    cn0: int
-    phase: int
+    doppler: Sequence[int]  # its own, then those of the other signals of the carrier
+    cn0: Sequence[int]  # the same
+    phase: int  # -1: missing
     band: int  # RINEX digit of its carrier
 
 
@@ -55,14 +55,16 @@ def find_signals(letter: str, types: Sequence[str], version: float) -> Signals:
 
 
 def _find(letter: str, codes: Sequence[str], at: Mapping[str, int], version: float) -> list[Signal]:
-    found = []
+    found: list[tuple[int, str, int]] = []
     for code in codes:
         name = code if version < 3 else f"C{code}"
-        if name not in at:
-            continue
-        digit = code[1] if version < 3 else code[0]
-        own = digit if version < 3 else code
-        band = 2 if letter == "C" and digit == "1" else int(digit)
-        doppler, cn0, phase = (at.get(kind + own, -1) for kind in "DSL")
-        found.append(Signal(at[name], doppler, cn0, phase, band))
-    return found
+        if name in at:
+            digit = code[1] if version < 3 else code[0]
+            band = 2 if letter == "C" and digit == "1" else int(digit)
+            found.append((at[name], digit if version < 3 else code, band))
+    signals = []
+    for place, own, band in found:
+        names = dict.fromkeys([own, *(other for _, other, its in found if its == band)])
+        doppler, cn0 = ([at[kind + one] for one in names if kind + one in at] for kind in "DS")
+        signals.append(Signal(place, doppler, cn0, at.get(f"L{own}", -1), band))
+    return signals

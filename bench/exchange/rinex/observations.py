@@ -38,7 +38,9 @@ _HEADS = {
 _SATELLITE = re.compile(r"[A-Z ].*\S")
 _MORE_SATELLITES = re.compile(r" {32}([A-Z ][ \d]\d)+\s*$")
 _WIDTH = 8  # values of a row: code, Doppler, C/N0, phase of two carriers
-_NONE = (np.nan,) * 4
+_NAN, _INF = float("nan"), float("inf")
+_NONE = (_NAN,) * 4
+_WHOLE = 6  # whole numbers of a row: satellite, system; band of two carriers; whether each lost count
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +178,7 @@ def read_observations(path: Path, shown: str | None = None, *, phase: bool = Fal
         _read_epochs(lines, header, rows)
     if not rows.start:
         raise lines.describe_nothing("epoch")
-    if not rows.sat:
+    if not rows.whole:
         others = f" (only {', '.join(rows.others)})" if rows.others else ""
         raise ConfigError(f"{shown}: has no observation of GPS, GLONASS, Galileo or BeiDou in it{others}")
     kept = rows.find_increasing()
@@ -184,7 +186,7 @@ def read_observations(path: Path, shown: str | None = None, *, phase: bool = Fal
         lines.report(
             lines.error("the time of the epoch does not fit between those around it", rows.number[k])
         )
-    start = np.append(np.array(rows.start, np.int64), len(rows.sat))
+    start = np.append(np.array(rows.start, np.int64), rows.count())
     count = np.diff(start)
     of_kept = np.repeat(kept, count)
     midnight = np.array(rows.midnight)[kept]
@@ -195,14 +197,15 @@ def read_observations(path: Path, shown: str | None = None, *, phase: bool = Fal
     elif header.time_system == "BDT":
         t += BEIDOU_LATE
     values = np.array(rows.values).reshape(-1, 2, 4)[of_kept]
+    whole = np.array(rows.whole, np.int64).reshape(-1, _WHOLE)[of_kept]
     return ObservationFile(
         shown=shown,
         marker=header.marker,
         origin=origin,
         t=t,
         epoch_start=np.concatenate([[0], np.cumsum(count[kept])]),
-        sat=np.array(rows.sat, np.int64)[of_kept],
-        system=np.array(rows.system, np.int64)[of_kept],
+        sat=np.ascontiguousarray(whole[:, 0]),
+        system=np.ascontiguousarray(whole[:, 1]),
         pseudorange=np.ascontiguousarray(values[..., 0]),
         doppler=np.ascontiguousarray(values[..., 1]),
         cn0=np.ascontiguousarray(values[..., 2]),
@@ -211,9 +214,9 @@ def read_observations(path: Path, shown: str | None = None, *, phase: bool = Fal
         moving=header.moving,
         lost=lines.lost + len(lines.beyond),
         reasons=tuple(lines.reasons + lines.beyond[:1]),
-        band=np.array(rows.band, np.int64).reshape(-1, 2)[of_kept],
+        band=np.ascontiguousarray(whole[:, 2:4]),
         phase=np.ascontiguousarray(values[..., 3]),
-        slipped=np.array(rows.slipped, np.bool_).reshape(-1, 2)[of_kept],
+        slipped=whole[:, 4:].astype(np.bool_),
         recounted=rows.recounted,
         others=rows.others,
     )
@@ -226,14 +229,18 @@ class _EpochRows:
         self._header, self._phase = header, phase
         self.midnight, self.second, self.values = array("d"), array("d"), array("d")
         self.start, self.number = array("q"), array("q")
-        self.sat, self.system, self.band, self.slipped = array("h"), array("b"), array("b"), array("b")
+        self.whole = array("h")
         self.recounted = 0
         self.others: Counter[str] = Counter()
+
+    def count(self) -> int:
+        """Return the number of rows."""
+        return len(self.whole) // _WHOLE
 
     def begin(self, lines: Lines, time: tuple[float, float]) -> None:
         self.midnight.append(time[0])
         self.second.append(time[1])
-        self.start.append(len(self.sat))
+        self.start.append(self.count())
         self.number.append(lines.number)
 
     def add(self, lines: Lines, name: str, line: str, start: int) -> None:
@@ -250,17 +257,14 @@ class _EpochRows:
         if not number.strip().isdecimal():
             raise lines.error(f"the number of a satellite must be a whole number; got {number!r}")
         scales = self._header.find_scales(letter)
-        for of_carrier in signals:
-            values, band, slipped = self._choose(lines, line, start, of_carrier, scales)
-            self.values.extend(values)
-            self.band.append(band)
-            self.slipped.append(slipped)
-        self.sat.append(int(number))
-        self.system.append(system)
+        one, band, slipped = self._choose(lines, line, start, signals[0], scales)
+        two, band_2, slipped_2 = self._choose(lines, line, start, signals[1], scales)
+        self.values.extend(one + two)
+        self.whole.extend((int(number), system, band, band_2, slipped, slipped_2))
 
     def _choose(
         self, lines: Lines, line: str, start: int, signals: Sequence[Signal], scales: list[float] | None
-    ) -> tuple[Sequence[float], int, bool]:
+    ) -> tuple[tuple[float, ...], int, bool]:
         """Return code, Doppler, C/N0 and phase of the first signal with a code, its band, and a lost count.
 
         A Doppler or C/N0 that it does not have is that of another signal of the carrier.
@@ -271,24 +275,25 @@ class _EpochRows:
                 break
         else:
             return _NONE, 0, False
-        values = [code, np.nan, np.nan, np.nan]
-        places = [chosen.code, -1, -1, -1]
-        for one in (chosen, *signals):
-            if one.band != chosen.band:
-                continue
-            for k, place in ((1, one.doppler), (2, one.cn0)):
-                if place >= 0 and values[k] != values[k]:
-                    values[k], places[k] = _read_field(lines, line, start + 16 * place), place
-            if values[1] == values[1] and values[2] == values[2]:
+        doppler = cn0 = phase = _NAN
+        of_doppler = of_cn0 = 0
+        for of_doppler in chosen.doppler:
+            doppler = _read_field(lines, line, start + 16 * of_doppler)
+            if doppler == doppler:
+                break
+        for of_cn0 in chosen.cn0:
+            cn0 = _read_field(lines, line, start + 16 * of_cn0)
+            if cn0 == cn0:
                 break
         slipped = False
         if self._phase and chosen.phase >= 0:
             a = start + 16 * chosen.phase
-            values[3], places[3] = _read_field(lines, line, a), chosen.phase
+            phase = _read_field(lines, line, a)
             slipped = line[a + 14 : a + 15] in tuple("1357")  # bit 0 of the indicator
         if scales is not None:
-            values = [v / scales[p] if p >= 0 else v for v, p in zip(values, places, strict=True)]
-        return values, chosen.band, slipped
+            code, doppler = code / scales[chosen.code], doppler / scales[of_doppler]
+            cn0, phase = cn0 / scales[of_cn0], phase / scales[chosen.phase]
+        return (code, doppler, cn0, phase), chosen.band, slipped
 
     def keep_first(self, epochs: int) -> None:
         """Remove the epochs after the first ones."""
@@ -296,8 +301,7 @@ class _EpochRows:
             rows = self.start[epochs]
             for column in (self.midnight, self.second, self.start, self.number):
                 del column[epochs:]
-            del self.sat[rows:], self.system[rows:], self.values[_WIDTH * rows :]
-            del self.band[2 * rows :], self.slipped[2 * rows :]
+            del self.values[_WIDTH * rows :], self.whole[_WHOLE * rows :]
 
     def find_increasing(self) -> BoolArray:
         """Mark a longest sequence of epochs (M,) whose times increase; of equal times, the first."""
@@ -420,11 +424,11 @@ def _check_count(lines: Lines, count: int) -> None:
 def _read_field(lines: Lines, line: str, a: int) -> float:
     """Return the observation in a column; NaN where it is missing: blank or 0.0."""
     text = line[a : a + 14]
+    if not text or text.isspace():
+        return _NAN
     try:
-        if "_" not in text and abs(value := float(text)) < np.inf:
-            return value or np.nan
+        if abs(value := float(text)) < _INF and "_" not in text:
+            return value or _NAN
     except ValueError:
         pass
-    if not text.strip():
-        return np.nan
-    return lines.parse_number(line, a, a + 14, "an observation") or np.nan
+    return lines.parse_number(line, a, a + 14, "an observation") or _NAN
