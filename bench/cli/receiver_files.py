@@ -29,6 +29,15 @@ from bench.errors import DONE, NEGATIVE
     "[default: the header]",
 )
 @click.option(
+    "--truth-sd",
+    "truth_sd_m",
+    type=FiniteRange(0, 1000),
+    default=0.0,
+    metavar="METRES",
+    help="how far the truth or the header may be off, sd along each axis, the same at all epochs  "
+    "[default: 0]",
+)
+@click.option(
     "--systems",
     default="all",
     show_default=True,

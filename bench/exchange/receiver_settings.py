@@ -15,6 +15,9 @@ from bench.orbit_sets import parse_systems
 from bench.signals import delays
 from bench.signals.processing import CORRECTIONS, Ionosphere, Processing
 
+MOST_TRUTH_SD = 1000.0
+"""Largest standard deviation of a reference [m]."""
+
 
 def solve_rinex(
     observations: str | Path | Sequence[str | Path],
@@ -32,6 +35,7 @@ def solve_rinex(
     smooth_s: float = 0.0,
     without: Sequence[str] = (),
     truth: str | Path | None = None,
+    truth_sd_m: float = 0.0,
 ) -> RinexFixes:
     """Compute the fixes of a GNSS receiver from its RINEX 2, 3 or 4 files, packed or not, epoch by epoch.
 
@@ -61,6 +65,9 @@ def solve_rinex(
         Corrections to leave out, of `bench.signals.processing.CORRECTIONS`.
     truth : str, Path or None
         Where the antenna was: "LAT,LON,H" [deg, deg, m] or a CSV file as ``write_csv`` writes it.
+    truth_sd_m : float
+        Standard deviation of the truth, or of the header, along each axis [m]. It is one error of all epochs:
+        NEES keeps its mean of 1, but a record is one draw of it, however long.
 
     Returns
     -------
@@ -80,6 +87,8 @@ def solve_rinex(
     _check_choice("troposphere", [troposphere], get_args(delays.Troposphere))
     _check_choice("mapping", [mapping], get_args(delays.Mapping))
     _check_choice("without", without, CORRECTIONS)
+    if not 0 <= truth_sd_m <= MOST_TRUTH_SD:
+        raise ConfigError(f"truth_sd_m = {truth_sd_m!r} must be 0 to {MOST_TRUTH_SD:g} [m]")
     weather = delays.SurfaceAir(100.0 * pressure_hpa, 273.15 + temperature_c, humidity_pct / 100.0)
     processing = Processing(
         systems=systems,
@@ -93,6 +102,7 @@ def solve_rinex(
     )
     known = None if truth is None else read_truth(str(truth))
     solved = solve_files(_list(observations), _list(navigation), processing, truth=known, window=smooth_s)
+    solved = replace(solved, truth_sd=float(truth_sd_m))
     header = solved.observations.approximate_e is not None
     if known is None and header and solved.fixes.valid.any() and solved.moving:
         note = "the receiver moves: its fixes are not compared with the position in the header"

@@ -35,6 +35,7 @@ _MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is 
 _MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
 _MOST_LINES = 6  # of parts that are left out; a file of another kind has hundreds
 _HONEST = (0.5, 1.6)  # mean NEES over 3 of a day whose claim fits; the errors of a day hang together; assumed
+_ONE_DRAW = (0.0719, 3.116)  # 95 % of a chi-square of three over 3: one error that all epochs have
 
 
 class SatelliteUse(NamedTuple):
@@ -64,6 +65,7 @@ class RinexFixes:
     reason: IntArray  # (M,) which of them an epoch has; -1: it has a fix
     truth: Truth | None = None
     notes: tuple[str, ...] = ()
+    truth_sd: float = 0.0  # of what the fixes are compared with: one constant error along each axis [m]
 
     @property
     def fixes(self) -> GnssFixes:
@@ -127,7 +129,7 @@ class RinexFixes:
         """Return counts, medians and 95 % quantiles; names end in the unit.
 
         Errors are relative to the truth, or to the position in the header of the file; there are none if the
-        receiver moves and no truth is given.
+        receiver moves and no truth is given. NEES counts ``truth_sd`` beside the covariance of a fix.
         """
         raw, fixes, good = self.observations, self.fixes, self.fixes.valid
         figures: dict[str, Any] = {"epochs": len(fixes), "fixes": int(good.sum())}
@@ -159,7 +161,7 @@ class RinexFixes:
         good &= np.isfinite(error).all(axis=1)
         if not good.any():
             return {}
-        error, cov = error[good], self.fixes.cov_pos_n[good]
+        error, cov = error[good], self.fixes.cov_pos_n[good] + self.truth_sd**2 * np.eye(3)
         horizontal, vertical = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
         figures = {}
         for name, values in (
@@ -177,15 +179,25 @@ class RinexFixes:
         if "nees_3" not in figures:
             return "", ""
         ratio = figures["nees_3"]
+        low, high = self._find_bounds()
         word, says = (
             ("overconfident", "are larger than") if ratio > 1 else ("underconfident", "are smaller than")
         )
-        if _HONEST[0] <= ratio <= _HONEST[1]:
+        if low <= ratio <= high:
             word, says = "consistent", "fit"
+        beside = f" with {self.truth_sd:g} m for the reference" if self.truth_sd else ""
         return word, (
-            f"the errors {says} what the covariances claim: NEES/3 is {ratio:.2f} "
-            f"(1 is right, {_HONEST[0]:g} to {_HONEST[1]:g} fit: the errors of a day hang together)"
+            f"the errors {says} what the covariances claim{beside}: NEES/3 is {ratio:.2f} "
+            f"(1 is right, {low:.2g} to {high:.2g} fit: the errors of a day hang together)"
         )
+
+    def _find_bounds(self) -> tuple[float, float]:
+        """Return between which NEES/3 fits: wider by the share of the reference, a single draw."""
+        variance = self.truth_sd**2
+        weights = np.linalg.inv(self.fixes.cov_pos_n[self.fixes.valid] + variance * np.eye(3))
+        share = float(variance * np.einsum("mii->m", weights).mean() / 3)
+        low, high = ((1 - share) * day + share * draw for day, draw in zip(_HONEST, _ONE_DRAW, strict=True))
+        return low, high
 
     def count_lost(self) -> dict[str, int]:
         """Return how many epochs have no fix for each reason."""

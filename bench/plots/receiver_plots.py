@@ -50,7 +50,8 @@ def name_reference(solved: RinexFixes) -> str:
     """Return in words what the errors are relative to."""
     if not solved.compared:
         return "the median of the fixes"
-    return "the position in the header of the file" if solved.truth is None else "the truth"
+    name = "the position in the header of the file" if solved.truth is None else "the truth"
+    return f"{name}, good to {solved.truth_sd:g} m (sd along each axis)" if solved.truth_sd else name
 
 
 def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:

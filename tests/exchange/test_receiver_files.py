@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.stats import chi2
 
 import bench
 from bench import earth
@@ -291,6 +292,34 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     assert "is no place on Earth" in capsys.readouterr().err
     assert main(["fixes", files[0]]) == 2
     assert "no file of observations is among them" in capsys.readouterr().err
+
+
+def test_a_reference_that_is_uncertain_counts_beside_the_covariances(capsys):
+    """By hand, along the axes of each covariance; of a reference far worse than the fixes it is all."""
+    known = solved(SEPT, truth=SURVEYED)
+    error, cov = known.errors(), known.fixes.cov_pos_n
+    for sd in (0.0, 1.5):
+        found = solved(SEPT, truth=SURVEYED, truth_sd_m=sd).figures()
+        for n, name in ((3, "nees_3"), (2, "nees_horizontal_2")):
+            variance, axes = np.linalg.eigh(cov[:, :n, :n])
+            along = np.einsum("mia,mi->ma", axes, error[:, :n])
+            assert_allclose(found[name], (along**2 / (variance + sd**2)).mean(), rtol=1e-9)
+    alone = solved(SEPT, truth=SURVEYED, truth_sd_m=1000.0).figures()
+    assert_allclose(alone["nees_3"], (error**2).mean() / 1e6, rtol=1e-4)
+    variance = np.linalg.eigvalsh(cov)
+    for sd in (0.0, 1.5, 1000.0):
+        share = (sd**2 / (variance + sd**2)).mean()
+        bounds = (1 - share) * np.array([0.5, 1.6]) + share * chi2.ppf([0.025, 0.975], 3) / 3
+        says = solved(SEPT, truth=SURVEYED, truth_sd_m=sd).judge()[1]
+        assert f"1 is right, {bounds[0]:.2g} to {bounds[1]:.2g} fit" in says
+    files = [str(stored_gnss_file(name)) for name in SEPT]
+    assert main(["fixes", *files, "--truth", SURVEYED, "--truth-sd", "1.5"]) == 0
+    assert "claim with 1.5 m for the reference: NEES/3 is" in " ".join(capsys.readouterr().out.split())
+    assert main(["fixes", *files, "--truth-sd", "-1"]) == 2
+    assert "--truth-sd" in capsys.readouterr().err
+    for wrong in (-1.0, float("nan"), 1001.0):
+        with pytest.raises(ConfigError, match="truth_sd_m"):
+            solved(SEPT, truth_sd_m=wrong)
 
 
 def test_files_of_two_receivers_are_refused(tmp_path, capsys):
