@@ -14,8 +14,16 @@ from bench.findings import series
 from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
 from bench.orbit_sets import SYSTEM_NAMES
 from bench.plots.tabs.satellites import draw_satellites, plot_sky
+from bench.units import split_unit
 
 SIGMA = "±3σ, as computed"
+_WORDS = {
+    "nees_3": "NEES / 3 (1 is right)",
+    "nees_horizontal_2": "horizontal NEES / 2 (1 is right)",
+    "hdop_median": "HDOP, median",
+    "vdop_median": "VDOP, median",
+}
+"""Figures whose identifier is no words -> their words."""
 
 
 def count_seconds(solved: RinexFixes) -> FloatArray:
@@ -52,6 +60,13 @@ def name_reference(solved: RinexFixes) -> str:
         return "the median of the fixes"
     name = "the position in the header of the file" if solved.truth is None else "the truth"
     return f"{name}, good to {solved.truth_sd:g} m (sd along each axis)" if solved.truth_sd else name
+
+
+def name_figure(name: str) -> str:
+    """Return a figure of `RinexFixes.figures` in words, with its unit."""
+    words, unit = split_unit(name)
+    words = _WORDS.get(name) or words.replace("_95", ", 95 % below").replace("_median", ", median")
+    return words.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
 def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:

@@ -90,14 +90,14 @@ def _send_track(stream: Any, t: FloatArray, error: FloatArray, lla: FloatArray) 
 
 
 def _write_summary(solved: RinexFixes) -> str:
-    """Return the figures, the verdict and the notes as Markdown."""
+    """Return the verdict, the notes and the figures as Markdown."""
     rows = [
-        f"| {name} | {format_number(value) if isinstance(value, float) else value} |"
-        for name, value in solved.figures().items()
+        f"| {receiver_plots.name_figure(name)} | {format_number(v) if isinstance(v, float) else v} |"
+        for name, v in solved.figures().items()
     ]
     notes = [f"- {note}" for note in (solved.judge()[1], *solved.notes) if note]
     return "\n".join(
-        [f"# {solved.name}, {solved.day}", "", "| figure | value |", "|---|---|", *rows, "", *notes]
+        [f"# {solved.name}, {solved.day}", "", *notes, "", "| figure | value |", "|---|---|", *rows]
     )
 
 

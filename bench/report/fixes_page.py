@@ -14,17 +14,10 @@ from bench.findings.series import Plot
 from bench.plots import receiver_plots
 from bench.report import page, svg
 from bench.signals.orbits import DAY
-from bench.units import HOUR, split_unit
+from bench.units import HOUR
 from bench.wording import format_number
 
 _LONG = 7200.0  # a longer record has an axis of hours [s]
-_WORDS = {
-    "nees_3": "NEES / 3 (1 is right)",
-    "nees_horizontal_2": "horizontal NEES / 2 (1 is right)",
-    "hdop_median": "HDOP, median",
-    "vdop_median": "VDOP, median",
-}
-"""Figures whose identifier is no words -> their words."""
 
 
 def make_page(solved: RinexFixes) -> str:
@@ -56,7 +49,11 @@ def make_page(solved: RinexFixes) -> str:
             for one in solved.list_satellites()
         ],
         figures=[
-            (name, _name_figure(name), format_number(value) if isinstance(value, float) else str(value))
+            (
+                name,
+                receiver_plots.name_figure(name),
+                format_number(value) if isinstance(value, float) else str(value),
+            )
             for name, value in figures.items()
         ],
         against=receiver_plots.name_reference(solved),
@@ -111,9 +108,3 @@ def _make_card(solved: RinexFixes, figures: Mapping[str, Any]) -> dict[str, Any]
         half, most = (figures[f"{key}_{which}_m"] for which in ("median", "95"))
         lines.append(f"{name} error {half:.1f} m (half of the fixes), {most:.1f} m (95 %)")
     return {"word": word, "look": find_look(word), "lines": [*lines, sentence]}
-
-
-def _name_figure(name: str) -> str:
-    words, unit = split_unit(name)
-    words = _WORDS.get(name) or words.replace("_95", ", 95 % below").replace("_median", ", median")
-    return words.replace("_", " ") + (f" [{unit}]" if unit else "")
