@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -191,3 +192,26 @@ def test_every_shipped_profile(name):
         what: seeded.describe(spoil(one).check(), names) for what, (spoil, names) in seeded.MISTAKES.items()
     }
     assert {what for what, found in became.items() if found != "found"} <= seeded.NOT_SHOWN.get(name, set())
+
+
+@pytest.mark.parametrize(
+    ("sd_deg", "yaw_deg", "off"), [(1.9, 20.0, True), (1.9, 3.0, False), (2.1, 20.0, None)]
+)
+def test_the_forward_axis_is_judged_where_the_heading_is_known(sd_deg, yaw_deg, off):
+    """Four courses in a wind of 5 m/s, the motion through the air so far right of the axis; two deg sd."""
+    course = np.repeat(np.deg2rad([0.0, 90.0, 180.0, 270.0]), 10)
+    air = 25.0 * np.column_stack([np.cos(course), np.sin(course), 0.0 * course])
+    nose = course - np.deg2rad(yaw_deg)
+    C_nb = np.zeros((40, 3, 3))
+    C_nb[:, 0, 0], C_nb[:, 1, 0] = np.cos(nose), np.sin(nose)
+    stretches = motion_fit.Stretches(
+        np.arange(0, 41, 10), np.arange(40.0), np.zeros((40, 3)), air + np.array([4.0, -3.0, 0.0]),
+        np.tile(np.eye(3), (40, 1, 1)), np.ones(4),
+    )  # fmt: skip
+    fit = SimpleNamespace(heading_sd=np.full(4, np.deg2rad(sd_deg)), C_nb=C_nb)
+    check = motion_checks._check_forward_axis(fit, stretches)
+    if off is None:
+        assert check == motion_checks._unknown("forward_yaw_deg", "where its forward axis points")
+    else:
+        assert check.value == pytest.approx(yaw_deg, abs=0.2)
+        assert check.good is not off

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,13 +16,13 @@ import bench
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
-from bench.evaluation.linear.directions import describe_direction, observe
+from bench.evaluation.linear.directions import describe_direction, find_turns, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
 from bench.findings import series
 from bench.studies import budget as budget_study
 from bench.studies.budget import _give_colours
-from bench.studies.drawn_errors import key_instants
+from bench.studies.drawn_errors import key_instants, split_draws
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 
@@ -328,3 +329,17 @@ def test_each_unit_of_ones_own_is_asked_alone(flight, tmp_path):
     assert f"loud: {alone.verdicts[0]}" in both.verdicts
     assert "heading-quiet" in both.figures
     assert f"--units {','.join(names)}" in both.command
+
+
+@pytest.mark.parametrize(("rate_deg_s", "turns"), [(0.9, False), (-0.9, False), (1.1, True), (-1.1, True)])
+def test_a_turn_is_a_degree_a_second_or_more(rate_deg_s, turns):
+    """Straight for 10 s, then a turn through south, where the course jumps by 360 deg."""
+    t = np.linspace(0.0, 30.0, 301)
+    course = np.deg2rad(175.0 * np.sign(rate_deg_s) + rate_deg_s * np.maximum(t - 10.0, 0.0))
+    truth = SimpleNamespace(t=t, vel_n=20.0 * np.column_stack([np.cos(course), np.sin(course), 0.0 * t]))
+    assert find_turns(truth, np.array([3.0, 12.0, 15.6, 25.0])).tolist() == [False, turns, turns, turns]
+
+
+def test_draws_are_split_over_workers_without_a_gap():
+    assert list(split_draws(10, 4)) == [(0, 2), (2, 3), (5, 2), (7, 3)]
+    assert list(split_draws(2, 4)) == [(0, 1), (1, 1)]

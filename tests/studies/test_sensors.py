@@ -15,6 +15,7 @@ from bench.evaluation.required_metrics import MET
 from bench.studies import unit_limits, unit_table
 from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
 from bench.studies.drawn_errors import UnitFlight
+from bench.studies.unit_answer import find_margin
 from bench.studies.unit_limits import VarianceShares, find_limit
 from bench.studies.unit_ranking import UnitFlown, rank_units
 from bench.studies.unit_table import Options, find_law
@@ -358,14 +359,14 @@ def test_what_limits_is_the_largest_share_unless_another_filter_would_gain_much(
 
 
 def test_shares_are_those_of_the_budget_by_hand(monkeypatch):
-    """Sources of 1, 2, 9 and 4 m2 horizontally at the end of the longer outage; the best filter has 4 m2."""
+    """Sources of 1, 2, 9 and 4 m2 horizontally at the end of the longest outage; the best filter has 4 m2."""
     t = np.arange(5.0)
     variance = np.full((5, 3, 4), 1e6)
-    variance[3, :2] = [[0.5, 1.0, 4.5, 2.0]] * 2
+    variance[1, :2] = [[0.5, 1.0, 4.5, 2.0]] * 2
     best = np.full((5, 3), 1e6)
-    best[3, :2] = 2.0
+    best[1, :2] = 2.0
     sources = [SimpleNamespace(part=part) for part in ("gyro", "accel", "gnss", "initial")]
-    outages = ((1.0, 2.0), (2.0, 4.0))
+    outages = ((0.0, 2.0), (3.0, 4.0))
     profile = SimpleNamespace(
         name="flight", seed=1, estimators=[SimpleNamespace(label="mine")],
         sensors=SimpleNamespace(gnss_outages=outages),
@@ -384,6 +385,18 @@ def test_shares_are_those_of_the_budget_by_hand(monkeypatch):
     assert list(found.shares) == ["the receiver", "the start", "the IMU"]
     assert list(found.shares.values()) == pytest.approx([9 / 16, 4 / 16, 3 / 16])
     assert (found.sd, found.over_best) == (pytest.approx(4.0), pytest.approx(2.0))
-    assert found.when == "4 s, end of the outage"
+    assert found.when == "2 s, end of the outage"
     profile.sensors.gnss_outages = ()
     assert find_limit(UnitFlight("flight")).when == "4 s, end of the flight"
+
+
+def test_the_margin_is_the_limit_over_the_draw_that_has_to_keep_it():
+    """By hand: the median of 1 to 9 m is 5 m. A least value has none, nor another figure, nor a lost draw."""
+    flown = UnitFlown("unit", "tactical", np.arange(1.0, 10.0))
+    row = {"metric": METRIC, "most": 20.0, "share": 0.5}
+    assert find_margin(flown, [{**row, "metric": "other", "most": 1.0}, row], METRIC) == pytest.approx(4.0)
+    assert find_margin(flown, [row], "other") is None
+    assert find_margin(flown, [{"metric": METRIC, "least": 1.0, "share": 0.5}], METRIC) is None
+    lost = UnitFlown("unit", "tactical", np.array([1.0, np.nan, 2.0]))
+    assert find_margin(lost, [row], METRIC) is None
+    assert (lost.lost, lost.verdict, flown.verdict) == (1, "not usable", "usable")
