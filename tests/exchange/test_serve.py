@@ -26,6 +26,7 @@ from bench.errors import ConfigError
 from bench.exchange import flight_client
 from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_client import FlightClient
+from bench.exchange.frames import make_frames
 from bench.exchange.mavlink_session import ActuatorChannels
 from bench.instruments import INSTRUMENTS
 from tests.exchange.test_stream import crc16, decoded
@@ -161,6 +162,11 @@ def test_a_client_gets_the_rows_that_are_recorded(tmp_path):
     assert len(frames[8]) > 10
     assert "in-flight" not in served.result.solutions  # it gave no estimate
     assert served.result.provenance["served"]["ended"] == ""
+    arrivals = {1: imu.t, 2: baro.t_arrival, 3: sensors.mag.t_arrival, 8: sensors.fixes.t_arrival}
+    rows = {1: imu.t, 2: baro.t, 3: sensors.mag.t, 8: sensors.fixes.t}
+    told = [(kind, struct.unpack_from("<d", body)[0]) for kind, body in make_frames(sensors)]
+    order = [(arrivals[kind][np.searchsorted(rows[kind], t)], kind) for kind, t in told]
+    assert order == sorted(order)  # of one instant the IMU first and the fixes last
 
 
 GOOD = (0.8248, 0.1979, 1206.0, 0.0, 25.0, 0.0, 1.0, 0.0, 0.0, 0.0, *[math.nan] * 15)

@@ -18,6 +18,7 @@ from bench.data import AirData, SensorData, Trajectory
 from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import sense, sense_piece
 from bench.sensors.draws import SensorDraws
+from bench.sensors.gnss import rate_at
 from tests.sensors.test_faults import CASES, RECEIVERS, script
 
 CATALOG = Path(bench.__file__).parent / "catalog"
@@ -160,3 +161,15 @@ def test_a_frozen_output_of_two_faults_repeats_the_row_before_each(gusty):
     second = replace(second, start=25.0, end=40.0)
     for gnss in RECEIVERS.values():
         assert_same_bits(gusty, on_board(gnss=gnss, scripted=[first, second]), FEW)
+
+
+def test_the_turn_at_a_fix_is_that_of_the_whole_flight_in_pieces_of_a_sample():
+    """The two samples before a fix are those of pieces before, with a fix or without."""
+    rng = np.random.default_rng(4)
+    t = np.cumsum(rng.uniform(0.8, 1.2, 61)) * 0.05
+    turned, rows = rng.normal(size=(60, 3)), np.array([1, 2, 7, 20, 21, 40, 60])
+    whole, draws = rate_at("turn", t, turned, rows, SensorDraws(1, 0)), SensorDraws(1, 0)
+    found = [
+        rate_at("turn", t[k : k + 2], turned[k : k + 1], rows[rows == k + 1] - k, draws) for k in range(60)
+    ]
+    assert_array_equal(np.concatenate(found), whole)
