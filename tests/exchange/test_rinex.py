@@ -20,7 +20,7 @@ from bench import durable, earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac, rinex_fixes
-from bench.exchange.rinex import ephemerides, lines, observations
+from bench.exchange.rinex import codes, ephemerides, lines, observations
 from bench.orbit_sets import KEPLER
 from bench.plots.receiver_plots import find_middle
 from bench.signals.processing import ErrorBudget, Processing
@@ -526,6 +526,22 @@ def test_the_code_is_chosen_for_each_satellite_and_epoch(tmp_path):
     expected = observations.read_observations(written(tmp_path, cut_japan(lambda k, line: line), "whole"))
     assert_allclose(observations.read_observations(path).pseudorange, expected.pseudorange)
     assert bench.solve_rinex(path, gnss_file(JAPAN[1]), ionosphere="free").figures()["fixes"] == 10
+
+
+def test_what_a_signal_lacks_is_taken_from_its_carrier():
+    """Its own Doppler and C/N0 first, then those of the same band; never those of the other one."""
+    types = ["D1W", "S1W", "C1C", "L1C", "C2W", "D2W", "S2W", "C1W", "D1C", "L2W"]
+    first, second = codes.find_signals("G", types, 3.04)
+    assert [(one.code, one.doppler, one.cn0, one.phase, one.band) for one in first] == [
+        (2, [8, 0], [1], 3, 1),
+        (7, [0, 8], [1], -1, 1),
+    ]
+    assert [(one.code, one.doppler, one.cn0, one.phase, one.band) for one in second] == [(4, [5], [6], 9, 2)]
+    e5, e7 = codes.find_signals("E", ["C5Q", "C7Q", "D7Q", "S5Q", "S1C"], 3.04)[1]
+    assert (e5.doppler, e5.cn0, e5.band, e7.doppler, e7.cn0, e7.band) == ([], [3], 5, [2], [], 7)
+    b1 = codes.find_signals("C", ["C1I", "D1I"], 3.02)[0][0]
+    assert (b1.code, b1.doppler, b1.band) == (0, [1], 2)  # B1 has the digit 1 in RINEX 3.02
+    assert codes.find_signals("G", ["C1", "D2", "P2", "D1", "S2", "P1"], 2.11)[0][0][:4] == (0, [3], [], -1)
 
 
 @pytest.mark.parametrize(
