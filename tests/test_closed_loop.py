@@ -255,7 +255,7 @@ def test_a_bug_in_the_filter_that_flies_keeps_its_traceback(until, profile, tmp_
     ("change", "message"),
     [
         ({"guidance.navigation": "smoother"}, "cannot run in pieces"),
-        ({"guidance.navigation": "loos-15"}, "must be an estimator that runs in pieces"),
+        ({"guidance.navigation": "loos-15"}, "runs in pieces. Did you mean .loose-15."),
         ({"guidance.period_s": 0.12}, "must be a multiple of 0.05 s"),
         ({"guidance.latency_s": 0.01}, "latency_s"),
         ({"guidance.navigation": "mine:Mine"}, "is code that would run on this machine"),

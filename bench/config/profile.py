@@ -41,6 +41,7 @@ from bench.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
 from bench.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
+from bench.wording import suggest
 
 _OUTSIDE = ("file:", "command:")
 _DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter
@@ -184,7 +185,9 @@ def _make_guidance(
     if choice.use == CLIENT:
         return Guidance(choice, own.period_s, own.latency_s, own.error)
     if not checks.is_known(choice.use) or choice.use.startswith(_OUTSIDE):
-        raise ConfigError(f"{place} navigation = {choice.use!r}: must be an estimator that runs in pieces")
+        hint = suggest(choice.use, checks.list_names(), "estimators")
+        what = f"{place} navigation = {choice.use!r}"
+        raise ConfigError(f"{what}: must be an estimator that runs in pieces{hint}")
     if checks.is_code(choice.use) and not allow_code:
         raise ConfigError(
             f"{place} navigation = {choice.use!r} is code that would run on this machine; "
