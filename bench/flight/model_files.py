@@ -141,12 +141,12 @@ def class_of(name: str, root: Path) -> str:
     """Return the class of an aircraft of a JSBSim root, by its mass without fuel and its engines.
 
     Below 150 kg it is "uav", with an afterburner and below 30,000 kg "fighter", above 19,000 lb "transport",
-    else "light"; so, too, without a mass.
+    else "light". A mass that cannot be read counts as none, which is no "uav".
 
     Raises
     ------
     FlightError
-        When one of its files is no XML.
+        When its model or an engine is no XML.
     """
     folder, shown = root / "aircraft" / name, f"aircraft {name}"
     model = read_xml(folder / f"{name}.xml", shown)

@@ -161,8 +161,9 @@ def rate_at(
             found = np.where(old, before[np.minimum(at, -1)], found)
         return found / dt[:, None], dt
 
+    newest = t[-3:]  # two, where the piece is one sample
     draws.put(name, np.concatenate([before, increment[-2:]])[-2:])
-    draws.put(f"{name} step", np.concatenate([width, t[-2:] - t[-3:-1]])[-2:])
+    draws.put(f"{name} step", np.concatenate([width, newest[1:] - newest[:-1]])[-2:])
     if not len(rows):
         return np.empty((0, increment.shape[1]))
     last, dt = mean(rows - 1)
