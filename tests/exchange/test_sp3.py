@@ -15,6 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
+from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange.rinex.ephemerides import read_navigation
@@ -379,6 +380,40 @@ def test_bench_fixes_with_sp3(sp3, tmp_path, capsys):
     more = alone.seen.sd_pseudorange[rows] ** 2 - beside.seen.sd_pseudorange[rows] ** 2
     unknown = np.array([2.3, 1.4, 3.2, 7.7])[alone.seen.system[rows]]
     assert np.isclose(more, unknown**2, rtol=0.01).mean() > 0.99  # one has no elevation
+
+
+def test_a_real_day_agrees_with_the_messages_and_is_better(tmp_path):
+    """Orbits of CODE beside the messages of 15 minutes: 1 m apart, but G28, whose message errs by 4 m."""
+    observations, navigation, table = (
+        stored_gnss_file(name)
+        for name in (
+            "SEPT_2021078_1200_15M_30S_MO.rnx.gz",
+            "SEPT_2021078_1200_15M_MN.rnx.gz",
+            "COD0IGSRAP_20210780000_15M_ORB.SP3.gz",
+        )
+    )
+    truth = np.array([-3962108.6617, 3381309.5232, 3668678.6410])  # surveyed
+    broadcast, precise = (
+        bench.solve_rinex(observations, files, ionosphere="free")
+        for files in ([navigation], [navigation, table])
+    )
+    used = broadcast.solution.used & precise.solution.used
+    assert used.sum() == broadcast.solution.used.sum()
+    a, b = broadcast.seen, precise.seen
+    apart = np.linalg.norm(a.sat_pos_e - b.sat_pos_e, axis=1)[used]
+    assert 0.4 < np.median(apart) < 1.2
+    assert apart.max() < 2.2
+    medians = [
+        np.median(np.linalg.norm(earth.to_ecef(one.fixes.lla) - truth, axis=1))
+        for one in (broadcast, precise)
+    ]
+    assert medians[1] < 0.7 < medians[0]
+    rms = [
+        {one.name: one.residual_rms for one in solved.list_satellites()}["G28"]
+        for solved in (broadcast, precise)
+    ]
+    assert rms[0] > 4.0
+    assert rms[1] < 1.6
 
 
 def test_glonass_needs_its_channels(tmp_path):
