@@ -38,7 +38,9 @@ def explain(
     rest = open_ & (found < 0)
     if rest.any():
         found[rest] = len(reasons)
-        reasons.append("the ranges do not agree with one position, and no satellite explains it")
+        reasons.append(
+            "the ranges do not agree with one position, and too few of them agree to tell which are wrong"
+        )
     return reasons, found
 
 

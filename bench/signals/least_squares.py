@@ -28,10 +28,7 @@ _UNKNOWNS = 3 + _SYSTEMS
 _SINGULAR = 1e-13  # smallest determinant of a normal matrix with a unit diagonal
 _MEDIAN = 0.6745  # median of the size of a standard normal variable
 _ROUNDS = 10  # of new weights, `_reweight`
-_KEPT, _LEFT = (
-    1.5,
-    3.0,
-)  # normalised residuals of full and of no weight; Yang and others 2002: 1 to 1.5, 2.5 to 8
+_KEPT, _LEFT = 1.5, 3.0  # normalised residuals of full and of no weight; Yang 2002: 1 to 1.5, 2.5 to 8
 _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weight
 EARTH_RADIUS = 6371e3  # [m]
 SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
@@ -62,9 +59,7 @@ class PositionFixes(NamedTuple):
     steps: IntArray  # (M,) iterations
     used: BoolArray  # (K,) rows in the final solution
     residual: FloatArray  # (K,) measured minus computed [m]; NaN where not used
-    normalised: (
-        FloatArray  # (K,) the same over its standard deviation, w-test statistic; NaN where untestable
-    )
+    normalised: FloatArray  # (K,) the same over its sd, the statistic of the w-test; NaN where untestable
     chi2: FloatArray  # (M,) weighted sum of squared residuals
     passed: BoolArray  # (M,) solved, and no normalised residual above its threshold
 
@@ -112,10 +107,15 @@ class _Padded:
 
 def _group(epochs: IntArray, epoch_start: IntArray, used: BoolArray) -> list[IntArray]:
     """Return some epochs in groups of one width of padded rows."""
-    total = np.concatenate([[0], np.cumsum(used)])
-    width = _widths(total[epoch_start[1:]] - total[epoch_start[:-1]])[epochs]
+    width = _widths(_count(epoch_start, used))[epochs]
     groups = [epochs[width == one] for one in np.unique(width)]
     return [group[k : k + _TOGETHER] for group in groups for k in range(0, len(group), _TOGETHER)]
+
+
+def _count(epoch_start: IntArray, used: BoolArray) -> IntArray:
+    """Return the number of rows of each epoch that are used."""
+    total = np.concatenate([[0], np.cumsum(used)])
+    return np.asarray(total[epoch_start[1:]] - total[epoch_start[:-1]])
 
 
 def _widths(count: IntArray) -> IntArray:
@@ -294,8 +294,8 @@ def solve_positions(
         Errors that ranges have in common; None: they are independent.
     false_alarm : float
         Chance that a sound epoch loses a satellite. While the largest normalised residual is above its
-        threshold, that satellite is left out, which needs two redundant ones; an epoch where it stays above
-        has not passed. 0: nothing is tested.
+        threshold, that satellite is left out; an epoch where it stays above has not passed. 0: nothing is
+        tested.
     robust : bool
         Give large normalised residuals less weight before they are tested.
     rough : bool
@@ -310,6 +310,10 @@ def solve_positions(
     The normalised residual of row i is ``(W v)_i / sqrt((W - W H (H' W H)^-1 H' W)_ii)``, W the inverse of
     the covariance of the ranges and v their residuals: the w-test of Baarda for correlated measurements
     (Teunissen, Testing Theory, 2006). Its threshold for n satellites is that of false_alarm / n, two-sided.
+
+    At most half of the redundant satellites are left out, with ``robust`` too; an epoch that needs more has
+    not passed. With n satellites and u unknowns k wrong ranges and u - 1 sound ones can agree with a false
+    position, as n - k agree with the true one: the truth has the most only while n - u >= 2 k.
     """
     M, K = len(epoch_start) - 1, len(pseudorange)
     used = np.isfinite(pseudorange) & np.isfinite(sat_pos_e).all(axis=1) & np.isfinite(sd)
@@ -332,11 +336,11 @@ def solve_positions(
         known = np.isfinite(start_e).all(axis=1)
         begin[known, :3] = start_e[known]
     column = np.zeros_like(system) if one_clock else system
-    waiting = _group(np.arange(M), epoch_start, used)
+    waiting, whole = _group(np.arange(M), epoch_start, used), _count(epoch_start, used)
     while waiting:
         padded = _Padded(waiting.pop(), epoch_start, used)
         weights = np.where(padded.used, 1.0 / np.where(padded.used, sd[padded.rows], 1.0) ** 2, 0.0)
-        x = begin[padded.epochs]
+        x, weightless = begin[padded.epochs], np.zeros(len(padded.epochs), np.int64)
         far: BoolArray = np.asarray(~x[:, :3].any(axis=1))
         if rough or far.any():
             found = _iterate(
@@ -354,14 +358,17 @@ def solve_positions(
                 spread = _reweight(found.normalised * np.sqrt(spread), padded.used, final)
                 W = _weigh(padded, sd, shared, spread)
                 found = _iterate(padded, W, found.x, sat_pos_e, pseudorange, column, rate, close)
-            used[padded.rows[padded.used & (spread > _NEXT_TO_NOTHING)]] = False
-        passed = found.solved
+            light = padded.used & (spread > _NEXT_TO_NOTHING)
+            used[padded.rows[light]], weightless = False, light.sum(axis=1)
+        kept = padded.used.sum(axis=1) - weightless
+        left, spare = whole[padded.epochs] - kept, found.spare - weightless
+        passed = found.solved & (rough | (spare >= left))
         if false_alarm > 0 and not rough:
             worst = found.normalised.argmax(axis=1)
             limit = _limit(padded.used.sum(axis=1), false_alarm)
             alarm = found.solved & (found.normalised.max(axis=1) > limit)
-            passed = found.solved & ~alarm
-            again = np.flatnonzero(alarm & (found.spare >= 2))
+            passed &= ~alarm
+            again = np.flatnonzero(alarm & (spare >= left + 2))  # the next one keeps what is said below
             if len(again):
                 used[padded.rows[again, worst[again]]] = False
                 begin[padded.epochs[again]] = found.x[again]

@@ -121,9 +121,8 @@ def share_errors(near: Look, frequency: FloatArray, processing: Processing) -> S
     """Return what the delays of the atmosphere leave in ranges (K,): nothing with ``without`` them."""
     budget, el = processing.budget, np.maximum(near.el, 0.0)
     slant = _obliquity(el) * (L1 / frequency) ** 2
-    vertical: FloatArray = np.hypot(
-        budget.zenith_ionosphere, budget.ionosphere_share * near.ionosphere / slant
-    )
+    delay = np.maximum(near.ionosphere / slant, budget.ionosphere_night)
+    vertical: FloatArray = np.hypot(budget.zenith_ionosphere, budget.ionosphere_share * delay)
     if processing.ionosphere == "none" or "ionosphere" in processing.without:
         vertical = np.full(len(el), budget.ionosphere_none)
     elif processing.ionosphere == "free":

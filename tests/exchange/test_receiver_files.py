@@ -22,6 +22,8 @@ from bench.exchange.rinex import ephemerides, observations
 from bench.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.signals import orbits
 from bench.signals.delays import compute_ntcm, zenith_troposphere
+from bench.signals.look import Look, share_errors
+from bench.signals.processing import Processing
 from tests.data import gnss_file, stored_gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GREC_1800s.rnx.gz", "ESBC00DNK_2020177_GREC_MN.rnx.gz")
@@ -77,6 +79,16 @@ def test_other_stations_and_models(files, options, median):
     figures = solved(files, **options).figures()
     assert figures["fixes"] == figures["epochs"]
     assert figures["3d_median_m"] < median
+
+
+def test_a_model_that_gives_little_delay_is_not_known_better_for_it():
+    """NTCM-G has 0.5 m at night where 0.6 to 1.5 m are measured: its share is that of 5 ns at least."""
+    assert 0.6 < solved(ESBC, ionosphere="ntcm-g").figures()["nees_3"] < 1.4
+    pos_e = earth.to_ecef(np.deg2rad([[55.0, 9.0, 0.0]]))
+    los_n, ones = np.array([[0.0, 0.0, -1.0]] * 3), np.ones(3)
+    near = Look(pos_e, earth.to_geodetic(pos_e), los_n, np.pi / 2 * ones, np.array([0.5, 1.498, 4.0]), ones)
+    shared = share_errors(near, np.full(3, orbits.L1), Processing(ionosphere="ntcm-g"))
+    assert_allclose(shared.ionosphere, np.hypot(0.5, 0.35 * np.array([1.498, 1.498, 4.0])), rtol=1e-3)
 
 
 @pytest.mark.parametrize("systems", ["galileo", "beidou"])
@@ -342,6 +354,19 @@ def test_each_lost_epoch_has_a_reason(tmp_path):
     assert found.fixes.valid.tolist() == [k != 7 for k in range(30)]
     assert found.count_lost() == {"too few satellites with a pseudorange": 1}
     assert any("no fix at 1 of 30 epochs, the first at 2021-03-19 12:03:30" in note for note in found.notes)
+
+
+def test_epochs_with_a_false_time_have_no_fix(tmp_path):
+    """Every second epoch says 90 s more: its satellites are up to 70 km from where its ranges are."""
+    text = gzip.decompress(stored_gnss_file(ESBC[0]).read_bytes()).decode()
+    head, *epochs = text.split("\n>")
+    epochs[1::2] = [one[:15] + "31 30" + one[20:] for one in epochs[1::2]]
+    path = tmp_path / "late.rnx"
+    path.write_text("\n>".join([head, *epochs]))
+    found = bench.solve_rinex(path, stored_gnss_file(ESBC[1]), systems="both")
+    assert found.fixes.valid.tolist() == [k % 2 == 0 for k in range(48)]
+    words = "the ranges do not agree with one position, and too few of them agree to tell which are wrong"
+    assert found.count_lost() == {words: 24}
 
 
 # --- models ------------------------------------------------------------------------------------------------

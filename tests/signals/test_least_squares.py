@@ -366,6 +366,72 @@ def test_faults_are_found_as_often_as_the_covariance_predicts():
     assert 0.3 < predicted < 0.95
 
 
+def lie(seen, here, rows, liars, draw):
+    """Return the ranges of an epoch of which ``liars`` fit a place 24 km away, where three others do, too."""
+    measured = np.array([delays.range_kernel(*p, *here, GPS_EARTH_RATE)[0] for p in seen.pos_e[rows]])
+    sound = draw.choice([k for k in range(len(rows)) if k not in liars], 3, replace=False)
+    x = np.append(here, 0.0)
+    for step in range(8):  # along what three ranges leave open, then back to where they are right
+        found = [delays.range_kernel(*seen.pos_e[rows[k]], *x[:3], GPS_EARTH_RATE) for k in sound]
+        A = np.array([[-e for e in one[1:]] + [1.0] for one in found])
+        if step == 0:
+            along = np.linalg.svd(A)[2][3]
+            x += 24e3 * along / np.linalg.norm(along[:3])
+        else:
+            x += np.linalg.pinv(A) @ (measured[sound] - [one[0] for one in found] - x[3])
+    for k in liars:
+        measured[k] = delays.range_kernel(*seen.pos_e[rows[k]], *x[:3], GPS_EARTH_RATE)[0] + x[3]
+    return measured
+
+
+@pytest.mark.parametrize("robust", [False, True])
+@pytest.mark.parametrize("count", [7, 8])
+def test_two_ranges_that_agree_on_a_false_place_do_not_win(count, robust):
+    """With seven satellites as many ranges agree on it as on the truth: no fix. With eight, one less."""
+    draw, trials = np.random.default_rng(10), 60
+    seen = view(SKY[:1], THERE, np.arange(0.0, 86400.0, 900.0), np.deg2rad(0.0))
+    here, first = earth.to_ecef(THERE), seen.epoch_start
+    enough = np.flatnonzero(np.diff(first) >= count)
+    rows, measured = [], []
+    for _ in range(trials):
+        m = draw.choice(enough)
+        rows.append(draw.choice(np.arange(*first[m : m + 2]), count, replace=False))
+        measured.append(lie(seen, here, rows[-1], draw.choice(count, 2, replace=False), draw))
+    at, start = np.concatenate(rows), count * np.arange(trials + 1)
+    fix = least_squares.solve_positions(
+        start, seen.pos_e[at], np.concatenate(measured), np.ones(len(at)), seen.system[at],
+        start_e=np.tile(here, (trials, 1)), false_alarm=5e-3, robust=robust,
+    )  # fmt: skip
+    if count == 7:
+        assert not fix.passed.any()
+    else:
+        assert fix.passed.any()
+    assert_allclose(fix.pos_e[fix.passed], np.tile(here, (fix.passed.sum(), 1)), rtol=0, atol=0.01)
+
+
+def test_as_many_ranges_are_left_out_as_the_others_can_tell(both):
+    """Faults of some hundred metres: k of them need 2 k redundant satellites, and no more."""
+    draw, here = np.random.default_rng(11), earth.to_ecef(THERE)
+    spare = np.diff(both.epoch_start) - 5
+    for k in (1, 2, 3):
+        measured = both.distance + 0.1 * draw.standard_normal(len(both.system))
+        for a, b in zip(both.epoch_start[:-1], both.epoch_start[1:], strict=True):
+            measured[draw.choice(np.arange(a, b), k, replace=False)] += draw.uniform(300, 900, k)
+        fix = least_squares.solve_positions(
+            both.epoch_start,
+            both.pos_e,
+            measured,
+            np.ones(len(measured)),
+            both.system,
+            false_alarm=1e-3,
+        )
+        left = np.bincount(epoch_of(both)[~fix.used], minlength=len(spare))
+        assert (left <= spare // 2).all()
+        assert (left[fix.passed] == k).mean() > 0.97  # one that looks worse in their company goes first
+        assert np.linalg.norm(fix.pos_e - here, axis=1)[fix.passed].max() < 3.0
+        assert fix.passed[spare >= 2 * k + 2].mean() > 0.9
+
+
 def test_robust_weights_resist_several_reflections():
     """Three of nineteen ranges 20 to 60 m long in each epoch: half of the fixes within 2 m, not beyond 10."""
     draw, count = np.random.default_rng(9), 300
