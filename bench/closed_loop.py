@@ -23,6 +23,8 @@ from bench.data import (
     SensorData,
     ShowFlight,
     Trajectory,
+    no_events,
+    no_innovations,
 )
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.failures import FAILED, describe_error
@@ -32,7 +34,7 @@ from bench.flight.belief import Belief, NavEstimate
 from bench.flight.steering import Commanded, Commands
 from bench.flight_specs import FlightSpec
 from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
-from bench.navigation.engine.piecewise import join_solutions
+from bench.navigation.engine.piecewise import join_events, join_solutions, join_tables
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.estimator import make_failure
@@ -96,6 +98,10 @@ class Navigator(Protocol):
         """Take what has arrived until an instant [s] and return the answer at it."""
         ...
 
+    def recount(self) -> list[NavSolution]:
+        """Return solutions that follow on each other; their innovations and events are those of the way."""
+        ...
+
 
 class _FilterOnBoard:
     def __init__(self, guidance: Guidance) -> None:
@@ -106,12 +112,20 @@ class _FilterOnBoard:
         self._open = partial(PieceFilter, choice.use, dict(choice.options), built)
         self._look_back = look_back
         self._filter: PieceFilter | None = None
+        self._settled = list[NavSolution]()
+        self._rest = list[NavSolution]()  # of the last answer: what has happened since
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
         if self._filter is None:
             self._filter = self._open(initial, self._look_back)
-        self._filter.advance(data)
-        return self._filter.answer()
+        self._settled.append(self._filter.advance(data))
+        self._rest = []
+        found = self._filter.answer()
+        self._rest = [found]
+        return replace(found, innovations=no_innovations(), events=no_events())
+
+    def recount(self) -> list[NavSolution]:
+        return self._settled + self._rest
 
 
 class Pilot:
@@ -179,7 +193,13 @@ class Pilot:
             raise ConfigError(f"[guidance] navigation = {self._use!r}: {why}")
         known = [one for one in self.answers if one.extra_names] or self.answers
         joined = join_solutions([one for one in self.answers if one.extra_names == known[0].extra_names])
-        return replace(joined, events=Events.from_rows(self.events))
+        way = self._navigator.recount()
+        events = join_events([row for one in way for row in one.events.rows()])
+        return replace(
+            joined,
+            innovations=join_tables([one.innovations for one in way if len(one.innovations)]),
+            events=Events.from_rows(events + self.events),
+        )
 
 
 def fly(

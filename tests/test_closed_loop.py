@@ -130,6 +130,26 @@ def test_a_recorded_flight_gives_the_answers_that_flew_it(profile):
     assert not np.array_equal(other.lla[-1], flown.truth.lla[-1])
 
 
+def test_what_the_filter_refused_in_flight_is_told_as_of_the_whole_record(profile):
+    """Each innovation once, and an alarm that stands at the end of the flight."""
+    fault = """
+[[fault]]
+kind = "spoofing"
+start_s = 20.0
+duration_s = 600.0
+step_m = [30.0, 0.0, 0.0]
+"""
+    profile.write_text(profile.read_text() + fault)
+    loaded = config.load_profile(profile)
+    flown = closed_loop.fly(loaded)
+    sensed = pipeline.sense(loaded, flown.truth)
+    final = pipeline.navigate(loaded.estimators[0], sensed.data, sensed.initial)
+    columns = ("t", "code", "component", "z", "S", "nis", "accepted")
+    same_bits(flown.answers.innovations, final.innovations, columns)
+    assert flown.answers.events.rows() == final.events.rows()
+    assert not final.innovations.accepted.all()
+
+
 CATALOG = {
     kind: sorted(one.stem for one in (files("bench") / "catalog" / kind).iterdir())
     for kind in ("imu", "gnss", "baro", "mag", "airspeed", "radar", "heading")

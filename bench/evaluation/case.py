@@ -35,6 +35,8 @@ class Alarms:
     name: str  # of the innovation, or "integrity"
     sensors: tuple[str, ...]  # the name of the innovation, or the sensors of the event
     t: FloatArray  # (K,) [s]
+    asked: FloatArray  # (N,) instants of all updates of this name; of an event its own [s]
+    end: float | None = None  # of an event [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +119,10 @@ def bias_errors(solution: NavSolution, drawn: SensorTruth) -> dict[str, BiasErro
 
 def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
     """Return the alarms of an estimator: rejected updates by sensor, then events of kind "integrity"."""
-    refused = [Alarms(name, (name,), s.t[~s.accepted]) for name, s in nis.items()]
+    refused = [Alarms(name, (name,), s.t[~s.accepted], np.unique(s.t)) for name, s in nis.items()]
     reported = [
-        Alarms(ALARM, tuple(sensor.split()), np.array([start]))
-        for start, kind, sensor in zip(events.t, events.kind, events.sensor, strict=True)
+        Alarms(ALARM, tuple(sensor.split()), np.array([t]), np.array([t]), end)
+        for t, end, kind, _, sensor in events.rows()
         if kind == ALARM
     ]
     return (*refused, *reported)

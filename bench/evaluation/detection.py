@@ -2,7 +2,8 @@
 
 An alarm is an update that the estimator rejected, or an event of kind "integrity" that it reported. It
 belongs to a fault if it is raised in the interval of the fault and names the faulty sensor. A fault of the
-IMU can raise an alarm in any update.
+IMU can raise an alarm in any update. A gate refuses a sound measurement now and then, so a fault is noticed
+at the first event, or at the first of two refusals in a row.
 """
 
 from __future__ import annotations
@@ -33,13 +34,22 @@ LONGEST_REFUSAL = 60.0
 
 
 def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
-    """Return the time from the start of a fault to its first alarm [s]; None if there is no alarm."""
-    first = [
-        float(one.t[inside].min())
-        for one in raised
-        if _concerns(fault, one) and (inside := _is_active(fault, one.t)).any()
-    ]
-    return max(min(first) - fault.start, 0.0) if first else None
+    """Return the time from the start of a fault until it is noticed [s]; None if it is not.
+
+    It is at an event, or when two updates of one name in a row are refused; at one if the fault has no more.
+    """
+    first = [_find_lasting(fault, one) for one in raised if _concerns(fault, one)]
+    known = [t for t in first if t is not None]
+    return max(min(known) - fault.start, 0.0) if known else None
+
+
+def _find_lasting(fault: Fault, one: Alarms) -> float | None:
+    """Return the first instant in a fault of an alarm that is not refuted by the next update [s]."""
+    asked = one.asked[_is_active(fault, one.asked)]
+    refused = np.isin(asked, one.t)
+    if len(asked) > 1:
+        refused &= np.append(refused[1:], False)
+    return float(asked[refused][0]) if refused.any() else None
 
 
 def count_false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, begin: float) -> int:
@@ -67,13 +77,34 @@ def _concerns(fault: Fault, raised: Alarms) -> bool:
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:
-    """1 if during the fault an update of its sensor was refused or an event reported it, else 0."""
+    """1 if during the fault two updates of its sensor in a row were refused or an event told, else 0."""
     return {k: float(measure_delay(f, case.alarms) is not None) for k, f in case.faults.items()}
 
 
 def fault_delay(case: Case) -> dict[str, float | None]:
-    """Time from the start of the fault to that first alarm [s]; None without one."""
+    """Time from the start of the fault to the first of them [s]; None without."""
     return {k: measure_delay(f, case.alarms) for k, f in case.faults.items()}
+
+
+def fault_alarm_share(case: Case) -> dict[str, float | None]:
+    """Share of the whole seconds of the fault in which its sensor was refused or an event stood.
+
+    Absent of an estimator that does not use the sensor.
+    """
+    found: dict[str, float | None] = {}
+    for key, fault in case.faults.items():
+        stop = min(fault.end, float(case.t[-1]))
+        seconds = np.arange(np.ceil(fault.start - SAME_INSTANT), np.floor(stop + SAME_INSTANT))
+        own = [one for one in case.alarms if _concerns(fault, one)]
+        alarmed = np.zeros(len(seconds), np.bool_)
+        for one in own:
+            if one.end is None:
+                alarmed |= np.isin(seconds, np.floor(one.t + SAME_INSTANT))
+            else:
+                alarmed |= (seconds > one.t[0] - 1.0) & (seconds <= one.end + SAME_INSTANT)
+        if own and len(seconds):
+            found[key] = float(alarmed.mean())
+    return found
 
 
 def fault_max_h(case: Case) -> dict[str, float | None]:
@@ -126,7 +157,7 @@ def find_refusals(case: Case) -> dict[str, tuple[float, float]]:
     """
     found = {}
     for name, updates in case.nis.items():
-        one = Alarms(name, (name,), updates.t)
+        one = Alarms(name, (name,), updates.t, updates.t)
         struck = np.zeros(len(updates.t), np.bool_)
         for fault in case.scripted:
             if _concerns(fault, one):

@@ -38,6 +38,7 @@ class Headline(NamedTuple):
     word: str
     look: VerdictLook
     error: str  # and what is claimed
+    fault: str  # that moved it most
     figures: str
     drift: str
     outside: str
@@ -50,7 +51,9 @@ class Headline(NamedTuple):
         """The lines below the first."""
         if self.note:
             return (self.note,)
-        return tuple(filter(None, (self.figures, self.outside, self.drift, self.why, self.required)))
+        return tuple(
+            filter(None, (self.fault, self.figures, self.outside, self.drift, self.why, self.required))
+        )
 
 
 def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
@@ -82,6 +85,7 @@ def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
         word=f"{word}, but {far}" if far else word,
         look=judge_look(word, values),
         error=error,
+        fault=_describe_fault(values),
         figures="; ".join(_list_figures(values)),
         drift="; ".join(_list_drifts(values)),
         outside=_describe_outside(values),
@@ -98,6 +102,23 @@ def _describe_path(values: Mapping[str, Any]) -> str:
     if len(far) < len(off):
         return ""
     return f"off its path by up to {far[0]}, believed {far[1]}, error of navigation {far[2]}"
+
+
+def _describe_fault(values: Mapping[str, Any]) -> str:
+    """Return whether the fault with the largest error was noticed, and for how long; "" without faults."""
+    far = {
+        name.split("_")[1]: value
+        for name, value in values.items()
+        if name.startswith("fault_") and name.endswith("_max_h_m") and value is not None
+    }
+    number = max(far, key=lambda one: far[one], default="")
+    share, delay = (values.get(f"fault_{number}_{name}") for name in ("alarm_share", "delay_s"))
+    if share is None:
+        return ""
+    which = f"fault {number}" if len(far) == 1 else f"fault {number}, the worst of {len(far)}"
+    noticed = "not noticed" if delay is None else f"noticed after {format_number(delay, 2)} s"
+    refused = f", refused for {_share(share)} of its time" if share else ""
+    return f"{which}: {noticed}{refused}, error up to {format_distance(far[number])}"
 
 
 def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:

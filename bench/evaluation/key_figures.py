@@ -56,7 +56,7 @@ _ROWS = {
     "coverage": "99.7 % within 3 sigma is right",
     "nis": "NIS, normalized innovation squared: 3 is right of a GNSS position or velocity, 1 of a scalar; it "
     "is low where R is larger than the scatter of the fixes, and their slow wander does not show in it",
-    "fault_": "a fault is noticed if the filter refused or reported it",
+    "fault_": "a fault is noticed if the filter refused two measurements in a row, or reported it",
 }
 """Beginning of the name of a row -> what its words do not say."""
 

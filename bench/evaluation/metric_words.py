@@ -53,6 +53,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "outage_{}_drift_h_m": (OUTAGES, "outage {}: error at its end"),
     "fault_{}_detected": (FAULTS, "fault {}: noticed"),
     "fault_{}_delay_s": (FAULTS, "fault {}: noticed after"),
+    "fault_{}_alarm_share": (FAULTS, "fault {}: refused for, of its time"),
     "fault_{}_max_h_m": (FAULTS, "fault {}: largest horizontal error"),
     "false_alarms_{}": (FAULTS, "sound measurements refused, {}"),
     "false_alarm_rate_per_h": (FAULTS, "false alarms"),
@@ -98,7 +99,10 @@ _KEYS = {
     **{name: row.title for name, row in INSTRUMENTS.items()},
 }
 _LENGTH = re.compile(r"^(\d+)(s|m|km)$")
-_SHARES = ("coverage_", "nees_inside_95", "output_coverage", "answered_", "false_alarm_share")
+_SHARES = (
+    *("coverage_", "nees_inside_95", "output_coverage", "answered_"),
+    *("false_alarm_share", "fault_{}_alarm_share"),
+)
 """Beginnings of names of shares, shown in percent."""
 
 

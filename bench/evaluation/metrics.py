@@ -219,6 +219,7 @@ METRICS: tuple[Metric, ...] = (
     Metric("outage_{}_growth_h_m", outage_growth_h, "pos", "lower"),
     Metric("fault_{}_detected", detection.fault_detected, "", "matched"),
     Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
+    Metric("fault_{}_alarm_share", detection.fault_alarm_share, "", "not judged"),
     Metric("fault_{}_max_h_m", detection.fault_max_h, "pos", "lower"),
     Metric("false_alarms_{}", detection.false_alarms, "", "zero"),
     Metric("false_alarm_rate_per_h", detection.false_alarm_rate, "", "not judged"),

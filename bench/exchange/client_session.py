@@ -55,6 +55,10 @@ class ClientSession(ABC):
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
         """Send what has arrived by an instant [s] and return the estimate of the client; NaN: none."""
 
+    def recount(self) -> list[NavSolution]:
+        """Return nothing: a client does not say what it made of the sensors."""
+        return []
+
     @abstractmethod
     def begin(self) -> None:
         """Take the first messages of a client that has come."""

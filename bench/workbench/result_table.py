@@ -28,6 +28,7 @@ _FIRST_LEFT_OUT: tuple[dict[str, Any], ...] = (
     {"outside": ""},
     {"required": ""},
     {"why": ""},
+    {"fault": ""},
 )
 """What is left out of headlines where there is no room, in this order."""
 
