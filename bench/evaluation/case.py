@@ -122,7 +122,7 @@ def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms
     refused = [Alarms(name, (name,), s.t[~s.accepted], np.unique(s.t)) for name, s in nis.items()]
     reported = [
         Alarms(ALARM, tuple(sensor.split()), np.array([t]), np.array([t]), end)
-        for t, end, kind, _, sensor in events.rows()
+        for t, end, kind, sensor in zip(events.t, events.t_end, events.kind, events.sensor, strict=True)
         if kind == ALARM
     ]
     return (*refused, *reported)
