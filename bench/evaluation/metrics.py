@@ -46,7 +46,6 @@ HEADING_LIMIT = np.deg2rad(1.0)
 HEADING_RIGHT = np.deg2rad(3.0)
 """A heading is right below this [rad]."""
 
-
 Direction = Literal["lower", "matched", "zero", "not judged"]
 """How a baseline judges a metric: the lower the better; it has a value that is expected; the same with the
 value 0, which it also has where it is absent; or not, because it is a fact, a bound, a largest value, or
