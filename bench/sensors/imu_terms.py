@@ -26,7 +26,10 @@ def check_imu(spec: ImuSpec) -> list[str]:
         if triad.nonlinearity_sd > 0 and triad.range <= 0:
             wrong.append(f"[{name}] nonlinearity_sd needs {limit} above 0: it is relative to the range")
         if triad.bias_instability > 0 and triad.bias_correlation <= 0:
-            wrong.append(f"[{name}] bias_instability needs bias_correlation_s above 0 s")
+            wrong.append(
+                f"[{name}] bias_instability needs bias_correlation_s above 0 s: the catalog assumes 300 "
+                "where no source states it"
+            )
         if triad.dead_zone_kind not in ("subtractive", "hard"):
             wrong.append(f"[{name}] dead_zone_kind = {triad.dead_zone_kind!r}: not subtractive or hard")
     if spec.accel.g_sensitivity_sd > 0 or spec.accel.g2_sensitivity_sd > 0:

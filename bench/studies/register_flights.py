@@ -37,6 +37,7 @@ _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 
 _FIXES = ("gnss_position", "gnss_velocity")
 _NOSE, _TAIL = (2.0, 0.3, -0.4), (-9.0, 0.0, -1.5)  # antennas [m], b
 _DRAWS = 4
+_FLIGHTS = 20  # that #33 rests on: without a bad one they show 86 %
 _ALERT_LIMIT, _OPERATION = 0.3 * 1852.0, 15  # of RNP 0.3 [m], [s]
 _STEP_S = 12.0  # from the rise of the force on [s]
 
@@ -161,20 +162,22 @@ def count_seconds(flights: Sequence[WatchedFlight]) -> dict[str, tuple[float, fl
 
 
 def require_performance() -> RowFinding:
-    """#33: the lines of a procedure by two flights of tight, held against a count of their seconds."""
+    """#33: the lines of a procedure by flights of tight, held against a count of their seconds."""
     work = _KeepingWorkers(1)
     with work:
-        found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", draws=2), work)
+        found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", draws=_FLIGHTS), work)
     table = found.tables[0].columns
     columns = (table[name] for name in ("value", "low", "high", "word"))
     rows = dict(zip(table["figure"], zip(*columns, strict=True), strict=True))
     told, off = list[str](), list[float]()
     for figure, (*counted, word) in count_seconds(work.kept).items():
         *ours, said = rows[f"{figure}, horizontal"]
-        told.append("{} {:.2g} ({:.2g} to {:.2g})".format(figure, *ours))
+        told.append("{} {:.2g} ({:.2g} to {:.2g}, {})".format(figure, *ours, said))
         off.append(0.0 if word == said else math.inf)
         off += [abs(a - b) / max(abs(b), 1e-12) for a, b in zip(ours, counted, strict=True)]
-    return RowFinding(f"2 flights: {', '.join(told)}", tuple(below(one, 1e-9) for one in off))
+    hours = sum(len(one.t) for one in work.kept) / HOUR
+    text = f"{_FLIGHTS} flights, {hours:.2g} h: {', '.join(told)}"
+    return RowFinding(text, tuple(below(one, 1e-9) for one in off))
 
 
 def come_back() -> RowFinding:

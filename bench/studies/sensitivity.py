@@ -209,10 +209,14 @@ def _tell(
                 continue
             known = {str(one.value): found for one in every if (found := one.pool(name)) is not None}
             low, high = (
-                f"{format_estimate(known[end])} at {end} {unit}" for end in (pair.first, pair.second)
+                f"{format_estimate(known[end])} at {end} {unit}".rstrip() for end in (pair.first, pair.second)
             )
             yield f"{label}: {name} from {low} to {high}; on the same draws {pair.sentence}."
-        lost = [f"{one.value} {unit} {one.lost} of {len(one.runs)}" for one in every if one.lost]
+        lost = [
+            f"{' '.join(f'{one.value} {unit}'.split())}: {one.lost} of {len(one.runs)}"
+            for one in every
+            if one.lost
+        ]
         if lost:
             yield f"{label} lost draws at {', '.join(lost)}: they are in no figure."
 

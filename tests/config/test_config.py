@@ -622,7 +622,8 @@ DATASHEET = [
     ),
     (
         'source = "a"\n[gyro]\nbias_instability_deg_h = 1',
-        "[gyro] bias_instability needs bias_correlation_s above 0 s",
+        "[gyro] bias_instability needs bias_correlation_s above 0 s: the catalog assumes 300 where no source "
+        "states it",
     ),
     (
         'source = "a"\nassumed = ["gyro.bias"]\n[gyro]\nnoise_deg_sqrt_h = 1',
