@@ -28,7 +28,7 @@ def make_page(result: StudyResult, written: str = "") -> str:
         figures=[_draw(plot) for plot in result.findings.figures],
         tables=[_fill(table) for table in result.findings.tables],
         command=result.command,
-        options=[(key, _say(value)) for key, value in result.options.items() if value is not None],
+        options=[(key, _say(value)) for key, value in result.options.items() if value not in (None, (), [])],
         provenance=list(page.list_provenance(result.provenance)),
     )
 

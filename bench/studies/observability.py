@@ -166,7 +166,7 @@ def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list
             f"On {name} there is no turn: the heading goes from {heading[0]:.3g} to {heading[-1]:.3g} deg."
         )
     told += [
-        f"{when.capitalize()} ({seen.t[k]:g} s) least is told of "
+        f"{when.capitalize()} ({seen.t[k]:g} s) the least observable direction is "
         f"{describe_direction(seen.directions[k][:, -1])}: {100.0 * seen.left[k, -1]:.0f} % of its "
         f"uncertainty at the start; condition {seen.left[k, -1] / seen.left[k, 0]:.0f}."
         for when, k in at.items()

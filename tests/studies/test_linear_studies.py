@@ -278,6 +278,9 @@ def test_the_observability_of_a_short_flight(flight):
     grade, *columns = found.tables["reference"].columns.values()
     for name, printed in {"grade-3": (0.42, 0.0075, 0.0084, 0.31), "MEMS": (3.06, 0.079, 0.094, 4.9)}.items():
         assert_allclose([column[list(grade).index(name)] for column in columns], printed, rtol=0.03)
+    for line in found.figures["reference-heading"].series:
+        assert_allclose(line.t, np.arange(1801.0))
+        assert line.values.shape == (1801, 1)
 
 
 def test_directions_of_a_standing_start():

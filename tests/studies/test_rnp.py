@@ -339,3 +339,20 @@ def test_waypoints_are_flown_within_metres():
     off, _ = measure_off_track(profile.flight, truth, np.arange(0, len(truth.t), 200))
     assert np.isfinite(off).mean() > 0.7
     assert np.nanmax(np.abs(off)) < 12.0
+
+
+def test_levels_over_time_are_the_least_and_errors_the_largest_of_all_flights(monkeypatch):
+    found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, error=lambda k: 1.0 + k, draws=3)
+    for plane, limit in (("horizontal", 555.6), ("vertical", 50.0)):
+        (plot,) = [one for one in found.figures if one.path[1] == f"levels-{plane}"]
+        for line, value in zip(plot.series, (10.0, 3.0, limit), strict=True):
+            assert_allclose(line.t, np.arange(100.0))
+            assert_allclose(line.values, value)
+        assert len({line.colours for line in plot.series}) == 3
+        (plot,) = [one for one in found.figures if one.path[1] == f"stanford-{plane}"]
+        dots, equal, most = plot.series
+        assert_allclose(np.sort(dots.t), np.repeat([1.0, 2.0, 3.0], 100))
+        assert_allclose(dots.values, 10.0)
+        assert_allclose(equal.t, [1.0, 1.5 * limit])
+        assert_allclose(equal.values[:, 0], equal.t)
+        assert_allclose(most.values, limit)

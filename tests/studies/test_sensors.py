@@ -133,6 +133,16 @@ def test_a_requirement_that_is_just_met_or_just_missed(tmp_path, size):
         assert "no unit meets it" in found.verdicts[0]
 
 
+def test_a_unit_without_a_class_that_may_meet_a_requirement_is_no_cheaper_one(tmp_path):
+    names = [write_unit(tmp_path, "none", 1.0, grade=""), *write(tmp_path, dear="tactical")]
+    document = {"requirement": [{"metric": METRIC, "most": 10.0, "share": 0.5}]}
+    law = lambda unit, run, filled: 5.0 if unit == "dear" else 8.0 + 4.0 * (run % 2)  # noqa: E731
+    found, answer = ask(names, Flights(law, document), draws=8, most_draws=8)
+    assert answer.ranking.flown[names[0]].verdict == "undecided"
+    assert answer.ranking.list_undecided() == []
+    assert (found.good, found.undecided) == (True, False)
+
+
 def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(tmp_path):
     """6 draws cannot show 95 %, 24 neither: undecided in three looks, and how many runs would decide."""
     names = write(tmp_path, cheap="consumer", dear="tactical")
