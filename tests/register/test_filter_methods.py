@@ -305,28 +305,44 @@ def metric_start():
     return FLIGHT.start(GRADE) / np.outer(metres, metres), metres
 
 
-def test_38_the_settled_gain_is_that_of_the_information_filter():
+@pytest.mark.parametrize("rates", [(1.0, 1.0), (0.0, 2.0)])
+def test_38_the_settled_gain_is_that_of_the_information_filter(rates):
     """#38: the inverse of P is carried on, without the states of the IMU, whose errors are noise."""
     sig, (P, metres) = GRADE.sigmas, metric_start()
-    K = given_gains.settle_gain(P, NAV, sig, (1.0, 1.0))
+    K, T = given_gains.settle_gain(P, NAV, sig, rates), 1.0 / max(rates)
     kept = np.setdiff1d(np.arange(22), np.arange(9, 15))
     part = np.ix_(kept, kept)
     speed = math.hypot(*NAV.V[:2])
     north = replace_nav(NAV, np.array([0.0, speed, 0.0]))
     earth = given_gains.ellipsoid(NAV.lat, NAV.h)
-    Phi, Q = process_model.model_van_loan(north, earth, [0.0, 0.0, earth.g], sig, 1.0)
+    Phi, Q = process_model.model_van_loan(north, earth, [0.0, 0.0, earth.g], sig, T)
     Phi, Q, P = (Phi * metres / metres[:, None])[part], (Q / np.outer(metres, metres))[part], P[part]
-    Q[range(3, 9), range(3, 9)] += 10.0 * np.repeat([sig.da**2, sig.eps**2], 3)
+    Q[range(3, 9), range(3, 9)] += 10.0 * T * np.repeat([sig.da**2, sig.eps**2], 3)
     H = given_gains.measurement_matrix()[:7]
     root = given_gains.measurement_noise(sig, 1.0, 1.0, False)[:7]
     weight, h = 1.0 / np.diag(root @ root.T), H[:, kept]
-    for _ in range(300):
+    weight[1:] *= rates[0] > 0.0
+    for _ in range(round(300 / T)):
         P = Phi @ P @ Phi.T + Q
         fixed = np.linalg.inv(np.linalg.inv(P) + h[1:].T * weight[1:] @ h[1:])
         P = np.linalg.inv(np.linalg.inv(fixed) + h[:1].T * weight[0] @ h[:1])
     expected = np.column_stack([P @ h[:1].T * weight[0], fixed @ h[1:].T * weight[1:]])
     assert_allclose(K[kept], expected, rtol=1e-5, atol=1e-7)
     assert not K[9:15].any()
+
+
+def test_38_a_given_gain_leaves_what_the_errors_and_the_noise_make_of_it():
+    """#38: one reading of one state, K = 1/4, P = 9 and R = 4: 9 (3/4)^2 + 4 / 4^2; then 4 more."""
+    K = np.zeros((22, 7))
+    K[2, 0] = 0.25
+    form = given_gains.ConstantGain(np.diag(np.where(np.arange(22) == 2, 9.0, 1.0)), K)
+    form.update(np.array([2.0]), np.eye(22)[2:3], np.array([[4.0]]), [0], NAV)
+    assert form.x[2] == pytest.approx(0.5)
+    assert form.covariance[2, 2] == pytest.approx(5.3125)
+    form.add(2.0 * np.eye(22)[:, 2:3])
+    form.predict(2.0 * np.eye(22), np.eye(22), 1.0)
+    assert form.covariance[2, 2] == pytest.approx(4.0 * 9.3125 + 1.0)
+    assert form.covariance[0, 0] == pytest.approx(5.0)
 
 
 def replace_nav(nav, V):
