@@ -8,14 +8,14 @@ several pairs, gets a part of the probability of a wrong word (Bonferroni).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
-from bench.evaluation.regression import estimate_change, half_log_of_mean
+from bench.evaluation.regression import Change, estimate_change, half_log_of_mean
 from bench.wording import format_number
 
 Word = Literal["better", "worse", "same", "undecided"]
@@ -24,6 +24,7 @@ SAME = 0.05
 """Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
 
 _MOST_DRAWS = 100_000  # that are thought of
+_REPEATED = 20  # until a number of draws stays
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +91,19 @@ def compare_draws_of(
     deciding = None
     if word == "undecided":
         clear = max(abs(change.estimate), edge - abs(change.estimate))
-        needed = len(first) * ((high - change.estimate) / clear) ** 2
+        needed = count_deciding(change, clear, error)
         deciding = math.ceil(needed) + 1 if needed < _MOST_DRAWS else None
     return PairedRatio(*names, ratio, word, len(first), deciding)
+
+
+def count_deciding(change: Change, clear: float, error: float) -> float:
+    """Return of how many draws the interval of a change is as wide as ``clear`` to each side.
+
+    The spread stays, and Student's t of more draws is less: it is found by repetition.
+    """
+    needed = float(change.draws)
+    for _ in range(_REPEATED):
+        more = replace(change, dof=max(needed, 2.0) - 1.0)
+        half = more.interval(error)[1] - change.estimate
+        needed = min(change.draws * (half / clear) ** 2, 2.0 * _MOST_DRAWS)
+    return needed

@@ -44,7 +44,7 @@ LAW_S = 60.0
 
 _DRIFT, _RMSE = "outage_*_drift_h_m", "pos_rmse_h_m"
 _ERROR = 0.05  # probability of a wrong word about a pair, over all looks
-_FAR = 2  # a pair that needs more than so many times the most draws is left undecided
+_FAR = 4  # a pair that needs more than so many times the most draws is left undecided
 
 
 class Options(FlightOptions):

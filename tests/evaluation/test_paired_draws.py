@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from bench.evaluation.paired_draws import SAME, compare_draws_of
 
@@ -52,6 +52,15 @@ def test_of_two_that_are_the_same_a_wrong_word_is_as_rare_as_asked_for():
     assert wrong <= stats.binom.ppf(0.999, 600, 0.05)
 
 
+def find_deciding(half, clear):
+    """Return of how many draws the half width of 30 is ``clear``: it goes with t over the root of N."""
+
+    def width(n):
+        return half * stats.t.ppf(0.975, n - 1) / stats.t.ppf(0.975, 29) * np.sqrt(30 / n)
+
+    return optimize.brentq(lambda n: width(n) - clear, 30.0, 1e6)
+
+
 def test_the_draws_that_would_decide_decide_in_about_half_of_the_cases():
     """The interval then just reaches the nearer edge; a quarter of the draws decides seldom."""
     rng = np.random.default_rng(11)
@@ -64,7 +73,7 @@ def test_the_draws_that_would_decide_decide_in_about_half_of_the_cases():
     assert f"undecided in 30 draws, about {pair.deciding - 30} more would tell" in pair.sentence
     half = np.log(pair.ratio.high / pair.ratio.value)
     off = abs(np.log(pair.ratio.value))
-    assert pair.deciding == pytest.approx(30 * (half / max(off, np.log1p(SAME) - off)) ** 2, abs=2)
+    assert pair.deciding == pytest.approx(find_deciding(half, max(off, np.log1p(SAME) - off)), abs=2)
     many = [compare_draws_of(NAMES, *draw(rng, 4 * pair.deciding, pair.ratio.value)).word for _ in range(40)]
     few = [compare_draws_of(NAMES, *draw(rng, max(pair.deciding // 4, 3), 1.0)).word for _ in range(40)]
     assert sum(word != "undecided" for word in many) > 2 * sum(word != "undecided" for word in few)
@@ -78,7 +87,7 @@ def test_two_that_are_nearly_the_same_need_draws_until_the_interval_is_within_5_
         if pair.deciding is not None and 0.01 < off < 0.02:
             break
     half = np.log(pair.ratio.high / pair.ratio.value)
-    assert pair.deciding == pytest.approx(30 * (half / (np.log1p(SAME) - off)) ** 2, abs=2)
+    assert pair.deciding == pytest.approx(find_deciding(half, np.log1p(SAME) - off), abs=2)
 
 
 def test_pairs_that_hardly_differ_are_not_promised_to_be_told():

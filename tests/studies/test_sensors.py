@@ -186,7 +186,7 @@ def test_of_an_undecided_pair_the_unit_with_fewer_draws_flies_again():
     assert list_open(one[:6], other[:6], 24) == {"a", "b"}
     assert list_open(one, other[:6], 24) == {"b"}
     assert list_open(one[:6], other, 24) == {"a"}
-    assert list_open(one[:6], other[:6], 3) == set()
+    assert list_open(one[:6], other[:6], 2) == set()
 
 
 def test_where_all_err_the_same_the_imu_does_not_matter(tmp_path):
