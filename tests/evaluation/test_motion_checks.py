@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench import earth
 from bench.config.listing import list_profiles
 from bench.evaluation import motion_checks, motion_fit, validity
 from bench.evaluation.axis_search import Axes, describe_axes
@@ -42,6 +43,36 @@ def test_a_barometer_climbs_with_the_receiver(unit, fixes, told):
         assert text in one.text
         assert one.value == pytest.approx(1.0 / unit)
         assert one.good == (unit == 1.0)
+
+
+@pytest.mark.parametrize(("axis", "gain", "tilt_deg"), [(0, 1.015, 5.0), (1, 0.9, 25.0), (1, 1.0, 0.0)])
+def test_gravity_and_rates_at_rest_by_hand(axis, gain, tilt_deg):
+    """It stands from 10 to 40 s, and half a second at each end does not count; the rate is 0.3 deg/s."""
+    t, fix_t, tilt = np.arange(0.0, 60.0, 0.1), np.arange(60.0), np.deg2rad(tilt_deg)
+    stands, counts = (fix_t >= 10.0) & (fix_t <= 40.0), (t > 10.5 + 1e-6) & (t < 39.5 - 1e-6)
+    lla = np.column_stack([np.full((60, 2), 0.8), np.full(60, 200.0)])
+    size = gain * np.linalg.norm(earth.gravity_n(0.8, 200.0))
+    gyro = np.where(counts[:, None], np.deg2rad([0.1, -0.2, 0.2]), 1.0)
+    accel = np.where(counts[:, None], size * np.array([np.sin(tilt), 0.0, -np.cos(tilt)]), 99.0)
+    vel_n = np.zeros((60, 3))
+    vel_n[~stands, axis] = -3.0
+    motion = RecordedMotion(t, gyro, accel, fix_t, lla, vel_n, np.deg2rad(3999.0))
+    ratio, tilted, rate = validity._check_rest(motion)
+    assert "at rest (30 s)" in ratio.text
+    assert (ratio.value, ratio.good) == (pytest.approx(gain), abs(gain - 1.0) < 0.02)
+    assert (tilted.value, tilted.good) == (pytest.approx(tilt_deg, abs=1e-5), tilt_deg < 20.0)
+    assert f"{tilt_deg:.1f} deg off" in tilted.text
+    assert ("mounting_deg" in tilted.text) == (not tilted.good)
+    assert (rate.value, rate.good) == (pytest.approx(0.3), True)
+    assert "0.100, -0.200, 0.200 deg/s" in rate.text
+    most = validity._check_rates(motion)
+    assert (most.value, most.good) == (pytest.approx(3999.0), True)
+    assert "3999 deg/s" in most.text
+    assert not validity._check_rates(replace(motion, most_rate=np.deg2rad(4001.0))).good
+    (nothing,) = validity._check_rest(replace(motion, vel_n=vel_n - 3.0))
+    assert "shows no standstill" in nothing.text
+    (nothing,) = validity._check_rest(replace(motion, vel_n=np.full((60, 3), np.nan)))
+    assert "gives no velocity" in nothing.text
 
 
 @pytest.fixture(scope="module")
