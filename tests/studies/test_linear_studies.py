@@ -16,13 +16,15 @@ import bench
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.evaluation.linear.best_linear import Bound
-from bench.evaluation.linear.directions import describe_direction, find_turns, observe
+from bench.evaluation.linear.directions import Observed, describe_direction, find_turns, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
 from bench.findings import series
 from bench.studies import budget as budget_study
+from bench.studies import observability
 from bench.studies.budget import _give_colours
 from bench.studies.drawn_errors import key_instants, split_draws
+from bench.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 
@@ -281,6 +283,82 @@ def test_the_observability_of_a_short_flight(flight):
     for line in found.figures["reference-heading"].series:
         assert_allclose(line.t, np.arange(1801.0))
         assert line.values.shape == (1801, 1)
+
+
+def test_the_words_and_pictures_of_a_budget_by_hand():
+    """Two sources of variance 9 and 16 of every state, and a claim of a quarter of their sum, 25."""
+    variance = np.tile([9.0, 16.0], (2, 9, 1)) * np.array([1.0, 4.0])[:, None, None]
+    claimed = variance.sum(axis=2) / 4.0
+    claimed[:, 2] /= 4.0
+    made = Budget(np.array([10.0, 20.0]), ("gyro", "noise"), variance, claimed)
+    text = budget_study._rank(made, 1, "20 s")
+    assert text.startswith(
+        "At 20 s, of the variance: horizontal position 14.1 m by noise 64 % and gyro 36 %;"
+    )
+    assert "height 10 m by noise 64 % and gyro 36 %" in text
+    assert "heading 573 deg by noise 64 %" in text
+    (told,) = budget_study._judge_claim(made, {"10 s": 0, "20 s": 1}, "mine", 0)
+    assert told == (
+        "The worst claims of mine: at 10 s, its height error is 4 times what it claims; at 20 s, its height "
+        "error is 4 times what it claims."
+    )
+    assert "refused 3 scalar" in budget_study._judge_claim(made, {"10 s": 0}, "mine", 3)[1]
+    table = budget_study._tabulate(made, {"20 s": 1}, "mine").columns
+    assert table["source"] == ["noise", "gyro"]
+    assert_allclose(table["share_percent"], [64.0, 36.0])
+    assert_allclose(table["height_m"], [8.0, 6.0])
+    plots = {one.path[1]: one for one in budget_study._plot(made, "mine")}
+    actual, claim = plots["height"].series
+    assert_allclose((actual.t, actual.values[:, 0], claim.values[:, 0]), ([10, 20], [5, 10], [1.25, 2.5]))
+    assert actual.colours != claim.colours
+    first, edge, second, _ = plots["height-shares"].series
+    assert_allclose(first.values, [[64.0, 0.0]] * 2)
+    assert_allclose(edge.values[:, 0], 64.0)
+    assert_allclose(second.values, [[100.0, 64.0]] * 2)
+
+
+def test_what_is_known_before_and_after_turns_by_hand():
+    """Straight, a turn of ten seconds, straight; a turn of two seconds is none."""
+    t = np.arange(30.0)
+    turning = ((t >= 10.0) & (t < 20.0)) | ((t >= 25.0) & (t < 27.0))
+    smooth = observability._smooth_phases(turning, t)
+    assert smooth.tolist() == ((t >= 10.0) & (t < 20.0)).tolist()
+    phases = observability._split_phases(smooth)
+    assert phases == [("straight", 0, 10), ("turn", 10, 20), ("straight", 20, 29)]
+    states = np.array([1.0, 2.0, 4.0, 3.0, 1.0, 2.0, 1.0, 3.0, 2.0])
+    units = np.repeat([DEG, DEG / HOUR, 1e-6 * STANDARD_GRAVITY], 3)
+    left = np.column_stack([np.full(30, 0.1), np.linspace(1.0, 0.42, 30)])
+    directions = np.tile(np.eye(9)[:, [5, 2]], (30, 1, 1))
+    seen = Observed(t, (40.0 - t)[:, None] * states * units, left, directions)
+    table = observability._tabulate_phases(seen, phases).columns
+    assert (table["from_s"], table["to_s"]) == ([0.0, 10.0, 20.0], [10.0, 20.0, 29.0])
+    for name, size in (("heading_%s_deg", 4), ("tilt_%s_deg", 2), ("gyro_%s_deg_h", 3), ("accel_%s_ug", 3)):
+        assert_allclose(table[name % "before"], size * np.array([40.0, 30.0, 20.0]))
+        assert_allclose(table[name % "after"], size * np.array([30.0, 20.0, 11.0]))
+    rows = observability._tabulate_directions(seen, phases).columns
+    assert rows["t_s"] == [10.0, 15.0, 20.0, 29.0]
+    assert_allclose(rows["left_percent"], 100.0 * left[[10, 15, 20, 29], 1])
+    assert_allclose(rows["best_percent"], 10.0)
+    assert_allclose(rows["condition"], left[[10, 15, 20, 29], 1] / 0.1)
+    assert (rows["least_observable"][0], rows["best"][0]) == ("heading 1.00", "gyro bias z 1.00")
+    told = observability._tell("made", seen, phases)
+    assert told[0] == (
+        "On made the heading is known to 160 deg at the start, 120 deg before the first turn at 10 s, 80 deg "
+        "after it, and 44 deg at the end."
+    )
+    assert told[1].startswith("A turn leaves 67 % of the heading uncertainty, straight flight after it 55 %")
+    assert told[-1].endswith("is heading 1.00: 42 % of its uncertainty at the start; condition 4.")
+    (alone,) = observability._tell("made", seen, [("straight", 0, 29)])[:1]
+    assert alone == "On made there is no turn: the heading goes from 160 to 44 deg."
+    plots = {one.path[1]: one for one in observability._plot(seen, smooth)}
+    known, foot = plots["heading"].series
+    assert_allclose(known.values[:, 0], 4.0 * (40.0 - t))
+    assert_allclose(foot.t, t[10:20])
+    assert_allclose(foot.values, 0.8 * 44.0)
+    most, least = plots["directions"].series
+    assert_allclose(most.values[:, 0], 100.0 * left[:, 1])
+    assert_allclose(least.values[:, 0], 10.0)
+    assert most.colours != least.colours
 
 
 def test_directions_of_a_standing_start():

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
@@ -91,6 +92,12 @@ def test_from_cheap_to_dear_a_class_is_on_the_front_only_if_it_is_better(tmp_pat
     assert table["draws"] == [6] * 4
     (figure,) = found.figures
     assert figure.series[0].labels == ("a", "b", "c", "d")
+    dots, front = figure.series
+    assert_allclose(dots.t, [1.0, 1.0, 2.0, 3.0])
+    assert_allclose(dots.values[:, 0], table["rms"])
+    assert_allclose(front.t, [1.0, 3.0])
+    assert_allclose(front.values[:, 0], [table["rms"][1], table["rms"][3]])
+    assert [at for at, _ in figure.ticks] == [1.0, 2.0, 3.0, 4.0]
     assert [name for _, name in figure.ticks] == list(CLASSES)
 
 
@@ -127,6 +134,8 @@ def test_a_requirement_that_is_just_met_or_just_missed(tmp_path, size):
         table = next(one for one in found.tables if one.name == "units").columns
         assert table["verdict"] == ["missed", "met"]
         assert table["margin"] == pytest.approx([0.5, 1.0 / size])
+        limit = found.figures[0].series[-1]
+        assert_allclose((limit.t, limit.values[:, 0]), ([1.0, 4.0], [10.0, 10.0]))
     else:
         assert answer.ranking.recommended is None
         assert (found.good, found.undecided) == (False, False)
