@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import bench
 from bench import earth, pipeline
+from bench.evaluation import convention_search
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.error_series import interpolate_truth
 from bench.evaluation.known_conventions import Answers, compare, list_conventions, move
@@ -221,3 +223,17 @@ def test_score_says_it_of_a_solution_in_a_file(tmp_path):
     score = bench.score_solution(tmp_path / "theirs.csv", tmp_path / "run")
     assert conventions(score.metrics) == ["velocities east, north, up"]
     assert "Looks like velocities east, north, up" in score.metrics["verdict_text"]
+
+
+@pytest.mark.parametrize(("half", "same"), [(0.95, True), (1.05, False)])
+def test_a_constant_of_half_a_flight_is_the_same_within_half_of_it(monkeypatch, half, same):
+    """Steps of 3 and -1 m are 2 m; the constants of the halves are told by how far they are off."""
+    steps = iter([3.0, -1.0])
+
+    def solve(*args):
+        return np.array([next(steps, 0.0)]), (np.array([half]), np.array([-0.1]))
+
+    monkeypatch.setattr(convention_search, "_solve", solve)
+    made = SimpleNamespace(constants=1, starts=(0.0,))
+    constants, found = convention_search._fit(None, None, made, ["position"])
+    assert (constants.tolist(), found) == ([2.0], same)
