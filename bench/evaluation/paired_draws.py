@@ -66,8 +66,8 @@ def compare_draws_of(
     Returns
     -------
     pair : Pair
-        "better" or "worse" where the interval of the ratio excludes 1; "same" where it holds 1 and lies
-        within `SAME` of it.
+        "same" where the interval of the ratio lies within `SAME` of 1; else "better" or "worse" where it
+        excludes 1.
     """
     if np.array_equal(first, second):
         return PairedRatio(*names, Estimate(1.0, 1.0, 1.0), "same", len(first), None)
@@ -78,12 +78,12 @@ def compare_draws_of(
     low, high = change.interval(error)
     edge = math.log1p(SAME)
     word: Word = (
-        "better"
+        "same"
+        if -edge <= low and high <= edge
+        else "better"
         if high < 0.0
         else "worse"
         if low > 0.0
-        else "same"
-        if -edge <= low and high <= edge
         else "undecided"
     )
     with np.errstate(over="ignore"):

@@ -25,6 +25,9 @@ def test_equal_draws_are_the_same_and_so_are_draws_within_5_percent():
     values = np.array([3.0, 1.0, 7.0, 2.0])
     assert compare_draws_of(NAMES, values, values).word == "same"
     assert compare_draws_of(NAMES, np.zeros(3), np.zeros(3)).word == "same"
+    assert [compare_draws_of(NAMES, one * values, values).word for one in (0.94, 0.96, 1.04, 1.06)] == [
+        "better", "same", "same", "worse",
+    ]  # fmt: skip
     rng = np.random.default_rng(2)
     base = np.abs(rng.standard_normal(400))
     pair = compare_draws_of(NAMES, base, base * np.exp(0.02 * rng.standard_normal(400)))
