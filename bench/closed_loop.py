@@ -44,7 +44,7 @@ from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
 from bench.signals.terrain import ground_at
 from bench.specs import CLIENT, Guidance, Profile
-from bench.store import join_pieces
+from bench.store import cached_truth, join_pieces
 from bench.wording import one_line
 
 Watch = Callable[[Trajectory], object] | None
@@ -220,6 +220,7 @@ def fly(
         If the filter cannot be built, or has never answered.
     """
     assert profile.guidance is not None
+    check_legs(profile)
     truth, pilot = _fly(profile, run, _FilterOnBoard(profile.guidance), progress, show=show)
     return ClosedFlight(truth, pilot.collect())
 
@@ -241,6 +242,21 @@ def serve(
     answers = pilot.collect() if session.estimates and pilot.answers else None
     failed = next((row[3] for row in pilot.events if row[2] == FAILED), "")
     return ServedFlight(truth, answers, session.ended or failed)
+
+
+def check_legs(profile: Profile) -> None:
+    """Fly legs that have to fit a duration by the truth: by an estimate they need about as long.
+
+    Raises
+    ------
+    bench.errors.FlightError
+        If they need longer, or cannot be flown.
+    """
+    from bench import flight
+
+    spec = profile.flight
+    if isinstance(spec, FlightSpec) and spec.duration is not None:
+        cached_truth(spec, lambda: flight.fly_pieces(spec))
 
 
 def find_length(profile: Profile) -> float:

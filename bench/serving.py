@@ -108,6 +108,8 @@ def serve(
     steers = gives == "commands" or mavlink is not None
     if steers:
         closed_loop.find_length(profile)
+    else:
+        closed_loop.check_legs(profile)
     length = profile.flight.duration
     facts = FlightFacts(profile.flight.rate, profile.guidance.period, math.nan if length is None else length)
     commands = Commands()

@@ -129,6 +129,7 @@ def test_alarms_count_for_the_sensor_that_is_struck_and_in_the_interval():
     assert measure_delay(replace(gnss, start=24.0), raised) is None  # the end does not belong to it
     assert measure_delay(replace(baro, start=22.5), raised) is None  # the first of a pair before it does not
     assert measure_delay(Fault("baro-step", "baro", 22.0, 23.0, ""), raised) == 0.0  # it has no second update
+    assert measure_delay(Fault("baro-step", "baro", 23.0, 25.0, ""), raised) is None  # its second is used
     assert count_false_alarms([gnss, baro], raised, "gnss_position", 0.0) == 2
     assert count_false_alarms([gnss], raised, "gnss_position", 15.0) == 1
     assert count_false_alarms([gnss], raised, "baro", 0.0) == 2

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import re
 import shlex
 import shutil
 import socket
@@ -400,6 +401,12 @@ def test_a_profile_for_a_client_is_no_run(path):
         serving.serve(config.load_profile(path, SHORT), seed=1)
 
 
+def test_legs_that_do_not_fit_their_duration_are_refused_before_a_client_comes(path, capsys):
+    assert main(["serve", str(path), "--port", "0", "--set", "duration_s=12"]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert re.fullmatch(r"error: the legs need [0-9.]+ s; duration is 12 s", line)
+
+
 @pytest.mark.parametrize("mavlink", [None, ActuatorChannels()])
 def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
     """`approach-closed` is flown by a filter at turns of 0.2 s; an autopilot has turns of 50 ms."""
@@ -411,11 +418,11 @@ def test_from_python_a_profile_is_served_as_by_the_verb(mavlink, monkeypatch):
 
     monkeypatch.setattr(closed_loop, "serve", fly)
     monkeypatch.setattr(ClientSession, "wait", lambda self, say: None)
-    options = [] if mavlink is None else ["--mavlink"]
-    overrides = {"duration_s": 120.0}
+    options = [] if mavlink is None else ["--mavlink", "--set", "duration_s=120"]
+    overrides = None if mavlink is None else {"duration_s": 120.0}
     with pytest.raises(ConfigError, match="it would fly"):
         bench.serve("approach-closed", address="127.0.0.1:0", mavlink=mavlink, seed=3, overrides=overrides)
-    changes = ["--set", "duration_s=120", "--seed", "3", "--port", "0"]
+    changes = ["--seed", "3", "--port", "0"]
     assert main(["serve", "approach-closed", *options, *changes]) == 2
     by_python, by_verb = flown
     assert by_python == by_verb
