@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from rich import box
 from rich.console import Console, JustifyMethod
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -31,27 +32,39 @@ def print_findings(
     most: int | None = None,
 ) -> None:
     """Print tables, and a paragraph for each sentence."""
-    for table in tables:
-        print_table(console, table, most)
+    print_tables(console, tables, most)
     for sentence in sentences:
         console.print(sentence, soft_wrap=True)
 
 
-def print_table(console: Console, table: FindingTable, most: int | None = None) -> None:
+def print_tables(console: Console, tables: Iterable[FindingTable], most: int | None = None) -> None:
+    """Print tables below each other, as :func:`print_table` does one, with one blank line between two."""
+    below = False
+    for table in tables:
+        print_table(console, table, most, below=below)
+        below = bool(table.columns)
+
+
+def print_table(
+    console: Console, table: FindingTable, most: int | None = None, *, below: bool = False
+) -> None:
     """Print a table, or the first rows of one that is written whole to a folder.
 
     Verdicts have their look, and a row with a name alone is a heading. If the table is too wide, intervals
     stand below their figures; if it still is, each part has the columns that name a row, and as many others
-    as there is room for.
+    as there is room for. ``below``: another table, and its blank line, stands above.
     """
     if table.title:
         console.print(table.title, style="table.title")
     if not table.columns:
         return
     columns = {name: values[:most] for name, values in table.columns.items()}
+    if table.title or not below:
+        console.print()
     whole = _draw(_show(name, values) for name, values in columns.items())
     if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
         console.print(whole)
+        console.print()
     else:
         narrow = {name: _show(name, values, narrow=True) for name, values in columns.items()}
         for part in _divide(narrow, _find_keys(columns), console.width):
@@ -60,6 +73,7 @@ def print_table(console: Console, table: FindingTable, most: int | None = None) 
             spare = max(0, console.width - 1 - sum(one.width + _GAP for one in shown.values()))
             shown[longest] = shown[longest]._replace(width=shown[longest].width + spare)
             console.print(_draw(shown.values()))
+            console.print()
     left = max(map(len, table.columns.values()), default=0) - max(map(len, columns.values()), default=0)
     if left > 0:
         console.print(f"{left} more rows: -o DIR writes all.", style="dim")
@@ -149,9 +163,9 @@ def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> It
     yield part
 
 
-def _draw(columns: Iterable[_Shown]) -> Table:
+def _draw(columns: Iterable[_Shown]) -> Padding:
     drawn: Collection[_Shown] = list(columns)
-    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
     for one in drawn:
         kind: JustifyMethod = "left" if one.words else "right"
         table.add_column(one.head, justify=kind, overflow="fold", max_width=one.width)
@@ -160,4 +174,4 @@ def _draw(columns: Iterable[_Shown]) -> Table:
         name, *others = row
         heading = others and not any(cell.plain for cell in others)
         table.add_row(*row, style="bold" if heading and name.plain else None)
-    return table
+    return Padding(table, (0, 1), expand=False)

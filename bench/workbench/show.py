@@ -18,7 +18,7 @@ from bench.signals.terrain import read_grid
 from bench.specs import Profile
 from bench.studies import STUDIES
 from bench.wording import one_line
-from bench.workbench.printing import print_table
+from bench.workbench.printing import print_table, print_tables
 
 _DEG = 180 / math.pi
 _OF_KEYS = ("key", "may be", "default", "what")
@@ -36,8 +36,11 @@ def print_flight(console: Console, profile: Profile, summary: Mapping[str, Any])
         low, high = summary["height_min_m"], summary["height_max_m"]
         grid = f"over {terrain.path.name}, {read_grid(terrain).describe()}"
         figures["above ground"] = f"{low:.0f} to {high:.0f} m {grid}"
-    print_table(console, make_table("legs", "", ("from", "to", "leg"), legs))
-    print_table(console, make_table("flight", "", ("figure", "value"), list(figures.items())))
+    tables = [
+        make_table("legs", "", ("from", "to", "leg"), legs),
+        make_table("flight", "", ("figure", "value"), list(figures.items())),
+    ]
+    print_tables(console, tables)
     for _, _, text in summary["table"]:
         console.print(f"{profile.flight.label}: {text}", soft_wrap=True)
     print_sanity(console, summary["sanity"])
