@@ -13,12 +13,13 @@ from bench import closed_loop, config, pipeline, store
 from bench.cli import main
 from bench.config.listing import list_profiles
 from bench.data import NavSolution
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorError
 from bench.flight import fly_pieces
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Taxi
 from bench.flight_specs import FlightSpec
+from bench.navigation.open_filters import PieceFilter
 from tests.flight.plans import plan, short_plan
 from tests.flight.test_legs_ground import KINDS, standing
 
@@ -148,6 +149,22 @@ step_m = [30.0, 0.0, 0.0]
     same_bits(flown.answers.innovations, final.innovations, columns)
     assert flown.answers.events.rows() == final.events.rows()
     assert not final.innovations.accepted.all()
+
+
+def test_a_filter_that_dies_as_it_answers_has_told_each_innovation_once(profile, monkeypatch):
+    answer = PieceFilter.answer
+
+    def fail(self):
+        if self.t > 8.0:
+            raise EstimatorError("no more")
+        return answer(self)
+
+    monkeypatch.setattr(PieceFilter, "answer", fail)
+    flown = closed_loop.fly(config.load_profile(profile))
+    table = flown.answers.innovations
+    told = np.stack([table.t, table.code, table.component], axis=1)
+    assert len(np.unique(told, axis=0)) == len(told) > 0
+    assert flown.answers.t[-1] < 8.1 < flown.truth.t[-1]
 
 
 CATALOG = {

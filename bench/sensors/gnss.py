@@ -65,7 +65,7 @@ def measure(
     rows, steps = draws.epochs("gnss", truth.t, spec.rate)
     t = truth.t[rows]
     lla, vel_n = compute_antenna_motion(truth, rows, antenna_b, draws)
-    if not (len(rows) or scripted or spec.tracking_bandwidth > 0):
+    if not (len(rows) or spec.tracking_bandwidth > 0):
         return _no_fixes()
     pos_white_sd = np.array(spec.pos_white_sd_n)
     pos_markov_sd = np.array([spec.pos_h_markov_sd, spec.pos_h_markov_sd, spec.pos_v_markov_sd])

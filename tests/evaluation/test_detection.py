@@ -152,6 +152,9 @@ def test_a_filter_that_refuses_one_fix_by_chance_and_follows_has_not_noticed():
     assert told_of(by_hand({"gnss_position": range(35, 70)}), ramp) == (15.0, 25 / 40)
     assert told_of(by_hand({"gnss_position": range(35, 70)}), ramp, end=44.0) == (15.0, 9 / 24)
     assert told_of(by_hand({"baro": range(35, 70)}), ramp) == (None, 0.0)
+    late = by_hand({"gnss_position": range(35, 70)})
+    late = replace(late, innovations=replace(late.innovations, t=late.innovations.t + 0.5))
+    assert told_of(late, ramp) == (15.5, 25 / 40)
 
 
 def test_an_event_is_an_alarm_as_long_as_it_stands():

@@ -18,7 +18,7 @@ from bench.data import AirData, SensorData, Trajectory
 from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import sense, sense_piece
 from bench.sensors.draws import SensorDraws
-from bench.sensors.gnss import rate_at
+from bench.sensors.gnss import compute_antenna_motion, rate_at
 from tests.sensors.test_faults import CASES, RECEIVERS, script
 
 CATALOG = Path(bench.__file__).parent / "catalog"
@@ -161,6 +161,36 @@ def test_a_frozen_output_of_two_faults_repeats_the_row_before_each(gusty):
     second = replace(second, start=25.0, end=40.0)
     for gnss in RECEIVERS.values():
         assert_same_bits(gusty, on_board(gnss=gnss, scripted=[first, second]), FEW)
+
+
+def test_a_flight_may_end_between_two_instants_of_the_biases(begin):
+    """It has the bits of a longer one until the last of them, and a bias until its end."""
+    instants = {name: getattr(begin, name)[:1204] for name in ("t", "lla", "vel_n", "q_nb")}
+    steps = {name: getattr(begin, name)[:1203] for name in ("dtheta_b", "dvel_b")}
+    short, whole = replace(begin, **instants, **steps), sense(begin, on_board(), 7, 2)
+    found = sense(short, on_board(), 7, 2)
+    for name in ("dtheta_b", "dvel_b"):
+        measured = getattr(found.data.imu, name)
+        assert_array_equal(measured[:1200], getattr(whole.data.imu, name)[:1200])
+        assert np.isfinite(measured).all()
+    assert found.truth.t[-1] == short.t[-1]
+
+
+def test_the_loops_of_a_receiver_go_on_through_pieces_without_a_fix(begin):
+    unit = SENSORS["gnss"](CATALOG / "gnss" / "l1-code.toml", "l1-code")
+    assert_same_bits(begin, on_board(gnss=replace(unit, tracking_bandwidth=1.0)), [1] * 359)
+
+
+def test_an_antenna_moves_as_in_the_whole_flight_in_pieces_of_a_sample(begin):
+    """Its velocity takes the turn of the two samples before, of pieces with a fix or without."""
+    rows, arm, draws = np.array([1, 2, 7, 20, 21, 40, 60]), (0.5, 0.1, -0.3), SensorDraws(1, 0)
+    found = []
+    for k in range(60):
+        instants = {name: getattr(begin, name)[k : k + 2] for name in ("t", "lla", "vel_n", "q_nb")}
+        steps = {name: getattr(begin, name)[k : k + 1] for name in ("dtheta_b", "dvel_b")}
+        piece = replace(begin, **instants, **steps)
+        found.append(compute_antenna_motion(piece, rows[rows == k + 1] - k, arm, draws)[1])
+    assert_array_equal(np.concatenate(found), compute_antenna_motion(begin, rows, arm, SensorDraws(1, 0))[1])
 
 
 def test_the_turn_at_a_fix_is_that_of_the_whole_flight_in_pieces_of_a_sample():
