@@ -75,7 +75,8 @@ class RinexFixes:
     @property
     def name(self) -> str:
         """The marker name in the observation file, else the name of the file."""
-        return self.observations.marker or self.observations.shown
+        names = [Path(one).name for one in self.observations.shown.split(", ")]
+        return self.observations.marker or ", ".join(names)
 
     @property
     def day(self) -> str:

@@ -54,12 +54,19 @@ def find_placed(error: FloatArray, solved: RinexFixes) -> BoolArray:
     return np.asarray(solved.fixes.valid & np.isfinite(error).all(axis=1))
 
 
-def name_reference(solved: RinexFixes) -> str:
-    """Return in words what the errors are relative to."""
+def name_reference(solved: RinexFixes, *, short: bool = False) -> str:
+    """Return in words what the errors are relative to; ``short`` for a heading."""
     if not solved.compared:
-        return "the median of the fixes"
-    name = "the position in the header of the file" if solved.truth is None else "the truth"
-    return f"{name}, good to {solved.truth_sd:g} m (sd along each axis)" if solved.truth_sd else name
+        return "their median" if short else "the median of the fixes"
+    header = "the header" if short else "the position in the header of the file"
+    name = header if solved.truth is None else "the truth"
+    if not solved.truth_sd:
+        return name
+    return (
+        f"{name}, sd {solved.truth_sd:g} m"
+        if short
+        else f"{name}, good to {solved.truth_sd:g} m (sd along each axis)"
+    )
 
 
 def name_figure(name: str) -> str:

@@ -105,7 +105,7 @@ def _make_blueprint(solved: RinexFixes, plots: dict[str, list[Plot]], error: Flo
     far = 1.1 * max(float(np.nanmax(np.abs(error[:, :2]))), 1e-3)
     track = rrb.Spatial2DView(
         origin=TRACK,
-        name=f"Fixes from above, north up, from {receiver_plots.name_reference(solved)}",
+        name=f"Fixes from above, north up, from {receiver_plots.name_reference(solved, short=True)}",
         visual_bounds=rrb.VisualBounds2D(x_range=[-far, far], y_range=[-far, far]),
     )
     lat = float(np.nanmedian(solved.fixes.lla[:, 0]))
