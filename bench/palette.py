@@ -37,11 +37,11 @@ FIXES = PaletteSlot("fixes", (244, 255, 213), (48, 0, 16))
 _TONES = (*SLOTS, FIXES)
 
 _OWNERS: Mapping[str, int] = {
-    **dict.fromkeys(("loose-full", "loose-mems", "tight", "error-ekf"), 1),
+    **dict.fromkeys(("loose-full", "loose-mems", "error-ekf"), 1),
     **dict.fromkeys(("loose-15", "fixed-gain", "least-squares"), 2),
     **dict.fromkeys(("free-inertial", "complementary", "graph-smoother"), 6),
     **dict.fromkeys(("smoother", "ukf", "gnss-only"), 4),
-    **dict.fromkeys(("baro-inertial", "classic-22"), 5),
+    **dict.fromkeys(("baro-inertial", "classic-22", "tight"), 5),
     **dict.fromkeys(("loose-22", "invariant-ekf", "autopilot"), 3),
 }
 """Built-in filter -> its slot; those that profiles fly together have different ones."""

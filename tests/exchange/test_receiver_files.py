@@ -277,6 +277,26 @@ def test_scale_factors(tmp_path):
     assert raw.cn0[0, 0] == 41.0
 
 
+def test_each_observable_has_its_scale_and_a_lost_count_its_bit(tmp_path):
+    """Doppler times 10, phase times 100; bit 0 of the digit behind a phase: the cycles are counted anew."""
+    row = "C{:02d}  20947300.931 8     10372.050 8  10947300.500{}8        41.000\n"
+    text = HEAD.format(
+        3.05, "XXX", f"{'C   10  1 D2I':60}SYS / SCALE FACTOR\n{'C  100  1 L2I':60}SYS / SCALE FACTOR\n"
+    )
+    text = text.replace("C    2 XXX S2I        ", "C    4 C2I D2I L2I S2I").replace("0  1\nC20", "0  8\nC20")
+    path = tmp_path / "file.rnx"
+    path.write_text("".join([text[: text.rindex("C20")], *(row.format(20 + k, k) for k in range(8))]))
+    raw = observations.read_observations(path, phase=True)
+    for got, expected in (
+        (raw.pseudorange, 20947300.931),
+        (raw.doppler, 1037.205),
+        (raw.phase, 109473.005),
+        (raw.cn0, 41.0),
+    ):
+        assert_allclose(got[:, 0], np.full(8, expected), rtol=1e-12)
+    assert raw.slipped[:, 0].tolist() == [k % 2 == 1 for k in range(8)]
+
+
 def test_rinex_4_messages():
     nav = ephemerides.read_navigation(stored_gnss_file(KMS3[1]))
     assert len(nav.gps) == 30  # and one of QZSS
@@ -286,6 +306,34 @@ def test_rinex_4_messages():
     assert_allclose(nav.klobuchar[[0, 4]], [1.024454832077e-08, 9.6256e4])
     assert_allclose(nav.level, [78.5, 0.5390625, 0.02713012695312])
     assert nav.lost == 0
+
+
+def take_record(tmp_path, name, edit):
+    """Return what is read of the first record of a satellite of ESBC, edited."""
+    text = gzip.decompress(stored_gnss_file(ESBC[1]).read_bytes()).decode()
+    start = text.index(f"\n{name} ") + 1
+    record = "".join(text[start:].splitlines(keepends=True)[:8])
+    path = tmp_path / "file.rnx"
+    path.write_text(text[: text.index("END OF HEADER")] + "END OF HEADER\n" + edit(record))
+    return ephemerides.read_navigation(path)
+
+
+def test_a_satellite_without_an_accuracy_is_not_used(tmp_path):
+    """A SISA of -1 says that there is no accuracy prediction (Galileo OS SIS ICD 2.0, table 89)."""
+    sound = take_record(tmp_path, "E01", lambda text: text)
+    assert sum(one.healthy.sum() for one in sound.galileo) == 1
+    silent = take_record(
+        tmp_path, "E01", lambda text: text.replace(" 3.120000000000e+00", "-1.000000000000e+00")
+    )
+    assert sum(one.healthy.sum() for one in silent.galileo) == 0
+
+
+@pytest.mark.parametrize("name", ["C05", "C59", "C63"])
+def test_geostationary_satellites_may_have_no_inclination(tmp_path, name):
+    found = take_record(tmp_path, "C05", lambda text: text.replace("C05", name))
+    assert found.beidou.sat.tolist() == [int(name[1:])]
+    with pytest.raises(ConfigError, match=r"i_0 = 0\.114 is outside 0\.6 to 1\.3 rad"):
+        take_record(tmp_path, "C05", lambda text: text.replace("C05", "C58"))
 
 
 # --- what the user sees ------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import almanac, rinex_fixes
 from bench.exchange.rinex import codes, ephemerides, lines, observations
-from bench.orbit_sets import KEPLER
+from bench.orbit_sets import KEPLER, STATE
 from bench.plots.receiver_plots import find_middle
 from bench.signals.processing import ErrorBudget, Processing
 from tests.data import gnss_file
@@ -337,9 +337,17 @@ def test_rinex_2_observations_with_more_than_twelve_satellites(tmp_path):
     assert_allclose(raw.cn0[:, 0], 45.0)
 
 
-def test_glonass_time_in_the_header_is_utc(tmp_path):
-    shifted = OBS_3.replace("GPS         TIME OF", "GLO         TIME OF")
-    assert observations.read_observations(written(tmp_path, shifted)).t[0] == 18.0
+def test_an_observation_of_zero_is_none(tmp_path):
+    raw = observations.read_observations(written(tmp_path, broken(OBS_3, 9, "20947300.413", "       0.000")))
+    assert np.isnan(raw.pseudorange[0, 1])
+    assert raw.band[0].tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(("system", "late"), [("GLO", 18.0), ("BDT", 14.0), ("GAL", 0.0)])
+def test_the_time_of_the_header_counts(tmp_path, system, late):
+    """GPS is ahead of UTC, that of GLONASS, by the leap seconds, of BeiDou by 14 s: those since 2006."""
+    shifted = OBS_3.replace("GPS         TIME OF", f"{system}         TIME OF")
+    assert observations.read_observations(written(tmp_path, shifted)).t[0] == late
 
 
 def test_numbers_without_an_exponent_letter_and_weeks(tmp_path):
@@ -620,6 +628,25 @@ NAVIGATION = {
     "glonass cut": (first_lines(NAV_R, 5), "line 5: the record of R3 from line 3 ends after 3 of 4 lines"),
     "kind": (OBS_3, "line 1: is an observation file, not a navigation file"),
 }
+
+
+def test_the_state_of_glonass_in_si_units_and_a_channel_without_its_sign(tmp_path):
+    text = broken(NAV_R, 5, " 5.000000000000D+00", " 2.490000000000D+02")
+    found = ephemerides.read_navigation(written(tmp_path, text)).glonass
+    assert found.channel.tolist() == [-7]
+    expected = {
+        "x": -2.380982128906e7, "vx": 228.9457321167, "ax": -3.725290298462e-6,
+        "y": -8.908935546875e6, "vy": 253.6134719849, "ay": 9.313225746155e-7,
+        "z": 2.209434082031e6, "vz": 3556.049346924, "az": -1.862645149231e-6,
+    }  # fmt: skip
+    state = dict(zip(STATE, found.state[0], strict=True))
+    assert_allclose([state[name] for name in expected], [*expected.values()], rtol=1e-12)
+
+
+def test_the_issue_of_a_clock_is_no_group_delay(tmp_path):
+    gps = ephemerides.read_navigation(written(tmp_path, NAV_2)).gps
+    assert gps.get("group_delay").tolist() == [0.838190317154e-8]
+    assert gps.get("group_delay_2").tolist() == [0.0]
 
 
 @pytest.mark.parametrize("case", NAVIGATION)

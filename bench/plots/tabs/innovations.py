@@ -29,6 +29,8 @@ from bench.plots.content import Content, Tab
 _MEASURED = {
     "gnss_position": ("GNSS position", "m"),
     "gnss_velocity": ("GNSS velocity", "m/s"),
+    "pseudorange": ("pseudorange", "m"),
+    "range_rate": ("range rate", "m/s"),
     **{row.innovation: (row.quantity, row.unit) for row in INSTRUMENTS.values()},
 }
 """Title and unit by sensor."""
