@@ -19,6 +19,7 @@ from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange.rinex import ephemerides, observations
+from bench.exchange.rinex.lines import gps_seconds
 from bench.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.signals import orbits
 from bench.signals.delays import compute_ntcm, zenith_troposphere
@@ -328,6 +329,12 @@ def test_a_satellite_without_an_accuracy_is_not_used(tmp_path):
     assert sum(one.healthy.sum() for one in silent.galileo) == 0
 
 
+def test_times_of_beidou_are_14_s_behind(tmp_path):
+    beidou = take_record(tmp_path, "C05", lambda text: text).beidou
+    expected = gps_seconds(2020, 6, 24, 22 * 3600.0) + 14.0
+    assert beidou.get("t_oe").tolist() == beidou.get("t_oc").tolist() == [expected]
+
+
 @pytest.mark.parametrize("name", ["C05", "C59", "C63"])
 def test_geostationary_satellites_may_have_no_inclination(tmp_path, name):
     found = take_record(tmp_path, "C05", lambda text: text.replace("C05", name))
@@ -402,6 +409,20 @@ def test_each_lost_epoch_has_a_reason(tmp_path):
     assert found.fixes.valid.tolist() == [k != 7 for k in range(30)]
     assert found.count_lost() == {"too few satellites with a pseudorange": 1}
     assert any("no fix at 1 of 30 epochs, the first at 2021-03-19 12:03:30" in note for note in found.notes)
+
+
+def test_four_satellites_of_which_some_are_low_are_lost_by_the_mask(tmp_path):
+    """Four would do: that the epoch has no more is no reason."""
+    text = gzip.decompress(stored_gnss_file(SEPT[0]).read_bytes()).decode()
+    head, *epochs = text.split("\n>")
+    lines = epochs[7].split("\n")
+    gps = [line for line in lines if line.startswith("G")][:4]
+    epochs[7] = "\n".join([lines[0].replace(" 23", "  4"), *gps])
+    path = tmp_path / "cut.rnx"
+    path.write_text("\n>".join([head, *epochs]))
+    found = bench.solve_rinex(path, stored_gnss_file(SEPT[1]), systems="gps", mask_deg=60.0)
+    words = "too few satellites with an elevation above the mask, 60 deg"
+    assert found.count_lost() == {words: 30}
 
 
 def test_epochs_with_a_false_time_have_no_fix(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import struct
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.ubx import read_ubx
-from bench.orbit_sets import BEIDOU, GALILEO, GPS
+from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.signals import orbits, smoothing
 from tests.data import stored_gnss_file
 
@@ -33,6 +34,38 @@ def test_rawx_has_the_values_that_pyubx2_reads():
     assert set(np.unique(raw.system).tolist()) == {GPS, GALILEO, BEIDOU}
     assert raw.others.keys() == {"SBAS"}
     assert raw.lost == 0
+
+
+def write_rawx(path, *messages):
+    """Write messages of rows (system, satellite, signal, range [m], lock [ms]), a second apart."""
+    content = b""
+    for k, rows in enumerate(messages):
+        body = struct.pack("<dHbBB3x", 1000.0 + k, 2379, 18, len(rows), 0)
+        for system, sat, signal, distance, lock in rows:
+            body += struct.pack(
+                "<ddf4BH6B", distance, 1e8, 9.0, system, sat, signal, 7, lock, 40, 0, 0, 0, 3, 0
+            )
+        body = b"\x02\x15" + struct.pack("<H", len(body)) + body
+        a = b = 0
+        for byte in body:  # 8-bit Fletcher, u-blox interface description
+            a = (a + byte) % 256
+            b = (a + b) % 256
+        content += b"\xb5\x62" + body + bytes((a, b))
+    path.write_bytes(content)
+    return read_ubx(path)
+
+
+def test_signals_have_their_carrier_and_cycles_counted_anew_are_told(tmp_path):
+    """E5b is the second carrier with the digit 7; of two signals of a carrier the first counts."""
+    first = [(0, 5, 0, 2.1e7, 900), (0, 5, 3, 2.2e7, 1), (0, 5, 4, 2.3e7, 900)]  # L1 C/A, L2 CL, L2 CM
+    first += [(2, 8, 0, 2.4e7, 0), (2, 8, 6, 2.5e7, 900), (6, 255, 0, 2.6e7, 900), (6, 254, 0, 2.7e7, 900)]
+    raw = write_rawx(tmp_path / "a.ubx", first, [(0, 5, 0, 2.1e7, 899), (2, 8, 0, 2.4e7, 1000)])
+    assert raw.system.tolist() == [GPS, GALILEO, GLONASS, GPS, GALILEO]  # a GLONASS without a slot is 255
+    assert raw.sat.tolist() == [5, 8, 254, 5, 8]
+    assert raw.band.tolist() == [[1, 2], [1, 7], [1, 0], [1, 0], [1, 0]]
+    assert_allclose(raw.pseudorange[:2], [[2.1e7, 2.2e7], [2.4e7, 2.5e7]])
+    assert raw.slipped.tolist() == [[False] * 2, [True, False], [False] * 2, [True, False], [False] * 2]
+    assert (raw.origin + raw.t).tolist() == [2379 * 604800 + 1000.0, 2379 * 604800 + 1001.0]
 
 
 def test_damaged_messages_are_left_out(tmp_path):

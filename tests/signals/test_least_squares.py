@@ -264,6 +264,43 @@ def test_a_fault_is_found_and_left_out(both):
     assert 0 <= alarms <= 10  # binomial(288, 0.01): 0 to 10 hold 99.9 %
 
 
+def test_normalised_residuals_are_those_of_their_formula(both):
+    """Six satellites, of which some have little redundancy: v / sqrt(diag(R - H (H' W H)^-1 H')) by NumPy."""
+    draw, here, count = np.random.default_rng(12), earth.to_ecef(THERE), 80
+    gps = np.flatnonzero(both.system == 0)
+    epoch = epoch_of(both)[gps]
+    enough = np.flatnonzero(np.bincount(epoch) >= 6)
+    rows = [draw.choice(gps[epoch == m], 6, replace=False) for m in draw.choice(enough, count)]
+    at, sd = np.concatenate(rows), draw.uniform(0.5, 2.0, 6 * count)
+    measured = both.distance[at] + draw.standard_normal(len(at))
+    fix = least_squares.solve_positions(
+        6 * np.arange(count + 1), both.pos_e[at], measured, sd, both.system[at],
+        start_e=np.tile(here, (count, 1)), false_alarm=1e-9,
+    )  # fmt: skip
+    least = 1.0
+    for m in np.flatnonzero(fix.passed):
+        k = slice(6 * m, 6 * m + 6)
+        H, R = np.column_stack([-both.los_n[at[k]], np.ones(6)]), np.diag(sd[k] ** 2)
+        cov = R - H @ np.linalg.inv(H.T @ np.linalg.inv(R) @ H) @ H.T
+        part = np.diag(cov) / np.diag(R)
+        told = part > 1e-4
+        expected = np.abs(fix.residual[k]) / np.sqrt(np.abs(np.diag(cov)))
+        assert_allclose(fix.normalised[k][told], expected[told], rtol=1e-3)
+        least = min(least, part[told].min())
+    assert least < 0.02
+
+
+def test_four_range_rates_give_a_velocity(both):
+    rows = np.flatnonzero(both.system[: both.epoch_start[1]] == 0)[:4]
+    here = earth.to_ecef(THERE)
+    for count, known in ((4, True), (3, False)):
+        use = np.arange(4) < count
+        fix = least_squares.solve_velocities(
+            np.array([0, 4]), both.pos_e[rows], np.zeros((4, 3)), np.zeros(4), np.ones(4), use, here[None]
+        )
+        assert np.isfinite(fix.vel_e).all() == known
+
+
 def test_too_few_satellites_give_no_fix_and_the_next_epoch_recovers(both):
     use = np.ones(len(both.system), bool)
     a, b = both.epoch_start[1:3]
