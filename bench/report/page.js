@@ -3,6 +3,7 @@
 "use strict";
 const FONT = "11px system-ui, sans-serif", cursor = document.getElementById("cursor");
 const short = (x) => String(Number(x.toPrecision(4))).replace("-", "−");
+const mark = (x) => { const size = Math.abs(x); return size >= 1e7 || (size >= 1e-12 && size < 1e-4) ? Number(x.toPrecision(4)).toExponential().replace("+", "").replace(/-/g, "−") : size >= 1e4 ? `${short(x / 1e3)}k` : short(x); };
 const colourOf = (path) => { const style = getComputedStyle(path); return path.matches(".band") ? style.fill : style.stroke; };
 const inkOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
 const off = new Set(), views = new Map(), charts = [];
@@ -96,7 +97,7 @@ function makeChart(area) {
     scales: { x: { time: false, auto: false, range: viewOf, distr: log.includes("x") ? 3 : 1 }, y: { range: rangeY, distr: log.includes("y") ? 3 : 1 } },
     axes: [
       axis("x", { grid: { show: false }, size: 22, gap: 3, space: 48, values: (_, splits) => splits.map((v, k) => short(v) + (k === splits.length - 1 && "sh".includes(unit) ? ` ${unit}` : "")) }),
-      axis("y", { grid, size: 52, space: 26, values: (_, splits) => splits.map((v) => Math.abs(v) >= 1e4 ? `${short(v / 1e3)}k` : short(v)) })],
+      axis("y", { grid, size: 52, space: 26, values: (_, splits) => splits.map(mark) })],
     cursor: { y: false, drag: { x: true, setScale: false, dist: 8 }, points: { size: 6 }, sync: kind === "time" ? { key: "time", setSeries: false, filters: { pub: (type) => /mouse(move|leave)/.test(type) } } : {},
       bind: { dblclick: () => () => { zoom(kind, null); return null; } } },
     hooks: {

@@ -232,8 +232,11 @@ def _mark_rows(frame: Frame, log: bool) -> Iterable[tuple[float, str]]:
 
 
 def _format_mark(value: float) -> str:
-    thousands = abs(value) >= 1e4
-    text = f"{value / 1e3:.6g}k" if thousands else f"{0.0 if abs(value) < 1e-12 else value:.6g}"
+    size = abs(value)
+    if size >= 1e7 or 1e-12 <= size < 1e-4:
+        digits, power = f"{value:.5e}".split("e")
+        return f"{float(digits):g}e{int(power)}".replace("-", "−")
+    text = f"{value / 1e3:.6g}k" if size >= 1e4 else f"{0.0 if size < 1e-12 else value:.6g}"
     return text.replace("-", "−")
 
 

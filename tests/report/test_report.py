@@ -288,3 +288,14 @@ def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
     assert bars[0][1] - dots[0] == pytest.approx(dots[0] - bars[0][0], abs=0.2)  # a logarithmic axis
     assert len(dots) == 2
     assert bars[1][1] > max(dots)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0"), (1e-13, "0"), (0.0001, "0.0001"), (2e-5, "2e−5"), (-2e-5, "−2e−5"), (0.25, "0.25"),
+        (5000.0, "5000"), (1e4, "10k"), (-5e6, "−5000k"), (1e7, "1e7"), (2.5e10, "2.5e10"),
+    ],
+)  # fmt: skip
+def test_numbers_beside_an_axis_have_room(value, text):
+    assert svg._format_mark(value) == text
