@@ -45,6 +45,19 @@ def test_a_barometer_climbs_with_the_receiver(unit, fixes, told):
         assert one.good == (unit == 1.0)
 
 
+def test_a_ratio_of_heights_is_as_sure_as_its_minutes():
+    """Errors of 8 m by turns over heights of 40 m rms: a fifth, over the root of four minutes."""
+    t = 1000.0 + np.arange(241.0)
+    climb = 40.0 * np.where(np.arange(241) // 2 % 2, 1.0, -1.0)
+    wrong = 8.0 * np.where(np.arange(241) % 2, 1.0, -1.0)
+    baro = BaroData(t, t, np.ones(241, np.bool_), 300.0 + climb + wrong, np.ones(241))
+    lla = np.column_stack([np.zeros((241, 2)), 350.0 + climb])
+    none = np.empty((0, 3))
+    motion = RecordedMotion(np.empty(0), none, none, t, lla, np.full((241, 3), np.nan), 0.0)
+    (found,) = validity._check_heights("baro", motion, baro)
+    assert "(sd 0.100)" in found.text
+
+
 @pytest.mark.parametrize(("axis", "gain", "tilt_deg"), [(0, 1.015, 5.0), (1, 0.9, 25.0), (1, 1.0, 0.0)])
 def test_gravity_and_rates_at_rest_by_hand(axis, gain, tilt_deg):
     """It stands from 10 to 40 s, and half a second at each end does not count; the rate is 0.3 deg/s."""

@@ -61,6 +61,20 @@ def test_without_a_standstill_the_datasheet_counts(quiet):
     assert measure_rest_noise(log.records.imu, [(0.0, 0.9 * LEAST)]) is None
 
 
+@pytest.mark.parametrize(("end", "enough"), [(20.9, False), (21.2, True)])
+def test_half_a_second_at_each_end_of_a_standstill_does_not_count(end, enough):
+    """Ten seconds are left of 11.2 and not of 10.9; white noise is then told to a third."""
+    rng, rate = np.random.default_rng(3), 100.0
+    t = np.arange(1, 4001) / rate
+    steps = [size * rng.standard_normal((len(t), 3)) / np.sqrt(rate) for size in (1e-4, 1e-2)]
+    steps[0][(t < 10.5) | (t > end - 0.5)] = 1.0
+    imu = ImuData(t, np.full(len(t), 1.0 / rate), np.ones(len(t), np.bool_), *steps)
+    found = measure_rest_noise(imu, [(10.0, end)])
+    assert (found is not None) == enough
+    if found is not None:
+        assert found == pytest.approx((1e-4, 1e-2), rel=0.4)
+
+
 def test_noise_from_sample_to_sample_is_that_of_the_seconds_with_the_engine_on():
     """White noise, five times as strong in the last 30 of 100 s, on a slow motion."""
     rng, rate, n = np.random.default_rng(7), 200.0, 20_000
