@@ -13,6 +13,7 @@ from bench import sensors
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.evaluation.error_series import error_series
+from bench.evaluation.linear import terms
 from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epochs
 from bench.evaluation.linear.error_budget import split_errors
 from bench.evaluation.linear.gains import record_gains
@@ -23,7 +24,7 @@ from bench.instruments import BaroSpec
 from bench.navigation.built_in import load
 from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from tests.builders import band
-from tests.synthetic import still
+from tests.synthetic import still, turning
 from tests.weaving import BARO, DEG, IMU, units, weaving
 
 G = 9.80665
@@ -193,3 +194,15 @@ def test_no_filter_is_below_the_bound(flight):
     none = Epochs(epochs.step[:0], epochs.code[:0])
     free = bound_errors(path, model, none, output, sensed.data.antenna_b, smooth=False)
     assert (np.einsum("mii->mi", free.causal)[1:, :9] > causal[1:]).all()
+
+
+def test_the_distance_between_accelerometers_is_what_a_turn_makes_of_it():
+    """A steady turn: each axis feels w x (w x r) of its own place, in m/s^2 and not in m/s."""
+    truth, arms = turning(4.0, 100.0, turn_rate=0.5), 0.01 * np.array([[9.0, 1, 2], [3, 8, 1], [2, 1, 7]])
+    imu = ImuSpec("made", TriadSpec(), TriadSpec(), accel_arms=tuple(map(tuple, arms.tolist())))
+    (found,) = terms._sampled_imu(truth, imu, 1)
+    w = (truth.dtheta_b / np.diff(truth.t)[:, None]).mean(axis=0)
+    felt = [np.cross(w, np.cross(w, arm))[axis] for axis, arm in enumerate(arms)]
+    signal = np.asarray(found.signal)[50:-50]
+    assert_allclose(signal[:, :3], 0.0, atol=1e-12)
+    assert_allclose(signal[:, 3:], np.tile(felt, (len(signal), 1)), rtol=0.02, atol=1e-4)
