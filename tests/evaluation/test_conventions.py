@@ -10,7 +10,7 @@ import pytest
 
 import bench
 from bench import earth, pipeline
-from bench.evaluation import convention_search
+from bench.evaluation import convention_search, known_conventions
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.error_series import interpolate_truth
 from bench.evaluation.known_conventions import Answers, compare, list_conventions, move
@@ -237,3 +237,17 @@ def test_a_constant_of_half_a_flight_is_the_same_within_half_of_it(monkeypatch, 
     made = SimpleNamespace(constants=1, starts=(0.0,))
     constants, found = convention_search._fit(None, None, made, ["position"])
     assert (constants.tolist(), found) == ([2.0], same)
+
+
+def test_what_is_told_of_a_constant_is_in_its_unit():
+    turn, offset = np.deg2rad([1.0, -2.0, 0.5]), np.array([3.0, -4.0])
+    told = known_conventions._tell_turn("x, y, z", turn)
+    assert told == "an attitude turned by a constant 1.00, -2.00, 0.50 deg about x, y, z"
+    assert known_conventions._tell_time(np.array([0.25])) == "answers that are 0.250 s too late"
+    assert known_conventions._tell_time(np.array([-0.1])) == "answers that are 0.100 s too early"
+    assert known_conventions._tell_height(np.array([-30.0])).endswith("30.0 m too high")
+    arm = np.array([1.0, 0.5, -0.25])
+    for whose, antenna in (("the antenna", arm + 0.05), ("a point", np.array([0.0, 0.0, -1.0]))):
+        told = known_conventions._tell_arm(antenna, arm)
+        assert told == f"the motion of {whose} 1.00, 0.50, -0.25 m (forward, right, down) from the IMU"
+    assert known_conventions._tell_offset(offset) == "an offset of 3.00 m north, -4.00 m east"

@@ -15,6 +15,7 @@ from bench.evaluation import motion_checks, motion_fit, validity
 from bench.evaluation.axis_search import Axes, describe_axes
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.instruments import BaroData
+from bench.places import PACKAGE
 from tests.evaluation import seeded
 
 
@@ -259,3 +260,32 @@ def test_the_forward_axis_is_judged_where_the_heading_is_known(sd_deg, yaw_deg, 
     else:
         assert check.value == pytest.approx(yaw_deg, abs=0.2)
         assert check.good is not off
+
+
+def test_the_limits_are_those_of_the_guide():
+    rest, level, triads, yaw = (
+        f"{np.rad2deg(one):g} deg"
+        for one in (
+            validity.TILT_OFF,
+            motion_checks.LEVEL_OFF,
+            motion_checks.TRIADS_OFF,
+            motion_checks.YAW_OFF,
+        )
+    )
+    rate, force, both = (
+        f"{100.0 * one:g} %"
+        for one in (motion_checks.RATE_OFF, motion_checks.GRAVITY_OFF, validity._GAIN_OFF)
+    )
+    shift = f"{motion_checks.SHIFT_OFF:g} s"
+    text = (PACKAGE / "guide" / "own-log.md").read_text()
+    for row in (
+        f"| clock of the IMU | {shift} |",
+        f"| up axis | {rest} at rest, {level} on the move |",
+        f"| angular rates, specific force | {rate}, {force} |",
+        f"| gyros against accelerometers | {triads} |",
+        f"| antenna | {motion_checks.ARM_OFF:g} m |",
+        f"| forward axis | {yaw} |",
+        f"| velocity | {shift}, {both} |",
+        f"{motion_checks.SIGMAS:g} standard deviations.",
+    ):
+        assert row in text
