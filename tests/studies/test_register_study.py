@@ -112,6 +112,7 @@ def test_row_33_holds_a_count_of_the_seconds_against_the_study(monkeypatch, name
     monkeypatch.setattr(register_flights, "_FLIGHTS", 2)
     found = register_flights.require_performance()
     assert found.holds, found.ours
+    assert found.ours.startswith("2 flights, 0.33 h: availability 1 (0.22 to 1, undecided)")
     monkeypatch.setattr(rnp, name, wrong)
     assert not register_flights.require_performance().holds
 
