@@ -34,8 +34,7 @@ from bench.errors import DONE, NEGATIVE
     type=FiniteRange(0, 1000),
     default=0.0,
     metavar="METRES",
-    help="how far the truth or the header may be off, sd along each axis, the same at all epochs  "
-    "[default: 0]",
+    help="how far the truth or the header may be off, sd along each axis, the same at all epochs",
 )
 @click.option(
     "--systems",
@@ -75,8 +74,7 @@ from bench.errors import DONE, NEGATIVE
     type=FiniteRange(0, 600),
     default=0.0,
     metavar="S",
-    help="smooth ranges with their carrier phase over S seconds, for data every few seconds  "
-    "[default: 0, off]",
+    help="smooth ranges with their carrier phase over S seconds, for data every few seconds; 0: off",
 )
 @click.option(
     "--without",
