@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import BoolArray, FloatArray, IntArray, read_only
 from bench.compiled import inner, kernel
 from bench.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
@@ -77,8 +77,8 @@ def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) 
     """Return the table of the rows of a log."""
     if len(numbers) == 0:
         return no_innovations()
-    t, z, S, found = np.ascontiguousarray(numbers.T)
-    code, component, accepted = np.ascontiguousarray(marks.T[:3])
+    t, z, S, found = read_only(np.ascontiguousarray(numbers.T))
+    code, component, accepted = read_only(np.ascontiguousarray(marks.T[:3]))
     return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
 
 

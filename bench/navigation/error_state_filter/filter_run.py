@@ -429,6 +429,7 @@ def answers(
     """
     with np.errstate(invalid="ignore"):
         sd = np.sqrt(variance)
+    state = read_only(state)  # so are its columns
     return NavSolution(
         t=t,
         lla=state[:, :3],
