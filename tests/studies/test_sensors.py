@@ -353,8 +353,8 @@ def test_units_of_ones_own_are_flown_with_what_is_set(tmp_path, monkeypatch):
     assert table["rms"][0] < table["rms"][1]
     assert "--seed 5" in found.command
     assert "--set gnss_outage.1.duration_s=60.0" in found.command
-    (limit,) = [one for one in found.verdicts if one.startswith("What limits")]
-    assert "at 240 s, end of the outage is" in limit
+    (limit,) = [one for one in found.verdicts if " limits loose-full with " in one]
+    assert "at 240 s, end of the outage, the " in limit
     assert MET == "met"
 
 
@@ -371,8 +371,8 @@ def test_what_limits_is_the_largest_share_unless_another_filter_would_gain_much(
     shares = {"the IMU": 0.7, "the receiver": 0.299, "the start": 0.001}
     told = VarianceShares("flight", "mine", "100 s", 2.0, shares, 1.25).tell("unit")
     assert told == (
-        "What limits mine with unit on flight at 100 s is the IMU: of the variance the IMU 70 %, the "
-        "receiver 30 % (expected 2 m RMS); the best linear filter would have 80 % of the error."
+        "On flight at 100 s, the IMU limits mine with unit: of the variance 70 % by the IMU and 30 % by the "
+        "receiver (expected 2 m RMS); the best linear filter would have 80 % of the error."
     )
     assert VarianceShares("flight", "mine", "100 s", 2.0, shares, 2.0).limiting == "the filter"
 
