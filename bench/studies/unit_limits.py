@@ -54,8 +54,8 @@ class VarianceShares:
         parts = [f"{100.0 * share:.0f} % by {name}" for name, share in self.shares.items() if share >= 0.005]
         return (
             f"On {self.flight} at {self.when}, {self.limiting} limits {self.label} with {unit}: of the "
-            f"variance {join_words(parts)} (expected {format_number(self.sd, 3)} m RMS); the best linear filter would "
-            f"have {100.0 / self.over_best:.0f} % of the error."
+            f"variance {join_words(parts)} (expected {format_number(self.sd, 3)} m RMS); the best linear "
+            f"filter would have {100.0 / self.over_best:.0f} % of the error."
         )
 
 
