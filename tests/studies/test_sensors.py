@@ -85,6 +85,7 @@ def test_from_cheap_to_dear_a_class_is_on_the_front_only_if_it_is_better(tmp_pat
     assert [step.pays for step in answer.ranking.steps] == [True, False, True]
     (text,) = [one for one in found.verdicts if "from the cheapest class on" in one]
     assert "no better than" in text
+    assert f"(better than {names[0]})" in text
     assert "0.75 times" in text
     assert not answer.ranking.alike
     table = next(one for one in found.tables if one.name == "units").columns
@@ -99,6 +100,14 @@ def test_from_cheap_to_dear_a_class_is_on_the_front_only_if_it_is_better(tmp_pat
     assert_allclose(front.values[:, 0], [table["rms"][1], table["rms"][3]])
     assert [at for at, _ in figure.ticks] == [1.0, 2.0, 3.0, 4.0]
     assert [name for _, name in figure.ticks] == list(CLASSES)
+
+
+def test_many_worse_units_of_a_class_are_counted(tmp_path):
+    names = write(tmp_path, **dict.fromkeys("abcde", "consumer"))
+    found, _ = ask(names, Flights(steady(a=1.0, b=2.0, c=3.0, d=4.0, e=5.0)))
+    assert any("(better than 4 others)" in one for one in found.verdicts)
+    found, _ = ask(names[:4], Flights(steady(a=1.0, b=2.0, c=3.0, d=4.0)))
+    assert any(f"(better than {', '.join(names[1:4])})" in one for one in found.verdicts)
 
 
 def test_a_unit_that_lost_a_draw_is_never_recommended(tmp_path):
