@@ -51,7 +51,7 @@ _A, _F, _E2 = WGS84.a, WGS84.f, WGS84.e2
 @kernel
 def radii_kernel(sin_lat: float) -> tuple[float, float]:
     """Return the meridian and prime-vertical radii of WGS 84 [m] (A-2.2.R)."""
-    w2 = 1.0 - _E2 * sin_lat * sin_lat
+    w2 = 1.0 - _E2 * (sin_lat * sin_lat)
     prime = _A / np.sqrt(w2)
     return prime * (1.0 - _E2) / w2, prime
 

@@ -1,5 +1,6 @@
 """Compiled code is never stale: the cache folder is named by every source that uses the compiler."""
 
+import gc
 import os
 import pickle
 import subprocess
@@ -233,3 +234,14 @@ def test_a_numba_whose_parts_are_not_known_compiles_the_same(tmp_path):
         for tried in (compiled._TRIED, ())
     ]
     assert said[1] == ["False", said[0][1]]
+
+
+def test_nothing_is_collected_while_numba_compiles():
+    seen = []
+    with compiled.watch_compiling(lambda begins: seen.append((begins, gc.isenabled()))):
+        assert compiled.kernel(_twice)(4.0) == 8.0
+    assert seen == [(True, False), (False, True)]
+
+
+def _twice(x):
+    return 2.0 * x

@@ -61,7 +61,10 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
     p = a * x + i * c + j * z - k * y
     q = a * y - i * z + j * c + k * x
     r = a * z + i * y - j * x + k * c
-    scale = 1.0 / np.sqrt(w * w + p * p + q * q + r * r)
+    square = w * w + p * p + q * q + r * r
+    scale = 1.5 - 0.5 * square  # one over its root; the next term is below 1e-16
+    if abs(square - 1.0) > 1e-8:
+        scale = 1.0 / np.sqrt(square)
     sign *= scale
     nav[6], nav[7], nav[8], nav[9] = scale * w, sign * p, sign * q, sign * r
 
@@ -148,13 +151,14 @@ def step_kernel(
     meridian, prime = radii_kernel(s)
     r_m, r_p = meridian + mid_alt, prime + mid_alt
     g_n, g_d = gravity_kernel(s, c, mid_alt)
-    tan = s / c
-    k_n, k_d = 2.0 * EARTH_RATE * c + v_e / r_p, -2.0 * EARTH_RATE * s - v_e / r_p * tan
-    k_e = -v_n / r_m
+    by_m, by_p, by_c = 1.0 / r_m, 1.0 / r_p, 1.0 / c
+    tan = s * by_c
+    k_n, k_d = 2.0 * EARTH_RATE * c + v_e * by_p, -2.0 * EARTH_RATE * s - v_e * by_p * tan
+    k_e = -v_n * by_m
     m_n = v_n + 0.5 * (f_n - dt * (k_e * v_d - k_d * v_e))
     m_e = v_e + 0.5 * (f_e - dt * (k_d * v_n - k_n * v_d))
     m_d = v_d + 0.5 * (f_d + dt * (g_d - (k_n * v_e - k_e * v_n)))
-    e_n, e_e = m_e / r_p, -m_n / r_m  # w_en_n
+    e_n, e_e = m_e * by_p, -m_n * by_m  # w_en_n
     e_d = -e_n * tan
     i_n, i_d = EARTH_RATE * c, -EARTH_RATE * s  # w_ie_n
     z_n, z_e, z_d = (i_n + e_n) * dt, e_e * dt, (i_d + e_d) * dt  # rotation of n against i
@@ -163,8 +167,8 @@ def step_kernel(
     w_n = v_n + f_n - 0.5 * (z_e * f_d - z_d * f_e) + dt * (g_n - (k_e * m_d - k_d * m_e))
     w_e = v_e + f_e - 0.5 * (z_d * f_n - z_n * f_d) - dt * (k_d * m_n - k_n * m_d)
     w_d = v_d + f_d - 0.5 * (z_n * f_e - z_e * f_n) + dt * (g_d - (k_n * m_e - k_e * m_n))
-    nav[0] = lat + 0.5 * dt * (v_n + w_n) / r_m
-    nav[1] += 0.5 * dt * (v_e + w_e) / (r_p * c)
+    nav[0] = lat + 0.5 * dt * (v_n + w_n) * by_m
+    nav[1] += 0.5 * dt * (v_e + w_e) * by_p * by_c
     nav[2] = alt - 0.5 * dt * (v_d + w_d)
     nav[3], nav[4], nav[5] = w_n, w_e, w_d
     turn_kernel(nav, rotvec[0], rotvec[1], rotvec[2], False)

@@ -8,7 +8,7 @@ the rest of the samples wait. An answer between pieces processes these on a copy
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
@@ -30,8 +30,6 @@ from bench.navigation.engine.session import Kept, Replaced, SessionState, rebuil
 from bench.navigation.start import alignment
 from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line
-
-_NO_FILE = nullcontext()
 
 
 class PieceFilter(SessionState):
@@ -196,17 +194,16 @@ class PieceFilter(SessionState):
             assert self.head is not None
             self.passage = self.estimator.in_pieces(self.head, self.start, [])
 
-    def _doubt_the_file(self) -> AbstractContextManager[None]:
-        """Add the saved state that the filter resumed from to an error of another kind."""
-        return self._blame_the_file() if self.resumed_from else _NO_FILE
-
     @contextmanager
-    def _blame_the_file(self) -> Iterator[None]:
+    def _doubt_the_file(self) -> Iterator[None]:
+        """Add the saved state that the filter resumed from to an error of another kind."""
         try:
             yield
         except EstimatorError:
             raise
         except Exception as error:
+            if not self.resumed_from:
+                raise
             why = one_line(repr(error))[:200]
             raise EstimatorError(
                 f"{self.resumed_from}: {self.use!r} cannot go on from this state: {why}"

@@ -18,8 +18,6 @@ from bench.studies.study import format_estimate
 from bench.studies.unit_limits import VarianceShares
 from bench.studies.unit_ranking import ClassStep, Ranking, UnitFlown
 
-_MANY = 4  # units from which on they are counted and not named
-
 
 @dataclass(frozen=True)
 class Answer:
@@ -108,14 +106,6 @@ def _tell_steps(ranking: Ranking) -> Iterator[str]:
             )
         same = [pair.first for pair in step.beside if pair.word != "undecided"]
         told = [f"the same: {', '.join(same)}"] if same else []
-        level = {one.unit, *(pair.first for pair in step.beside)}
-        worse = [
-            other.unit
-            for other in ranking.flown.values()
-            if other.grade == step.grade and not other.lost and other.unit not in level
-        ]
-        if worse and not step.best.findings:
-            told.append(f"better than {', '.join(worse) if len(worse) < _MANY else f'{len(worse)} others'}")
         told += [
             f"{pair.first} not told from it: about {pair.deciding - pair.draws} more draws would"
             if pair.deciding

@@ -19,7 +19,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import bound_flight, check_aiding, variance_of
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
-from bench.studies.drawn_errors import UnitFlight, join_words, key_instants, output_times
+from bench.studies.drawn_errors import UnitFlight, key_instants, output_times
 from bench.wording import format_number
 
 _PARTS: Mapping[str, str] = {
@@ -51,11 +51,11 @@ class VarianceShares:
 
     def tell(self, unit: str) -> str:
         """Return what limits, in words."""
-        parts = [f"{100.0 * share:.0f} % by {name}" for name, share in self.shares.items() if share >= 0.005]
+        parts = [f"{name} {100.0 * share:.0f} %" for name, share in self.shares.items() if share >= 0.005]
         return (
-            f"On {self.flight} at {self.when}, {self.limiting} limits {self.label} with {unit}: of the "
-            f"variance {join_words(parts)} (expected {format_number(self.sd, 3)} m RMS); the best linear "
-            f"filter would have {100.0 / self.over_best:.0f} % of the error."
+            f"What limits {self.label} with {unit} on {self.flight} at {self.when} is {self.limiting}: "
+            f"of the variance {', '.join(parts)} (expected {format_number(self.sd, 3)} m RMS); the best "
+            f"linear filter would have {100.0 / self.over_best:.0f} % of the error."
         )
 
 

@@ -83,12 +83,11 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         return f"{_DEG * summary[name]:.1f}"
 
     rates = ", ".join(format_degrees(f"{axis}_rate_max_rad_s") for axis in ("roll", "pitch", "yaw"))
-    airspeed = {"true airspeed": f"{format_range('airspeed', '_mps', 1)} m/s"}
     return {
         "duration": f"{summary['duration_s']:g} s, {summary['samples']} samples at {summary['rate_hz']:g} Hz",
         "distance over ground": f"{summary['path_over_ground_m'] / 1000:.2f} km",
         "altitude": f"{format_range('alt', '_m', 1)} m",
-        **(airspeed if "airspeed_min_mps" in summary else {}),  # not of a trajectory without air
+        "true airspeed": f"{format_range('airspeed', '_mps', 1)} m/s",
         "ground speed": f"{format_range('ground_speed', '_mps', 1)} m/s",
         "climb": f"{format_range('climb', '_mps', 1)} m/s",
         "bank": f"up to {format_degrees('bank_max_rad')} deg",

@@ -183,16 +183,6 @@ def test_every_convention_is_tried_once():
     assert len(names) == len(set(names)) > 25
 
 
-def test_a_constant_is_named_from_what_shows_to_what_can_be():
-    """5 ms to a minute, 0.1 to 100 m of arm, 5 to 200 m of height, 0.1 m to 10 km, 0.5 to 90 deg."""
-    quarter = 0.5 * np.pi
-    assert {one.name: (one.least, one.most) for one in list_conventions(np.zeros(3)) if one.constants} == {
-        "time offset": (0.005, 60.0), "lever arm": (0.1, 100.0), "height": (5.0, 200.0), "offset": (0.1, 1e4),
-        "rotation of the body": pytest.approx((quarter / 180.0, quarter)),
-        "rotation of the level": pytest.approx((quarter / 180.0, quarter)),
-    }  # fmt: skip
-
-
 # --- where it is said -------------------------------------------------------------------------------------
 
 

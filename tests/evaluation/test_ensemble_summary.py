@@ -35,8 +35,6 @@ def test_the_summary_holds_the_statistics_of_the_runs(results):
     assert astuple(found.rmse["pos_h_m"]) == pytest.approx(astuple(ensemble.pool_rmse(squares)))
     heading = np.array([one.metrics["loose-15"]["heading_rmse_deg"] for one in results])
     assert found.rmse["heading_deg"].value == pytest.approx(np.sqrt(np.mean(heading**2)))
-    tilt = np.array([one.metrics["loose-15"]["tilt_rmse_deg"] for one in results])
-    assert found.rmse["tilt_deg"].value == pytest.approx(np.sqrt(np.mean(tilt**2)))
     assert found.converged == ensemble.estimate_rate(6, 6)
     inside = np.mean(
         [[one.metrics["loose-15"][f"coverage_3sigma_pos_{k}"] for k in "ned"] for one in results]

@@ -271,13 +271,6 @@ def test_heading_converges_at_the_first_instant_after_which_it_stays_in(
     assert found == (None if expected is None else pytest.approx(expected))
 
 
-@pytest.mark.parametrize(("after", "expected"), [(2.9, 7.7), (3.1, None)])
-def test_a_heading_is_right_below_three_degrees_whatever_is_claimed(truth, after, expected):
-    truth, solution = heading_case(truth, settles(77, after=after), sd_deg=30.0)
-    found = metrics_of(truth, solution)["heading_right_s"]
-    assert found == (None if expected is None else pytest.approx(expected))
-
-
 def test_heading_convergence_counts_from_the_start_of_the_run(truth):
     truth, solution = heading_case(truth, settles(77))
     found = metrics_of(truth, solution, 6.0)

@@ -214,16 +214,6 @@ def test_a_force_that_is_off_by_gravity_is_in_the_other_unit(ratio, said):
     assert motion_checks.guess_force_unit(ratio) == f": {said}"
 
 
-def test_the_gain_begins_where_the_force_is_a_gravity():
-    """A median of 9.80665 is one; 1 m/s^2 is a column of g; from half to twice nothing is guessed."""
-    force = np.array([[0.0, 0.0, -1.0], [0.0, 0.6, -0.8], [7.0, 0.0, 0.0]])
-    assert motion_fit._guess_gain(9.80665 * force) == 0.0
-    assert motion_fit._guess_gain(1.9 * 9.80665 * force) == 0.0
-    assert motion_fit._guess_gain(force) == pytest.approx(-np.log(9.80665))
-    assert motion_fit._guess_gain(2.1 * 9.80665 * force) == pytest.approx(np.log(2.1))
-    assert motion_fit._guess_gain(0.0 * force) == 0.0
-
-
 @pytest.mark.parametrize(("sd_deg", "good"), [(0.1, False), (2.0, True)])
 def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
     """6 and -8 deg about two axes are 10 deg; they count if they are known well enough."""

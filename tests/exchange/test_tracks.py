@@ -348,4 +348,3 @@ def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
     out = capsys.readouterr().out
     assert "smoothed" in out
     assert "incidence of 3 deg" in " ".join(out.split())
-    assert "airspeed" not in out  # a track tells nothing of the air

@@ -250,7 +250,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
     The increments are those of a sensor, (1 + s) w + M f and (1 + s) f, put through the corrections.
     """
     nav, f_b, w_ib_b, F = dynamics_of(case)
-    correction = plain(corrections.increments_kernel, LONG_NUMPY)
+    correction = plain(corrections.correct_kernel, LONG_NUMPY)
     begin = {"gyro scale": 16, "accel scale": 19, "g-sensitivity": 22}
     drives = np.array([(begin[name] - 1 + i, bias, by) for name, i, bias, by in MEMS_STATES])
     reading = np.concatenate([w_ib_b, f_b]).astype(float)
@@ -263,7 +263,7 @@ def test_scale_factors_and_g_sensitivity_act_as_the_sensors_have_them(case):
             state[:10] = nav
             state[begin[name] + index] = sign * size
             dth, dv = w_ib_b * dt, f_b * dt
-            correction(state, dt, drives, np.zeros(3), dth, dv, np.ones(6))
+            correction(state, dt, drives, np.zeros(3), dth, dv, long_zeros(2, 6))
             rates = long_zeros(6)
             ends.append(one_step(nav, dv / dt, dth / dt, rates, dt))
         return (difference(ends[0], nav) - difference(ends[1], nav)) / (2 * size) / dt

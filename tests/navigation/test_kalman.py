@@ -25,6 +25,10 @@ from bench.wide_rows import widened
 N = 16
 
 
+def columns():
+    return np.zeros((6, N + 1), np.int64)
+
+
 def problem(seed, m=3, n=N):
     """P, dx, H, z, r with correlations, unlike scales, and H with empty columns."""
     rng = np.random.default_rng(seed)
@@ -53,7 +57,7 @@ def stacked(P, dx, H, z, r):
 def nis(P, dx, H, z, r, kernel=nis_kernel):
     m = len(z)
     var, work = np.full(m, np.nan), np.zeros((m, m + 1))
-    return kernel(P, dx, H, z, r, var, work, np.empty_like(H)), var
+    return kernel(P, dx, H, z, r, var, work, np.empty_like(H), columns()), var
 
 
 @pytest.mark.parametrize("m", [1, 2, 3])
@@ -107,7 +111,7 @@ def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m
     z = H @ dx + e
     var, work = np.empty(m), np.zeros((m, m + 1))
     opened, before = P.copy(), 2.0 * P
-    assert nis_kernel(P, dx, H, z, r, var, work, np.empty_like(H)) > 899.0
+    assert nis_kernel(P, dx, H, z, r, var, work, np.empty_like(H), columns()) > 899.0
     own = np.arange(N) < m
     open_kernel(opened, before, H, e, own, True, work, np.empty(N))
     x = P @ H.T @ np.linalg.solve(H @ P @ H.T + np.diag(r), e)
@@ -206,7 +210,7 @@ def test_two_states_seen_together_open_by_the_least_step_that_explains():
     H[0, 2:4] = -0.6, 0.8
     e = np.array([50.0])
     work = np.zeros((1, 2))
-    nis_kernel(P, dx, H, H @ dx + e, r, np.empty(1), work, np.empty_like(H))
+    nis_kernel(P, dx, H, H @ dx + e, r, np.empty(1), work, np.empty_like(H), columns())
     opened = P.copy()
     own = (np.arange(N) >= 2) & (np.arange(N) < 4)
     open_kernel(opened, P.copy(), H, e, own, True, work, np.empty(N))

@@ -6,7 +6,14 @@ import bench
 from bench.data import ImuData
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.schedule import Schedule
-from bench.navigation.error_state_filter.step_entries import AT_ONCE, GO_ON, MEASURE, OUTPUT, USE
+from bench.navigation.error_state_filter.step_entries import (
+    AT_ONCE,
+    GO_ON,
+    MEASURE,
+    OUTPUT,
+    USE,
+    find_kernel,
+)
 
 
 def take(schedule: Schedule, spec, begin: float, end: float, rng) -> None:
@@ -86,3 +93,11 @@ def test_every_row_is_measured_and_used_at_its_step_in_a_slot_of_its_own():
         done += waiting.arrival[used].tolist()
         schedule.advance(plan)
     assert len(set(done)) == len(done) == 3 * 36
+
+
+def test_an_instant_is_found_wherever_the_search_begins():
+    rng = np.random.default_rng(6)
+    t = np.sort(rng.integers(0, 40, 60)) / 10.0
+    for wanted in np.concatenate([t, t + 0.05, [-1.0, 9.0]]):
+        first = int(np.searchsorted(t, wanted, side="left"))
+        assert {find_kernel(t, wanted, near) for near in range(-1, len(t) + 1)} == {first}

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import BoolArray, FloatArray, IntArray, read_only
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
@@ -77,8 +77,8 @@ def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) 
     """Return the table of the rows of a log."""
     if len(numbers) == 0:
         return no_innovations()
-    t, z, S, found = read_only(np.ascontiguousarray(numbers.T))
-    code, component, accepted = read_only(np.ascontiguousarray(marks.T[:3]))
+    t, z, S, found = np.ascontiguousarray(numbers.T)
+    code, component, accepted = np.ascontiguousarray(marks.T[:3])
     return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
 
 
@@ -186,17 +186,19 @@ def fix_kernel(
     var: FloatArray,
     work: FloatArray,
     HP: FloatArray,
+    at: IntArray,
 ) -> tuple[bool, bool]:
     """Return :func:`tells_of_drift`, after an outage, and :func:`moves_kernel` of a fix z (6,) = H dx + v.
 
-    dx is 0. ``work`` (6, 7) and ``HP`` (6, n) end as `kalman.nis_kernel` of the position leaves them.
+    dx is 0. ``work`` (6, 7), ``HP`` (6, n) and ``at`` (6, n + 1) end as `kalman.nis_kernel` of the position
+    leaves them.
     """
-    both = nis_kernel(P, dx, H, z, r, var, work, HP)
+    both = nis_kernel(P, dx, H, z, r, var, work, HP, at)
     for i in range(6):
         y[i] = -z[i]
     moves = moves_kernel(t, y, var, limit, readmit_after_s, trust)
-    velocity = nis_kernel(P, dx, H[3:], z[3:], r[3:], var, work, HP)
-    position = nis_kernel(P, dx, H[:3], z[:3], r[:3], var, work, HP)
+    velocity = nis_kernel(P, dx, H[3:], z[3:], r[3:], var, work, HP, at)
+    position = nis_kernel(P, dx, H[:3], z[:3], r[:3], var, work, HP, at)
     apart = 0.0
     for a in range(3):
         apart += var[a] - 2.0 * r[a]

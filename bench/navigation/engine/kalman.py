@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
+from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import kernel
 
 
@@ -22,18 +22,31 @@ def nis_kernel(
     var: FloatArray,
     work: FloatArray,
     HP: FloatArray,
+    at: IntArray,
 ) -> float:
     """Return :func:`nis_of_kernel` of z (m,) = H dx + v; ``HP`` (m, n) ends as H P."""
     m, n = H.shape
+    find_columns_kernel(H, at)
     for a in range(m):
         for i in range(n):
             HP[a, i] = 0.0
-        for j in range(n):
-            if H[a, j] != 0.0:
-                for i in range(n):
-                    HP[a, i] += P[j, i] * H[a, j]
-    nis: float = nis_of_kernel(HP, dx, H, z, r, var, work)
+        for j in at[a, 1 : at[a, 0] + 1]:
+            for i in range(n):
+                HP[a, i] += P[j, i] * H[a, j]
+    nis: float = nis_of_kernel(HP, dx, H, at, z, r, var, work)
     return nis
+
+
+@kernel
+def find_columns_kernel(H: FloatArray, at: IntArray) -> None:
+    """Fill at (m, n + 1) with how many columns of each row of H (m, n) are not zero, and with which."""
+    for a in range(H.shape[0]):
+        found = 0
+        for j in range(H.shape[1]):
+            if H[a, j] != 0.0:
+                found += 1
+                at[a, found] = j
+        at[a, 0] = found
 
 
 @kernel
@@ -41,6 +54,7 @@ def nis_of_kernel(
     HP: FloatArray,
     dx: FloatArray,
     H: FloatArray,
+    at: IntArray,
     z: FloatArray,
     r: FloatArray,
     var: FloatArray,
@@ -49,20 +63,18 @@ def nis_of_kernel(
     """Return the normalized innovation squared of z (m,) = H dx + v; NaN if its covariance is not positive.
 
     Fill var (m,) with the diagonal of the covariance S = H P H' + diag(r). ``work`` (m, m + 1) ends as the
-    Cholesky factor of S and the innovation divided by it. ``HP`` (m, n) is H P.
+    Cholesky factor of S and the innovation divided by it. ``HP`` (m, n) is H P, ``at`` the columns of H that
+    :func:`find_columns_kernel` finds.
     """
-    m, n = H.shape
-    nis = 0.0
+    m, nis = H.shape[0], 0.0
     for a in range(m):
         e = z[a]
-        for j in range(n):
-            if H[a, j] != 0.0:
-                e -= H[a, j] * dx[j]
+        for j in at[a, 1 : at[a, 0] + 1]:
+            e -= H[a, j] * dx[j]
         for b in range(a + 1):
             s = r[a] if a == b else 0.0
-            for i in range(n):
-                if H[a, i] != 0.0:
-                    s += H[a, i] * HP[b, i]
+            for j in at[a, 1 : at[a, 0] + 1]:
+                s += H[a, j] * HP[b, j]
             if a == b:
                 var[a] = s
             for k in range(b):

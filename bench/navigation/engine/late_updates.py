@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
+from bench.navigation.engine.kalman import find_columns_kernel
 from bench.wide_rows import add_row, set_row, wide
 
 DEPTH = 16
@@ -26,40 +27,34 @@ class LateUpdates(NamedTuple):
 
     G: FloatArray  # (DEPTH, n) g of each update
     HP: FloatArray  # (6, n) rows of a sub-vector times P
-    at: IntArray  # (n,) columns of a row that are not zero
+    at: IntArray  # (6, n + 1) of a sub-vector, `kalman.find_columns_kernel`
 
 
 def late_updates(n: int) -> LateUpdates:
     """Return the memory for n states."""
-    return LateUpdates(wide((DEPTH, n)), wide((6, n)), np.zeros(n, np.int64))
+    return LateUpdates(wide((DEPTH, n)), wide((6, n)), np.zeros((6, n + 1), np.int64))
 
 
 @inner
 def _lower_kernel(H: FloatArray, a: int, first: int, last: int, late: LateUpdates) -> None:
     """Take the updates ``first`` to ``last`` off row a of HP, that of H (m, n)."""
-    G, HP, at, found = late.G, late.HP, late.at, 0
-    if first == last:
-        return
-    for j in range(H.shape[1]):
-        if H[a, j] != 0.0:
-            at[found] = j
-            found += 1
+    G, HP, at = late.G, late.HP, late.at
     for k in range(first, last):
         part = 0.0
-        for i in range(found):
-            part -= G[k, at[i]] * H[a, at[i]]
+        for j in at[a, 1 : at[a, 0] + 1]:
+            part -= G[k, j] * H[a, j]
         add_row(HP, a, part, G, k, 0, HP.shape[1])
 
 
 @kernel
 def late_rows_kernel(P: FloatArray, H: FloatArray, late: LateUpdates, count: int) -> None:
-    """Fill HP with the rows H (m, n) times the P that ``count`` updates which wait would leave."""
-    HP, width = late.HP, late.HP.shape[1]
+    """Fill at, and HP with the rows H (m, n) times the P that ``count`` updates which wait would leave."""
+    HP, at, width = late.HP, late.at, late.HP.shape[1]
+    find_columns_kernel(H, at)
     for a in range(H.shape[0]):
         set_row(HP, a, 0.0, HP, a, 0, width)
-        for j in range(H.shape[1]):
-            if H[a, j] != 0.0:
-                add_row(HP, a, H[a, j], P, j, 0, width)
+        for j in at[a, 1 : at[a, 0] + 1]:
+            add_row(HP, a, H[a, j], P, j, 0, width)
         _lower_kernel(H, a, 0, count, late)
 
 
@@ -67,16 +62,16 @@ def late_rows_kernel(P: FloatArray, H: FloatArray, late: LateUpdates, count: int
 def late_update_kernel(
     P: FloatArray, dx: FloatArray, H: FloatArray, z: FloatArray, r: FloatArray, late: LateUpdates, count: int
 ) -> int:
-    """Update dx (n,) by the rows H (m, n) of z (m,), HP filled; return how many updates wait then."""
-    HP, n = late.HP, dx.shape[0]
+    """Update dx (n,) by the rows H (m, n) of z (m,), HP and at filled; return how many updates wait then."""
+    HP, at, n = late.HP, late.at, dx.shape[0]
     for a in range(H.shape[0]):
         s, e = r[a], z[a]
+        for j in at[a, 1 : at[a, 0] + 1]:
+            s += H[a, j] * HP[a, j]
+            e -= H[a, j] * dx[j]
+        e /= s
         for i in range(n):
-            if H[a, i] != 0.0:
-                s += H[a, i] * HP[a, i]
-                e -= H[a, i] * dx[i]
-        for i in range(n):
-            dx[i] += HP[a, i] / s * e
+            dx[i] += HP[a, i] * e
         set_row(late.G, count, 1.0 / np.sqrt(s), HP, a, 0, HP.shape[1])
         for b in range(a + 1, H.shape[0]):
             _lower_kernel(H, b, count, count + 1, late)

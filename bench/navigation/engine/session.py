@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import FloatArray, IntArray
+from bench.arrays import IntArray
 from bench.data import SensorData
 from bench.sensor_specs import AssumedSpecs
 
@@ -148,8 +148,8 @@ def fork(value: Any) -> Any:
         return value
     if isinstance(value, np.ndarray):
         return _copy_array(value) if value.flags.writeable else value
-    if isinstance(value, tuple):  # of named ones the constructor takes three times as long
-        return tuple.__new__(kind, [one if type(one) in _UNCHANGING else fork(one) for one in value])
+    if isinstance(value, tuple):
+        return kind(*map(fork, value)) if hasattr(kind, "_fields") else kind(map(fork, value))
     if hasattr(value, "restore"):
         return value.copy()
     if isinstance(value, dict):
@@ -162,17 +162,11 @@ def fork(value: Any) -> Any:
 def _copy_array(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy, C-ordered and writeable; rows of whole cache lines begin at one (`bench.wide_rows`)."""
     if array.ndim == 2 and array.dtype == np.float64:
-        lanes, widened = _wide_rows()
-        if array.shape[1] % lanes == 0:
+        from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
+
+        if array.shape[1] % LANES == 0:
             return widened(array)
     return np.array(array, order="C")
-
-
-@cache
-def _wide_rows() -> tuple[int, Callable[[FloatArray], FloatArray]]:
-    from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
-
-    return LANES, widened
 
 
 def _plain(value: Any) -> Any:

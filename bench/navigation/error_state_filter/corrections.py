@@ -46,9 +46,44 @@ def factor_kernel(by: int, dt: float, dth: FloatArray, dv: FloatArray, known: Fl
 
 
 @inner
+def constants_kernel(
+    state: FloatArray, drives: IntArray, known: FloatArray, bias: FloatArray, slope: FloatArray
+) -> int:
+    """Fill what a correction (A-5.4.11) takes off in any motion; return the first drive that asks for one.
+
+    Parameters
+    ----------
+    state : (n + 1,) array
+        Filter state.
+    drives : (D, 3) array
+        States that act like a bias.
+    known : (4,) array
+        As :func:`factor_kernel` takes it.
+    bias, slope : (6,) arrays
+        Overwritten: all that acts like a bias of gyros and accelerometers, and one over their slopes.
+    """
+    moving: int = drives.shape[0]
+    for i in range(6):
+        bias[i], slope[i] = state[GYRO + 1 + i], 1.0
+    for d in range(drives.shape[0]):
+        error, by, value = drives[d, 1] - GYRO, drives[d, 2], state[drives[d, 0] + 1]
+        if by in (STEADY, WARMTH):
+            bias[error] += value if by == STEADY else value * known[0]
+            continue
+        moving = min(moving, d)
+        if by == error:
+            slope[error] += value
+        elif by == CUBE + error:
+            slope[error] -= 3.0 * value
+    for i in range(6):
+        slope[i] = 1.0 / slope[i]
+    return moving
+
+
+@inner
 def increments_kernel(
-    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
-    slope: FloatArray,
+    state: FloatArray, dt: float, drives: IntArray, moving: int, known: FloatArray, dth: FloatArray,
+    dv: FloatArray, bias: FloatArray, slope: FloatArray,
 ) -> None:  # fmt: skip
     """Take the estimated errors out of measured increments over dt, in place (A-5.4.11).
 
@@ -58,34 +93,33 @@ def increments_kernel(
 
     In the order of the drives (`state_blocks.state_model`) an error that is a product has as its
     factor a motion from which all larger errors are taken: the motion by which the covariance knows it, too.
+    ``moving``, ``bias`` and ``slope`` are those of :func:`constants_kernel`.
     """
     for i in range(3):
-        dth[i] -= state[GYRO + 1 + i] * dt
-        dv[i] -= state[GYRO + 4 + i] * dt
-    if drives.shape[0] == 0:
-        return
-    for i in range(6):
-        slope[i] = 1.0
-    for d in range(drives.shape[0]):
+        dth[i] = (dth[i] - bias[i] * dt) * slope[i]
+        dv[i] = (dv[i] - bias[3 + i] * dt) * slope[3 + i]
+    for d in range(moving, drives.shape[0]):
         error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if by == error:
-            slope[error] += state[drives[d, 0] + 1]
-        elif by == CUBE + error:
-            slope[error] -= 3.0 * state[drives[d, 0] + 1]
-    for i in range(3):
-        dth[i] /= slope[i]
-        dv[i] /= slope[3 + i]
-    for d in range(drives.shape[0]):
-        error, by = drives[d, 1] - GYRO, drives[d, 2]
-        if error != by:
+        if by not in (error, STEADY, WARMTH):
             part = factor_kernel(by, dt, dth, dv, known)
             if by == CUBE + error:
                 part += 3.0 * factor_kernel(error, dt, dth, dv, known)
-            part *= state[drives[d, 0] + 1] / slope[error]
+            part *= state[drives[d, 0] + 1] * slope[error]
             if error < 3:
                 dth[error] -= part
             else:
                 dv[error - 3] -= part
+
+
+@inner
+def correct_kernel(
+    state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
+    constants: FloatArray,
+) -> None:  # fmt: skip
+    """Do both for one sample; ``constants`` (2, 6) is memory."""
+    bias, slope = constants[0], constants[1]
+    moving = constants_kernel(state, drives, known, bias, slope)
+    increments_kernel(state, dt, drives, moving, known, dth, dv, bias, slope)
 
 
 @inner
@@ -94,14 +128,14 @@ def motion_kernel(
     motion: FloatArray,
     drives: IntArray,
     known: FloatArray,
-    slope: FloatArray,
+    constants: FloatArray,
     factor: FloatArray,
 ) -> None:
     """Take the estimated errors out of a measured mean motion (2, 3), and fill the factors (D,) of it.
 
-    Rows of the motion are the rate [rad/s] and the specific force [m/s^2], b.
+    Rows of the motion are the rate [rad/s] and the specific force [m/s^2], b. ``constants`` (2, 6) is memory.
     """
-    increments_kernel(state, 1.0, drives, known, motion[0], motion[1], slope)
+    correct_kernel(state, 1.0, drives, known, motion[0], motion[1], constants)
     motion_factors_kernel(motion, drives, known, factor)
 
 
@@ -158,7 +192,7 @@ def axes_kernel(
     dx : (n,) array
         What that will subtract.
     drives, factor : (D, 3) and (D,) arrays
-        States that act like a bias, and by how much.
+        States that act like a bias, those of the accelerometers first, and by how much.
     turn : (5, 3) array
         Overwritten; its last row is memory.
     """
@@ -182,9 +216,10 @@ def _force_kernel(errors: FloatArray, drives: IntArray, factor: FloatArray, forc
     """Fill force (3,): the error of the accelerometers in all, by the errors (n,) of the states."""
     for i in range(3):
         force[i] = errors[ACCEL + i]
-    for d in range(drives.shape[0]):
-        if drives[d, 1] >= ACCEL:
-            force[drives[d, 1] - ACCEL] += factor[d] * errors[drives[d, 0]]
+    d = 0
+    while d < drives.shape[0] and drives[d, 1] >= ACCEL:  # those of the accelerometers come first
+        force[drives[d, 1] - ACCEL] += factor[d] * errors[drives[d, 0]]
+        d += 1
 
 
 @kernel
@@ -204,11 +239,12 @@ def reset_kernel(
         into, row = force[i], P[ACCEL + i]
         for k in range(n):
             into[k] = row[k]
-    for d in range(drives.shape[0]):
-        if drives[d, 1] >= ACCEL:
-            into, row, by = force[drives[d, 1] - ACCEL], P[drives[d, 0]], factor[d]
-            for k in range(n):
-                into[k] += by * row[k]
+    d = 0
+    while d < drives.shape[0] and drives[d, 1] >= ACCEL:
+        into, row, by = force[drives[d, 1] - ACCEL], P[drives[d, 0]], factor[d]
+        for k in range(n):
+            into[k] += by * row[k]
+        d += 1
     x, y, z = force[0], force[1], force[2]
     for i in range(3):
         row, p, q, r = P[ACCEL + i], turn[i, 0], turn[i, 1], turn[i, 2]
@@ -244,7 +280,8 @@ def turn_rows_kernel(H: FloatArray, turn: FloatArray, drives: IntArray, factor: 
             force[i] = row[ACCEL + i]
         for i in range(3):
             row[ACCEL + i] = turn[i, 0] * force[0] + turn[i, 1] * force[1] + turn[i, 2] * force[2]
-        for d in range(drives.shape[0]):
+        d = 0
+        while d < drives.shape[0] and drives[d, 1] >= ACCEL:
             e = drives[d, 1]
-            if e >= ACCEL:
-                row[drives[d, 0]] += factor[d] * (row[e] - force[e - ACCEL])
+            row[drives[d, 0]] += factor[d] * (row[e] - force[e - ACCEL])
+            d += 1

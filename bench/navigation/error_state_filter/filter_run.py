@@ -11,7 +11,7 @@ from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
-from bench.data import Events, InitialState, Innovations, NavSolution, no_events, no_innovations
+from bench.data import Events, InitialState, NavSolution, no_events, no_innovations
 from bench.navigation.engine.gate import InnovationLog, innovations, new_log
 from bench.navigation.engine.rejection_events import Refused, refusals
 from bench.navigation.engine.session import (
@@ -23,6 +23,7 @@ from bench.navigation.engine.session import (
     require,
     require_range,
 )
+from bench.navigation.error_state_filter.answers import answers, solution, spread
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
@@ -60,9 +61,12 @@ LONGEST = 3
 class Stores(NamedTuple):
     """What a run stores."""
 
-    state: FloatArray  # (M, shown + 1) at each output: all states but the last ones, of single satellites
+    lla: FloatArray  # (M, 3) at each output
+    vel_n: FloatArray  # (M, 3)
+    q_nb: FloatArray  # (M, 4)
+    values: FloatArray  # (M, shown - 9) of the states from the gyro bias on, but the last: single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
-    variance: FloatArray  # (M, shown - 9) of the other states
+    variance: FloatArray  # (M, shown - 9) of these
     node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
     node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
     node_cov: FloatArray  # (N, 2, n, n)
@@ -83,14 +87,16 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
 @inner
 def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
     """Store the state of the filter as an answer."""
-    state, cov, variance, P = stores.state[at], stores.cov[at], stores.variance[at], now.P
-    for i in range(state.shape[0]):
-        state[i] = now.state[i]
+    state, P, cov = now.state, now.P, stores.cov[at]
+    for i in range(3):
+        stores.lla[at, i], stores.vel_n[at, i] = state[i], state[3 + i]
+    for i in range(4):
+        stores.q_nb[at, i] = state[6 + i]
     for i in range(9):
         for j in range(9):
             cov[i, j] = P[i, j]
-    for i in range(variance.shape[0]):
-        variance[i] = P[9 + i, 9 + i]
+    for i in range(stores.values.shape[1]):
+        stores.values[at, i], stores.variance[at, i] = state[10 + i], P[9 + i, 9 + i]
 
 
 @kernel
@@ -322,7 +328,10 @@ class ForwardRun(SessionState):
         whole = schedule.last and start == self.initial.t
         empty = np.empty if whole else disk_arrays.empty
         stores = Stores(
-            np.empty((m, shown + 1)),
+            np.empty((m, 3)),
+            np.empty((m, 3)),
+            np.empty((m, 4)),
+            np.empty((m, shown - 9)),
             np.empty((m, 9, 9)),
             np.empty((m, shown - 9)),
             np.empty(len(at)),
@@ -375,15 +384,10 @@ class ForwardRun(SessionState):
         numbers, marks = log.numbers[:count], log.marks[:count]
         wanted = schedule.output_t
         t = schedule.advance(plan)
-        found = stores.state, stores.cov, stores.variance
+        *state, cov, variance = stores[:6]
         if len(t) != m:
             rows = np.searchsorted(t, wanted[plan.outputs])
-            found = (
-                spread(found[0], rows, len(t)),
-                spread(found[1], rows, len(t)),
-                spread(found[2], rows, len(t)),
-            )
-        state, cov, variance = found
+            *state, cov, variance = (spread(one, rows, len(t)) for one in stores[:6])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[:, 0], marks, names, refused, last=schedule.last)
         schedule.events = []
@@ -397,50 +401,3 @@ class ForwardRun(SessionState):
         table = Events.from_rows(events)
         marked = innovations(SENSORS, numbers, marks)
         return answers(t, model.layout, state, cov, variance, marked, table), nodes
-
-
-def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
-    """Return an array of ``count`` rows, NaN but for the given ``rows`` (M,), those of values (M, ...)."""
-    whole = np.full((count, *values.shape[1:]), np.nan)
-    whole[rows] = values
-    return whole
-
-
-def solution(
-    t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
-) -> NavSolution:
-    """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
-    variance = np.einsum("kii->ki", P)[:, 9:]
-    return answers(t, layout, state, P[:, :9, :9], variance, table, events)
-
-
-def answers(
-    t: FloatArray,
-    layout: StateLayout,
-    state: FloatArray,
-    cov: FloatArray,
-    variance: FloatArray,
-    table: Innovations,
-    events: Events,
-) -> NavSolution:
-    """Return the same from covariances (M, 9, 9) and the variances (M, shown - 9) of the further states.
-
-    What follows on the first ``shown`` states is no part of an answer.
-    """
-    with np.errstate(invalid="ignore"):
-        sd = np.sqrt(variance)
-    state = read_only(state)  # so are its columns
-    return NavSolution(
-        t=t,
-        lla=state[:, :3],
-        vel_n=state[:, 3:6],
-        q_nb=state[:, 6:10],
-        gyro_bias_b=state[:, 10:13],
-        accel_bias_b=state[:, 13:16],
-        cov=cov,
-        extra_names=layout.labels()[: variance.shape[1]],
-        extra=state[:, 10 : variance.shape[1] + 10],
-        extra_sd=sd,
-        innovations=table,
-        events=events,
-    )

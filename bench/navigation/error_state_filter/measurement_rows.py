@@ -100,7 +100,7 @@ def _sense_kernel(now: FilterState, values: FloatArray, work: MeasureWork) -> No
     """Fill ``work.motion`` and its factors from a measured mean rate and force (6,)."""
     for i in range(3):
         work.motion[0, i], work.motion[1, i] = values[i], values[3 + i]
-    motion_kernel(now.state, work.motion, work.drives, work.known, work.slope, work.factor)
+    motion_kernel(now.state, work.motion, work.drives, work.known, work.constants, work.factor)
 
 
 @inner

@@ -95,10 +95,11 @@ class Gate(NamedTuple):
 @inner
 def opens_kernel(code: int, opens: BoolArray) -> bool:
     """Return whether a filter has states that may have made a step where a sensor disagrees."""
-    found = False
-    for i in range(opens.shape[1]):
-        found = found or opens[code, i]
-    return found
+    i: int = 0
+    n: int = opens.shape[1]
+    while i < n and not opens[code, i]:
+        i += 1
+    return i < n
 
 
 @inner
@@ -151,7 +152,7 @@ def use_kernel(
         for b in range(m):
             r[b] *= level
         late_rows_kernel(P, H, late, waits)
-        nis = nis_of_kernel(late.HP, dx, H, z, r, work.var, work.square)
+        nis = nis_of_kernel(late.HP, dx, H, late.at, z, r, work.var, work.square)
         sound = nis <= gate.nis[m]
         doubted = not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0
         if doubted and code == POSITION and a + 3 < first + rows:
@@ -159,7 +160,7 @@ def use_kernel(
             waits = settle_kernel(P, late, waits)
             drifted, moves = fix_kernel(
                 t, P, dx, H_6, z_6, r_6, gate.nis[3], gate.readmit_after_s, trust,
-                work.innovation, work.var, work.square, late.HP,
+                work.innovation, work.var, work.square, late.HP, late.at,
             )  # fmt: skip
         passed = sound or drifted
         squares, spread, excess, e = 0.0, 0.0, 0.0, work.innovation
@@ -169,9 +170,8 @@ def use_kernel(
             reach *= 0.5 * waited
         for b in range(m):
             innovation = -z[b]  # measured minus predicted
-            for i in range(n):
-                if H[b, i] != 0.0:
-                    innovation += H[b, i] * dx[i]
+            for j in late.at[b, 1 : late.at[b, 0] + 1]:
+                innovation += H[b, j] * dx[j]
             squares += innovation * innovation
             spread += work.var[b]
             most = min(innovation * innovation, gate.nis[1] * work.var[b])

@@ -14,7 +14,11 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
 from bench.navigation.engine.late_updates import LateUpdates, late_updates
 from bench.navigation.engine.session import Growing
-from bench.navigation.error_state_filter.corrections import factor_kernel, increments_kernel
+from bench.navigation.error_state_filter.corrections import (
+    constants_kernel,
+    factor_kernel,
+    increments_kernel,
+)
 from bench.navigation.error_state_filter.error_state import (
     PHI,
     VEL,
@@ -33,6 +37,7 @@ from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_ke
 from bench.wide_rows import wide, widened
 
 LATE = 0.1  # mean age of the force by which late fixes are compared: half of a delay of 0.2 s [s]
+_SLOW = 0.05
 _RECIPROCAL = tuple(1.0 / max(k, 1) for k in range(10))
 
 
@@ -82,7 +87,7 @@ class MeasureWork(NamedTuple):
     known: FloatArray  # (4,) `Carried.known`
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
-    slope: FloatArray  # (6,) of gyros and accelerometers along their axes
+    constants: FloatArray  # (2, 6) bias and slope (`corrections.constants_kernel`)
 
 
 class UpdateWork(NamedTuple):
@@ -162,7 +167,7 @@ def work_for(n: int, drives: IntArray) -> Work:
             carried.known,
             drives,
             np.zeros(D),
-            np.ones(6),
+            np.ones((2, 6)),
         ),
         update=UpdateWork(
             np.zeros(n),
@@ -234,9 +239,7 @@ def mean_force_kernel(T: float, newest: FloatArray, force_n: FloatArray) -> None
 
 @inner
 def fade_kernel(x: float) -> float:
-    """Return exp(-x); of a small x, as most are, its series: the next term is below 1e-17."""
-    if x > 0.05:
-        return float(np.exp(-x))
+    """Return exp(-x) of an x below `_SLOW`, as most are, by its series: the next term is below 1e-17."""
     value = 1.0
     for k in range(9, 0, -1):
         value = 1.0 - x * _RECIPROCAL[k] * value
@@ -258,12 +261,14 @@ def noise_kernel(
     decay_time, decay_distance = process.decay_time, process.decay_distance
     n = noise.shape[0]
     fading: int = n
+    for i in range(n):
+        noise[i] = (decay_time[i] + decay_distance[i] * speed) * T
+        decay[i] = fade_kernel(noise[i])
     for i in range(n - 1, -1, -1):
-        x = (decay_time[i] + decay_distance[i] * speed) * T
-        decay[i] = 1.0
-        if x > 0.0:
+        if noise[i] > 0.0:
             fading = i
-            decay[i] = fade_kernel(x)
+        if noise[i] > _SLOW:
+            decay[i] = np.exp(-noise[i])
         noise[i] = q[i] * T if stationary[i] == 0.0 else stationary[i] * (1.0 - decay[i] * decay[i])
     for i in range(3):
         noise[VEL + i] += unknown[0]
@@ -319,7 +324,8 @@ def advance_kernel(
     dth, dv, rotvec, dv_start, dv_n, dv_sum, w_sum, f_sum = (
         vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5], vectors[6], vectors[7],
     )  # fmt: skip
-    known, slope, last = carried.known, measure.slope, measure.last
+    known, last = carried.known, measure.last
+    bias, slope = measure.constants[0], measure.constants[1]
     driven = drives.shape[0]
     n = P.shape[0]
     waiting = False
@@ -327,6 +333,7 @@ def advance_kernel(
         waiting = waiting or (pending.live[slot] > 0 and not ahead)
     T = carried.elapsed[0]
     while k < until or (closing and T > 0.0):
+        moving = constants_kernel(state, drives, known, bias, slope)  # the same up to the end of this step
         while k < until:
             if T == 0.0:
                 lost[0], lost[1] = 0.0, 0.0
@@ -345,10 +352,11 @@ def advance_kernel(
             for i in range(3):
                 dth[i] = dtheta_b[row, i] * share
                 dv[i] = dvel_b[row, i] * share
-            increments_kernel(state, dt, drives, known, dth, dv, slope)
-            for i in range(3):
-                last[0, i], last[1, i] = dth[i] / dt, dv[i] / dt
-            known[3] = process.q[PHI] / dt
+            increments_kernel(state, dt, drives, moving, known, dth, dv, bias, slope)
+            if k == until:  # what measurements see
+                for i in range(3):
+                    last[0, i], last[1, i] = dth[i] / dt, dv[i] / dt
+                known[3] = process.q[PHI] / dt
             if driven > 0:
                 for i in range(3):
                     w_sum[i] += dth[i]

@@ -13,10 +13,19 @@ _BEFORE = -2  # step of what was measured in an earlier piece
 FREE = -3  # step until which a slot is taken that nothing waits in
 
 
-@inner
-def _find_kernel(t: FloatArray, wanted: float) -> int:
-    """Return the first of increasing instants t (K,) that is not before the one ``wanted``; K: none."""
-    low, high = 0, t.shape[0]
+@kernel
+def find_kernel(t: FloatArray, wanted: float, near: int) -> int:
+    """Return the first of increasing instants t (K,) that is not before the one ``wanted``; K: none.
+
+    It is looked for from ``near`` on, in growing steps, where it is not before that.
+    """
+    low, high, stride = 0, t.shape[0], 1
+    if 0 < near <= high and t[near - 1] < wanted:
+        low = near
+        while low + stride < high and t[low + stride - 1] < wanted:
+            low += stride
+            stride *= 2
+        high = min(high, low + stride)
     while low < high:
         middle = (low + high) // 2
         if t[middle] < wanted:
@@ -27,9 +36,9 @@ def _find_kernel(t: FloatArray, wanted: float) -> int:
 
 
 @inner
-def _step_kernel(t: FloatArray, start: float, wanted: float) -> int:
+def _step_kernel(t: FloatArray, start: float, wanted: float, near: int) -> int:
     """Return the step out of those that end at t (K,) that ends at an instant [s], -1 at the start."""
-    return -1 if wanted < start + TIME_TOLERANCE else _find_kernel(t, wanted - TIME_TOLERANCE)
+    return -1 if wanted < start + TIME_TOLERANCE else find_kernel(t, wanted - TIME_TOLERANCE, near)
 
 
 @inner
@@ -98,14 +107,15 @@ def plan_kernel(
     (A,) those that are due fill ``outputs``, and how far ahead of a step's end each lies; with ``at_ends``
     each is given at the first step's end from its instant on.
     """
-    measure, use, e, m = work[0], work[1], 0, 0
+    measure, use, e, m, near = work[0], work[1], 0, 0, 0
     for k in range(slot.shape[0]):
-        use[k] = _step_kernel(t, now, arrival[k])
+        near = _step_kernel(t, now, arrival[k], near)
+        use[k] = near
         measure[k] = use[k]
         if slot[k] > 0:
             measure[k] = _BEFORE
         elif compensate and abs(valid[k] - arrival[k]) >= TIME_TOLERANCE:
-            measure[k] = _step_kernel(t, now, valid[k])
+            measure[k] = _step_kernel(t, now, valid[k], 0)
     slots = _slots_kernel(measure, use, order, go_to, slot, busy)
     for k in range(slot.shape[0]):
         row = number[k] if kind[k] == SATELLITE_ROWS else k
@@ -114,14 +124,15 @@ def plan_kernel(
             e = _write_kernel(entries, e, measure[k], MEASURE, kind[k], row, slot[k])
         if not left[k]:
             e = _write_kernel(entries, e, use[k], USE if slot[k] > 0 else AT_ONCE, kind[k], row, slot[k])
+    at = 0
     for k in range(wanted.shape[0]):
         asked = wanted[k]
-        at = _find_kernel(t, asked - TIME_TOLERANCE)
+        at = find_kernel(t, asked - TIME_TOLERANCE, at)
         at_start = abs(asked - now) <= TIME_TOLERANCE
         there = at_start or (at < t.shape[0] and abs(t[at] - asked) <= TIME_TOLERANCE)
         part = 0.0
         if at_ends:
-            step = _step_kernel(t, now, asked)
+            step = _step_kernel(t, now, asked, at)
             due = asked <= end + TIME_TOLERANCE and step <= go_to
         else:
             step = -1 if at_start else at - 1 + there

@@ -27,13 +27,14 @@ from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.navigation.engine import long_records
 from bench.navigation.engine.piecewise import KnowsImuErrors
+from bench.navigation.error_state_filter.answers import answers, split, spread
 from bench.navigation.error_state_filter.corrections import reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     PHI,
     difference_kernel,
     feedback_kernel,
 )
-from bench.navigation.error_state_filter.filter_run import Nodes, answers, spread
+from bench.navigation.error_state_filter.filter_run import Nodes
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.state_blocks import first_of_satellites, index_of
 from bench.navigation.models.loose_tight import Loose, Tight
@@ -125,7 +126,7 @@ def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
     if len(rows) != len(t):
         state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
     add_arm(cov, antenna_b)
-    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]))
+    return answers(t, nodes.layout, split(state), cov, variance, no_innovations(), Events.from_rows([]))
 
 
 class SmootherWork(NamedTuple):

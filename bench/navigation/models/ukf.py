@@ -35,6 +35,7 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     records_needed,
     unmodelled,
 )
+from bench.navigation.error_state_filter.answers import solution
 from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     GYRO,
@@ -43,7 +44,6 @@ from bench.navigation.error_state_filter.error_state import (
     less_errors,
     state_errors,
 )
-from bench.navigation.error_state_filter.filter_run import solution
 from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     POSITION,

@@ -85,6 +85,7 @@ class TrackWork(NamedTuple):
     var: FloatArray  # (6,)
     square: FloatArray  # (6, 7)
     rows: FloatArray  # (6, 9)
+    columns: IntArray  # (6, 10)
     row: FloatArray  # (9,)
     other_row: FloatArray  # (9,)
     unused: FloatArray  # (9, 9)
@@ -109,6 +110,7 @@ def track_work() -> TrackWork:
         var=np.zeros(6),
         square=np.zeros((6, 7)),
         rows=np.zeros((6, 9)),
+        columns=np.zeros((6, 10), np.int64),
         row=states.copy(),
         other_row=states.copy(),
         unused=np.zeros((9, 9)),
@@ -243,12 +245,14 @@ def _use_kernel(
             e[3 + i] = vel_n[i] - x[3 + i]
         for i in range(6):
             z[i] = -e[i]
-        nis = nis_kernel(P, dx, work.H[part], z[part], r[part], work.var, work.square, work.rows)
+        nis = nis_kernel(
+            P, dx, work.H[part], z[part], r[part], work.var, work.square, work.rows, work.columns
+        )
         sound = nis <= model.nis
         if code == 0 and parts == 2:
             drifted, moves = fix_kernel(
                 t, P, dx, work.H, z, r, model.nis, model.readmit_after_s, trust,
-                work.innovation, work.var, work.square, work.rows,
+                work.innovation, work.var, work.square, work.rows, work.columns,
             )  # fmt: skip
         verdict = decide_kernel(t, code, sound, drifted, moves, model.readmit_after_s, 2, trust)
         for i in range(3):

@@ -21,8 +21,8 @@ from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
+from bench.navigation.error_state_filter.answers import answers, split
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.filter_run import answers
 from bench.navigation.error_state_filter.imu_states import core_states
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.error_state_filter.step_entries import OUTPUT
@@ -98,7 +98,7 @@ class GraphSmoother:
                 events.append((initial.t, float(sensors.output_t[-1]), "graph", text))
         table, refused = chain.gate.take(last=True)
         told = Events.from_rows(events + refused)
-        return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
+        return answers(sensors.output_t, StateLayout(), split(out), cov, variance, table, told)
 
     def refuses(self, specs: AssumedSpecs) -> str:
         """Return why it takes no fixes of the receiver assumed; "" where they are white.
