@@ -165,8 +165,8 @@ def _check_velocity(motion: RecordedMotion) -> list[Check]:
         still = float(np.sqrt(np.mean(value**2))) < max(_MOVED * jitter, _SLOWEST)
         if still or abs(ratio - 1.0) <= max(_GAIN_OFF, SIGMAS * sd):
             continue
-        near = [unit for factor, unit in _SPEEDS.items() if abs(ratio * factor - 1.0) < 0.1]
-        guess = f"are these {near[0]}?" if near else "the unit, a sign or the order of the axes looks wrong"
+        off, unit = min((abs(ratio * factor - 1.0), unit) for factor, unit in _SPEEDS.items())
+        guess = f"are these {unit}?" if off < 0.1 else "the unit, a sign or the order of the axes looks wrong"
         text = f"gnss: {axis}, its positions move {ratio:.3f} of its velocity: {guess}"
         found.append(Check(f"velocity_ratio_{axis}", ratio, text, False))
     return found
