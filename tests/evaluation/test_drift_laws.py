@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
+from bench import rotation
+from bench.evaluation import drift_laws
 from bench.evaluation.drift_laws import RADIUS, drift_sd
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
+from bench.sensor_specs import AssumedSpecs
 from bench.units import DEG, STANDARD_GRAVITY
-from tests.weaving import IMU
+from tests.weaving import GNSS, IMU
 
 QUIET = replace(
     IMU,
@@ -65,6 +69,7 @@ def test_the_pendulum_bounds_an_accelerometer_bias_but_not_a_gyro_bias():
     drifts = [drift_sd(float(T), unit("accel", bias_instability=b)) for T in times]
     assert max(drifts) == pytest.approx(2e-3 * RADIUS, rel=1e-3)
     period = 2 * np.pi * np.sqrt(RADIUS / STANDARD_GRAVITY)
+    assert period / 60.0 == pytest.approx(84.4, abs=0.1)
     slow = drift_sd(period, unit("gyro", bias_instability=1e-6))
     assert slow == pytest.approx(RADIUS * 1e-6 * period, rel=1e-6)
 
@@ -76,7 +81,85 @@ def test_a_bias_that_turns_with_the_vehicle_is_integrated_along_its_headings():
     assert circling == pytest.approx(pendulum(T, gyro=b_g, turn=turn), rel=1e-3)
     straight = drift_sd(T, unit("gyro", turn_on_bias_sd=b_g), calibrated=False)
     assert circling < 0.2 * straight
+    slow = 2 * np.pi / 900.0
+    turned = drift_sd(
+        900.0, unit("accel", bias_instability=1e-2), heading=slow * np.linspace(0.0, 900.0, 901)
+    )
+    assert turned == pytest.approx(pendulum(900.0, accel=1e-2, turn=slow), rel=1e-3)
     assert drift_sd(T, unit("gyro", turn_on_bias_sd=b_g)) == 0.0  # calibrated: no turn-on bias is left
+
+
+def case(T=60.0, nis=(), cov=None, sd=400.0, assumed=True):
+    """A run at rest in position, its heading 0.1 rad/s times time, answers twice a second."""
+    t = np.arange(0.0, T + 0.1, 0.5)
+    q_nb = rotation.from_euler(0.0 * t, 0.0 * t, 0.01 * t)
+    specs = AssumedSpecs(IMU, replace(GNSS, vel_markov_sd=0.3)) if assumed else None
+    start = SimpleNamespace(t=t[:1], cov=np.array([np.diag(np.full(9, np.nan) if cov is None else cov)]))
+    return SimpleNamespace(
+        t=t, assumed=specs, nis=dict.fromkeys(nis), outages=((1, 10.0, 40.0), (2, 100.0, 110.0)),
+        solution=SimpleNamespace(q_nb=q_nb), start=start, sd=np.full((len(t), 9), sd),
+        pos_n=np.eye(len(t), 1, 1 - len(t)) * [30.0, 40.0, 5.0],
+    )  # fmt: skip
+
+
+def test_headings_are_taken_once_a_second():
+    one = case()
+    assert_allclose(drift_laws._headings(one, 4, 16), 0.01 * np.arange(2.0, 8.5))
+    assert_allclose(drift_laws._headings(one, 4, 5), 0.01 * np.array([2.0, 2.5]))
+    one.solution.q_nb[10] = np.nan
+    assert drift_laws._headings(one, 4, 16) is None
+
+
+def test_the_law_of_an_outage_is_that_of_a_calibrated_imu_and_the_wander_of_the_receiver():
+    """From the first instant in it to the last, 29.5 s; of two axes, rms and the 95 % radius."""
+    sd = drift_sd(29.5, IMU, heading=0.01 * np.linspace(10.0, 39.5, 31), velocity=0.3)
+    fixed = case(nis=("gnss_position",))
+    assert drift_laws.outage_law("rms", fixed) == {"1": pytest.approx(np.sqrt(2.0) * sd, rel=1e-4)}
+    assert drift_laws.outage_law("95", fixed) == {
+        "1": pytest.approx(np.sqrt(2.0 * np.log(20.0)) * sd, rel=1e-4)
+    }
+    bare = replace(fixed.assumed, gnss=None)
+    fixed.assumed = bare
+    sd = drift_sd(29.5, IMU, heading=0.01 * np.linspace(10.0, 39.5, 31))
+    assert drift_laws.outage_law("rms", fixed) == {"1": pytest.approx(np.sqrt(2.0) * sd, rel=1e-4)}
+    assert drift_laws.outage_law("rms", case(nis=("baro",))) == {}
+    assert drift_laws.outage_law("rms", case(nis=("gnss_position",), assumed=False)) == {}
+
+
+def test_the_law_of_a_run_without_fixes_begins_with_what_is_claimed():
+    """Of two axes each the root of the mean square; a claim of less than a fifth of the law is aided."""
+    cov = np.square([3.0, 4.0, 9.0, 0.1, 0.3, 9.0, 0.01, 0.03, 9.0])
+    start = [float(np.sqrt(np.mean(cov[k : k + 2]))) for k in (0, 3, 6)]
+    heading = 0.01 * np.linspace(0.0, 60.0, 61)
+    known = dict(zip(("position", "velocity", "tilt"), start, strict=True))
+    sd = drift_sd(60.0, IMU, heading=heading, calibrated=False, **known)
+    law = drift_laws.inertial_law(case(nis=("baro",), cov=cov))
+    assert law == {
+        "rms": pytest.approx(np.sqrt(2.0) * sd),
+        "95": pytest.approx(np.sqrt(2.0 * np.log(20.0)) * sd),
+    }
+    unknown = drift_sd(60.0, IMU, heading=heading, calibrated=False)
+    assert drift_laws.inertial_law(case())["rms"] == pytest.approx(np.sqrt(2.0) * unknown)
+    for share, there in ((0.19, False), (0.21, True)):
+        one = case(cov=cov, sd=share * sd / np.sqrt(2.0))
+        assert bool(drift_laws.inertial_law(one)) == there
+        assert drift_laws.inertial_end(one) == ({"": pytest.approx(50.0)} if there else {})
+    assert drift_laws.inertial_law(case(nis=("gnss_velocity",))) == {}
+    assert drift_laws.inertial_law(case(assumed=False)) == {}
+
+
+def test_the_sources_of_a_drift_are_told_apart():
+    parts = drift_laws.split_drift(300.0, IMU, calibrated=False, position=3.0, velocity=-0.2, tilt=1e-3)
+    assert parts["position"] == 3.0
+    assert parts["velocity"] == pytest.approx(pendulum(300.0, velocity=0.2), rel=1e-6)
+    assert parts["tilt"] == pytest.approx(pendulum(300.0, tilt=1e-3), rel=1e-5)
+    for triad in ("accel", "gyro"):
+        one = getattr(IMU, triad)
+        bias = np.hypot(one.bias_instability, one.turn_on_bias_sd)
+        words = "accelerometer" if triad == "accel" else "gyro"
+        assert parts[f"{words} bias"] == pytest.approx(pendulum(300.0, **{triad: bias}), rel=1e-5)
+        noise = drift_sd(300.0, unit(triad, random_walk=one.random_walk))
+        assert parts[f"{words} noise"] == pytest.approx(noise)
 
 
 def test_outages_are_spread_from_the_first_place_to_the_last():

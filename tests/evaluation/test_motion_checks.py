@@ -8,10 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
 
 from bench import earth
 from bench.config.listing import list_profiles
-from bench.evaluation import motion_checks, motion_fit, validity
+from bench.evaluation import axis_search, motion_checks, motion_fit, validity
 from bench.evaluation.axis_search import Axes, describe_axes
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.instruments import BaroData
@@ -100,6 +101,7 @@ def test_a_sound_flight_has_no_false_line(sound):
     assert wrong(found) == []
     assert found["imu_shift_s"].value == pytest.approx(0.0, abs=0.02)
     assert found["turn_gain"].value == pytest.approx(1.0, abs=0.05)
+    assert not any("mounting_deg" in one.text for one in found.values())
 
 
 @pytest.mark.parametrize(
@@ -260,6 +262,114 @@ def test_the_forward_axis_is_judged_where_the_heading_is_known(sd_deg, yaw_deg, 
     else:
         assert check.value == pytest.approx(yaw_deg, abs=0.2)
         assert check.good is not off
+
+
+def fitted(sd=0.0, **values):
+    """A fit with some parameters, each as uncertain as the others."""
+    of = np.array([values.get(name, 0.0) for name in motion_fit.NAMES])
+    empty = np.empty(0)
+    return motion_fit.MotionFit(of, sd**2 * np.eye(len(of)), empty, np.empty((0, 3, 3)), empty)
+
+
+@pytest.mark.parametrize(
+    ("gain", "factor", "sd", "value", "told"),
+    [
+        (1.04, 1.0, 0.01, 1.04, "1.040 of those of the motion"),
+        (1.06, 1.0, 0.01, 1.06, "the unit or the scale looks wrong"),
+        (1.06, 1.0, 0.02, 1.06, "1.060 of those of the motion"),
+        (1.06, 1.0, 0.06, None, "does not show the unit of the angular rates (sd 0.06)"),
+        (50.0, 1.0, 0.01, 50.0, "deg/s in a column of rad/s"),
+        (1.1 / 57.3, 1.0, 0.01, 1.1 / 57.3, "rad/s in a column of deg/s"),
+        (1.0, np.pi / 180.0, 0.01, 180.0 / np.pi, "deg/s in a column of rad/s"),
+        (1.0, 180.0 / np.pi, 0.01, np.pi / 180.0, "rad/s in a column of deg/s"),
+    ],
+)
+def test_a_gain_of_the_rates_names_the_unit(gain, factor, sd, value, told):
+    """Wrong beyond 5 % and five deviations; what the search of the axes has taken off counts."""
+    axes = Axes(factor * np.eye(3), np.eye(3))
+    found = motion_checks._check_rate_gain(fitted(sd, gyro_gain=np.log(gain)), axes)
+    assert told in found.text
+    assert found.value == (None if value is None else pytest.approx(value))
+    assert found.good == (value is None or abs(value - 1.0) <= max(0.05, 5.0 * sd))
+    assert ("looks wrong" in found.text or "are these" in found.text) == (not found.good)
+
+
+@pytest.mark.parametrize(
+    ("shift", "sd", "good", "told"),
+    [
+        (0.019, 0.001, True, "fits the receiver's with +0.019 s added (sd 0.001 s)"),
+        (-0.021, 0.001, False, "add -0.021 to [imu] time_offset_s"),
+        (-0.021, 0.005, True, "fits the receiver's with -0.021 s added"),
+        (0.019, 0.021, True, "does not show the shift between the clocks"),
+    ],
+)
+def test_a_shift_of_the_clocks_counts_beyond_20_ms_and_five_deviations(shift, sd, good, told):
+    found = motion_checks._check_shift(fitted(sd, shift=shift))
+    assert told in found.text
+    assert (found.good, "add " in found.text) == (good, not good)
+
+
+def test_an_arm_that_is_off_is_told_by_axis():
+    """0.6 m of one axis, known to 0.1 m; an axis that is known to 0.3 m only has no figure."""
+    fit = fitted(0.1, arm_x=0.6, arm_y=0.3, arm_z=-0.1)
+    fit.cov[14, 14] = 0.09
+    found = motion_checks._check_arm(fit, np.array([1.0, 2.0, 3.0]))
+    assert "at 1.60, 2.30, ? m" in found.text
+    assert "not at 1.00, 2.00, 3.00 m: is position_m right?" in found.text
+    assert (found.value, found.good) == (pytest.approx(np.hypot(0.6, 0.3)), False)
+    assert motion_checks._check_arm(fitted(0.1, arm_x=0.45), np.zeros(3)).good
+
+
+def test_the_forward_axis_is_that_of_a_least_squares_with_a_wind():
+    """Its deviation allows for courses whose errors last: it is judged where five of them are just less."""
+    rng = np.random.default_rng(5)
+    course = np.repeat(np.deg2rad([10.0, 80.0, 200.0, 290.0]), 10)
+    scatter = np.repeat(rng.standard_normal((4, 2)), 10, axis=0) + 0.3 * rng.standard_normal((40, 2))
+    nose = course - np.deg2rad(14.0)
+    C_nb = np.zeros((40, 3, 3))
+    C_nb[:, 0, 0], C_nb[:, 1, 0] = np.cos(nose), np.sin(nose)
+    fit = SimpleNamespace(heading_sd=np.full(4, 0.01), C_nb=C_nb)
+
+    def off(x, vel):
+        return (vel[:, 1] - x[2]) * np.cos(nose + x[0]) - (vel[:, 0] - x[1]) * np.sin(nose + x[0])
+
+    def compare(size):
+        vel = 25.0 * np.column_stack([np.cos(course), np.sin(course)]) + [6.0, -4.0] + size * scatter
+        found = least_squares(lambda x: np.append(off(x, vel), x[1:] / 15.0), [0.3, 0.0, 0.0], xtol=1e-14)
+        x, J = found.x, found.jac[:40]
+        inverse, prior = np.linalg.inv(found.jac.T @ found.jac), np.diag([0.0, 1.0, 1.0]) / 225.0
+        pulls = (J * off(x, vel)[:, None]).reshape(4, 10, 3).sum(axis=1)
+        sd = np.sqrt((inverse @ (4.0 / 3.0 * pulls.T @ pulls + prior) @ inverse)[0, 0])
+        stretches = motion_fit.Stretches(
+            np.arange(0, 41, 10), np.arange(40.0), np.zeros((40, 3)), np.column_stack([vel, np.zeros(40)]),
+            np.tile(np.eye(3), (40, 1, 1)), np.ones(4),
+        )  # fmt: skip
+        return x[0], sd, motion_checks._check_forward_axis(fit, stretches)
+
+    angle, _, found = compare(0.5)
+    assert found.value == pytest.approx(np.rad2deg(angle), abs=1e-3)
+    assert "mounting_deg does not make x point forward" in found.text
+    excess = {}
+    for size in np.arange(1.0, 30.0, 0.2):
+        angle, sd, found = compare(size)
+        excess[angle / sd] = found.good
+        assert found.good == (angle <= max(np.deg2rad(10.0), 5.0 * sd)), size
+    assert min(abs(ratio - 5.0) for ratio in excess) < 0.1
+    assert set(excess.values()) == {True, False}
+
+
+def test_the_cost_of_axes_is_the_likelihood_of_their_residuals():
+    """Of stretches with 9 and 10 fixes 21 and 24 residuals are free; 5 cm/s are the receiver's."""
+    stretches = SimpleNamespace(begin=np.array([0, 9, 19]))
+    cost = axis_search._cost(SimpleNamespace(rms=np.array([0.1, 0.3])), stretches)
+    assert cost == pytest.approx(21.0 * np.log(np.hypot(0.1, 0.05)) + 24.0 * np.log(np.hypot(0.3, 0.05)))
+    every = axis_search.list_axes()
+    assert len(every) == 96
+    assert every[0].are_given
+    assert not any(one.are_given for one in every[1:])
+    assert Axes(0.5 * np.eye(3), np.eye(3)).gyro_factor == 0.5
+    assert {round(np.linalg.det(one.accel)) for one in every} == {1, -1}
+    assert sum(round(np.linalg.det(one.gyro)) for one in every) == 0
 
 
 def test_the_limits_are_those_of_the_guide():

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from bench.data import NavSolution
 from bench.evaluation.headline import find_best, judge_look
-from bench.evaluation.verdict import add_verdict, find_bounds, is_outside
+from bench.evaluation.verdict import _compare, _judge_drift, add_verdict, find_bounds, is_outside
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
 from bench.run_result import RunResult
 from bench.workbench import result_table
@@ -221,3 +221,114 @@ def test_an_honest_claim_that_is_of_no_use_looks_like_a_warning_and_is_never_the
     assert find_best({"bold": bold, "useless": useless, "honest": honest, "other": honest}) == "honest"
     assert find_best({"bold": bold, "useless": useless}) == "bold"
     assert find_best({}) == ""
+
+
+HONEST = {
+    "converged": True, "reason": None, "pos_rmse_h_m": 2.0, "pos_claimed_h_m": 2.5,
+    "nees_mean": 9.0, "nees_states": 9.0, "nees_low": 5.0, "nees_high": 14.0,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({}, "consistent"),
+        *(({f"nees_{name}": None}, "no claim") for name in ("mean", "states", "low", "high")),
+        ({"nees_mean": 14.1}, "overconfident"),
+        ({"nees_mean": 4.9}, "underconfident"),
+        ({"coverage_3sigma_vel_n": 0.5, "coverage_low_vel_n": 0.6}, "overconfident"),
+        ({"coverage_3sigma_vel_n": 0.7, "coverage_low_vel_n": 0.6}, "consistent"),
+        ({"coverage_3sigma_vel_n_all": 0.5, "coverage_low_vel_n_all": 0.6}, "consistent"),
+        ({"coverage_3sigma_bias_gyro_x": 0.5, "coverage_low_bias_gyro_x": 0.6}, "consistent"),
+    ],
+)
+def test_the_word_of_a_claim_by_its_bounds(change, word):
+    assert add_verdict("x", {**HONEST, **change})["verdict"] == word
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (
+            {"nis_mean_gnss": 5.0, "nis_mean_baro": 0.2},
+            "overconfident by its innovations, NIS of gnss 5 (at most 4)",
+        ),
+        ({"nis_mean_baro": 0.2}, "underconfident by its innovations, NIS of baro 0.2 (at least 0.5)"),
+        ({"nis_mean_gnss_all": 5.0}, "consistent with its covariance"),
+    ],
+)
+def test_without_a_truth_innovations_beyond_their_band_are_named(change, named):
+    """Those that are too large, if there are any: those that are too small are not told beside them."""
+    band = {"nis_low_gnss": 2.0, "nis_high_gnss": 4.0, "nis_low_baro": 0.5, "nis_high_baro": 2.0}
+    values = {**HONEST, **band, "nis_mean_gnss": 3.0, "nis_mean_baro": 1.0, "withheld_fixes": 10, **change}
+    text = add_verdict("x", values)["verdict_text"]
+    assert named in text
+    assert ("baro" in text) == ("baro 0.2" in named)
+    used = add_verdict("x", {**values, "used_every_fix": True})
+    assert used["verdict"] == ("overconfident" if "nis_mean_gnss" in change else "not judged")
+    with_truth = add_verdict("x", {name: one for name, one in values.items() if name != "withheld_fixes"})
+    assert with_truth["verdict"] == "consistent"
+
+
+def test_a_drift_is_normal_between_its_quantiles():
+    """The radius of 5 % is sqrt(ln 0.95 / ln 0.05) = 0.1309 of that of 95 %."""
+    assert [_compare(one, 100.0) for one in (13.0, 13.2, 100.0)] == [
+        "less than normal",
+        "normal",
+        "normal",
+    ]
+    assert _compare(250.0, 100.0) == "more than normal, 2.5 times the 95 % radius"
+
+
+def test_a_drift_is_told_where_everything_of_it_is_known():
+    outage = {"outage_2_growth_h_m": 30.0, "outage_2_drift_h_m": 20.0, "outage_2_law_h_m": 40.0}
+    outage["outage_2_law_95_h_m"] = 70.0
+    (told,) = _judge_drift("x", {**outage, "other_law_95_h_m": 1.0})
+    assert told == (
+        "x, outage 2: the error moved by 30.0 m and ended at 20.0 m; its datasheets give 40.0 m rms, "
+        "70.0 m at 95 %: normal."
+    )
+    free = {"inertial_end_h_m": 80.0, "inertial_law_rms_h_m": 40.0, "inertial_law_95_h_m": 70.0}
+    (told,) = _judge_drift("x", free)
+    assert told == (
+        "x, unaided: 80.0 m off at the end; its datasheet gives 40.0 m rms, 70.0 m at 95 %: "
+        "more than normal, 1.1 times the 95 % radius."
+    )
+    for known in (outage, free):
+        for name in known:
+            assert _judge_drift("x", {**known, name: None}) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "values", "outside"),
+    [
+        ("nees_mean", 15.0, HONEST, True),
+        ("nees_mean", 4.0, HONEST, True),
+        ("nees_mean", 9.0, HONEST, False),
+        ("nees_bias_gyro", 3.0, {"nees_low_bias_gyro": 0.5, "nees_high_bias_gyro": 2.0}, True),
+        ("nees_bias_gyro", 0.4, {"nees_low_bias_gyro": 0.5, "nees_high_bias_gyro": 2.0}, True),
+        ("coverage_3sigma_pos_n", 0.5, {"coverage_low_pos_n": 0.6}, True),
+        ("coverage_3sigma_pos_n", 1.0, {"coverage_low_pos_n": 0.6}, False),
+        ("outage_1_growth_h_m", 8.0, {"outage_1_law_95_h_m": 7.0}, True),
+        ("outage_1_growth_h_m", 6.0, {"outage_1_law_95_h_m": 7.0}, False),
+        ("outage_1_drift_h_m", 8.0, {"outage_1_law_95_h_m": 7.0}, False),
+        ("inertial_end_h_m", 8.0, {"inertial_law_95_h_m": 7.0}, True),
+        ("pos_rmse_h_m", 99.0, HONEST, False),
+    ],
+)
+def test_a_metric_lies_outside_of_the_bounds_that_it_has(name, value, values, outside):
+    assert is_outside(name, {**values, name: value}) == outside
+    assert not is_outside(name, {**values, name: None})
+
+
+def test_the_worst_block_and_axis_of_a_broken_claim_are_named():
+    broken = {**HONEST, "nees_mean": 150.0, "coverage_3sigma_pos_n": 0.97, "coverage_3sigma_pos_e": 0.6}
+    broken |= {"error_over_sigma_pos": 3.0, "error_over_sigma_vel": 5.0, "error_over_sigma_phi": None}
+    text = add_verdict("x", broken)["verdict_text"]
+    assert "NEES 150, 9 expected, 5 to 14 possible in this run; east position inside 3 sigma 60 %" in text
+    assert "Worst is the velocity, in 3D: 5 sigma" in text
+    assert text.startswith("x is overconfident: NEES")
+    text = add_verdict("x", {**broken, "pos_rmse_h_m": 3.0, "nees_mean": 99.0})["verdict_text"]
+    assert text.startswith("x is overconfident: horizontal error 3.0 m, claims 2.5 m (NEES 99,")
+    text = add_verdict("x", {**broken, "coverage_3sigma_pos_e": 0.995})["verdict_text"]
+    assert "north position inside 3 sigma 97 %" in text
