@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import beta, binom, chi2, norm
+from scipy.stats import t as student
 
 from bench.data import Innovations
 from bench.evaluation import ensemble
@@ -188,6 +189,87 @@ def test_innovations_that_repeat_are_found_in_two_runs():
     only = [ensemble.sum_repetition(replace(table, z=np.where(component, 0.0, z)), 1000.0) for _ in runs]
     value, edge = ensemble.measure_repetition(only)["gnss"]
     assert value == pytest.approx(0.4, abs=edge)  # of a moving average with 0.5: 0.5 / 1.25
+
+
+def test_the_interval_of_an_rmse_is_the_jackknife_of_its_logarithm():
+    squares = np.array([1.0, 4.0, 9.0, 2.0, 30.0])
+    roots = [0.5 * np.log(np.delete(squares, k).mean()) for k in range(5)]
+    half = student.ppf(0.975, 4) * np.sqrt(4.0 * np.var(roots))
+    found, value = ensemble.pool_rmse(squares), np.sqrt(9.2)
+    assert (found.value, found.low, found.high) == pytest.approx(
+        (value, value * np.exp(-half), value * np.exp(half))
+    )
+    assert ensemble.pool_rmse(squares, 0.5).high == pytest.approx(
+        value * np.exp(half * student.ppf(0.75, 4) / student.ppf(0.975, 4))
+    )
+
+
+@pytest.mark.parametrize("shares", [(0.9, 0.5, 0.8, 0.6), (1.0, 1.0, 1.0, 0.5), (0.7, 0.7, 0.7, 0.7)])
+def test_the_interval_of_a_fraction_counts_as_many_values_as_the_runs_scatter_by(shares):
+    """Korn and Graubard; degrees of freedom by the squares that the runs bring to the variance."""
+    inside = np.arange(20) < 20 * np.array(shares)[:, None] - 0.5
+    p, squares = np.mean(shares), np.square(np.array(shares) - np.mean(shares))
+    n = 80.0
+    if squares.sum() > 1e-9:
+        independent = p * (1.0 - p) / (squares.sum() / 3.0 / 4.0)
+        dof = max(squares.sum() ** 2 / np.sum(squares**2) - 1.0, 1.0)
+        shrink = (student.ppf(0.975, max(independent - 1.0, 1.0)) / student.ppf(0.975, dof)) ** 2
+        n = min(80.0, independent * min(shrink, 1.0))
+    found = ensemble.estimate_fraction(inside)
+    assert found.value == pytest.approx(p)
+    assert found.low == pytest.approx(beta.ppf(0.025, p * n, n - p * n + 1.0))
+    assert found.high == pytest.approx(beta.ppf(0.975, p * n + 1.0, n - p * n))
+
+
+def test_a_pooled_quantile_lies_between_the_ends_of_its_fraction():
+    values = np.random.default_rng(3).exponential(size=(6, 5)) * np.arange(1.0, 7.0)[:, None]
+    found, ordered = ensemble.pool_quantile(values, 0.72), np.sort(values, axis=None)
+    assert found.value == ordered[21]  # the 22nd of 30
+    below = ensemble.estimate_fraction(values <= found.value)
+    low, high = (30 * (end + 0.72 - 22 / 30) for end in (below.low, below.high))
+    assert found.low == ordered[int(np.ceil(low)) - 1]
+    assert found.high == ordered[min(int(np.ceil(high)), 30) - 1]
+
+
+def test_whiteness_by_plain_sums():
+    """Two runs of 6 and 3 updates at three lags: the second has two pairs, one and none."""
+    z = [np.array([1.0, -2.0, 0.5, 3.0, 1.0, 2.0]), np.array([2.0, 1.0, -1.0])]
+    found = ensemble.measure_whiteness(z, 2)
+    power = sum(np.sum(one**2) for one in z)
+    r = [sum(np.sum(one[k:] * one[:-k]) for one in z) / power for k in (1, 2)]
+    q = (9 * r[0]) ** 2 / 7 + (9 * r[1]) ** 2 / 5
+    assert found.correlation == pytest.approx(np.array(r))
+    assert found.p_value == pytest.approx(chi2.sf(q, 2))
+    assert (found.updates, found.band) == (9, pytest.approx(norm.ppf(0.9995) / 3.0))
+    assert len(ensemble.measure_whiteness(z, 4).correlation) == 4
+    with pytest.raises(ValueError, match="9 updates in 2 runs are too few for 5 lags"):
+        ensemble.measure_whiteness(z, 5)
+
+
+def test_repetition_by_plain_sums():
+    times = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 4.0])
+    table = Innovations(
+        times, ("baro", "gnss"), np.array([1, 1, 0, 1, 0, 1, 1]), np.array([0, 1, 0, 0, 0, 0, 1]),
+        np.array([9.0, 2.0, 4.0, 6.0, -2.0, 4.0, 8.0]), np.full(7, 4.0), np.zeros(7), np.ones(7, bool),
+    )  # fmt: skip
+    sums = ensemble.sum_repetition(table, 1.0, 4.0)
+    assert sums["baro"].tolist() == [-2.0, 5.0, 1.0]
+    assert sums["gnss"].tolist() == [6.0, 1.0 + 9.0 + 4.0, 1.0]
+    found = ensemble.measure_repetition([sums, {"gnss": np.array([1.0, 2.0, 3.0]), "none": np.zeros(3)}])
+    assert found["baro"] == pytest.approx((-0.4, norm.ppf(0.9995)))
+    assert found["gnss"] == pytest.approx((7.0 / 16.0, norm.ppf(0.9995) / 2.0))
+    assert list(found) == ["baro", "gnss"]
+
+
+def test_the_better_of_two_is_named_by_the_sign_of_the_difference():
+    for low, high, told in (
+        (-3.0, -1.0, "a is better than b by 1 to 3 m"),
+        (1.0, 3.0, "b is better than a by 1 to 3 m"),
+        (-1.0, 2.0, "a and b do not differ in 7 runs: the first minus the second is -1 to 2 m"),
+        (0.0, 2.0, "a and b do not differ in 7 runs: the first minus the second is 0 to 2 m"),
+    ):
+        estimate = ensemble.Estimate(0.5 * (low + high), low, high)
+        assert ensemble.Comparison("a", "b", "m", estimate, 7).sentence == told
 
 
 # --- two estimators --------------------------------------------------------------------------------------

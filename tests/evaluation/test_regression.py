@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import binom, fisher_exact, ttest_ind, ttest_rel
+from scipy.stats import binom, fisher_exact, ttest_1samp, ttest_ind, ttest_rel
 
 from bench.evaluation import regression
 from tests.evaluation.power import LOOKS, ROWS, draw_rmse, is_proven
@@ -55,6 +55,41 @@ def test_counts_are_mcnemars_and_fishers_exact_tests():
     table = [[15, 5], [7, 13]]
     assert regression.compare_counts(old, new, paired=False) == pytest.approx(fisher_exact(table)[1])
     assert regression.compare_counts(old, old, paired=True) == 1.0
+
+
+def test_changes_without_spread_or_with_one_sign_by_draw():
+    """Means of 2 and 4 without spread; t is no larger than that of the draws, whose sign must be the same."""
+    old, new = np.full(5, 2.0), np.full(8, 4.0)
+    assert regression.estimate_change(old, new, identity, paired=False).dof == 4.0
+    assert regression.estimate_change(old, new, identity, paired=False).p_value == 0.0
+    assert regression.estimate_change(old, old, identity, paired=True).p_value == 1.0
+    old, new = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.5, 2.2, 3.9, 4.1])
+    own = regression.estimate_change(old, new, identity, paired=True)
+    by_draw = np.array([0.5, -0.4, 0.9, 0.1])
+    wide = regression.estimate_change(old, new, identity, paired=True, by_draw=by_draw)
+    t = by_draw.mean() / (by_draw.std(ddof=1) / 2.0)
+    assert wide.standard_error == pytest.approx(own.estimate / t)
+    assert wide.standard_error > own.standard_error
+    sure = regression.estimate_change(old, new, identity, paired=True, by_draw=0.5 + 0.01 * by_draw)
+    assert sure.standard_error == pytest.approx(own.standard_error)
+    turned = regression.estimate_change(old, new, identity, paired=True, by_draw=-by_draw)
+    assert (turned.standard_error, turned.p_value) == (np.inf, 1.0)
+    with pytest.raises(ValueError, match="at least 2 draws; got 4 and 1"):
+        regression.estimate_change(old, new[:1], identity, paired=False)
+
+
+def test_the_mean_of_changes_is_students_t_of_one_sample():
+    by_draw = np.array([0.5, -0.4, 0.9, 0.1])
+    change, expected = regression.average_changes(by_draw), ttest_1samp(by_draw, 0.0)
+    assert (change.estimate, change.dof, change.draws) == (pytest.approx(0.275), 3.0, 4)
+    assert change.p_value == pytest.approx(expected.pvalue)
+
+
+def test_scales_of_comparison_by_hand():
+    assert regression.half_log_of_mean(np.array([4.0]))[0] == pytest.approx(np.log(2.0))
+    assert regression.log_distance_from(9.0)(np.array([3.0]))[0] == pytest.approx(np.log(3.0))
+    assert regression.distance_from(9.0)(np.array([3.0, 11.0])).tolist() == [6.0, 2.0]
+    assert np.isneginf(regression.log_of_mean(np.zeros(1))).all()
 
 
 def test_holm_stops_at_the_first_p_value_that_is_too_large():
