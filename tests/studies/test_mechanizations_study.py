@@ -107,6 +107,7 @@ def test_12_the_strapdown_follows_the_law_of_accelerometers_alone(found):
     """g e t^4 / 24 at first and R e t^2 / 2 with Schuler's term later: within 1 % to half an hour."""
     t = np.array([60.0, 600.0, 1800.0])
     assert_allclose(simulate_accelerometers(t), drift_by_angular_acceleration(t, 1e-11), rtol=0.01)
+    assert_allclose(simulate_accelerometers(t[:1]), simulate_accelerometers(t[:1], 0.25 * np.pi))  # at 45 deg
     assert acceleration_error(0.5, 1e-4) == pytest.approx(2e-4, rel=1e-9)  # bias over base
     lost = found.tables["accelerometers"].columns["level_lost_s"]
     assert lost[1] / lost[0] == pytest.approx(np.sqrt(2.0))

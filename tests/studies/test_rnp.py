@@ -356,3 +356,21 @@ def test_levels_over_time_are_the_least_and_errors_the_largest_of_all_flights(mo
         assert_allclose(equal.t, [1.0, 1.5 * limit])
         assert_allclose(equal.values[:, 0], equal.t)
         assert_allclose(most.values, limit)
+
+
+def test_instants_are_the_rows_of_whole_seconds_whatever_their_last_digits():
+    """From the first second that is evaluated to the last of the truth, each the row nearest to it."""
+    t = np.arange(601) / 100.0
+    t[300], t[400] = 3.0 - 1e-9, 4.0 + 1e-9
+    profile = SimpleNamespace(evaluation=SimpleNamespace(begin=1.2))
+    assert rnp._choose_rows(SimpleNamespace(t=t), profile).tolist() == [200, 300, 400, 500, 600]
+    later = rnp._choose_rows(SimpleNamespace(t=t[250:550]), profile)
+    assert later.tolist() == [50, 150, 250]
+
+
+def test_steering_errors_are_those_of_the_answer_at_the_instant(monkeypatch):
+    t = np.array([0.0, 1.0 + 1e-9, 2.0 - 1e-9, 3.0])
+    errors = SimpleNamespace(t=t, pos_n=np.outer(np.arange(4.0), [1.0, 2.0, 3.0]))
+    monkeypatch.setattr(rnp, "error_series", lambda *_: errors)
+    found = rnp._find_steering_errors(None, None, np.array([1.0, 2.0, 2.5, 4.0]))
+    assert found[:, 0].tolist() == [1.0, 2.0, 3.0, 3.0]
