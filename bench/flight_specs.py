@@ -58,7 +58,8 @@ class AircraftSpec:
     folder: Path  # holds <name>.xml
     systems: Path  # holds guidance.xml
     gains: Mapping[str, float]  # properties of the guidance system, by their name below ``guidance/``
-    rough_gains: Mapping[str, float]  # of those the ones that differ from moderate turbulence on
+    rough_gains: Mapping[str, float]  # of those the ones that differ in rough air
+    rough_from: int  # severity at which rough air begins
     flare_gains: Mapping[str, float]  # and those that differ in a flare from light turbulence on
     approach_gains: Mapping[str, float]  # and those that differ on an approach and in its flare
     min_speed: float = figure("mps", *SPEEDS)

@@ -18,7 +18,7 @@ from bench.config.listing import (
     list_aircraft,
     list_aircraft_folders,
 )
-from bench.config.profile_tables import Altitude, Category, Speed
+from bench.config.profile_tables import SEVERITY, Altitude, Category, Speed
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table
 from bench.config.toml_file import read_toml
@@ -75,7 +75,9 @@ class AircraftTable(Table):
     guidance: dict[str, float] = Field(default_factory=dict)
     """A table: gains of the autopilot, by their names in guidance.xml."""
     rough_air: dict[str, float] = Field(default_factory=dict)
-    """A table: gains of [guidance] that are other ones from moderate turbulence on."""
+    """A table: gains of [guidance] that are other ones from the turbulence of rough_air_from on."""
+    rough_air_from: Literal["light", "moderate"] = "moderate"
+    """The least turbulence with the gains of [rough_air]."""
     rough_flare: dict[str, float] = Field(default_factory=dict)
     """The same in a flare, from light turbulence on."""
     approach: dict[str, float] = Field(default_factory=dict)
@@ -238,6 +240,7 @@ def _make_aircraft(
         systems=with_guidance.absolute(),
         gains=table.guidance,
         rough_gains=table.rough_air,
+        rough_from=SEVERITY[table.rough_air_from],
         flare_gains=table.rough_flare,
         approach_gains=table.approach,
         **convert_figures(AircraftSpec, limits),

@@ -30,8 +30,8 @@ GUSTS = ("u", "v", "w", "p", "q", "r")
 RATES = tuple(f"turbulence/{axis}-rad_sec" for axis in "pqr")
 """Properties of the aerodynamics of an aircraft of the bench that take the rates of the air."""
 
-LIGHT, MODERATE = 3, 4
-"""Indices of exceedance of light and moderate turbulence."""
+LIGHT = 3
+"""Index of exceedance of light turbulence."""
 
 # Wind 20 ft above ground of MIL-F-8785C for light, moderate and severe turbulence (15, 30, 45 kt), at the
 # index of its figure 7 that fits each; a straight line between and beyond [ft/s].

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from bench.data import EventRow, Trajectory
 from bench.errors import FlightError
 from bench.flight.belief import Belief
-from bench.flight.dryden import MODERATE, through_turbulence
+from bench.flight.dryden import through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
 from bench.flight.jsbsim_units import FT
 from bench.flight.model_files import script_facts
@@ -211,7 +211,7 @@ def prepare(
 ) -> tuple[Any, Cockpit]:
     """Return the model at the start of the plan in its wind, trimmed or standing, and its guidance."""
     say("loading")
-    fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= MODERATE)
+    fdm = load_aircraft(spec.aircraft, dt, rough=spec.severity >= spec.aircraft.rough_from)
     guided = spec.aircraft.guided
     ground = spec.ground_alt if spec.terrain is None else ground_at(spec.terrain, spec.lat, spec.lon)
     fdm["ic/terrain-elevation-ft"] = float(ground) / FT

@@ -284,7 +284,7 @@ def departures(truth: Trajectory, alt: float = 1200.0) -> dict[str, float]:
 
 
 CALM_HOLD = {"alt_m": 0.1, "roll_deg": 0.1, "heading_deg": 0.05, "mean_speed_mps": 0.01}
-ROUGH_HOLD = {"alt_m": 20.0, "roll_deg": 8.0, "heading_deg": 10.0, "mean_speed_mps": 4.0}
+ROUGH_HOLD = {"alt_m": 30.0, "roll_deg": 8.0, "heading_deg": 10.0, "mean_speed_mps": 4.0}
 
 
 def outside(found: dict[str, float], hold: dict[str, float]) -> dict[str, float]:
@@ -299,7 +299,7 @@ def test_a_calm_minute_is_held():
 def test_a_minute_of_moderate_turbulence_is_held(seed):
     truth = flown(Straight(60.0), severity=4, turbulence_seed=seed)
     assert outside(departures(truth), ROUGH_HOLD) == {}
-    assert truth.air.airspeed_true.std() > 2.0  # the air did move
+    assert truth.air.airspeed_true.std() > 1.5  # the air did move
     assert truth.air.airspeed_true.min() > 35.0  # 1.15 times the stall
     assert max(np.abs(truth.controls.elevator).max(), np.abs(truth.controls.aileron).max()) < 0.5
 
@@ -307,7 +307,9 @@ def test_a_minute_of_moderate_turbulence_is_held(seed):
 def test_turbulence_shows_a_slack_altitude_loop_and_a_slack_bank_loop():
     loose = {"altitude-gain": 0.02, "climb-integral-gain": 0.05, "bank-gain": 0.5, "roll-rate-gain": 0.1}
     slack = {**NAVION.gains, **loose}
-    truth = flown(Straight(60.0), severity=4, turbulence_seed=2, aircraft=replace(AT_CG, gains=slack))
+    truth = flown(
+        Straight(60.0), severity=4, turbulence_seed=2, aircraft=replace(AT_CG, gains=slack, rough_gains={})
+    )
     assert {"alt_m", "roll_deg"} <= set(outside(departures(truth), ROUGH_HOLD))
 
 
