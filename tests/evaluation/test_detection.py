@@ -20,8 +20,11 @@ from bench.evaluation.detection import (
     count_false_alarms,
     false_alarm_rate,
     false_alarm_share,
+    false_alarms,
     fault_alarm_share,
     fault_delay,
+    fault_max_h,
+    find_lost_aiding,
     find_refusals,
     measure_delay,
 )
@@ -29,6 +32,7 @@ from bench.navigation.models.loose_tight import Loose
 from bench.sensor_specs import Fault
 from bench.sensors import sense
 from bench.specs import EvaluationWindow
+from bench.units import SAME_INSTANT
 from tests.weaving import units, weaving
 
 STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))
@@ -186,6 +190,38 @@ def test_the_longest_refusal_counts_by_its_time_and_a_scripted_fault_does_not():
     assert find_refusals(case) == {"gnss_position": (20.0, 29.0), "baro": (1.0, 1.0)}
     case.scripted = ()
     assert find_refusals(case)["gnss_position"] == (60.0, 90.0)
+
+
+def test_position_fixes_refused_for_more_than_a_minute_are_lost_aiding():
+    """From 10 to 70 s is a minute; velocities may be refused for as long as there are."""
+    for last, lost in ((70, False), (71, True)):
+        nis = nis_by_sensor(
+            by_hand({"gnss_position": range(10, last + 1), "baro": range(1, 101)}).innovations
+        )
+        told = find_lost_aiding(SimpleNamespace(nis=nis, scripted=()))
+        assert (told is not None) == lost
+        if lost:
+            assert told == "gnss_position was refused from t = 10 to 71 s, 61 s without a pause"
+
+
+def test_false_alarms_count_from_the_instant_on_whatever_its_last_digits():
+    t = 10.0 + SAME_INSTANT * np.array([-2.0, -0.5, 0.5])
+    one = Alarms("baro", ("baro",), t, t)
+    case: Any = SimpleNamespace(
+        begin=10.0, scripted=(Fault("gnss-step", "gnss", 0.0, 99.0, ""),), alarms=(one, one)
+    )
+    assert false_alarms(case) == {"baro": 4.0}
+    case.scripted = ()
+    assert false_alarms(case) == {}
+
+
+def test_the_largest_error_of_a_fault_is_horizontal_and_inside_of_it():
+    t = np.arange(0.0, 10.5, 0.5)
+    pos_n = np.outer(t, [3.0, 4.0, 100.0])
+    case: Any = SimpleNamespace(t=t, pos_n=pos_n, faults={"1": Fault("x", "gnss", 2.0, 5.0, "")})
+    assert fault_max_h(case) == {"1": pytest.approx(5.0 * 4.5)}
+    case.faults = {"2": Fault("x", "gnss", 20.0, 25.0, "")}
+    assert fault_max_h(case) == {}
 
 
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():

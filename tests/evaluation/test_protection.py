@@ -191,3 +191,65 @@ def test_a_share_counts_flights_and_not_instants():
     assert found.more_h == pytest.approx(10.0 * (far**2 - 1.0) * 0.5)
     mixed = np.random.default_rng(3).random((10, 50)) < 0.5
     assert judge_share(mixed, 0.7, 5.0).word == "missed"
+
+
+def test_levels_of_two_subfilters_by_hand():
+    """Separations of 5 m and 2 m, and of 0; the multipliers are those of a Rayleigh and a normal variable."""
+    truth = weaving_truth(1.0)
+    P = np.diag([4.0, 1.0, 9.0]), np.diag([9.0, 5.0, 13.0]), np.diag([5.0, 10.0, 25.0])
+    off = np.zeros(3), np.array([3.0, -4.0, 2.0]), np.zeros(3)
+    full, *without = (wrong_solution(truth, pos_n=e, cov=padded(cov)) for e, cov in zip(off, P, strict=True))
+    fa, md = 1e-3, 1e-2
+    k_fa = stats.rayleigh.isf(fa / 2), stats.norm.isf(fa / 4)
+    k_md = stats.rayleigh.isf(md), stats.norm.isf(md / 2)
+    plain = np.array([6.18 * 2.0, 5.33 * 3.0])
+    bounds = [
+        (k_fa[0] * np.sqrt(5.0) + k_md[0] * 3.0, k_fa[1] * 2.0 + k_md[1] * np.sqrt(13.0)),
+        (k_fa[0] * 3.0 + k_md[0] * np.sqrt(10.0), k_fa[1] * 4.0 + k_md[1] * 5.0),
+    ]
+    found = protect_by_separation(full, without, fa, md)
+    assert_allclose(found.level, np.tile(np.max([plain, *bounds], axis=0), (len(full), 1)), rtol=1e-9)
+    assert found.alarm.any() == (k_fa[0] * np.sqrt(5.0) < 5.0 or k_fa[1] * 2.0 < 2.0)
+    far = [wrong_solution(truth, pos_n=[0.0, 0.0, size], cov=padded(P[1])) for size in (-6.9, 6.9)]
+    edge = stats.norm.isf(fa / 2) * 2.0
+    for one in far:
+        assert protect_by_separation(full, [one], fa, md).alarm.all() == (edge < 6.9)
+    lost = wrong_solution(truth, cov=np.full((9, 9), np.nan))
+    assert np.isinf(protect_by_separation(full, [lost], fa, md).level).all()
+    assert_allclose(protect_fault_free(full).level, np.tile(plain, (len(full), 1)))
+    assert np.isinf(protect_fault_free(lost).level).all()
+    assert_allclose(protect_by_separation(full, [], fa, md).level, np.tile(plain, (len(full), 1)))
+
+
+@pytest.mark.parametrize(("events", "hours"), [(0, 100.0), (2, 1000.0), (9, 1000.0), (0, 400.0)])
+def test_a_rate_is_judged_by_the_interval_of_poisson(events, hours):
+    most = 8e-3
+    low = stats.chi2.ppf(0.05, 2 * events) / 2.0 / hours if events else 0.0
+    high = stats.chi2.ppf(0.95, 2 * events + 2) / 2.0 / hours
+    found = judge_rate(events, hours, most)
+    assert (found.found.low, found.found.high) == pytest.approx((low, high))
+    assert found.found.value == events / hours
+    assert found.word == ("met" if high <= most else "missed" if low > most else "undecided")
+    if found.word == "undecided":
+        assert found.more_h == pytest.approx(stats.chi2.ppf(0.95, 2 * events + 2) / 2.0 / most - hours)
+    assert judge_rate(30, 1000.0, most).word == "missed"
+
+
+def test_a_share_is_judged_by_flights_and_tells_how_many_hours_more():
+    flights = np.ones((20, 100), bool)
+    assert judge_share(flights, 0.85, 10.0).word == "met"  # 0.05^(1/20) is 0.861
+    more = judge_share(flights, 0.95, 10.0)
+    assert more.word == "undecided"
+    assert more.more_h == pytest.approx((np.log(0.05) / np.log(0.95) - 20.0) * 0.5)
+    flights[:5, :40] = False
+    for least in (0.87, 0.93):
+        found = judge_share(flights, least, 10.0)
+        end = found.found.low if found.found.value > least else found.found.high
+        needed = 20.0 * ((end - found.found.value) / (least - found.found.value)) ** 2
+        assert found.found.value == pytest.approx(0.9)
+        assert found.word == "undecided"
+        assert found.more_h == pytest.approx(max(needed - 20.0, 1.0) * 0.5)
+    assert judge_share(flights, found.found.value, 10.0).more_h is None
+    assert judge_share(flights, 0.999, 10.0).word == "missed"
+    assert judge_share(flights, 0.5, 10.0).word == "met"
+    assert hours_flown((3, 40), 15.0) == pytest.approx(0.5)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from bench import config, earth, pipeline
-from bench.data import NavSolution
-from bench.evaluation import metrics
+from bench.data import NavSolution, OffPath
+from bench.evaluation import metrics, total_system
 from bench.evaluation.case import build_case
 from bench.evaluation.error_series import error_series
 from bench.evaluation.total_system import locate_path, resolve
@@ -96,3 +97,21 @@ def test_the_metrics_are_rms_and_largest_of_what_has_a_path(approach):
     assert values["tse_across_rms_m"] < 0.5 * values["fte_across_rms_m"]
     _, without = metrics.judge(truth, solution, evaluation=window, outages=())
     assert "tse_across_rms_m" not in without
+
+
+def test_the_three_errors_by_hand():
+    """A course of 30 deg: 2 m north and 3 m east are 3 cos 30 - 2 sin 30 m right; 1 m down is 1 m below."""
+    path = OffPath(
+        np.arange(3.0), np.array([1.0, np.nan, -2.0]), np.array([4.0, 5.0, np.nan]), np.full(3, np.pi / 6)
+    )
+    pos_n = np.tile([2.0, 3.0, 1.0], (3, 1))
+    right = 3.0 * np.cos(np.pi / 6) - 1.0
+    found = {p: total_system.measure(p, SimpleNamespace(path=path, pos_n=pos_n)) for p in total_system.PARTS}
+    for part, across, up in (("tse", [1.0, -2.0], [4.0, 5.0]), ("nse", [right] * 2, [-1.0] * 2)):
+        assert found[part] == pytest.approx(of(across, "across") | of(up, "up"))
+    assert found["fte"] == pytest.approx(of([1.0 + right, right - 2.0], "across") | of([3.0, 4.0], "up"))
+    assert total_system.measure("tse", SimpleNamespace(path=None, pos_n=pos_n)) == {}
+
+
+def of(values, axis):
+    return {f"{axis}_rms": np.sqrt(np.mean(np.square(values))), f"{axis}_max": np.abs(values).max()}
