@@ -18,7 +18,7 @@ from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epoch
 from bench.evaluation.linear.error_budget import split_errors
 from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.path import make_path
-from bench.evaluation.linear.switching import sense_alone
+from bench.evaluation.linear.switching import keep_source, sense_alone
 from bench.evaluation.linear.terms import model_errors
 from bench.instruments import BaroSpec
 from bench.navigation.built_in import load
@@ -194,6 +194,33 @@ def test_no_filter_is_below_the_bound(flight):
     none = Epochs(epochs.step[:0], epochs.code[:0])
     free = bound_errors(path, model, none, output, sensed.data.antenna_b, smooth=False)
     assert (np.einsum("mii->mi", free.causal)[1:, :9] > causal[1:]).all()
+
+
+def test_a_source_alone_has_its_figures_and_no_other():
+    """All errors of all sensors at once, and what is left of them for each source."""
+    spec = replace(wandering(), baro=replace(BARO, white_sd=0.5, bias_sd=3.0, bias_walk=0.05))
+    parts = {
+        "gyro": spec.imu.gyro,
+        "accel": spec.imu.accel,
+        "gnss": spec.gnss,
+        "baro": spec.baro,
+        "initial": spec,
+    }
+    every = list(terms.list_sources())
+    for source in every:
+        kept = keep_source(spec, source)
+        left = {"gyro": kept.imu.gyro, "accel": kept.imu.accel, "gnss": kept.gnss, "baro": kept.baro}
+        for part, whole in parts.items():
+            one = left.get(part, kept)
+            if part == "baro" and source.name == terms.PHYSICAL:
+                assert one == whole
+                continue
+            for name in {figure for other in every if other.part == part for figure in other.figures}:
+                value = getattr(one, name)
+                if source.part == part and name in source.figures:
+                    assert value == getattr(whole, name), (source.name, part, name)
+                elif isinstance(value, float | tuple):
+                    assert not np.any(value), (source.name, part, name)
 
 
 def test_the_distance_between_accelerometers_is_what_a_turn_makes_of_it():
