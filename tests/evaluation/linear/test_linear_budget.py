@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
+from bench import rotation, sensors
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.evaluation.error_series import error_series
-from bench.evaluation.linear import terms
+from bench.evaluation.linear import gains, terms
 from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epochs
 from bench.evaluation.linear.error_budget import split_errors
 from bench.evaluation.linear.gains import record_gains
@@ -22,6 +23,8 @@ from bench.evaluation.linear.switching import keep_source, sense_alone
 from bench.evaluation.linear.terms import model_errors
 from bench.instruments import BaroSpec
 from bench.navigation.built_in import load
+from bench.navigation.error_state_filter.measurement_rows import BARO as MEASURED_BARO
+from bench.navigation.error_state_filter.measurement_rows import POSITION, VELOCITY
 from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from tests.builders import band
 from tests.synthetic import still, turning
@@ -194,6 +197,29 @@ def test_no_filter_is_below_the_bound(flight):
     none = Epochs(epochs.step[:0], epochs.code[:0])
     free = bound_errors(path, model, none, output, sensed.data.antenna_b, smooth=False)
     assert (np.einsum("mii->mi", free.causal)[1:, :9] > causal[1:]).all()
+
+
+def test_rows_of_an_antenna_are_those_of_its_place_and_swing():
+    """Columns of C r and C (w x r) by each component of r and of a turn; of a receiver and a barometer."""
+    index = SimpleNamespace(antenna_b=15, gnss_pos=18, baro_bias=24)
+    C = rotation.matrix(rotation.from_euler(0.3, -0.2, 1.1))
+    w, r = np.array([0.3, -0.5, 0.7]), np.array([1.0, 2.0, 3.0])
+    path = SimpleNamespace(C_nb=C[None], lla=np.array([[0.7, 0.2, 100.0]]), rate_b=w[None])
+    place, swing = (gains.measurement_rows(path, 0, code, r, index, 25) for code in (POSITION, VELOCITY))
+    assert_allclose(place[:, 15:18], C)
+    assert_allclose(swing[:, 15:18], C @ np.column_stack([np.cross(w, axis) for axis in np.eye(3)]))
+    assert_allclose(place[:, :3], np.eye(3))
+    assert_allclose(swing[:, 3:6], np.eye(3))
+    assert_allclose(place[:, 6:9], np.column_stack([np.cross(axis, C @ r) for axis in np.eye(3)]))
+    turned = np.column_stack([np.cross(axis, C @ np.cross(w, r)) for axis in np.eye(3)])
+    assert_allclose(swing[:, 6:9], turned, atol=1e-3)
+    assert_allclose(np.vstack([place, swing])[:, 18:24], np.eye(6))
+    (baro,) = gains.measurement_rows(path, 0, MEASURED_BARO, r, index, 25)
+    assert np.flatnonzero(baro).tolist() == [2, 24]
+    assert (baro[2], baro[24]) == (-1.0, 1.0)
+    bare = SimpleNamespace(antenna_b=-1, gnss_pos=-1, baro_bias=-1)
+    assert not gains.measurement_rows(path, 0, VELOCITY, r, bare, 25)[:, 15:].any()
+    assert np.flatnonzero(gains.measurement_rows(path, 0, MEASURED_BARO, r, bare, 25)).tolist() == [2]
 
 
 def test_a_source_alone_has_its_figures_and_no_other():
