@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
+from scipy.stats import binom
 
 from bench.data import SensorTruth
-from bench.evaluation.claims import count_independent
+from bench.evaluation.claims import _least_inside, count_independent
 from bench.evaluation.metrics import judge
 from bench.evaluation.verdict import is_outside
 from bench.specs import EvaluationWindow
@@ -132,3 +133,10 @@ def test_an_honest_bias_state_stays_in_its_band_and_one_with_half_its_sigma_does
             outside[claim] += sum(is_outside(f"nees_bias_{split_unit(name)[0]}", found) for name in names)
     assert outside[1.0] <= 6
     assert outside[0.5] > (0.5 if tau < 10.0 else 0.05) * RUNS * 6
+
+
+@pytest.mark.parametrize("count", [1, 40, 1000])
+def test_the_least_share_inside_is_that_of_a_binomial_and_half_a_value(count):
+    allowed = binom.ppf(0.995, count, 0.0027)
+    assert _least_inside(count + 0.9) == pytest.approx(max(0.0, 1.0 - (allowed + 0.5) / count))
+    assert _least_inside(0.9) is None
