@@ -238,10 +238,10 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
         Figure(f"dense / {name}", dense / cost[name], limit, "x", higher_is_better=True)
         for name, limit in (
             ("loose-22, every sample", 7.0),
-            ("loose-22, 20 Hz", 16.0),
+            ("loose-22, 20 Hz", 20.0),
             ("loose-mems, every sample", 4.0),
-            ("tight, 20 Hz", 7.0),
-            ("tight without IMU errors, 20 Hz", 12.0),
+            ("tight, 20 Hz", 10.0),
+            ("tight without IMU errors, 20 Hz", 14.0),
         )
     ] + [
         Figure("gnss-only / loose-22, 20 Hz", cost["gnss-only"] / cost["loose-22, 20 Hz"], 0.3, "x"),
