@@ -97,6 +97,17 @@ def test_a_steady_drive_is_taken_off_the_increments_as_the_bias_is():
     np.testing.assert_allclose(np.concatenate([dth, dv]), wanted, rtol=1e-12)
 
 
+def test_what_an_axis_measures_of_another_is_in_measured_units():
+    """(1 + s) w_x + m w_y + b dt is w_x again: the slope divides the misalignment and the bias, too."""
+    drives = np.array([[15, GYRO, 0], [16, GYRO, 1]])
+    state = np.zeros(18)
+    state[10], state[16:] = 0.3, (0.1, 0.2)
+    w, dv = np.array([2e-3, 5e-3, -1e-3]), np.zeros(3)
+    dth = w + np.array([0.1 * w[0] + 0.2 * w[1] + 0.3 * 0.02, 0.0, 0.0])
+    plain(corrections.correct_kernel)(state, 0.02, drives, np.zeros(3), dth, dv, np.zeros((2, 6)))
+    np.testing.assert_allclose(dth, w, rtol=1e-12)
+
+
 @pytest.mark.parametrize("error", [2, 5])
 def test_states_that_tell_the_same_in_steady_motion_are_exchangeable_whatever_their_size(error):
     """Far below the range a nonlinearity is a scale factor of -3 times its size, and warmth is a bias.
