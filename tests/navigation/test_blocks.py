@@ -4,6 +4,7 @@ Register #34: loosely coupled error-state filter with GNSS Markov states.
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from numpy.testing import assert_allclose
 from bench import sensors
 from bench.config import load_profile
 from bench.data import InitialState
-from bench.navigation.error_state_filter import corrections
+from bench.navigation.error_state_filter import corrections, propagation
 from bench.navigation.error_state_filter.aiding_sensors import AIDING
 from bench.navigation.error_state_filter.error_state import GYRO
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR
@@ -97,15 +98,35 @@ def test_a_steady_drive_is_taken_off_the_increments_as_the_bias_is():
     np.testing.assert_allclose(np.concatenate([dth, dv]), wanted, rtol=1e-12)
 
 
-def test_what_an_axis_measures_of_another_is_in_measured_units():
+@pytest.mark.parametrize("triad", [0, 3])
+def test_what_an_axis_measures_of_another_is_in_measured_units(triad):
     """(1 + s) w_x + m w_y + b dt is w_x again: the slope divides the misalignment and the bias, too."""
-    drives = np.array([[15, GYRO, 0], [16, GYRO, 1]])
+    drives = np.array([[15, GYRO + triad, triad], [16, GYRO + triad, triad + 1]])
     state = np.zeros(18)
-    state[10], state[16:] = 0.3, (0.1, 0.2)
-    w, dv = np.array([2e-3, 5e-3, -1e-3]), np.zeros(3)
-    dth = w + np.array([0.1 * w[0] + 0.2 * w[1] + 0.3 * 0.02, 0.0, 0.0])
-    plain(corrections.correct_kernel)(state, 0.02, drives, np.zeros(3), dth, dv, np.zeros((2, 6)))
-    np.testing.assert_allclose(dth, w, rtol=1e-12)
+    state[10 + triad], state[16:] = 0.3, (0.1, 0.2)
+    truth = np.array([2e-3, 5e-3, -1e-3, 0.02, -0.03, -0.2])
+    measured = truth.copy()
+    measured[triad] += 0.1 * truth[triad] + 0.2 * truth[triad + 1] + 0.3 * 0.02
+    plain(corrections.correct_kernel)(
+        state, 0.02, drives, np.zeros(3), measured[:3], measured[3:], np.zeros((2, 6))
+    )
+    np.testing.assert_allclose(measured, truth, rtol=1e-12)
+
+
+def test_states_decay_by_the_exponential_of_any_interval_and_keep_their_variance():
+    tau = np.array([np.inf, 1e4, 3.0, 1.1, 0.9, 0.02, 1e-4])
+    n, T = 9 + len(tau), 0.05
+    process = SimpleNamespace(
+        q=np.zeros(n),
+        stationary=np.append(np.zeros(9), np.full(len(tau), 4.0)),
+        decay_time=np.append(np.zeros(9), 1.0 / tau),
+        decay_distance=np.zeros(n),
+    )
+    decay, noise = np.zeros(n), np.zeros(n)
+    first = plain(propagation.noise_kernel)(T, process, -1, 0.0, np.zeros(2), decay, noise)
+    assert first == 10
+    np.testing.assert_allclose(decay[9:], np.exp(-T / tau), rtol=1e-15, atol=1e-300)
+    np.testing.assert_allclose(noise[9:], 4.0 * -np.expm1(-2.0 * T / tau), rtol=1e-10, atol=1e-15)
 
 
 @pytest.mark.parametrize("error", [2, 5])
