@@ -24,9 +24,10 @@ class ErrorBudget(NamedTuple):
     ComputeMOPSWeights.cpp. [45] RTKLIB, rtkpos.c. [47] Groves, Principles of GNSS, Inertial, and Multisensor
     Integrated Navigation Systems, 2nd ed. (2013), values of its examples. [M18] Montenbruck, Steigenberger,
     Hauschild, Multi-GNSS signal-in-space range error assessment, Advances in Space Research 61 (2018),
-    abstract: global average RMS of 2017, 0.2 m for Galileo, 0.6 m GPS, 1 m BeiDou-2, 2 m GLONASS. [K87]
-    Klobuchar, Ionospheric time-delay algorithm for single-frequency GPS users, IEEE TAES 23 (1987): at night
-    the delay is 5 ns in the mean, and a model that gives less, as NTCM-G does, is not known better for it.
+    abstract: global average RMS of 2017, 0.2 m for Galileo, 0.6 m GPS, 1 m BeiDou-2, 2 m GLONASS.
+
+    At night the model of GPS gives 5 ns (`delays.klobuchar_kernel`, as RTKLIB's rtkcmn.c). A model that gives
+    less, as NTCM-G does, is not known better for it.
     """
 
     space: tuple[float, float, float, float] = (0.6, 2.0, 0.3, 0.7)
@@ -43,7 +44,7 @@ class ErrorBudget(NamedTuple):
     the satellites that broadcast one on 2020-06-25; GLONASS, which broadcasts none, assumed."""
     zenith_ionosphere: float = 0.5  # what every model leaves of the vertical delay [m]; assumed
     ionosphere_share: float = 0.35  # of the delay that a model gives [1]: "at least 50 %" right, IS-GPS-200
-    ionosphere_night: float = 1.498  # vertical delay that such a share is of at least: the 5 ns of [K87]
+    ionosphere_night: float = 1.498  # vertical delay that such a share is of at least: 5 ns
     ionosphere_none: float = 3.0  # vertical delay without a model [m]; assumed
     ionosphere_decay: float = (
         3e6  # distance at which its errors have lost all but 1/e of correlation [m]; assumed

@@ -252,7 +252,7 @@ def measure_landing(truth) -> tuple[float, float, float, float]:
     [
         ("aerosonde", 3, 2.0),
         ("aerosonde", 4, 3.0),
-        ("navion", 3, 2.0),
+        ("navion", 3, 2.4),
         ("navion", 4, 3.3),
         ("jet747", 3, 1.8),
         ("jet747", 4, 2.0),
