@@ -7,15 +7,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 import bench
 from bench import earth, pipeline
 from bench.evaluation import convention_search, known_conventions
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.error_series import interpolate_truth
-from bench.evaluation.known_conventions import Answers, compare, list_conventions, move
+from bench.evaluation.known_conventions import (
+    Answers,
+    Convention,
+    TrueMotion,
+    compare,
+    list_conventions,
+    move,
+)
 from bench.evaluation.verdict import BROKEN, add_verdict
 from tests.evaluation import mistaken
+from tests.synthetic import turning
 
 STRAIGHT = {**mistaken.MATCHED, "leg": [{"kind": "straight", "duration_s": 150.0}]}
 
@@ -181,6 +191,150 @@ def test_the_derivative_of_a_constant_is_that_of_what_it_undoes(name):
 def test_every_convention_is_tried_once():
     names = [one.name for one in list_conventions(np.zeros(3))]
     assert len(names) == len(set(names)) > 25
+
+
+# --- each by hand: the mistake made by scipy, and undone --------------------------------------------------
+
+ATTITUDE = Rotation.from_euler("ZYX", [[40.0, 3.0, -20.0], [100.0, -12.0, 8.0]], degrees=True)
+LLA = np.array([[0.7, -0.3, 500.0], [-0.9, 2.1, 80.0]])
+VEL_N = np.array([[20.0, -7.0, 3.0], [-11.0, 30.0, -2.0]])
+TURN_N = np.array([[0.1, -0.2, 0.3], [-0.4, 0.05, 0.2]])
+
+
+def in_quaternions(attitude: Rotation) -> np.ndarray:
+    return attitude.as_quat(scalar_first=True)
+
+
+def in_euler(factor: float) -> np.ndarray:
+    """Attitudes whose angles in rad were multiplied by a factor."""
+    return in_quaternions(Rotation.from_euler("ZYX", factor * ATTITUDE.as_euler("ZYX")))
+
+
+def in_axes(level: bool, body: bool, conjugate: bool) -> np.ndarray:
+    given = ATTITUDE * Rotation.from_matrix(mistaken.FLU) if body else ATTITUDE
+    given = Rotation.from_matrix(mistaken.ENU) * given if level else given
+    return in_quaternions(given.inv() if conjugate else given)
+
+
+EXCHANGED = {
+    "latitude and longitude that are exchanged": {"lla": LLA[:, [1, 0, 2]]},
+    "latitude and longitude in degrees read as radians": {"lla": LLA * [180 / np.pi, 180 / np.pi, 1.0]},
+    "latitude and longitude in radians read as degrees": {"lla": LLA * [np.pi / 180, np.pi / 180, 1.0]},
+    "attitude angles in degrees read as radians": {"q_nb": in_euler(180 / np.pi)},
+    "attitude angles in radians read as degrees": {"q_nb": in_euler(np.pi / 180)},
+    "heights that count downwards": {"lla": LLA * [1.0, 1.0, -1.0]},
+    "velocities east, north, up": {"vel_n": VEL_N @ mistaken.ENU.T},
+    "vertical velocities that count upwards": {"vel_n": VEL_N * [1.0, 1.0, -1.0]},
+    "velocities along the body": {"vel_n": ATTITUDE.inv().apply(VEL_N)},
+    "an attitude of axes forward, left, up": {"q_nb": in_axes(False, True, False)},
+    "an attitude in east, north, up": {"q_nb": in_axes(True, False, False)},
+    "an attitude of axes forward, left, up and in east, north, up": {"q_nb": in_axes(True, True, False)},
+    "an attitude from level to body, the conjugate quaternion": {"q_nb": in_axes(False, False, True)},
+    "an attitude from level to body, the conjugate quaternion and of axes forward, left, up": {
+        "q_nb": in_axes(False, True, True)
+    },
+    "an attitude from level to body, the conjugate quaternion and in east, north, up": {
+        "q_nb": in_axes(True, False, True)
+    },
+    "an attitude from level to body, the conjugate quaternion and of axes forward, left, up and in east, "
+    "north, up": {"q_nb": in_axes(True, True, True)},
+    "quaternions with their scalar last": {"q_nb": ATTITUDE.as_quat()},
+}
+"""Convention -> the two right answers as they are given in it by mistake."""
+
+
+def made(**given: np.ndarray) -> tuple[Answers, TrueMotion]:
+    """Right answers but for what is given, and the motion; a third instant is outside the truth."""
+    nothing, inside = np.full((1, 3), np.nan), np.array([True, True, False])
+    right = {"lla": LLA, "vel_n": VEL_N, "q_nb": in_quaternions(ATTITUDE)} | given
+    columns = (np.vstack([right[name], nothing]) for name in ("lla", "vel_n"))
+    q_nb = np.vstack([right["q_nb"], [[1.0, 0.0, 0.0, 0.0]]])
+    cov = np.tile(np.diag(np.square(np.arange(1.0, 10.0))), (3, 1, 1))
+    motion = TrueMotion(inside, LLA, VEL_N, in_quaternions(ATTITUDE), 0.0 * VEL_N, TURN_N)
+    return Answers(np.array([5.0, 6.0, 99.0]), *columns, q_nb, cov), motion
+
+
+def find(name: str, antenna=(0.0, 0.0, 0.0)) -> Convention:
+    return next(one for one in list_conventions(np.array(antenna)) if one.name == name)
+
+
+@pytest.mark.parametrize("name", EXCHANGED)
+def test_what_is_exchanged_is_undone(name):
+    given, motion = made(**EXCHANGED[name])
+    assert np.abs(compare(given, motion)).max() > 0.1
+    assert_allclose(compare(find(name).undo(given, motion, np.empty(0)), motion), 0.0, atol=1e-8)
+
+
+def test_all_without_constants_are_undone_above():
+    names = [one.name for one in list_conventions(np.zeros(3)) if not (one.constants or one.of_claim)]
+    assert sorted(names) == sorted(EXCHANGED)
+
+
+@pytest.mark.parametrize("factor", [180.0 / np.pi, np.pi / 180.0])
+def test_an_error_of_angles_in_a_wrong_unit_is_that_of_the_angles(factor):
+    """Roll, pitch and heading each off by a little: in the right unit the answer is off by as much."""
+    off = np.array([[2e-4, -1e-4, 3e-4]])
+    angles = ATTITUDE.as_euler("ZYX") + off
+    given, motion = made(q_nb=in_quaternions(Rotation.from_euler("ZYX", factor * angles)))
+    word = "degrees read as radians" if factor > 1.0 else "radians read as degrees"
+    undone = find(f"attitude angles in {word}").undo(given, motion, np.empty(0)).q_nb[:2]
+    found = Rotation.from_quat(undone, scalar_first=True).as_euler("ZYX")
+    assert_allclose(found - ATTITUDE.as_euler("ZYX"), np.tile(off, (2, 1)), atol=2e-6)
+
+
+def test_constants_are_taken_off():
+    """An antenna, a datum, an offset, two turns and a clock, each put there by scipy or by a plain sum."""
+    arm, turn = np.array([1.0, -2.0, 0.5]), np.array([0.02, -0.03, 0.05])
+    swing = np.cross(ATTITUDE.inv().apply(TURN_N), arm)
+    at = earth.displace(LLA, ATTITUDE.apply(arm))
+    for name, constants, mistake in (
+        ("lever arm", arm, {"lla": at, "vel_n": VEL_N + ATTITUDE.apply(swing)}),
+        ("height", np.array([30.0]), {"lla": LLA - [0.0, 0.0, 30.0]}),
+        ("offset", np.array([4.0, -7.0]), {"lla": earth.displace(LLA, np.array([4.0, -7.0, 0.0]))}),
+        ("rotation of the body", turn, {"q_nb": in_quaternions(ATTITUDE * Rotation.from_rotvec(turn))}),
+        ("rotation of the level", turn, {"q_nb": in_quaternions(Rotation.from_rotvec(turn) * ATTITUDE)}),
+    ):
+        given, motion = made(**mistake)
+        assert np.abs(compare(given, motion)).max() > 0.01
+        assert_allclose(compare(find(name).undo(given, motion, constants), motion), 0.0, atol=1e-4), name
+    given, motion = made()
+    late = find("time offset").undo(replace(given, late=0.5), motion, np.array([0.25]))
+    assert late.late == 0.75
+
+
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        ("variances given as standard deviations", lambda sd, unit: sd**2),
+        ("standard deviations given as variances", lambda sd, unit: sd**0.5),
+        ("variances given as standard deviations, of angles in degrees", lambda sd, unit: sd**2 * unit),
+        ("standard deviations given as variances, of angles in degrees", lambda sd, unit: (sd / unit) ** 0.5),
+        ("standard deviations of the attitude in degrees read as radians", lambda sd, unit: sd * unit),
+        ("standard deviations of the attitude in radians read as degrees", lambda sd, unit: sd / unit),
+    ],
+)  # fmt: skip
+def test_a_wrong_claim_is_undone_and_its_correlations_stay(name, given):
+    sd, unit = np.arange(1.0, 10.0), np.repeat([1.0, 1.0, 180.0 / np.pi], 3)
+    correlation = 0.3 + 0.7 * np.eye(9)
+    wrong = given(sd, unit)
+    own, motion = made()
+    own = replace(own, cov=np.tile(correlation * np.outer(wrong, wrong), (3, 1, 1)))
+    undone = find(name).undo(own, motion, np.empty(0))
+    assert_allclose(undone.cov, np.tile(correlation * np.outer(sd, sd), (3, 1, 1)))
+
+
+def test_the_motion_is_that_of_the_instants_that_answers_are_of():
+    """A circle at 20 m/s, 0.2 rad/s: the acceleration is 4 m/s^2 to the side, the turn is about down."""
+    truth = turning(10.0, 100.0, speed=20.0, turn_rate=0.2)
+    own, _ = made()
+    own = replace(own, t=np.array([3.0, 0.54, 10.46]), late=0.5)
+    motion = move(truth, own)
+    assert motion.inside.tolist() == [True, False, False]
+    north, east = np.cos(0.7 + 0.5), np.sin(0.7 + 0.5)
+    assert_allclose(motion.vel_n, [[20.0 * north, 20.0 * east, 0.0]], atol=1e-3)
+    assert_allclose(motion.accel_n, [[-4.0 * east, 4.0 * north, 0.0]], atol=1e-3)
+    assert_allclose(motion.turn_n, [[0.0, 0.0, 0.2]], atol=1e-4)
+    assert_allclose(motion.turn_b, [[0.0, 0.2 * np.sin(0.65), 0.2 * np.cos(0.65)]], atol=1e-4)  # banked
 
 
 # --- where it is said -------------------------------------------------------------------------------------

@@ -33,8 +33,14 @@ def test_the_summary_holds_the_statistics_of_the_runs(results):
     found = summarize_runs(results, "loose-15", WINDOW)
     squares = np.array([one.metrics["loose-15"]["pos_rmse_h_m"] ** 2 for one in results])
     assert astuple(found.rmse["pos_h_m"]) == pytest.approx(astuple(ensemble.pool_rmse(squares)))
-    heading = np.array([one.metrics["loose-15"]["heading_rmse_deg"] for one in results])
-    assert found.rmse["heading_deg"].value == pytest.approx(np.sqrt(np.mean(heading**2)))
+    for name, metric in {
+        "pos_d_m": "pos_rmse_d_m",
+        "vel_3d_mps": "vel_rmse_3d_mps",
+        "tilt_deg": "tilt_rmse_deg",
+        "heading_deg": "heading_rmse_deg",
+    }.items():
+        rmse = np.array([one.metrics["loose-15"][metric] for one in results])
+        assert found.rmse[name].value == pytest.approx(np.sqrt(np.mean(rmse**2))), name
     assert found.converged == ensemble.estimate_rate(6, 6)
     inside = np.mean(
         [[one.metrics["loose-15"][f"coverage_3sigma_pos_{k}"] for k in "ned"] for one in results]

@@ -372,6 +372,25 @@ def test_the_cost_of_axes_is_the_likelihood_of_their_residuals():
     assert sum(round(np.linalg.det(one.gyro)) for one in every) == 0
 
 
+@pytest.mark.parametrize(("evidence", "found"), [(29.0, False), (31.0, True)])
+def test_other_axes_are_taken_if_they_are_30_more_likely(monkeypatch, evidence, found):
+    """One assignment of 96 leaves nothing but the noise of the receiver, 5 cm/s; 24 residuals are free."""
+    right = axis_search.list_axes()[70]
+    residual = 0.05 * np.sqrt(np.exp(evidence / 12.0) - 1.0)
+
+    def fit(on, t, gyro, accel, arm_b, iterations):
+        fits = (right.gyro == gyro.T).all() and (right.accel == accel.T).all()
+        return SimpleNamespace(rms=np.array([0.0 if fits else residual]))
+
+    monkeypatch.setattr(axis_search, "fit_motion", fit)
+    stretches = SimpleNamespace(begin=np.array([0, 10]), take_liveliest=lambda count: stretches)
+    plain = SimpleNamespace(rms=np.array([residual]))
+    axes, own = axis_search.find_axes(stretches, None, np.eye(3), np.eye(3), np.zeros(3), plain)
+    assert (axes.gyro == right.gyro).all() == found
+    assert axes.are_given != found
+    assert own.rms[0] == (0.0 if found else residual)
+
+
 def test_the_limits_are_those_of_the_guide():
     rest, level, triads, yaw = (
         f"{np.rad2deg(one):g} deg"

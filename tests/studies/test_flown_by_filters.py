@@ -122,6 +122,36 @@ def test_several_flights_are_asked_in_turn_and_the_units_of_each_are_compared(pa
         assert table.columns["miss_m"] == [2.0, 6.0]
 
 
+def test_the_table_the_words_and_the_picture_of_flights_by_hand():
+    """Misses of 1, 2, 3 m and twice that; errors across the path of 3 and 4 m squared, and a crash."""
+    squares = ({"tse": 9.0, "fte": 1.0, "nse": 4.0}, {"tse": 16.0, "fte": 4.0, "nse": 4.0}, {})
+    first = [FlownByFilter(miss, False, one) for miss, one in zip((1.0, 3.0, 2.0), squares, strict=True)]
+    second = [FlownByFilter(2.0 * one.miss, False, {}) for one in first]
+    third = [replace(second[0], miss=np.inf, crashed=True), *second[1:]]
+    flown = {(None, "a"): first, ("stim300", "a"): second, ("stim300", "b"): third}
+    table = flown_by_filters._tabulate(flown).columns
+    assert (table["imu"], table["filter"]) == (["of the profile", "stim300", "stim300"], ["a", "a", "b"])
+    assert (table["draws"], table["crashed"]) == ([3, 3, 3], [0, 0, 1])
+    assert (table["miss_m"], table["miss_max_m"]) == ([2.0, 4.0, 6.0], [3.0, 6.0, None])
+    assert table["miss_is"] == ["the first", "undecided", "undecided"]
+    assert table["tse_across_rms_m"] == [pytest.approx(np.sqrt(12.5)), None, None]
+    assert table["fte_across_rms_m"][0] == pytest.approx(np.sqrt(2.5))
+    assert table["nse_across_low_m"][0] == pytest.approx(2.0)
+    told = list(flown_by_filters._tell_flown(flown))
+    assert told == [
+        "a: half of 3 flights miss by less than 2 m; total system error 3.54 m rms across its path.",
+        "a with stim300: half of 3 flights miss by less than 4 m; against a undecided, 2 times its miss.",
+        "b with stim300: half of 3 flights miss by less than 6 m; 1 crashed; against a undecided, 2 times "
+        "its miss.",
+    ]
+    lines = flown_by_filters._plot_misses(flown).series
+    assert [one.key for one in lines] == ["a", "a with stim300", "b with stim300"]
+    assert_allclose(lines[0].t, [1.0, 2.0, 3.0])
+    assert_allclose(lines[0].values[:, 0], [100.0 / 3.0, 200.0 / 3.0, 100.0])
+    assert_allclose(lines[2].values[:, 0], [100.0 / 3.0, 200.0 / 3.0])
+    assert len({one.colours for one in lines}) == 3
+
+
 def test_a_profile_that_the_truth_flies_is_refused():
     with pytest.raises(ConfigError, match=r"approach has no \[guidance\]: no filter flies it"):
         bench.study("closed-loop", profiles="approach", jobs=1, draws=2)

@@ -23,7 +23,10 @@ from bench.findings import series
 from bench.studies import budget as budget_study
 from bench.studies import observability
 from bench.studies.budget import _give_colours
-from bench.studies.drawn_errors import key_instants, split_draws
+from bench.studies.drawn_errors import key_instants, output_times, split_draws
+from bench.studies.linear_flight import _CLIMB as CLIMB
+from bench.studies.linear_flight import _STEADY as STEADY
+from bench.studies.linear_flight import LOST, LinearFlight
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
@@ -155,6 +158,13 @@ def test_the_ranking_and_the_worst_claim_are_said():
     assert_allclose(table["tilt_deg"], np.rad2deg(np.sqrt(2.0) * sd))
     assert_allclose(table["heading_deg"], np.rad2deg(sd))
     assert budget_study._find_sources(budget, [0]) == ["noise", "gyro"]
+    axes = np.array([[1.0, 1.0, 9.0, 1, 1, 1, 1, 1, 1], [4.0, 4.0, 1.0, 1, 1, 1, 1, 1, 1]]).T[None]
+    uneven = Budget(np.array([10.0]), ("gyro", "noise"), axes, axes.sum(axis=2))
+    table = budget_study._tabulate(uneven, {"10 s": 0}, "mine").columns
+    assert (table["source"], table["share_percent"]) == (["noise", "gyro"], pytest.approx([80.0, 20.0]))
+    squares = {name: axes[:, :, s] for s, name in enumerate(uneven.sources)}
+    rows = budget_study.pair_variances(uneven, squares, {"10 s": 0}, 200)
+    assert rows["source"][:4] == ["noise", "gyro", "gyro", "noise"], "the largest of each figure first"
 
 
 def test_a_budget_of_few_draws_is_undecided(flight):
@@ -424,3 +434,24 @@ def test_a_turn_is_a_degree_a_second_or_more(rate_deg_s, turns):
 def test_draws_are_split_over_workers_without_a_gap():
     assert list(split_draws(10, 4)) == [(0, 2), (2, 3), (5, 2), (7, 3)]
     assert list(split_draws(2, 4)) == [(0, 1), (1, 1)]
+
+
+def test_a_place_of_the_linear_course_is_that_of_its_phase():
+    """By hand: a turn of 10 deg/min from the course at the loss of GNSS, a climb, and straight flight."""
+    for phase, rate, climb in (("turn", STEADY, 0.0), ("climb", 0.0, CLIMB), ("straight", 0.0, 0.0)):
+        flight = LinearFlight(phase)
+        nav, force = flight.place(LOST + 90.0)
+        course, flat = 0.8 + rate * 90.0, np.sqrt(200.0**2 - climb**2)
+        assert_allclose(nav.V, [flat * np.sin(course), flat * np.cos(course), climb], atol=1e-9)
+        level = flat * rate * np.array([np.cos(course), -np.sin(course)])
+        assert_allclose(force, [*level, flight.earth.g], atol=1e-12)
+        forward, up = (np.asarray(nav.B @ axis) for axis in np.eye(3)[:2])  # axes forward, up, right
+        assert_allclose(forward, nav.V / 200.0, atol=1e-9)
+        assert up[2] == pytest.approx(np.cos(np.arctan2(flat * rate, flight.earth.g)) * flat / 200.0)
+
+
+def test_instants_of_a_study_are_whole_seconds_and_the_last_without_gnss():
+    outages = SimpleNamespace(sensors=SimpleNamespace(gnss_outages=((0.0, 1.2), (3.0, 5.5), (7.0, 9.0))))
+    truth = SimpleNamespace(t=np.arange(0.25, 10.26, 0.01))
+    expected = [*np.arange(0.25, 10.3), 4.5, 8.0]
+    assert_allclose(output_times(truth, outages), np.sort(expected))

@@ -25,7 +25,14 @@ from bench.findings.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.store.study_folder import save_study
-from bench.studies import STUDIES
+from bench.studies import (
+    STUDIES,
+    alignment_errors,
+    mechanization_costs,
+    outage_drift,
+    requirements,
+    rnp,
+)
 from bench.studies.conducting import find_study
 from bench.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.workbench.printing import print_table
@@ -292,3 +299,27 @@ def test_every_profile_is_read_before_the_first_is_flown(name, good, options, mo
     with pytest.raises(ConfigError, match="nosuch") as raised:
         bench.study(name, profiles=f"{good},nosuch,nosuch-either", jobs=1, **options)
     assert len(raised.value.messages) == (1 if name in ("sensors", "outages") else 2)
+
+
+@pytest.mark.parametrize(
+    ("study", "numbers"),
+    [
+        (
+            alignment_errors,
+            "0.1 50 100 300 1000 3000 1000 45 50 200 5000 0.01 0 1 10 57.6 90 11.2 0.0707 316 1000",
+        ),
+        (mechanization_costs, "300 100 0.1 20 100 200 400 0.2 0.5 1 10"),
+        (outage_drift, "10 30 60 120 300 600 5 10"),
+        (requirements, "5 10 30 60 100 120 180 300 600 900 1800 2532 3600 45"),
+        (rnp, "0.3 50 10 15 0.95 3.33e-07 0.001 60"),
+    ],
+)
+def test_who_says_nothing_asks_with_the_numbers_of_the_guide(study, numbers):
+    fields = study.Options.model_fields.items()
+    given = np.hstack([one.default for name, one in fields if name != "seed" and _is_number(one.default)])
+    assert [f"{value:g}" for value in given] == numbers.split()
+
+
+def _is_number(default) -> bool:
+    first = default[0] if isinstance(default, tuple) and default else default
+    return isinstance(first, int | float) and not isinstance(first, bool)

@@ -74,11 +74,6 @@ class ErrorProcess:
     at: FloatArray | None = None  # (J,) instants of kicks and white noise [s]; None: white noise always
 
     @property
-    def stationary(self) -> bool:
-        """Whether it decays: then the driving noise keeps ``variance``."""
-        return self.decay_time > 0 or self.decay_distance > 0
-
-    @property
     def states(self) -> bool:
         """Whether it has states, not only white noise."""
         return bool(self.variance.any() or self.density.any() or self.kick.any())
