@@ -14,6 +14,7 @@ STANDARD_GRAVITY = 9.80665  # [m/s^2], exact by definition (3rd CGPM, 1901)
 SAME_INSTANT = 1e-6  # times closer than this are the same instant [s]: far below any step, far above rounding
 DEG = math.pi / 180.0  # [rad]
 HOUR = 3600.0  # [s]
+ARCSEC = DEG / 3600.0  # [rad]
 
 _G = STANDARD_GRAVITY
 
@@ -48,7 +49,7 @@ ENDINGS: Mapping[str, Unit] = {
     "_per_h": Unit("1/h", 1.0 / HOUR),
     "_per_deg": Unit("1/deg", 1.0 / DEG),
     "_hpa": Unit("hPa", 100.0),
-    "_arcsec": Unit("arcsec", DEG / 3600),
+    "_arcsec": Unit("arcsec", ARCSEC),
     "_rpm": Unit("1/min", 2 * math.pi / 60),
     "_degc": Unit("degC", 1.0, 273.15),
     "_deg_s_sqrt_hz": Unit("deg/s/sqrt(Hz)", DEG),

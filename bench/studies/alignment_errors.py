@@ -40,13 +40,12 @@ from bench.navigation.register.attitude_errors import (
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.vector_matching import match_vectors, misalignment
 from bench.studies.study import Count, Numbers, Positive, Seed, StudyOptions, StudyWorkers
-from bench.units import DEG, HOUR
+from bench.units import ARCSEC, DEG, HOUR
 from bench.wording import format_number
 
 _ROWS = 9  # instants of the course in the table
 _STEP = 0.01  # of the quaternions [s]
 _TURN = np.array([0.05, -0.02, 0.1])  # rates along which their error is integrated [rad/s]
-_ARCSEC = DEG / 3600.0
 
 
 class Options(StudyOptions):
@@ -93,7 +92,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     vectors = [match_at(options, angle) for angle in options.angles_deg]
     names = ("t_s", *(f"{name}_{axis}_arcsec" for name in ("alpha", "delta", "delta_u") for axis in "123"))
     rows = np.linspace(0, len(t) - 1, min(_ROWS, len(t))).astype(int)
-    course = np.column_stack([t, errors / _ARCSEC])[rows].tolist()
+    course = np.column_stack([t, errors / ARCSEC])[rows].tolist()
     turned = ("t_s", "integral_arcsec", "exact_arcsec", "apart_arcsec")
     told = ("angle_deg", "largest_mrad", "drawn_mrad", "low_mrad", "high_mrad", "observability")
     title = f"Attitude by two vectors, 1 sigma; {options.draws} draws beside the covariance"
@@ -184,7 +183,7 @@ def integrate_errors(options: Options) -> Iterator[tuple[float, float, float, fl
     by_integral = 2.0 * rotation.multiply(found, rotation.conjugate(q))[:, 1:]
     exact = rotation.to_rotvec(rotation.multiply(other, rotation.conjugate(q)))
     for k in np.linspace(0, len(t) - 1, min(_ROWS, len(t))).astype(int).tolist():
-        sizes = (np.linalg.norm(one[k]) / _ARCSEC for one in (by_integral, exact, by_integral - exact))
+        sizes = (np.linalg.norm(one[k]) / ARCSEC for one in (by_integral, exact, by_integral - exact))
         yield (float(t[k]), *(float(size) for size in sizes))  # type: ignore[misc]
 
 
@@ -224,7 +223,7 @@ def _tell(
     ]
     yield f"{options.heading_deg:g} deg of heading lead across track: {', '.join(legs)}."
     parts = (errors[:, :3], errors[:, 6:])
-    alpha, inertial = ([format_number(np.linalg.norm(one[k]) / _ARCSEC) for k in (0, -1)] for one in parts)
+    alpha, inertial = ([format_number(np.linalg.norm(one[k]) / ARCSEC) for k in (0, -1)] for one in parts)
     yield (
         f"In {options.duration_s:g} s on the course {options.gyro_deg_h:g} deg/h take the attitude error "
         f"from {alpha[0]} to {alpha[1]} arcsec in the local triad and to {inertial[1]} in inertial axes; the "
@@ -252,7 +251,7 @@ def _plot(options: Options, t: FloatArray, errors: FloatArray) -> Iterator[Plot]
     for name, first, axes in (("alpha", 0, local), ("delta", 3, others), ("delta_u", 6, others)):
         lines = []
         for k, axis in enumerate(axes):
-            values, colour = errors[:, first + k] / _ARCSEC, series.AXIS_COLOURS[k]
+            values, colour = errors[:, first + k] / ARCSEC, series.AXIS_COLOURS[k]
             lines.append(series.draw_line(f"{name} {axis}", t, values, axis, colour))
         path = ("alignment", name.replace("_", "-"))
         yield Plot(path, f"attitude error {name} [arcsec]", tuple(lines))

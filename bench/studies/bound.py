@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline, sensors
-from bench.arrays import FloatArray
+from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.held import (
     bound_flight,
@@ -84,26 +84,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
         label: np.concatenate(found[k * len(parts) : (k + 1) * len(parts)]) for k, label in enumerate(labels)
     }
     phases = list_phases(bound.t, profile.evaluation.begin, profile.sensors)
-    columns: dict[str, list[Any]] = {
-        name: []
-        for name in ("estimator", "phase", "quantity", "rmse", "bound", "ratio", "low", "high", "unit")
-    }
-    told, good = [], True
-    for label in labels:
-        least = variance_of(bound, smooth=smoothing[label])
-        for phase, rows in phases.items():
-            texts = []
-            for quantity in QUANTITIES:
-                held = compare_draws(errors[label][:, rows], least[rows], quantity)
-                if held is None:
-                    continue
-                values = (label, phase, quantity.title, *astuple(held), quantity.unit)
-                for column, value in zip(columns.values(), values, strict=True):
-                    column.append(value)
-                texts.append(f"{quantity.title} {held.ratio:.3g}")
-                good = good and held.high >= 1.0
-            kind = "smoothing bound" if smoothing[label] else "bound"
-            told.append(f"{label}, {phase}, over the {kind}: {', '.join(texts) or 'no errors'}.")
+    columns, told, good = hold_draws(bound, errors, smoothing, phases)
     below = "No estimator is below its bound" if good else "An estimator is below its bound"
     told.append(f"{below}, by {100.0 * LEVEL:g} % intervals of {options.draws} draws.")
     title = f"Root mean square errors over {options.draws} draws, over those of the best linear estimator"
@@ -117,6 +98,36 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
         draws=options.draws,
         good=good,
     )
+
+
+def hold_draws(
+    bound: Bound,
+    errors: Mapping[str, FloatArray],
+    smoothing: Mapping[str, bool],
+    phases: Mapping[str, BoolArray],
+) -> tuple[dict[str, list[Any]], list[str], bool]:
+    """Return ratios of errors (R, M, 9) by estimator to the bound, words, and whether none is below it."""
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in ("estimator", "phase", "quantity", "rmse", "bound", "ratio", "low", "high", "unit")
+    }
+    told, good = [], True
+    for label, drawn in errors.items():
+        least = variance_of(bound, smooth=smoothing[label])
+        for phase, rows in phases.items():
+            texts = []
+            for quantity in QUANTITIES:
+                held = compare_draws(drawn[:, rows], least[rows], quantity)
+                if held is None:
+                    continue
+                values = (label, phase, quantity.title, *astuple(held), quantity.unit)
+                for column, value in zip(columns.values(), values, strict=True):
+                    column.append(value)
+                texts.append(f"{quantity.title} {held.ratio:.3g}")
+                good = good and held.high >= 1.0
+            kind = "smoothing bound" if smoothing[label] else "bound"
+            told.append(f"{label}, {phase}, over the {kind}: {', '.join(texts) or 'no errors'}.")
+    return columns, told, good
 
 
 def _tabulate(bound: Bound, at: Iterable[int]) -> FindingTable:

@@ -28,9 +28,8 @@ from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
 from bench.palette import Colour
 from bench.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 
-_ARCSEC = DEG / 3600
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]
 _VECTOR, _PICARD = "rotation-vector", "two-quaternions"
 _SHOWN = ("nhe", "ecef", "inertial")  # in the figure; the other level frames do what nhe does
@@ -61,7 +60,6 @@ class AlgorithmCosts(NamedTuple):
 
     motion: IntervalMotion
     position_m: float
-    velocity_mps: float
     attitude_arcsec: float
     step_us: float
     """Processor time of a sample."""
@@ -82,8 +80,7 @@ class _TrueFlight(NamedTuple):
         return AlgorithmCosts(
             motion,
             float(np.linalg.norm(earth.difference_n(end[:3], true[:3]))),
-            float(np.linalg.norm(end[3:6] - true[3:6])),
-            float(np.linalg.norm(turn)) / _ARCSEC,
+            float(np.linalg.norm(turn)) / ARCSEC,
             spent / len(self.dtheta) * 1e6,
         )
 

@@ -109,7 +109,7 @@ def go_over(told: tuple[float, float, float]) -> dict[str, MeanNis]:
         built = pipeline.build_estimator(profile.estimators[0])
         one = PieceFilter("loose-15", {}, built, nose.initial, 1.0)
         later = replace(tail.data, antenna_b=np.array(told))
-        solutions += [one.feed(take_piece(nose.data, -1.0, begin))]
+        solutions += [one.feed(take_piece(nose.data, -np.inf, begin))]
         solutions += [one.feed(take_piece(later, begin, np.inf)), one.finish()]
     return average_nis(solutions, begin + 0.05, begin + _STEP_S)
 

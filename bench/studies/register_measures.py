@@ -27,9 +27,7 @@ from bench.studies.mechanization_costs import (
     radii_error,
     simulate_accelerometers,
 )
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
-
-_ARCSEC = DEG / 3600
+from bench.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 
 
 class Bounded(NamedTuple):
@@ -79,7 +77,7 @@ def _apart(motion: IntervalMotion, true: FloatArray) -> tuple[float, float]:
     turn = rotation.to_rotvec(rotation.multiply(end[6:], rotation.conjugate(true[6:])))
     return (
         float(np.linalg.norm(earth.difference_n(end[:3], true[:3]))),
-        float(np.linalg.norm(turn)) / _ARCSEC,
+        float(np.linalg.norm(turn)) / ARCSEC,
     )
 
 

@@ -20,6 +20,7 @@ from bench.evaluation.linear.directions import Observed, describe_direction, fin
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
 from bench.findings import series
+from bench.studies import bound as bound_study
 from bench.studies import budget as budget_study
 from bench.studies import observability
 from bench.studies.budget import _give_colours
@@ -321,7 +322,8 @@ def test_the_words_and_pictures_of_a_budget_by_hand():
     actual, claim = plots["height"].series
     assert_allclose((actual.t, actual.values[:, 0], claim.values[:, 0]), ([10, 20], [5, 10], [1.25, 2.5]))
     assert actual.colours != claim.colours
-    first, edge, second, _ = plots["height-shares"].series
+    first, edge, second, last = plots["height-shares"].series
+    assert_allclose(last.values[:, 0], 100.0)
     assert_allclose(first.values, [[64.0, 0.0]] * 2)
     assert_allclose(edge.values[:, 0], 64.0)
     assert_allclose(second.values, [[100.0, 64.0]] * 2)
@@ -369,6 +371,9 @@ def test_what_is_known_before_and_after_turns_by_hand():
     assert_allclose(most.values[:, 0], 100.0 * left[:, 1])
     assert_allclose(least.values[:, 0], 10.0)
     assert most.colours != least.colours
+    three = replace(seen, left=np.column_stack([left[:, 0], np.full(30, 0.3), left[:, 1]]))
+    most, least = observability._plot(three, smooth)[-1].series
+    assert_allclose([most.values[:, 0], least.values[:, 0]], [100.0 * left[:, 1], np.full(30, 10.0)])
 
 
 def test_directions_of_a_standing_start():
@@ -455,3 +460,54 @@ def test_instants_of_a_study_are_whole_seconds_and_the_last_without_gnss():
     truth = SimpleNamespace(t=np.arange(0.25, 10.26, 0.01))
     expected = [*np.arange(0.25, 10.3), 4.5, 8.0]
     assert_allclose(output_times(truth, outages), np.sort(expected))
+
+
+def test_four_sources_are_named_and_layers_lie_by_share_and_by_size():
+    """Of 35, 25, 20, 15 and 5 % the fifth is not told. What is large at its worst lies below."""
+    parts = dict(zip("abcde", (20.0, 35.0, 5.0, 25.0, 15.0), strict=True))
+    said = budget_study._rank(make_budget(parts), 0, "10 s")
+    assert "by b 35 %, d 25 %, a 20 % and e 15 %;" in said
+    size = np.array([[0.9, 0.1], [30.0, 70.0]])[:, None, :] * np.ones((1, 9, 1))
+    made = Budget(np.array([0.0, 1.0]), ("early", "late"), size, size.sum(axis=2))
+    shares = next(one for one in budget_study._plot(made, "mine") if one.path[1] == "heading-shares")
+    assert [one.names[0] for one in shares.series if one.band is not None] == ["late", "early"]
+
+
+@pytest.mark.parametrize(("size", "good"), [(2.0, True), (0.1, False)])
+def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
+    """Errors of so many sigma in 20 draws: of the causal bound, 1, or that of smoothers, 0.5."""
+    n = np.tile(np.eye(9), (4, 1, 1))
+    bound = Bound(np.arange(4.0), (), np.empty((6, 0)), np.eye(9), n, 0.25 * n)
+    signs = np.where(np.random.default_rng(1).integers(0, 2, (20, 4, 9)), 1.0, -1.0)
+    signs *= np.sqrt(np.tile([0.5, 1.5], 10))[:, None, None]  # draws differ, their mean square is 1
+    errors = {"filter": size * signs, "smoother": size * signs, "lost": np.nan * signs}
+    smoothing = {"filter": False, "smoother": True, "lost": False}
+    phases = {
+        "with GNSS": np.array([True, True, False, False]),
+        "without GNSS": np.array([False, False, True, True]),
+    }
+    columns, told, found = bound_study.hold_draws(bound, errors, smoothing, phases)
+    assert found == good
+    assert columns["estimator"] == ["filter"] * 10 + ["smoother"] * 10
+    assert_allclose(columns["ratio"], np.repeat([size, 2.0 * size], 10))
+    assert_allclose(columns["bound"][:5], [np.sqrt(2.0), 1.0, np.sqrt(2.0), np.sqrt(2.0) / DEG, 1.0 / DEG])
+    assert_allclose(columns["rmse"][:5], size * np.array(columns["bound"][:5]))
+    assert columns["phase"][:10] == ["with GNSS"] * 5 + ["without GNSS"] * 5
+    text = f"horizontal position {size:g}, height {size:g}, horizontal velocity {size:g}, tilt {size:g}, "
+    assert told[0] == f"filter, with GNSS, over the bound: {text}heading {size:g}."
+    assert told[2].startswith(
+        f"smoother, with GNSS, over the smoothing bound: horizontal position {2 * size:g}"
+    )
+    assert told[4] == "lost, with GNSS, over the bound: no errors."
+    table = bound_study._tabulate(bound, [1, 3]).columns
+    assert table["t_s"] == [1.0, 3.0]
+    assert_allclose(table["horizontal_m"], np.sqrt(2.0))
+    assert_allclose(table["horizontal_smoothed_m"], np.sqrt(0.5))
+    assert_allclose(table["heading_smoothed_deg"], 0.5 / DEG)
+    plot = next(
+        one for one in bound_study._plot(bound, {"filter": errors["filter"]}, smoothing) if "tilt" in one.path
+    )
+    drawn, least, smoothed = plot.series
+    assert_allclose(drawn.values, size * np.sqrt(2.0) / DEG)
+    assert_allclose(least.values, np.sqrt(2.0) / DEG)
+    assert_allclose(smoothed.values, np.sqrt(0.5) / DEG)

@@ -11,6 +11,7 @@ import bench
 from bench.cli import main
 from bench.errors import DONE, NEGATIVE, WRONG
 from bench.store.study_folder import load_study
+from bench.studies import recorded_logs
 from bench.studies.recorded_logs import LogResult, compare_filters, name_logs
 from bench.workbench.check_verb import list_sources
 from bench.workbench.log_campaign import are_logs
@@ -189,3 +190,65 @@ def test_one_log_is_enough_for_a_table(tmp_path):
     assert (
         main(["campaign", str(tmp_path), "-e", "gnss-only", "--jobs", "1", "-o", str(tmp_path / "o")]) == DONE
     )
+
+
+def test_values_of_a_log_are_those_that_are_known():
+    drifts = [
+        {"estimator": label, "duration_s": seconds, "median_h_m": 10.0 * seconds}
+        for label in LABELS
+        for seconds in (10.0, 25.0, 60.0)
+    ]
+    metrics = {"pos_rmse_h_m": 2.0, "pos_rmse_d_m": None, "vel_rmse_3d_mps": np.inf}
+    found = dict(recorded_logs._list_values("first", metrics, drifts))
+    assert found == {"horizontal_m": 2.0, "drift_10_s_m": 100.0, "drift_60_s_m": 600.0}, "25 s is no cut"
+
+
+def test_words_tables_and_pictures_of_logs_by_hand():
+    found = [
+        LogResult("a", "first", "consistent", "", True, {"horizontal_m": 1.0, "velocity_mps": 0.2}),
+        LogResult("a", "second", "overconfident", "", True, {"horizontal_m": 3.0}),
+        LogResult("b", "first", "consistent", "", True, {"horizontal_m": 2.0, "drift_10_s_m": 0.0}),
+        LogResult("b", "second", "diverged", "1 km off", False, {}),
+        LogResult("c", "", "no result", "it is empty", False, {}),
+    ]
+    ratio = recorded_logs.Estimate(2.0, 1.5, 3.0)
+    told = [
+        ("horizontal_m", "second", ratio, 5, "worse"),
+        ("velocity_mps", "second", ratio, 4, "better"),
+        ("drift_10_s_m", "second", ratio, 3, "undecided"),
+    ]
+    assert list(recorded_logs._tell(found, LABELS, 3, told)) == [
+        "first, 3 logs: consistent on 2.",
+        "second, 3 logs: overconfident on 1, diverged on 1.",
+        "second: horizontal error 2 (1.5 to 3) times that of first on 5 logs: worse.",
+        "second: velocity error 2 (1.5 to 3) times that of first on 4 logs: better.",
+        "1 of 3 comparisons with first are undecided; the table has them.",
+        "b, second: 1 km off",
+        "c: it is empty",
+    ]
+    few = list(recorded_logs._tell(found[:1], LABELS, 1, []))
+    assert few[-1] == "Fewer than 3 logs have results of both filters: nothing is compared."
+    assert not [text for text in recorded_logs._tell(found[:1], LABELS[:1], 1, []) if "Fewer" in text]
+    logs, pairs = recorded_logs._fill(found, told)
+    assert list(logs.columns) == [
+        "log",
+        "estimator",
+        "verdict",
+        "horizontal_m",
+        "velocity_mps",
+        "drift_10_s_m",
+    ]
+    assert logs.columns["estimator"] == ["first", "second", "first", "second", "-"]
+    assert logs.columns["velocity_mps"] == [0.2, None, None, None, None]
+    assert pairs.columns["quantity"] == ["horizontal error", "velocity error", "drift in 10 s without GNSS"]
+    assert (pairs.columns["low"][0], pairs.columns["high"][0], pairs.columns["logs"][0]) == (1.5, 3.0, 5)
+    assert len(list(recorded_logs._fill(found, []))) == 1
+    plots = {one.path[1]: one for one in recorded_logs._plot(found, LABELS, ["a", "b", "c"])}
+    assert list(plots) == ["horizontal", "velocity_mps"], "a drift of 0 has no place on a logarithm"
+    first, second = plots["horizontal"].series
+    assert (first.t.tolist(), first.values.tolist()) == ([1.0, 2.0], [[1.0], [2.0]])
+    assert (second.t.tolist(), second.values.tolist()) == ([1.0], [[3.0]])
+    assert first.colours != second.colours
+    assert plots["horizontal"].title == "horizontal error [m]"
+    assert plots["velocity_mps"].title == "velocity error [m/s]"
+    assert plots["horizontal"].ticks == ((1.0, "a"), (2.0, "b"), (3.0, "c"))

@@ -7,7 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
+from bench import earth, rotation
 from bench.navigation.register.mechanizations.accelerometers import drift_by_angular_acceleration
+from bench.studies import mechanization_costs
 from bench.studies.mechanization_costs import (
     acceleration_error,
     coning_drift,
@@ -94,6 +96,25 @@ def test_the_words_and_pictures_are_those_of_the_tables(found):
     assert_allclose(
         np.ravel(strapdown.values)[:5], STANDARD_GRAVITY * error[1] * strapdown.t[:5] ** 4 / 24.0, rtol=0.01
     )
+
+
+def test_what_an_algorithm_costs_by_hand(monkeypatch):
+    """500 m off, turned by 3 and 4 arcsec about two axes, half a second for a thousand samples."""
+    start = np.array([0.8, 0.2, 500.0, 10.0, -3.0, 1.0, *rotation.from_euler(0.2, -0.1, 2.0)])
+    end, turn = start.copy(), np.deg2rad([3.0, 4.0, 0.0]) / 3600.0
+    end[:3] = earth.displace(start[:3], np.array([300.0, 0.0, -400.0]))
+    end[6:] = rotation.multiply(rotation.from_rotvec(turn), start[6:])
+    motion = mechanization_costs.IntervalMotion(np.array([0.0, 10.0]), np.array([start, end]))
+    monkeypatch.setattr(mechanization_costs, "navigate", lambda *given, **options: motion)
+    seconds = iter([100.0, 100.5])
+    monkeypatch.setattr(mechanization_costs.time, "process_time", lambda: next(seconds))
+    flight = mechanization_costs._TrueFlight(
+        np.tile(start, (1001, 1)), np.zeros((1000, 3)), np.zeros((1000, 3)), 0.01
+    )
+    found = flight.fly("ned")
+    assert (found.position_m, found.attitude_arcsec) == pytest.approx((500.0, 5.0), rel=1e-4)
+    assert found.step_us == pytest.approx(500.0)
+    assert_allclose(flight.growth(motion), [0.0, 500.0], rtol=1e-4)
 
 
 def test_series_are_as_good_as_the_register_says():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,11 +15,12 @@ from bench import pipeline
 from bench.config.listing import PROFILES
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd, split_drift
-from bench.studies import outage_drift, outage_tables
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight
+from bench.studies import outage_drift, outage_grades, outage_tables
+from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
 from bench.studies.outage_grades import Grown, find_time, plot_grades
 from bench.studies.outage_growth import Drift, pair_units
 from bench.studies.outage_tables import tell_drifts
+from tests.synthetic import turning
 
 ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each grade alone
     ("grade-1", 60): (0.18, 0.01),
@@ -31,6 +33,7 @@ ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each g
 }
 PRINTED_AFTER = {"grade-1": 155, "grade-2": 140, "grade-3": 84, "MEMS": 37}  # 5 m east, S-turns [s]
 DRAWS = 12
+PHASES_FLOWN = get_args(Phase)
 
 
 def make_drift(sizes, law=None):
@@ -135,7 +138,7 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
         [tables["times"][key][0] for key in ("after_s", "law_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
     )
     first, times, made, claims = tell_drifts(
-        ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0), 5.0
+        ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0, 110.0), 5.0
     )
     assert first.startswith(
         "Drift after 60 s without GNSS, straight, RMS and by the closed form [m]: my/own.toml 164 ("
@@ -243,12 +246,12 @@ def test_a_wrong_name_is_one_line(given, message):
 
 
 def test_pictures_of_the_grades_begin_a_second_after_the_loss():
-    """Two phases of two grades, and each bias alone once: all instants but the first, which has no log."""
+    """Three phases of two grades, and each bias alone once: all instants but the first, which has no log."""
     t = np.arange(4.0)
     grades = [
         Grown(name, phase, t, size * t, 2.0 * size * t, 3.0 * size * t)
         for size, name in ((1.0, "grade-1"), (10.0, "grade-3"))
-        for phase in ("straight", "s-turns")
+        for phase in ("straight", "turn", "s-turns")
     ]
     plots = {one.path[-1]: one for one in plot_grades(grades)}
     sizes = {
@@ -263,3 +266,68 @@ def test_pictures_of_the_grades_begin_a_second_after_the_loss():
         for size, one in zip((1.0, 10.0), lines, strict=True):
             assert_allclose(one.t, t[1:])
             assert_allclose(one.values[:, 0], factor * size * t[1:])
+
+
+def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
+    """Errors of 3, 4, 10 m at the loss and 1, 2, 3 m/s from there on; claims of 5 and 7 m^2."""
+    profile = SimpleNamespace(
+        estimators=["mine"], sensors=SimpleNamespace(gnss_outages=((20.0, 25.0),)), flight=None
+    )
+    at = np.array([20.0, 21.0, 22.0])
+    cov = np.tile(np.diag([5.0, 7.0, 11.0]), (3, 1, 1))
+    pos = np.array([3.0, 4.0, 10.0]) + np.outer(at - 20.0, [1.0, 2.0, 3.0])
+    monkeypatch.setattr(outage_drift, "get_truth", lambda key, one: SimpleNamespace(t=np.array([0.0, 30.0])))
+    monkeypatch.setattr(
+        outage_drift,
+        "pipeline",
+        SimpleNamespace(
+            check_times=lambda one, last: None,
+            sense=lambda one, truth, run: SimpleNamespace(data=made_data, initial=None),
+            navigate=lambda use, data, initial: SimpleNamespace(cov=cov, t=data.output_t),
+        ),
+    )
+    monkeypatch.setattr(outage_drift, "error_series", lambda truth, one: SimpleNamespace(pos_n=pos, t=one.t))
+    monkeypatch.setattr(outage_drift, "replace", lambda data, output_t: SimpleNamespace(output_t=output_t))
+    made_data = SimpleNamespace()
+    found = outage_drift.measure_growth(outage_drift._Task(profile, "key", 0, (1.0, 2.0)))
+    assert_allclose(found, [[1.0, 2.0, 3.0, 16.0 + 36.0, 12.0], [2.0, 4.0, 6.0, 25.0 + 64.0, 12.0]])
+
+
+def test_growth_by_grade_is_that_since_the_loss_and_each_bias_by_its_law():
+    """Sigmas of 5 m at the loss and 13 m a second later: 12 m. Biases as of A-2.4.4 and A-2.4.7, for short."""
+    sd = np.hypot(5.0, 12.0 * np.arange(601.0))
+
+    class Work:
+        map = staticmethod(lambda what, do, items: [dict.fromkeys(PHASES_FLOWN, sd) for _ in items])
+
+    found = outage_grades.predict_grades(10.5, Work)
+    assert {(one.name, one.phase) for one in found} == {(g, p) for g in GRADES for p in PHASES_FLOWN}
+    for one in found:
+        sigmas = GRADES[one.name].sigmas
+        assert_allclose(one.east, 12.0 * np.arange(601.0), rtol=1e-9)
+        assert one.by_accel[10] == pytest.approx(0.5 * sigmas.da * 100.0, rel=1e-3)
+        assert one.by_gyro[60] == pytest.approx(9.81 * sigmas.eps * 60.0**3 / 6.0, rel=5e-3)
+    assert found[0].take([1.5, 2.0])[0] == pytest.approx([18.0, 24.0])
+
+
+def test_the_better_unit_is_that_of_the_smaller_drift_and_not_of_the_smaller_limit():
+    """4 m in every draw, and 5 m RMS of draws from 0.1 to 10 m, whose interval begins below."""
+    t, sizes = np.ones(61), np.array([0.1, 0.2, 0.1, 10.0])[:, None]
+    drifts = {
+        ("wide", "turn"): make_drift(sizes * t),
+        ("steady", "turn"): make_drift(np.full((4, 1), 4.0) * t),
+    }
+    assert drifts["wide", "turn"].rms[59, 1] < 4.0 < drifts["wide", "turn"].rms[59, 0]
+    (pair,) = pair_units(drifts, ("wide", "steady"), "turn")
+    assert (pair.first, pair.second) == ("steady", "wide")
+
+
+def test_a_flight_that_ends_in_the_outage_has_the_heading_of_its_end(monkeypatch):
+    """Asked for longer than it lasts: the last attitude holds on."""
+    truth = turning(30.0, 10.0)
+    monkeypatch.setattr(outage_drift, "get_truth", lambda key, profile: truth)
+    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: "key")
+    profile = outage_drift.make_profile(outage_drift.Options(), "stim300", "straight", 60.0)
+    sensors = SimpleNamespace(gnss_outages=((25.0, 99.0),), imu=profile.sensors.imu, gnss=None)
+    found = outage_drift.find_law(SimpleNamespace(sensors=sensors, flight=None), (5.0, 20.0))
+    assert all(np.isfinite(values).all() for values in found.values())

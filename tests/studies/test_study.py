@@ -8,6 +8,7 @@ import json
 import re
 import subprocess
 import sys
+import time
 from importlib import import_module
 
 import numpy as np
@@ -48,7 +49,9 @@ def folder(tmp_path_factory):
 
 
 def test_a_folder_is_read_back(folder):
+    begun = time.perf_counter()
     made, read = bench.study("requirements", error_m=10.0, **SHORT), bench.load_study(folder)
+    assert 0.0 < made.wall_s < time.perf_counter() - begun
     assert read.command == "bench study requirements --error-m 10 --outages-s 60,300"
     assert read.verdicts == made.verdicts
     assert read.tables.keys() == made.tables.keys()
