@@ -201,7 +201,7 @@ def build_case(
         poses=None if poses is None else poses.select(slice(None)),
         start=select_epochs(solution, slice(0, 1)),
         assumed=assumed,
-        path=None if path is None else select_path(path, np.searchsorted(path.t, errors.t - 1e-6)),
+        path=None if path is None else select_path(path, np.searchsorted(path.t, errors.t - SAME_INSTANT)),
     )
 
 

@@ -127,7 +127,7 @@ def split_drift(
     by_accel, by_gyro = accel_bias_drift(T), gyro_bias_drift(T)
     if heading is not None and len(heading) > 1:
         left = x * np.linspace(1.0, 0.0, len(heading))  # phase of the pendulum that is left at each step
-        turn = np.exp(1j * (heading - heading[0]))
+        turn = np.exp(1j * heading)
         by_accel = abs(np.trapezoid(np.sin(left) / w * turn, dx=T / (len(heading) - 1)))
         by_gyro = abs(np.trapezoid(RADIUS * (1.0 - np.cos(left)) * turn, dx=T / (len(heading) - 1)))
     return {

@@ -38,6 +38,7 @@ from bench.studies.study import (
     ask_each,
     refuse_navigation,
 )
+from bench.units import SAME_INSTANT
 from bench.wording import format_number
 
 _SMALLEST = 1e-3  # misses below this are alike [m]
@@ -121,7 +122,7 @@ def measure_miss(profile: Profile, truth: Trajectory, by_truth: Trajectory) -> f
         for leg, (_, end, _) in zip(legs, one.events.select("leg"), strict=False):
             if isinstance(leg, Flare):
                 t = float(end)
-        ends.append(one.lla[np.searchsorted(one.t, t - 1e-6)])
+        ends.append(one.lla[np.searchsorted(one.t, t - SAME_INSTANT)])
     north, east, _ = earth.difference_n(ends[0], ends[1])
     return float(np.hypot(north, east))
 

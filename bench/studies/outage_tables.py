@@ -16,6 +16,7 @@ from bench.studies.catalog_units import CatalogImu
 from bench.studies.outage_grades import find_time
 from bench.studies.outage_growth import Drift
 from bench.studies.study import format_estimate
+from bench.units import SAME_INSTANT
 from bench.wording import format_number
 
 Drifts = Mapping[tuple[str, str], Drift]
@@ -26,7 +27,7 @@ def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]
     """Yield the times that are asked for and flown, with their rows."""
     for T in elapsed:
         k = int(np.argmin(np.abs(drift.grid - T)))
-        if abs(drift.grid[k] - T) < 1e-6:
+        if abs(drift.grid[k] - T) < SAME_INSTANT:
             yield T, k
 
 

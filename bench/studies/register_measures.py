@@ -251,7 +251,7 @@ def describe_attitude_error() -> RowFinding:
 
 def match_directions() -> RowFinding:
     """#59: a misalignment of 3.7 mrad by vectors of position and velocity 57.6 deg apart, 300 draws."""
-    position = np.array([0.314, 0.949, 0.03]) / np.linalg.norm([0.314, 0.949, 0.03])
+    position = np.array([0.314, 0.949, 0.03])
     across = np.cross(position, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)
     angle = 57.6 * DEG
@@ -267,7 +267,9 @@ def match_directions() -> RowFinding:
     off = np.abs(np.mean(found, axis=0) - turn) / (spread / math.sqrt(300.0))
     size = 1e3 * float(np.linalg.norm(np.mean(found, axis=0)))
     sds = (near(a, b, 0.1 * b) for a, b in zip(spread.tolist(), (1.3e-4, 3.8e-4, 3.7e-5), strict=True))
+    drawn = zip(np.std(found, axis=0).tolist(), spread.tolist(), strict=True)
     checks = (near(size, 3.7, 0.1), *sds, *(below(one, 4.0) for one in off.tolist()))
+    checks += tuple(near(a, b, 3.3 / math.sqrt(600.0) * b) for a, b in drawn)
     return RowFinding(f"{size:.2f} mrad; {', '.join(f'{one:.1e}' for one in spread)} rad", checks)
 
 

@@ -68,7 +68,7 @@ from bench.studies.study import (
     refuse_navigation,
 )
 from bench.studies.watched_flights import WatchedFlight, align_flights, tell_crashes
-from bench.units import HOUR
+from bench.units import HOUR, SAME_INSTANT
 from bench.wording import format_number, suggest
 
 _NM = 1852.0  # [m]
@@ -185,8 +185,8 @@ def watch_run(run: _Run) -> WatchedFlight:
     profile, truth, steered = _load(options, run.number)
     rows = _choose_rows(truth, profile)
     if steered is not None:  # at the first answer from each whole second on
-        after = np.searchsorted(steered.t, truth.t[rows] - 1e-6)
-        rows = np.searchsorted(truth.t, steered.t[after[after < len(steered.t)]] - 1e-6)
+        after = np.searchsorted(steered.t, truth.t[rows] - SAME_INSTANT)
+        rows = np.searchsorted(truth.t, steered.t[after[after < len(steered.t)]] - SAME_INSTANT)
     sensed = pipeline.sense(profile, truth, run.number)
     solution = _navigate(profile, sensed, truth.t[rows])
     if options.estimator == "tight":
@@ -215,7 +215,7 @@ def watch_run(run: _Run) -> WatchedFlight:
 def _find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray) -> FloatArray:
     """Return how wrong the answers at some instants (M,) [s] were that steered: (M, 3) [m], n."""
     errors = error_series(truth, steered)
-    found: FloatArray = errors.pos_n[np.searchsorted(errors.t, t - 1e-6).clip(max=len(errors.t) - 1)]
+    found: FloatArray = errors.pos_n[np.searchsorted(errors.t, t - SAME_INSTANT).clip(max=len(errors.t) - 1)]
     return found
 
 
@@ -257,7 +257,7 @@ def _read(options: Options, seed: int | None = None) -> Profile:
 def _choose_rows(truth: Trajectory, profile: Profile) -> Any:
     """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
     t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + 1e-9, _INTERVAL)
-    return np.unique(np.searchsorted(truth.t, t - 1e-6).clip(max=len(truth.t) - 1))
+    return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT).clip(max=len(truth.t) - 1))
 
 
 def _navigate(profile: Profile, sensed: Sensed, t: FloatArray) -> NavSolution:

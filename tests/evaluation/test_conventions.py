@@ -330,6 +330,8 @@ def test_the_motion_is_that_of_the_instants_that_answers_are_of():
     own = replace(own, t=np.array([3.0, 0.54, 10.46]), late=0.5)
     motion = move(truth, own)
     assert motion.inside.tolist() == [True, False, False]
+    ends = replace(own, t=np.array([0.555, 10.445, 99.0]))
+    assert move(truth, ends).inside.tolist() == [True, True, False]
     north, east = np.cos(0.7 + 0.5), np.sin(0.7 + 0.5)
     assert_allclose(motion.vel_n, [[20.0 * north, 20.0 * east, 0.0]], atol=1e-3)
     assert_allclose(motion.accel_n, [[-4.0 * east, 4.0 * north, 0.0]], atol=1e-3)

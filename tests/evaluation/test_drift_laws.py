@@ -142,10 +142,20 @@ def test_the_law_of_a_run_without_fixes_begins_with_what_is_claimed():
     assert drift_laws.inertial_law(case())["rms"] == pytest.approx(np.sqrt(2.0) * unknown)
     for share, there in ((0.19, False), (0.21, True)):
         one = case(cov=cov, sd=share * sd / np.sqrt(2.0))
+        one.sd[:-1] = 0.0  # what is claimed at the end counts
         assert bool(drift_laws.inertial_law(one)) == there
         assert drift_laws.inertial_end(one) == ({"": pytest.approx(50.0)} if there else {})
     assert drift_laws.inertial_law(case(nis=("gnss_velocity",))) == {}
     assert drift_laws.inertial_law(case(assumed=False)) == {}
+
+
+def test_a_heading_that_stays_is_that_of_none():
+    """Whatever it is; of one that turns round once a second biases cancel."""
+    straight, along = (drift_laws.split_drift(300.0, IMU, heading=one) for one in (None, np.full(3001, 2.0)))
+    assert along == pytest.approx(straight, rel=1e-5)
+    around = drift_laws.split_drift(300.0, IMU, heading=2.0 * np.pi * np.linspace(0.0, 300.0, 3001))
+    for name in ("accelerometer bias", "gyro bias"):
+        assert around[name] < 0.01 * straight[name]
 
 
 def test_the_sources_of_a_drift_are_told_apart():

@@ -5,6 +5,7 @@ own covariance is chi-square; a solution that cannot be judged is recognised, wi
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from bench import rotation
+from bench.evaluation import error_series as error_series_file
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.error_series import (
     check_convergence,
@@ -339,3 +341,25 @@ def test_every_block_that_is_far_off_has_not_converged(truth, wrong, reason):
     assert check_convergence(error_series(truth, wide), wide) == (True, None)
     near = wrong_solution(truth, **{name: 0.3 * np.array(value) for name, value in wrong.items()})
     assert check_convergence(error_series(truth, near), near) == (True, None)
+
+
+def test_sizes_that_tell_a_divergence_are_in_their_units(monkeypatch):
+    """Errors of 3, 4, 12 m, of 1, 2, 2 m/s, tilts of 3 and 4 and a heading of 5 deg; sigmas by hand."""
+    errors = SimpleNamespace(
+        pos_n=np.array([[3.0, 4.0, -12.0]]), vel_n=np.array([[1.0, 2.0, -2.0]]),
+        phi_n=np.deg2rad([[3.0, 4.0, 5.0]]), heading=np.deg2rad([-5.0]),
+    )  # fmt: skip
+    sd = np.array([1.0, 2.0, 3.0, 0.1, 0.2, 0.2, *np.deg2rad([0.3, 0.4, 0.7])])
+    monkeypatch.setattr(error_series_file, "variances", lambda solution: np.square(sd)[None])
+    monkeypatch.setattr(error_series_file, "heading_sd", lambda solution: sd[8:])
+    found = {
+        what: (unit, float(size[0]), float(sigma[0]))
+        for what, unit, _, size, sigma in error_series_file._list_sizes(errors, None, ("pos", "vel", "phi"))
+    }
+    assert found == {
+        "horizontal error": ("m", 5.0, pytest.approx(np.sqrt(5.0))),
+        "height error": ("m", 12.0, 3.0),
+        "velocity error": ("m/s", 3.0, pytest.approx(0.3)),
+        "tilt": ("deg", pytest.approx(5.0), pytest.approx(0.5)),
+        "heading error": ("deg", pytest.approx(5.0), pytest.approx(0.7)),
+    }

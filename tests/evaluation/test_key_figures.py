@@ -15,6 +15,9 @@ def test_every_metric_has_words_of_its_own():
     told = {find_words(name).words for name in names - {"coverage_3sigma_bias_gps"}}
     assert len(told) == len(names) - 1
     assert not any("_" in words for words in told)
+    for metric in METRICS:
+        assert len(metric.words) > 10, metric.name
+        assert metric.words in str(getattr(metric.function, "func", metric.function).__doc__)
     assert sum(map(len, group_metrics(names).values())) == len(names)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from bench import rotation
 from bench.data import Events, Innovations, SensorTruth, no_innovations
+from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, find_metric, judge
 from bench.sensor_specs import AssumedSpecs, Fault
@@ -433,3 +434,8 @@ def test_an_empty_solution_is_an_error(truth):
     empty = replace(solution, **{name: getattr(solution, name)[:0] for name in columns})
     with pytest.raises(ValueError, match=r"NavSolution\.t must hold at least one instant"):
         metrics_of(truth, empty)
+
+
+def test_a_refusal_lasts_from_its_first_to_its_last_instant(monkeypatch):
+    monkeypatch.setattr(metrics.detection, "find_refusals", lambda case: {"baro": (30.0, 42.5)})
+    assert metrics.refused(None) == {"baro": 12.5}

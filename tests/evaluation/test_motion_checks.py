@@ -209,14 +209,15 @@ def test_a_lever_arm_that_was_given_is_not_repeated_as_found():
         (1.05 / 9.80665, "are these g in a column of m/s^2?"),
         (0.95 * 9.80665, "are these m/s^2 in a column of g?"),
         (1.0, "the unit or the scale looks wrong"),
-        (0.8 * 9.80665, "the unit or the scale looks wrong"),
+        (0.85 * 9.80665, "the unit or the scale looks wrong"),
+        (1.15 / 9.80665, "the unit or the scale looks wrong"),
     ],
 )
 def test_a_force_that_is_off_by_gravity_is_in_the_other_unit(ratio, said):
     assert motion_checks.guess_force_unit(ratio) == f": {said}"
 
 
-@pytest.mark.parametrize(("sd_deg", "good"), [(0.1, False), (2.0, True)])
+@pytest.mark.parametrize(("sd_deg", "good"), [(0.1, False), (2.0, True), (5.5, True)])
 def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
     """6 and -8 deg about two axes are 10 deg; they count if they are known well enough."""
     turns = {"turn_x": np.deg2rad(6.0), "turn_z": np.deg2rad(-8.0)}
@@ -224,6 +225,7 @@ def test_the_turn_between_the_triads_is_told_in_degrees(sd_deg, good):
     cov, empty = np.deg2rad(sd_deg) ** 2 * np.eye(len(values)), np.empty(0)
     found = motion_checks._check_triads(motion_fit.MotionFit(values, cov, empty, np.empty((0, 3, 3)), empty))
     assert found.good is good
+    assert (found.value is None) == (sd_deg > 5.0)
     if not good:
         assert "turned by +6.0, +0.0, -8.0 deg about x, y, z" in found.text
         assert found.value == pytest.approx(10.0)
@@ -418,3 +420,35 @@ def test_the_limits_are_those_of_the_guide():
         f"{motion_checks.SIGMAS:g} standard deviations.",
     ):
         assert row in text
+
+
+def test_the_tilt_of_the_mean_force_is_told_in_degrees(monkeypatch):
+    """Forces 4 deg off the vertical, of a fit that has no other fault; 40 deg are the mounting."""
+    stretches = SimpleNamespace(find_near=lambda t: np.ones(3, bool))
+    fit = SimpleNamespace(rms=np.zeros(1))
+    sound = motion_checks.Check("x", None, "", True)
+    monkeypatch.setattr(motion_checks, "find_stretches", lambda *given: Some(stretches))
+    monkeypatch.setattr(motion_checks, "fit_motion", lambda *given: fit)
+    for name in ("shift", "rate_gain", "force_gain", "triads", "arm", "forward_axis"):
+        monkeypatch.setattr(motion_checks, f"_check_{name}", lambda *given: sound)
+    for tilt, good in ((4.0, True), (40.0, False)):
+        force = -9.8 * np.array([np.sin(np.deg2rad(tilt)), 0.0, np.cos(np.deg2rad(tilt))])
+        motion = SimpleNamespace(
+            t=np.arange(3.0), gyro=np.zeros((3, 3)), accel=np.tile(force, (3, 1)), moves=True,
+            take_velocities=lambda: (), find_standstills=lambda: [],
+        )  # fmt: skip
+        found = motion_checks.check_motion(motion, np.zeros(3))[0]
+        assert (found.name, found.good) == ("level_tilt_deg", good)
+        assert found.value == pytest.approx(tilt)
+        assert f"the up axis is {tilt:.1f} deg off" in found.text
+        assert ("mounting_deg" in found.text) != good
+
+
+class Some(SimpleNamespace):
+    """Stretches, one of them."""
+
+    def __init__(self, made):
+        super().__init__(find_near=made.find_near)
+
+    def __len__(self):
+        return 1

@@ -209,7 +209,8 @@ def test_a_stretch_lasts_20_s_or_twelve_fixes_and_holds_no_gap():
         found = find_stretches(imu_t, t, lla, vel_n)
         assert np.diff(found.begin).tolist() == expected, what
     assert len(find_stretches(every, t[:7], lla[:7], vel_n[:7])) == 0
-    assert len(find_stretches(every[:1], t, lla, vel_n)) == 0
+    none = find_stretches(every[:1], t, lla, vel_n)
+    assert len(none) == len(none.fix_t) == len(none.vel_n) == len(none.change) == 0
 
 
 def test_the_liveliest_are_taken_in_order_of_time(stretches):

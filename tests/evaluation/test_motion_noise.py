@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 
 import bench
 from bench import sensors
+from bench.evaluation import motion_noise
 from bench.evaluation.error_series import error_series
 from bench.evaluation.motion_noise import BANDS, LEAST, assume_motion_noise, measure_motion_noise
 from bench.navigation.built_in import load
@@ -101,3 +102,13 @@ def test_a_log_takes_it_by_option_and_says_so(tmp_path):
     assert line.startswith("imu: noise in motion, 3 to 10 Hz: gyro ")
     assert "times imu: assumed" in line
     assert log.spec.assumed.imu.gyro.random_walk > 0.7 * drives.GYRO_N
+
+
+def test_a_level_and_a_trend_are_no_noise():
+    """Of a sample the power of its scatter alone, whatever it stands on."""
+    rng, window = np.random.default_rng(1), np.hanning(201)[:200, None]
+    scatter = rng.standard_normal((200, 6))
+    leaning = scatter + 50.0 + 30.0 * np.linspace(-1.0, 1.0, 200)[:, None]
+    plain, found = (motion_noise._spectrum(one, window, 0.01) for one in (scatter, leaning))
+    np.testing.assert_allclose(found, plain, rtol=1e-8, atol=1e-12)
+    assert plain[5:].mean() == pytest.approx(0.01, rel=0.2)  # white, two-sided: variance times the step

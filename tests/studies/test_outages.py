@@ -294,7 +294,7 @@ def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
 
 
 def test_growth_by_grade_is_that_since_the_loss_and_each_bias_by_its_law():
-    """Sigmas of 5 m at the loss and 13 m a second later: 12 m. Biases as of A-2.4.4 and A-2.4.7, for short."""
+    """Sigmas of 5 m at the loss and 13 m a second later: 12 m. Biases by A-2.4.4 and A-2.4.7, for short."""
     sd = np.hypot(5.0, 12.0 * np.arange(601.0))
 
     class Work:

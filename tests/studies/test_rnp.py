@@ -374,3 +374,20 @@ def test_steering_errors_are_those_of_the_answer_at_the_instant(monkeypatch):
     monkeypatch.setattr(rnp, "error_series", lambda *_: errors)
     found = rnp._find_steering_errors(None, None, np.array([1.0, 2.0, 2.5, 4.0]))
     assert found[:, 0].tolist() == [1.0, 2.0, 3.0, 3.0]
+
+
+@pytest.mark.parametrize(("event", "word", "high"), [(False, "met", 1e-5), (True, "undecided", None)])
+def test_alerts_of_one_flight_come_together_and_may_decide_less(monkeypatch, event, word, high):
+    """A rate that is met, but with all alerts in one flight of eight the risk may be above 1e-4."""
+    begun, lost = np.ones((8, 50), bool), np.zeros((8, 50), bool)
+    lost[3, :5] = event
+    met = rnp.JudgedFigure(rnp.Estimate(0.0, 0.0, 1e-5), "met", 2.0)
+    monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds: (begun, lost))
+    monkeypatch.setattr(rnp, "judge_rate", lambda count, tried, most: met)
+    rows = list(rnp._list_continuity([None, None], rnp.Options(profiles="waypoints")))
+    assert [row["figure"] for row in rows] == [f"risk of an alert in 15 s, {plane}" for plane in rnp.PLANES]
+    for row in rows:
+        assert row["word"] == word
+        assert row["more_h"] == pytest.approx(2.0 * 15.0 / 3600.0)
+        assert row["high"] == high if high else 1e-4 < row["high"] <= 1.0
+        assert row["value"] == (5.0 / 400.0 if event else 0.0)

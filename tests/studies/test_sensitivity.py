@@ -99,3 +99,19 @@ def test_the_best_of_many_values_is_no_better_for_being_chosen():
 
 def test_draws_that_are_doubled_are_looked_at_each_time():
     assert [count_looks(*asked) for asked in ((12, 24), (6, 24), (2, 100), (24, 6))] == [2, 3, 7, 1]
+
+
+def test_the_ends_of_three_values_have_a_third_of_the_error_each():
+    errors = np.array([[1.0, 1.2, 0.9, 1.1], [1.5, 1.4, 1.7, 1.6], [2.0, 2.5, 1.8, 2.3]])
+    swept = [
+        Swept(value, tuple({"run": k, "converged": True, METRIC: one} for k, one in enumerate(row)))
+        for value, row in enumerate(errors)
+    ]
+    pair, alone = compare_ends(swept, METRIC, 0.03), compare_ends(swept[::2], METRIC, 0.01)
+    assert pair == alone
+    assert (pair.first, pair.second) == ("0", "2")
+    table = sensitivity._fill(
+        Options(profiles="s-turns", key="sensors.gnss.rate_hz"), {"mine": swept}
+    ).columns
+    assert list(table) == ["estimator", "rate_hz", "metric", "value", "low", "high", "runs", "lost"]
+    assert table["value"][0] == pytest.approx(np.sqrt(np.mean(errors[0] ** 2)))

@@ -25,6 +25,7 @@ from bench.navigation.error_state_filter.error_state import CORE, StateLayout
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.error_state_filter.state_processes import STEADY
+from bench.units import SAME_INSTANT
 
 _INDEX = index_of(StateLayout())  # of a filter of the core states alone
 
@@ -42,7 +43,7 @@ def find_epochs(path: LinearPath, data: SensorData) -> Epochs:
     steps, codes = [], []
     for record, kinds in ((data.fixes, (POSITION, VELOCITY)), (data.baro, (BARO,))):
         if record is not None:
-            at = np.searchsorted(path.t, record.t[record.valid] - 1e-6)
+            at = np.searchsorted(path.t, record.t[record.valid] - SAME_INSTANT)
             steps.append(np.repeat(at, len(kinds)))
             codes.append(np.tile(kinds, len(at)))
     if not steps:

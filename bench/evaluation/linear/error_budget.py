@@ -22,6 +22,7 @@ from bench.navigation.error_state_filter.measurement_rows import BARO
 from bench.navigation.error_state_filter.propagation import warmth_kernel
 from bench.navigation.error_state_filter.state_blocks import StateModel
 from bench.navigation.error_state_filter.state_processes import WARMTH
+from bench.units import SAME_INSTANT
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +164,7 @@ class _Walk:
         self.Pxs *= decay[:, None]
         self.Pss = self.Pss * decay[:, None] ** 2 + self.noise[k]
         for instants, r, kick in self.kicks:
-            if np.any(np.abs(instants - self.path.t[k + 1]) < 1e-6):
+            if np.any(np.abs(instants - self.path.t[k + 1]) < SAME_INSTANT):
                 self.Pss[r] += kick
 
     def correct(self, h: FloatArray, K: FloatArray, code: int, component: int, number: int, k: int) -> None:
@@ -217,6 +218,6 @@ class ProcessSteps:
         if self._at:
             white = white.copy()
             for r, at in self._at:
-                if not np.any(np.abs(at - t) < 1e-6):
+                if not np.any(np.abs(at - t) < SAME_INSTANT):
                     white[r] = 0.0
         return acts, white

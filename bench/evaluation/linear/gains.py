@@ -23,6 +23,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
 from bench.navigation.error_state_filter.state_blocks import Index, StateModel, state_model
 from bench.navigation.models.loose_tight import Fusion, Loose
 from bench.navigation.start.turn_on import find_turn_on
+from bench.units import SAME_INSTANT
 
 KNOWN = (POSITION, VELOCITY, BARO)
 """Sensors of `bench.navigation.error_state_filter.measurement_rows` whose rows there are here."""
@@ -87,7 +88,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
             f"the linear model knows fixes and barometers, not {', '.join(sorted(used))}; "
             "leave out what asks for it"
         )
-    step = np.clip(np.searchsorted(path.t, nodes.t - 1e-6), 0, len(path.t) - 1)
+    step = np.clip(np.searchsorted(path.t, nodes.t - SAME_INSTANT), 0, len(path.t) - 1)
     updates = _replay(table, nodes, step, path, model, data)
     asked = nodes.output[nodes.output >= 0]
     return Gains(path, model, updates, step[asked], nodes.P[asked, 1, :9, :9], int((~table.accepted).sum()))
@@ -131,7 +132,7 @@ def _replay(
     new[1:] = (np.diff(table.code) != 0) | (np.diff(table.component) <= 0)
     begins = np.flatnonzero(new)
     ends = np.append(begins[1:], n_rows)[: len(begins)]
-    at = np.clip(np.searchsorted(nodes.t, table.t[begins] - 1e-6), 0, len(nodes.t) - 1)
+    at = np.clip(np.searchsorted(nodes.t, table.t[begins] - SAME_INSTANT), 0, len(nodes.t) - 1)
     noise: dict[tuple[int, int], float] = {}
     found: list[tuple[int, int, int, int]] = []
     h_rows, gains = [], []
@@ -173,7 +174,7 @@ def _numbers(t: FloatArray, code: int, data: SensorData) -> IntArray:
     record = data.baro if code == BARO else data.fixes
     if record is None:
         return np.zeros(len(t), np.int64)
-    return np.clip(np.searchsorted(record.t_arrival, t - 1e-6), 0, len(record.t) - 1)
+    return np.clip(np.searchsorted(record.t_arrival, t - SAME_INSTANT), 0, len(record.t) - 1)
 
 
 def _join_nodes(stretches: list[Nodes]) -> Nodes:

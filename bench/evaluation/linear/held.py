@@ -19,6 +19,7 @@ from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES
 from bench.navigation.models.loose_tight import Fusion
 from bench.navigation.models.smoother import Smoother
 from bench.sensor_specs import SensorsSpec
+from bench.units import SAME_INSTANT
 
 _RATE = 1.0  # of the instants of a run that are held against the bound [Hz]
 
@@ -56,7 +57,7 @@ def bound_flight(
     model = model_errors(truth, spec, seed, known_jumps=False)
     stops = [record.t for record in (data.fixes, data.baro) if record is not None]
     path = make_path(truth, spec.imu, np.concatenate([t, *stops]))
-    output = np.searchsorted(path.t, t - 1e-6)
+    output = np.searchsorted(path.t, t - SAME_INSTANT)
     return bound_errors(path, model, find_epochs(path, data), output, data.antenna_b, smooth=smooth)
 
 

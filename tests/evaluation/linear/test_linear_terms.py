@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from bench.errors import ConfigError
-from bench.evaluation.linear import error_budget, held, quantities, terms
+from bench.evaluation.linear import error_budget, gains, held, quantities, terms
 from bench.evaluation.linear.best_linear import find_epochs
 from bench.evaluation.linear.path import FACTORS, make_path
 from bench.evaluation.linear.terms import IMU, Constant, ErrorProcess
@@ -328,3 +328,77 @@ def test_draws_over_a_bound_have_the_interval_of_their_spread():
     assert (turned.rmse, turned.bound) == pytest.approx((np.sqrt(14.0 / 3.0), 0.5))
     assert quantities.compare_draws(errors * np.nan, least, horizontal) is None
     assert quantities.compare_run(errors[:, 0] * np.nan, least, horizontal) is None
+
+
+@pytest.mark.parametrize("alternate", [True, False])
+def test_the_interval_of_one_run_counts_what_its_correlation_leaves(alternate):
+    """Ten errors of +-1 or of 1: rho^2 at lag k is (1 - k / 10)^2, whatever its sign."""
+    size = np.where(np.arange(10) % 2, -1.0 if alternate else 1.0, 1.0)
+    found = quantities.compare_run(np.tile(size[:, None], (1, 9)), np.ones((10, 9)), quantities.QUANTITIES[1])
+    freedom = max(1.0, 10.0 / (1.0 + 2.0 * np.sum((1.0 - np.arange(1, 10) / 10.0) ** 2)))
+    low, high = (np.sqrt(freedom / chi2.ppf(p, freedom)) for p in (0.9995, 0.0005))
+    assert (found.ratio, found.low, found.high) == pytest.approx((1.0, low, high))
+
+
+# --- the walk of the errors of a filter -------------------------------------------------------------------
+
+
+def walk(*processes: ErrorProcess, constants: tuple[Constant, ...] = ()) -> error_budget._Walk:
+    """The errors of a filter of 15 states on a path of ten steps of 0.1 s."""
+    path = make_path(turning(1.0, 100.0), ImuSpec("x", TriadSpec(), TriadSpec()), np.empty(0))
+    none = np.zeros(15)
+    process = SimpleNamespace(drives=np.empty((0, 3), np.int64), decay_time=none, decay_distance=none)
+    model = SimpleNamespace(layout=SimpleNamespace(size=15), process=process)
+    return error_budget._Walk(path, terms.TruthModel((), constants, processes), model)
+
+
+def test_a_jump_comes_at_its_instant_and_fades():
+    jump = ErrorProcess("jump", POSITION, kick=np.array([4.0, 0.0, 1.0]), at=np.array([0.5]), decay_time=0.2)
+    one, found = walk(jump), []
+    for k in range(10):
+        one.move(k)
+        found.append(one.Pss[0, 0])
+    assert_allclose(found[:4], 0.0)
+    assert_allclose(found[4:], 4.0 * np.exp(-0.4 * 0.1 * np.arange(6)))
+    assert_allclose(one.Pss[0, 1:], [0.0, 0.25 * found[-1]])
+
+
+def test_a_known_height_error_goes_in_by_the_gain_of_the_barometer():
+    down = np.eye(15)[2]
+    one = walk(
+        constants=(Constant("port", height=np.array([5.0, 7.0])), Constant("start", start=2.0 * down[:9]))
+    )
+    gain = np.arange(15.0)
+    one.correct(-down, gain, BARO, 0, 1, 0)
+    assert_allclose(one.X[:, 0], 7.0 * gain)
+    assert_allclose(one.X[:, 1], 2.0 * down + 2.0 * gain)
+    one.correct(0.0 * down, gain, POSITION, 0, 0, 0)
+    assert_allclose(one.X[:, 0], 7.0 * gain)
+
+
+def test_a_correction_is_that_of_the_matrix_equations():
+    """A wandering fix and white noise: P of (x, s) by (I - K h') P (I - K h')' + K r K', row by row."""
+    wander = ErrorProcess("wander", POSITION, variance=np.array([4.0, 9.0, 1.0]), decay_time=0.1)
+    noise = ErrorProcess("noise", POSITION, white=np.array([0.5, 0.25, 2.0]))
+    one = walk(wander, noise)
+    drawn, h = 0.3 * np.random.default_rng(3).standard_normal((4, 15)), np.eye(15)[:3]
+    P, R = np.zeros((18, 18)), np.zeros((15, 15))
+    P[15:, 15:] = np.diag(wander.variance)
+    for gain, axis in zip(drawn, (0, 1, 0, 2), strict=True):
+        one.correct(h[axis], gain, POSITION, axis, 0, 0)
+        row = np.concatenate([h[axis], -np.eye(3)[axis]])  # h x - s
+        A = np.eye(18) - np.outer(np.concatenate([gain, np.zeros(3)]), row)
+        P = A @ P @ A.T
+        A = np.eye(15) - np.outer(gain, h[axis])
+        R = A @ R @ A.T + noise.white[axis] * np.outer(gain, gain)
+    assert_allclose(one.Pxx[:, 0], P[:15, :15], atol=1e-12)
+    assert_allclose(one.Pxs[:, 0], P[:15, 15:], atol=1e-12)
+    assert_allclose(one.Pss[0], wander.variance)
+    assert_allclose(one.Pxx[:, 1], R, atol=1e-12)
+
+
+def test_a_measurement_comes_from_the_row_that_arrived_then():
+    record = SimpleNamespace(t=np.arange(3.0), t_arrival=np.array([1.0, 2.0, 3.0]))
+    data = SimpleNamespace(baro=record, fixes=None)
+    assert gains._numbers(np.array([1.0, 2.0, 3.5]), BARO, data).tolist() == [0, 1, 2]
+    assert gains._numbers(np.array([1.0, 2.0]), POSITION, data).tolist() == [0, 0]
