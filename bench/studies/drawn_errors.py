@@ -18,6 +18,7 @@ from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator
 from bench.specs import EstimatorChoice, Profile
 from bench.studies.study import read_settings
+from bench.units import SAME_INSTANT
 
 INTERVAL = 1.0
 """Between the instants of a study [s]."""
@@ -57,7 +58,7 @@ def _load(flight: UnitFlight) -> tuple[Profile, Trajectory]:
 
 def output_times(truth: Trajectory, profile: Profile) -> FloatArray:
     """Return the instants of a study: every second, and the last before and after each outage."""
-    whole = np.arange(truth.t[0], truth.t[-1] + 1e-9, INTERVAL)
+    whole = np.arange(truth.t[0], truth.t[-1] + SAME_INSTANT, INTERVAL)
     ends = [stop - INTERVAL for _, stop in profile.sensors.gnss_outages if stop - INTERVAL > truth.t[0]]
     return np.union1d(np.round(whole, 6), np.round(ends, 6))
 

@@ -256,7 +256,7 @@ def _read(options: Options, seed: int | None = None) -> Profile:
 
 def _choose_rows(truth: Trajectory, profile: Profile) -> Any:
     """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
-    t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + 1e-9, _INTERVAL)
+    t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + SAME_INSTANT, _INTERVAL)
     return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT).clip(max=len(truth.t) - 1))
 
 

@@ -253,3 +253,16 @@ def test_a_share_is_judged_by_flights_and_tells_how_many_hours_more():
     assert judge_share(flights, 0.999, 10.0).word == "missed"
     assert judge_share(flights, 0.5, 10.0).word == "met"
     assert hours_flown((3, 40), 15.0) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_solutions_that_are_apart_along_any_axis_raise_an_alarm(axis):
+    """Covariances of 1 and 2 m^2, so their difference has 1 m^2: 6 m is beyond what is asked, 2 m is not."""
+    truth, cov = weaving_truth(duration=0.02), np.diag([1.0, 1.0, 1.0, *np.zeros(6)])
+    for size, alarm in ((6.0, True), (2.0, False)):
+        full = wrong_solution(truth, every=1, pos_n=np.zeros(3), cov=cov)
+        one = wrong_solution(truth, every=1, pos_n=size * np.eye(3)[axis], cov=2.0 * cov)
+        found = protect_by_separation(full, [one], 1e-5, 1e-3)
+        assert found.alarm.all() == alarm == found.alarm.any()
+        bound = multipliers(1e-5) + np.sqrt(2.0) * multipliers(1e-3)
+        assert_allclose(found.level, np.tile(bound, (len(found.level), 1)))

@@ -65,7 +65,12 @@ LIMITS = {
     53: [(0, 1e-11)],
     54: [(1738.15, 1738.25)],
     55: [(23.7835, 23.7845)],
-    59: [(3.6, 3.8), *((0.9 * one, 1.1 * one) for one in (1.3e-4, 3.8e-4, 3.7e-5)), *[(0, 4)] * 3],
+    59: [
+        (3.6, 3.8),
+        *((0.9 * one, 1.1 * one) for one in (1.3e-4, 3.8e-4, 3.7e-5)),
+        *[(0, 4)] * 3,
+        *[(None, None)] * 3,
+    ],
     60: [(0, 1)],
 }
 """Row -> between what its numbers must lie by the register; None: what is found tells."""
