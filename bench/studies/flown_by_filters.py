@@ -89,7 +89,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     flown = {case: found[k * n : (k + 1) * n] for k, case in enumerate(cases)}
     return Findings(
         verdicts=tuple(_tell_flown(flown)),
-        tables=(_tabulate(flown),),
+        tables=tuple(_tabulate(flown)),
         figures=(_plot_misses(flown),),
         draws=n,
     )
@@ -164,24 +164,29 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> FindingTable:
-    rows = []
+def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[FindingTable]:
+    """Yield the misses and, where a flight has a path, the errors across it."""
+    rows, across = list[list[Any]](), list[list[Any]]()
     first = _collect(next(iter(flown.values())))
     for (unit, use), flights in flown.items():
         miss = _collect(flights)
         middle = estimate_quantile(miss, 0.5)
-        row: list[Any] = [unit or "of the profile", use, len(flights), sum(one.crashed for one in flights)]
+        head = [unit or "of the profile", use]
+        row = [*head, len(flights), sum(one.crashed for one in flights)]
         row += [_finite(one) for one in (middle.value, middle.low, middle.high, float(miss.max()))]
         for part in PARTS:
             squares = np.array([one.errors[part] for one in flights if part in one.errors])
-            rms = pool_rmse(squares) if len(squares) > 1 else None
-            row += [None] * 3 if rms is None else [rms.value, rms.low, rms.high]
+            if len(squares) > 1:
+                rms = pool_rmse(squares)
+                across.append([*head, part.upper(), rms.value, rms.low, rms.high])
         rows.append([*row, compare_misses(miss, first)[0]])
     rows[0][-1] = "the first"
-    spread = [f"{part}_across{end}_m" for part in PARTS for end in ("_rms", "_low", "_high")]
     names = ("imu", "filter", "draws", "crashed", "miss_m", "miss_low_m", "miss_high_m", "miss_max_m")
-    title = "Miss distance (median, 95 %, largest; none: a crash) and errors across the path (95 %)"
-    return make_table("closed-loop", title, (*names, *spread, "miss_is"), rows)
+    title = "Miss distance: median with its 95 % interval, and the largest; none: a crash"
+    yield make_table("closed-loop", title, (*names, "miss_is"), rows)
+    if across:
+        title = "Errors across the path: total, of the flight, of the navigation; RMS with its 95 % interval"
+        yield make_table("across", title, ("imu", "filter", "error", "rms_m", "low_m", "high_m"), across)
 
 
 def _plot_misses(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Plot:

@@ -11,6 +11,7 @@ import bench
 from bench import disk_arrays, earth
 from bench.cli import main
 from bench.data import InitialState, NavSolution, SensorData
+from bench.evaluation import coverage
 from bench.evaluation.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_answered_epochs, find_covered_epochs
 from bench.evaluation.verdict import add_verdict
@@ -198,3 +199,40 @@ def test_each_block_that_a_filter_declares_counts(flown):
     assert part.text.startswith("answers position at 100 %, velocity at 50.2 %, attitude at 100 % of the")
     bare = measure_coverage(silence(whole, whole.t >= 0.0, ("q_nb",)), data)
     assert list(bare.shares) == ["pos", "vel"]
+
+
+@pytest.mark.parametrize(("wait", "late"), [(0.9, False), (1.1, True)])
+def test_a_first_answer_after_a_second_is_late(wait, late):
+    solution = wrong_solution(weaving_truth(10.0))  # ten a second
+    found = measure_coverage(silence(solution, solution.t < solution.t[0] + wait - 0.01), None)
+    assert found.waited == pytest.approx(wait)
+    assert found.first == (pytest.approx(solution.t[0] + wait) if late else None)
+    assert found.shares == {"pos": 1.0, "vel": 1.0, "phi": 1.0}
+
+
+def test_a_sensor_is_silent_for_more_than_one_and_a_half_of_its_intervals():
+    """Reports at 0, 1, 2, 3.4, 4, 5.6, 6 s, the last but one late by 1.6 s; without a report always."""
+    reports, t = (
+        np.array([0.0, 1.0, 2.0, 3.4, 4.4, 6.0, 7.0]),
+        np.array([-1.0, 0.5, 2.7, 4.4, 5.0, 6.0, 6.5, 8.0]),
+    )
+    expected = [True, False, False, False, True, True, False, True]
+    assert coverage._is_silent(t, reports).tolist() == expected
+    assert coverage._is_silent(t, reports[:1]).all()
+
+
+@pytest.mark.parametrize(("share", "text", "enough"), [(0.9899, "98.9 %", False), (0.9909, "99 %", True)])
+def test_shares_are_rounded_down_and_the_least_counts(share, text, enough):
+    found = Coverage({"pos": 1.0, "vel": share}, 0.0, 30.0, (2.5, 4.0))
+    assert found.text == (
+        f"answers position at 100 %, velocity at {text} of the instants asked for from its first answer on, "
+        "with the longest silence from 2.5 to 4 s"
+    )
+    assert (found.share, found.enough) == (share, enough)
+    assert Coverage({"pos": 1.0}, 0.0, None, (0.0, 0.0)).text == "answers 100 % of the instants asked for"
+
+
+def test_the_longest_run_is_that_of_the_longest_time():
+    t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 9.0, 10.0])
+    assert coverage._find_longest(t, np.array([0, 1, 2, 4, 5])) == (4.0, 9.0)
+    assert coverage._find_longest(t, np.array([], int)) == (0.0, 0.0)
