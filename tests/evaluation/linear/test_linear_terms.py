@@ -402,3 +402,11 @@ def test_a_measurement_comes_from_the_row_that_arrived_then():
     data = SimpleNamespace(baro=record, fixes=None)
     assert gains._numbers(np.array([1.0, 2.0, 3.5]), BARO, data).tolist() == [0, 1, 2]
     assert gains._numbers(np.array([1.0, 2.0]), POSITION, data).tolist() == [0, 0]
+
+
+def test_figures_are_roots_of_sums_in_their_units():
+    variance = np.square([3.0, 4.0, 2.0, 0.6, 0.8, 9.0, *np.deg2rad([0.3, 0.4, 5.0])])
+    found = {one.name: float(one.sd(variance)) for one in quantities.QUANTITIES}
+    assert found == pytest.approx(
+        {"horizontal_m": 5.0, "height_m": 2.0, "velocity_mps": 1.0, "tilt_deg": 0.5, "heading_deg": 5.0}
+    )
