@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 import bench
 from bench import earth, pipeline
 from bench.config import load_profile
-from bench.data import Events
+from bench.data import Events, no_events
 from bench.errors import ConfigError
 from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
@@ -391,3 +391,28 @@ def test_alerts_of_one_flight_come_together_and_may_decide_less(monkeypatch, eve
         assert row["more_h"] == pytest.approx(2.0 * 15.0 / 3600.0)
         assert row["high"] == high if high else 1e-4 < row["high"] <= 1.0
         assert row["value"] == (5.0 / 400.0 if event else 0.0)
+
+
+@pytest.mark.parametrize("steered", [False, True])
+def test_a_flight_is_watched_in_the_plane_and_in_height_by_hand(monkeypatch, steered):
+    """Errors of 3, 4 and -12 m. Where answers steered it, at the first of them from each second on."""
+    truth = SimpleNamespace(t=np.linspace(0.0, 4.0, 401), events=no_events())
+    answers = SimpleNamespace(t=np.array([0.0, 0.7, 1.0, 1.4, 2.3, 3.0, 3.2])) if steered else None
+    profile = SimpleNamespace(evaluation=EvaluationWindow(1.0), flight=None)
+    sensed = SimpleNamespace()
+
+    def measure(truth, solution):
+        n = len(solution.t)
+        return SimpleNamespace(t=solution.t, pos_n=np.tile([3.0, 4.0, -12.0], (n, 1)))
+
+    level = SimpleNamespace(level=np.full((3, 2), 20.0), alarm=np.zeros(3, bool))
+    monkeypatch.setattr(rnp, "_load", lambda options, number: (profile, truth, answers))
+    monkeypatch.setattr(rnp.pipeline, "sense", lambda *given: sensed)
+    monkeypatch.setattr(rnp, "_navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
+    monkeypatch.setattr(rnp, "error_series", measure)
+    monkeypatch.setattr(rnp, "protect_fault_free", lambda solution: level)
+    found = rnp.watch_run(rnp._Run(rnp.Options(profiles="made", estimator="loose-15"), 0))
+    assert_allclose(found.t, [1.0, 2.3, 3.0] if steered else [1.0, 2.0, 3.0, 4.0])
+    assert_allclose(found.error, [[5.0, 12.0]] * len(found.t))
+    assert np.isnan(found.across).all()
+    assert not found.crashed
