@@ -34,8 +34,12 @@ _HEADER = (
 _MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is a few cm/s; assumed [m/s]
 _MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
 _MOST_LINES = 6  # of parts that are left out; a file of another kind has hundreds
-_HONEST = (0.5, 1.6)  # mean NEES over 3 of a day whose claim fits; the errors of a day hang together; assumed
-_ONE_DRAW = (0.0719, 3.116)  # 95 % of a chi-square of three over 3: one error that all epochs have
+_MEMORY = 10800.0
+"""Time after which the errors of fixes have lost all but 1/e of their correlation [s]; assumed. Errors of the
+ionosphere and of ephemerides, which are sent anew every two hours, stay as long as that: after one hour the
+fixes of ESBC have 0.6 to 0.9 of it."""
+_PICKED = 48  # epochs that stand for a record; more tell the same
+_DRAWS = 20000  # of such records, for 95 % of them
 
 
 class SatelliteUse(NamedTuple):
@@ -189,16 +193,27 @@ class RinexFixes:
         beside = f" with {self.truth_sd:g} m for the reference" if self.truth_sd else ""
         return word, (
             f"the errors {says} what the covariances claim{beside}: NEES/3 is {ratio:.2f} "
-            f"(1 is right, {low:.2g} to {high:.2g} fit: the errors of a day hang together)"
+            f"(1 is right; of records as long as this 95 % have {low:.2g} to {high:.2g}, "
+            "as errors stay for hours)"
         )
 
     def _find_bounds(self) -> tuple[float, float]:
-        """Return between which NEES/3 fits: wider by the share of the reference, a single draw."""
+        """Return between which the mean NEES/3 of 95 % of such records is, if the covariances are right.
+
+        The error of the reference is one for all epochs, that of the fixes loses its correlation. The mean of
+        squares of normal variables with a correlation matrix R (M, M) is the sum of its eigenvalues over M,
+        each times the square of an independent one; the band is that of draws of these, three for each.
+        """
+        good = self.fixes.valid
         variance = self.truth_sd**2
-        weights = np.linalg.inv(self.fixes.cov_pos_n[self.fixes.valid] + variance * np.eye(3))
+        weights = np.linalg.inv(self.fixes.cov_pos_n[good] + variance * np.eye(3))
         share = float(variance * np.einsum("mii->m", weights).mean() / 3)
-        low, high = ((1 - share) * day + share * draw for day, draw in zip(_HONEST, _ONE_DRAW, strict=True))
-        return low, high
+        t = self.observations.t[good]
+        t = t[np.linspace(0, len(t) - 1, min(len(t), _PICKED)).astype(int)]
+        R = (1 - share) * np.exp(-np.abs(t[:, None] - t) / _MEMORY) + share
+        squares = np.random.default_rng(0).chisquare(3, (_DRAWS, len(t)))
+        low, high = np.percentile(squares @ np.linalg.eigvalsh(R) / (3 * len(t)), [2.5, 97.5])
+        return float(low), float(high)
 
     def count_lost(self) -> dict[str, int]:
         """Return how many epochs have no fix for each reason."""

@@ -8,7 +8,7 @@ padded arrays (M, S), where a weight of 0 stands for a place without a satellite
 
 from __future__ import annotations
 
-from statistics import NormalDist
+from math import erfc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,6 +30,10 @@ _MEDIAN = 0.6745  # median of the size of a standard normal variable
 _ROUNDS = 10  # of new weights, `_reweight`
 _KEPT, _LEFT = 1.5, 3.0  # normalised residuals of full and of no weight; Yang 2002: 1 to 1.5, 2.5 to 8
 _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weight
+_FAULT = 30.0  # up to about which size faults are equally likely [m]; assumed, 10 to 1000 find the same ones
+_SIZES = np.linspace(0.0, 12.0, 1201)  # of a standard normal variable [1]
+_LOG_TAILS = np.log([erfc(x / np.sqrt(2.0)) for x in _SIZES])  # chance that it is as large, either sign
+_REFINED = 8  # steps to a threshold, of Newton; with 5e-3 three have all digits
 EARTH_RADIUS = 6371e3  # [m]
 SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
 _NO_DECAY = 1e-6  # stands for a decay of 0: errors of satellites are independent [m]
@@ -61,7 +65,7 @@ class PositionFixes(NamedTuple):
     residual: FloatArray  # (K,) measured minus computed [m]; NaN where not used
     normalised: FloatArray  # (K,) the same over its sd, the statistic of the w-test; NaN where untestable
     chi2: FloatArray  # (M,) weighted sum of squared residuals
-    passed: BoolArray  # (M,) solved, and no normalised residual above its threshold
+    passed: BoolArray  # (M,) solved, and no fault is found among the satellites used
 
 
 class VelocityFixes(NamedTuple):
@@ -162,6 +166,7 @@ class _Solution(NamedTuple):
     present: BoolArray  # (M, 4) systems
     residual: FloatArray  # (M, S)
     normalised: FloatArray  # (M, S) absolute; 0 where it says nothing
+    share: FloatArray  # (M, S) by which a metre of a range changes it [1/m]; 0 where it says nothing
     chi2: FloatArray  # (M,)
     spare: IntArray  # (M,) redundancy
 
@@ -217,22 +222,43 @@ def _iterate(
         at = np.flatnonzero(going)
         solved[at[done]] = True
         going[at[done | ~regular | ~np.isfinite(step).all(axis=1)]] = False
-    normalised, chi2 = np.zeros((M, S)), np.full(M, np.nan)
+    normalised, share, chi2 = np.zeros((M, S)), np.zeros((M, S)), np.full(M, np.nan)
     if full:
         WH = weigh(H, np.ones(M, bool))
         weighted = (W @ residual[..., None])[..., 0]
         free = np.einsum("mss->ms", W) - np.einsum("msi,msi->ms", WH @ cov, WH)
         told = padded.used & (free > 1e-6 * np.einsum("mss->ms", W))
-        normalised = np.where(told, np.abs(weighted) / np.sqrt(np.where(told, free, 1.0)), 0.0)
+        share = np.sqrt(np.where(told, free, 0.0))
+        normalised = np.where(told, np.abs(weighted) / np.where(told, share, 1.0), 0.0)
         chi2 = np.maximum(np.einsum("ms,ms->m", residual, weighted), 0.0)
-    return _Solution(x, solved, steps, cov, present, residual, normalised, chi2, spare)
+    return _Solution(x, solved, steps, cov, present, residual, normalised, share, chi2, spare)
 
 
-def _limit(count: IntArray, false_alarm: float) -> FloatArray:
-    """Return the threshold (M,) of the largest of ``count`` (M,) normalised residuals (Bonferroni)."""
-    table = [np.inf]
-    table += [-NormalDist().inv_cdf(false_alarm / (2 * n)) for n in range(1, int(count.max(initial=1)) + 1)]
-    return np.array(table)[count]
+def find_alarms(normalised: FloatArray, share: FloatArray, false_alarm: float) -> tuple[BoolArray, IntArray]:
+    """Return which epochs (M,) have a fault, and the row (M,) that most likely has it.
+
+    A fault of b metres in row i shifts its normalised residual w by ``share`` s times b. If all sizes up to
+    some ten metres are equally likely, the odds of a fault in row i against none are
+    ``exp(w^2 / 2) / sqrt(1 + (30 m s)^2)``: of two rows with the same w the one that shows less of a fault has
+    it. The test of the largest odds finds most of such faults (Neyman and Pearson). With its threshold the
+    chances of all rows have the sum ``false_alarm`` (Bonferroni).
+
+    Parameters
+    ----------
+    normalised, share : (M, S) arrays
+        Both 0 where a row tells nothing; [1] and [1/m].
+    """
+    told = share > 0.0
+    margin = np.where(told, np.log1p((_FAULT * share) ** 2), 0.0)
+    size = np.where(told, normalised**2 - margin, -np.inf)
+    limit = np.full(len(size), 10.0)
+    for _ in range(_REFINED):
+        x = np.sqrt(np.maximum(limit[:, None] + margin, 1e-2))
+        chance = np.where(told, np.exp(np.interp(x, _SIZES, _LOG_TAILS)), 0.0)
+        slope = np.where(told, np.exp(-(x**2) / 2.0) / (np.sqrt(2.0 * np.pi) * x), 0.0).sum(axis=1)
+        total = np.maximum(chance.sum(axis=1), 1e-300)
+        limit += np.log(total / false_alarm) * total / np.maximum(slope, 1e-300)
+    return np.asarray(size.max(axis=1) > limit), size.argmax(axis=1)
 
 
 def _reweight(normalised: FloatArray, used: BoolArray, final: bool) -> FloatArray:
@@ -293,9 +319,8 @@ def solve_positions(
     shared : Shared or None
         Errors that ranges have in common; None: they are independent.
     false_alarm : float
-        Chance that a sound epoch loses a satellite. While the largest normalised residual is above its
-        threshold, that satellite is left out; an epoch where it stays above has not passed. 0: nothing is
-        tested.
+        Chance that a sound epoch loses a satellite. While a fault is found, its satellite is left out; an
+        epoch where one is still found has not passed. 0: nothing is tested.
     robust : bool
         Give large normalised residuals less weight before they are tested.
     rough : bool
@@ -309,7 +334,7 @@ def solve_positions(
     -----
     The normalised residual of row i is ``(W v)_i / sqrt((W - W H (H' W H)^-1 H' W)_ii)``, W the inverse of
     the covariance of the ranges and v their residuals: the w-test of Baarda for correlated measurements
-    (Teunissen, Testing Theory, 2006). Its threshold for n satellites is that of false_alarm / n, two-sided.
+    (Teunissen, Testing Theory, 2006). :func:`find_alarms` finds the fault.
 
     At most half of the redundant satellites are left out, with ``robust`` too; an epoch that needs more has
     not passed. With n satellites and u unknowns k wrong ranges and u - 1 sound ones can agree with a false
@@ -364,9 +389,8 @@ def solve_positions(
         left, spare = whole[padded.epochs] - kept, found.spare - weightless
         passed = found.solved & (rough | (spare >= left))
         if false_alarm > 0 and not rough:
-            worst = found.normalised.argmax(axis=1)
-            limit = _limit(padded.used.sum(axis=1), false_alarm)
-            alarm = found.solved & (found.normalised.max(axis=1) > limit)
+            alarm, worst = find_alarms(found.normalised, found.share, false_alarm)
+            alarm &= found.solved
             passed &= ~alarm
             again = np.flatnonzero(alarm & (spare >= left + 2))  # the next one keeps what is said below
             if len(again):

@@ -381,7 +381,11 @@ def test_shared_errors_of_ranges_are_in_the_weights_the_covariance_and_the_tests
 
 
 def test_faults_are_found_as_often_as_the_covariance_predicts():
-    """A range 5.5 sigma off: the non-central normal beyond the Bonferroni threshold, within 99.9 %."""
+    """A range 5.5 sigma off: the non-central normal beyond its threshold, within 99.9 %.
+
+    The threshold of a row is by its odds; the chances of all rows, by SciPy, have the sum that is said.
+    """
+    from scipy.optimize import brentq
     from scipy.stats import norm
 
     draw, count, size = np.random.default_rng(8), 3000, 5.5
@@ -396,11 +400,54 @@ def test_faults_are_found_as_often_as_the_covariance_predicts():
         n * np.arange(count + 1), np.tile(seen.pos_e, (count, 1)), measured.ravel(), np.ones(n * count),
         np.tile(seen.system, count), start_e=np.tile(here, (count, 1)), false_alarm=1e-2,
     )  # fmt: skip
-    limit = norm.isf(1e-2 / (2 * n))
-    predicted = norm.cdf(size * np.sqrt(free[victim]) - limit)
+    margin = np.log(1 + 900.0 * free)
+    odds = brentq(lambda c: 2 * norm.sf(np.sqrt(c + margin)).sum() - 1e-2, 0.0, 50.0)
+    predicted = norm.cdf(size * np.sqrt(free[victim]) - np.sqrt(odds + margin[victim]))
     found = np.mean(~fix.used.reshape(count, n)[:, victim])
     assert abs(found - predicted) < 3.29 * np.sqrt(predicted * (1 - predicted) / count) + 0.01
     assert 0.3 < predicted < 0.95
+
+
+@pytest.mark.parametrize("false_alarm", [0.3, 1e-2, 5e-3, 1e-6])
+def test_the_likeliest_fault_alarms_as_often_as_is_said(false_alarm):
+    """The threshold of one row is that of the normal distribution; of many their chances have the sum said.
+
+    The odds are those of a fault whose size is uniform over a width of 30 m sqrt(2 pi), integrated by SciPy.
+    """
+    from scipy.integrate import quad
+    from scipy.stats import norm
+
+    limit = norm.isf(false_alarm / 2)
+    w = np.array([[limit - 1e-3], [limit + 1e-3]])
+    alarm, _ = least_squares.find_alarms(w, np.full((2, 1), 0.4), false_alarm)
+    assert alarm.tolist() == [False, True]
+
+    share = np.array([0.9, 0.3, 0.25, 0.1, 0.02, 0.0])
+    told = share > 0
+    margin = np.log(1 + (30 * share) ** 2)
+    low, high = -10.0, 60.0
+    for _ in range(60):  # the odds where the alarm begins, by the alarms alone
+        middle = (low + high) / 2
+        w = np.diag(np.sqrt(np.maximum(middle + margin, 0.0)))[:5] * told
+        alarm, worst = least_squares.find_alarms(w, np.tile(share, (5, 1)), false_alarm)
+        assert worst[alarm].tolist() == np.flatnonzero(alarm).tolist()
+        low, high = (low, middle) if alarm[0] else (middle, high)
+    chance = 2 * norm.sf(np.sqrt(np.maximum(high + margin, 0.0)))[told].sum()
+    assert_allclose(chance, false_alarm, rtol=1e-3)
+
+    w, wide = np.array([3.9, 4.05]), 30 * np.sqrt(2 * np.pi)
+    for share in ([0.9, 0.3], [0.4, 0.35], [0.2, 0.9]):
+        odds = [
+            quad(lambda b, s=s, x=x: np.exp(b * s * x - (b * s) ** 2 / 2) / wide, -300, 300, limit=200)[0]
+            for s, x in zip(share, w, strict=True)
+        ]
+        _, worst = least_squares.find_alarms(w[None], np.array([share]), false_alarm)
+        assert worst[0] == np.argmax(odds)
+
+
+def test_a_row_that_tells_nothing_has_no_fault():
+    alarm, _ = least_squares.find_alarms(np.zeros((2, 3)), np.zeros((2, 3)), 5e-3)
+    assert not alarm.any()
 
 
 def lie(seen, here, rows, liars, draw):
