@@ -17,6 +17,7 @@ from bench.data import GnssFixes, GnssObservations, SkyView
 from bench.errors import ConfigError
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
+from bench.exchange.nees_band import find_band
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations
@@ -34,12 +35,6 @@ _HEADER = (
 _MOVING_SPEED = 0.5  # median speed above which a receiver moves; at rest it is a few cm/s; assumed [m/s]
 _MOVING_SPREAD = 50.0  # 95 % distance from the median position above which it moves; assumed [m]
 _MOST_LINES = 6  # of parts that are left out; a file of another kind has hundreds
-_MEMORY = 10800.0
-"""Time after which the errors of fixes have lost all but 1/e of their correlation [s]; assumed. Errors of the
-ionosphere and of ephemerides, which are sent anew every two hours, stay as long as that: after one hour the
-fixes of ESBC have 0.6 to 0.9 of it."""
-_PICKED = 48  # epochs that stand for a record; more tell the same
-_DRAWS = 20000  # of such records, for 95 % of them
 
 
 class SatelliteUse(NamedTuple):
@@ -184,7 +179,7 @@ class RinexFixes:
         if "nees_3" not in figures:
             return "", ""
         ratio = figures["nees_3"]
-        low, high = self._find_bounds()
+        low, high = self._find_band()
         word, says = (
             ("overconfident", "are larger than") if ratio > 1 else ("underconfident", "are smaller than")
         )
@@ -197,23 +192,12 @@ class RinexFixes:
             "as errors stay for hours)"
         )
 
-    def _find_bounds(self) -> tuple[float, float]:
-        """Return between which the mean NEES/3 of 95 % of such records is, if the covariances are right.
-
-        The error of the reference is one for all epochs, that of the fixes loses its correlation. The mean of
-        squares of normal variables with a correlation matrix R (M, M) is the sum of its eigenvalues over M,
-        each times the square of an independent one; the band is that of draws of these, three for each.
-        """
-        good = self.fixes.valid
-        variance = self.truth_sd**2
+    def _find_band(self) -> tuple[float, float]:
+        """Return between which NEES/3 fits: the error of the reference is one for all epochs."""
+        good, variance = self.fixes.valid, self.truth_sd**2
         weights = np.linalg.inv(self.fixes.cov_pos_n[good] + variance * np.eye(3))
-        share = float(variance * np.einsum("mii->m", weights).mean() / 3)
-        t = self.observations.t[good]
-        t = t[np.linspace(0, len(t) - 1, min(len(t), _PICKED)).astype(int)]
-        R = (1 - share) * np.exp(-np.abs(t[:, None] - t) / _MEMORY) + share
-        squares = np.random.default_rng(0).chisquare(3, (_DRAWS, len(t)))
-        low, high = np.percentile(squares @ np.linalg.eigvalsh(R) / (3 * len(t)), [2.5, 97.5])
-        return float(low), float(high)
+        share = variance * float(np.einsum("mii->m", weights).mean()) / 3
+        return find_band(self.observations.t[good], share)
 
     def count_lost(self) -> dict[str, int]:
         """Return how many epochs have no fix for each reason."""

@@ -239,9 +239,9 @@ def find_alarms(normalised: FloatArray, share: FloatArray, false_alarm: float) -
 
     A fault of b metres in row i shifts its normalised residual w by ``share`` s times b. If all sizes up to
     some ten metres are equally likely, the odds of a fault in row i against none are
-    ``exp(w^2 / 2) / sqrt(1 + (30 m s)^2)``: of two rows with the same w the one that shows less of a fault has
-    it. The test of the largest odds finds most of such faults (Neyman and Pearson). With its threshold the
-    chances of all rows have the sum ``false_alarm`` (Bonferroni).
+    ``exp(w^2 / 2) / sqrt(1 + (30 m s)^2)``: of two rows with the same w the one with the smaller s has it.
+    The test of the largest odds finds most of such faults (Neyman and Pearson). By its threshold the chances
+    of all rows have the sum ``false_alarm`` (Bonferroni).
 
     Parameters
     ----------

@@ -18,6 +18,7 @@ import bench
 from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
+from bench.exchange import nees_band
 from bench.exchange.rinex import ephemerides, observations
 from bench.exchange.rinex.lines import gps_seconds
 from bench.orbit_sets import BEIDOU, GALILEO, GPS
@@ -413,7 +414,7 @@ def test_short_records_are_one_draw_of_errors_that_stay(monkeypatch):
     for files, options in ((ESBC, {}), (KMS3, {}), (KMS3, {"systems": "both"}), (SEPT, {"truth": SURVEYED})):
         assert solved(files, **options).judge()[0] == "consistent"
     found = solved(ESBC)
-    low, high = found._find_bounds()
+    low, high = nees_band.find_band(found.observations.t)
     nees, error = found.figures()["nees_3"], found.errors()
     for factor, word in ((0.99 * high, "consistent"), (1.01 * high, "over"), (0.99 * low, "under")):
         scaled = error * np.sqrt(factor / nees)

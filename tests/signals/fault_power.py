@@ -3,8 +3,8 @@
 ``python -m tests.signals.fault_power OBSERVATIONS NAVIGATION`` adds ``--fault`` metres to each satellite in
 turn at each epoch with eight or more. Predicted: the same test on errors drawn from the covariance of the
 ranges. At most: what a test finds in these that knows the size of the fault and has as many false alarms; no
-test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by draws of whole
-epochs, whose satellites share their errors; the epochs of a day hang together besides.
+test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by draws of
+whole epochs, whose satellites share their errors; the epochs of a day hang together besides.
 """
 
 from __future__ import annotations
