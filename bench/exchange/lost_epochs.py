@@ -1,6 +1,6 @@
 """Why a receiver has no fix: the first condition that leaves too few satellites of an epoch.
 
-Also which systems have precise orbits of other times only.
+Also which systems have orbits of other times only, or none.
 """
 
 from __future__ import annotations
@@ -73,6 +73,22 @@ def _list_conditions(
     above = -low.los_n[:, 2] > np.sin(processing.mask)
     solved = np.isfinite(low.los_n[:, 0])
     yield f"an elevation above the mask, {np.rad2deg(processing.mask):g} deg", rows & (above | ~solved)
+
+
+def describe_lacking(
+    raw: ObservationFile, nav: NavigationFile, processing: Processing, clock: FloatArray
+) -> list[str]:
+    """Return a line on the wanted systems that have ranges, but no ephemeris at their times.
+
+    ``clock`` (K,) is that of the satellites, NaN where one is not served.
+    """
+    lacking = [
+        SYSTEM_NAMES[system]
+        for system in sorted(parse_systems(processing.systems) - {table.system for table in nav.precise})
+        if (rows := (raw.system == system) & np.isfinite(raw.pseudorange).any(axis=1)).any()
+        and not np.isfinite(clock[rows]).any()
+    ]
+    return [f"{nav.shown}: no ephemeris of {', '.join(lacking)} at the times observed"] if lacking else []
 
 
 def describe_unserved(raw: ObservationFile, nav: NavigationFile, processing: Processing) -> list[str]:

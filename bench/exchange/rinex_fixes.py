@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -20,6 +20,7 @@ from bench.exchange.fix_truth import Truth
 from bench.exchange.nees_band import find_band
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.lines import find_kind
+from bench.exchange.rinex.merging import merge_observations
 from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
@@ -332,6 +333,7 @@ def solve_files(
     reasons, reason = lost_epochs.explain(seen, solution, processing)
     solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)
     notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes, *unserved]
+    notes += lost_epochs.describe_lacking(raw, nav, processing, seen.sat_clock)
     if raw.recounted:
         notes.append(f"{raw.recounted} epochs have another number of satellites than they say: kept")
     if raw.others:
@@ -384,44 +386,6 @@ def _choose_ionosphere(
         note = f"{nav.shown}: has the ionosphere parameters of Galileo only: --ionosphere ntcm-g is used"
         return replace(processing, ionosphere="ntcm-g"), [note]
     return processing, []
-
-
-def merge_observations(files: Sequence[ObservationFile]) -> ObservationFile:
-    """Return files of one receiver as one, in the order of their times.
-
-    Raises
-    ------
-    ConfigError
-        If their times overlap, or they are of two markers.
-    """
-    if len(files) == 1:
-        return files[0]
-    if len(markers := sorted({file.marker for file in files} - {""})) > 1:
-        shown = ", ".join(file.shown for file in files)
-        raise ConfigError(f"{shown}: are of the markers {', '.join(markers)}; give the files of one receiver")
-    files = sorted(files, key=lambda file: file.origin + file.t[0])
-    first = files[0]
-    t = np.concatenate([file.t + (file.origin - first.origin) for file in files])
-    if (np.diff(t) <= 0).any():
-        raise ConfigError(f"{', '.join(file.shown for file in files)}: their times overlap")
-    names = ("sat", "system", "pseudorange", "doppler", "cn0", "band", "phase", "slipped")
-    rows: dict[str, Any] = {name: np.concatenate([getattr(file, name) for file in files]) for name in names}
-    counts = np.concatenate([np.diff(file.epoch_start) for file in files])
-    others: Mapping[str, int] = {}
-    for file in files:
-        others = {**file.others, **others}
-    return replace(
-        first,
-        shown=", ".join(file.shown for file in files),
-        t=t,
-        epoch_start=np.concatenate([[0], np.cumsum(counts)]),
-        moving=any(file.moving for file in files),
-        lost=sum(file.lost for file in files),
-        reasons=tuple(reason for file in files for reason in file.reasons),
-        recounted=sum(file.recounted for file in files),
-        others=others,
-        **rows,
-    )
 
 
 def _describe_lost(file: ObservationFile | NavigationFile, part: str) -> list[str]:

@@ -8,7 +8,6 @@ padded arrays (M, S), where a weight of 0 stands for a place without a satellite
 
 from __future__ import annotations
 
-from math import erfc
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import on_arrays
 from bench.orbit_sets import LETTERS
 from bench.signals.delays import range_kernel, range_rate_kernel
+from bench.signals.fault_test import find_alarms
 from bench.signals.orbits import GPS_EARTH_RATE
 
 CLOSE = 0.1  # a step below this ends the iteration [m]; the error is its square over the range, 5e-10 m
@@ -30,10 +30,6 @@ _MEDIAN = 0.6745  # median of the size of a standard normal variable
 _ROUNDS = 10  # of new weights, `_reweight`
 _KEPT, _LEFT = 1.5, 3.0  # normalised residuals of full and of no weight; Yang 2002: 1 to 1.5, 2.5 to 8
 _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weight
-_FAULT = 30.0  # up to about which size faults are equally likely [m]; assumed, 10 to 1000 find the same ones
-_SIZES = np.linspace(0.0, 12.0, 1201)  # of a standard normal variable [1]
-_LOG_TAILS = np.log([erfc(x / np.sqrt(2.0)) for x in _SIZES])  # chance that it is as large, either sign
-_REFINED = 8  # steps to a threshold, of Newton; with 5e-3 three have all digits
 EARTH_RADIUS = 6371e3  # [m]
 SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
 _NO_DECAY = 1e-6  # stands for a decay of 0: errors of satellites are independent [m]
@@ -234,33 +230,6 @@ def _iterate(
     return _Solution(x, solved, steps, cov, present, residual, normalised, share, chi2, spare)
 
 
-def find_alarms(normalised: FloatArray, share: FloatArray, false_alarm: float) -> tuple[BoolArray, IntArray]:
-    """Return which epochs (M,) have a fault, and the row (M,) that most likely has it.
-
-    A fault of b metres in row i shifts its normalised residual w by ``share`` s times b. If all sizes up to
-    some ten metres are equally likely, the odds of a fault in row i against none are
-    ``exp(w^2 / 2) / sqrt(1 + (30 m s)^2)``: of two rows with the same w the one with the smaller s has it.
-    The test of the largest odds finds most of such faults (Neyman and Pearson). By its threshold the chances
-    of all rows have the sum ``false_alarm`` (Bonferroni).
-
-    Parameters
-    ----------
-    normalised, share : (M, S) arrays
-        Both 0 where a row tells nothing; [1] and [1/m].
-    """
-    told = share > 0.0
-    margin = np.where(told, np.log1p((_FAULT * share) ** 2), 0.0)
-    size = np.where(told, normalised**2 - margin, -np.inf)
-    limit = np.full(len(size), 10.0)
-    for _ in range(_REFINED):
-        x = np.sqrt(np.maximum(limit[:, None] + margin, 1e-2))
-        chance = np.where(told, np.exp(np.interp(x, _SIZES, _LOG_TAILS)), 0.0)
-        slope = np.where(told, np.exp(-(x**2) / 2.0) / (np.sqrt(2.0 * np.pi) * x), 0.0).sum(axis=1)
-        total = np.maximum(chance.sum(axis=1), 1e-300)
-        limit += np.log(total / false_alarm) * total / np.maximum(slope, 1e-300)
-    return np.asarray(size.max(axis=1) > limit), size.argmax(axis=1)
-
-
 def _reweight(normalised: FloatArray, used: BoolArray, final: bool) -> FloatArray:
     """Return the factor on the variance of each row (M, S): that of Huber at first, then that of IGG III.
 
@@ -334,7 +303,8 @@ def solve_positions(
     -----
     The normalised residual of row i is ``(W v)_i / sqrt((W - W H (H' W H)^-1 H' W)_ii)``, W the inverse of
     the covariance of the ranges and v their residuals: the w-test of Baarda for correlated measurements
-    (Teunissen, Testing Theory, 2006). :func:`find_alarms` finds the fault.
+    (Teunissen, Testing Theory, 2006). :func:`bench.signals.fault_test.find_alarms`
+    finds the fault.
 
     At most half of the redundant satellites are left out, with ``robust`` too; an epoch that needs more has
     not passed. With n satellites and u unknowns k wrong ranges and u - 1 sound ones can agree with a false

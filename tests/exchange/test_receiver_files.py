@@ -239,6 +239,19 @@ def test_compact_rinex_is_restored(tmp_path):
     assert np.isnan(raw.phase[~there, 0]).all()
 
 
+def test_compact_rinex_that_ends_in_an_epoch_says_so(tmp_path):
+    """After ten satellites of the second epoch."""
+    lines = stored_gnss_file(KMS3[0]).read_text(encoding="latin-1").splitlines(keepends=True)
+    first = next(k for k, line in enumerate(lines) if line.startswith("> 20"))
+    path = tmp_path / "cut.crx"
+    path.write_text("".join(lines[: first + 2 + int(lines[first][32:35]) + 2 + 10]))
+    raw = observations.read_observations(path, "cut.crx")
+    assert (len(raw.t), raw.lost) == (1, 1)
+    assert re.fullmatch(
+        r"cut.crx: line \d+: the file ends before satellite 11 of 4\d of the epoch", raw.reasons[0]
+    )
+
+
 def test_a_damaged_line_of_compact_rinex_loses_epochs_until_it_begins_anew(tmp_path):
     path = tmp_path / "file.crx"
     path.write_text(COMPACT.replace("320800  250    &", "320x00  250    &", 1))
@@ -428,6 +441,37 @@ def test_files_of_two_receivers_are_refused(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "are of the markers ESBC00DNK, KMS3" in said
     assert said.endswith("give the files of one receiver\n")
+
+
+def test_headers_of_two_places_are_not_compared_with_the_fixes(tmp_path):
+    """OPEC after ESBC, 500 km away, both without a marker name."""
+    for files in (ESBC, OPEC):
+        text = gzip.decompress(stored_gnss_file(files[0]).read_bytes()).decode()
+        (tmp_path / files[0][:4]).write_text(re.sub(r".*MARKER NAME *\n", "", text))
+    paths = [tmp_path / files[0][:4] for files in (ESBC, OPEC)]
+    found = bench.solve_rinex(paths, [stored_gnss_file(one[1]) for one in (ESBC, OPEC)])
+    assert found.fixes.valid.all()
+    assert "nees_3" not in found.figures()
+    assert found.judge() == ("", "")
+    again = bench.solve_rinex(paths[:1], stored_gnss_file(ESBC[1]))
+    assert again.compared
+
+
+def test_systems_without_an_ephemeris_are_told(tmp_path):
+    """With GLONASS alone in the navigation file; and of systems that are not wanted, nothing."""
+    text = gzip.decompress(stored_gnss_file(ESBC[1]).read_bytes()).decode()
+    head, body = re.split(r"(?<=END OF HEADER)", text)
+    path = tmp_path / "g.rnx"
+    path.write_text(head + "\n" + "".join(re.findall(r"^R\d\d .*\n(?:    .*\n)*", body, re.M)))
+    for systems, said in (
+        ("all", [f"{path}: no ephemeris of GPS, Galileo, BeiDou at the times observed"]),
+        ("both", [f"{path}: no ephemeris of GPS at the times observed"]),
+        ("glonass", []),
+    ):
+        found = bench.solve_rinex(stored_gnss_file(ESBC[0]), path, systems=systems)
+        assert [note for note in found.notes if "no ephemeris" in note] == said
+        assert found.fixes.valid.all()
+    assert not [note for note in solved(ESBC).notes if "no ephemeris" in note]
 
 
 def test_each_lost_epoch_has_a_reason(tmp_path):

@@ -20,7 +20,7 @@ from bench import earth
 from bench.arrays import BoolArray, FloatArray
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.signals import receiver
-from bench.signals.least_squares import find_alarms
+from bench.signals.fault_test import find_alarms
 from bench.signals.look import share_errors
 from bench.signals.processing import Processing
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from bench import earth
 from bench.orbit_sets import GLONASS, GPS
-from bench.signals import delays, dilution, least_squares, orbits
+from bench.signals import delays, dilution, fault_test, least_squares, orbits
 from bench.signals.orbits import GPS_EARTH_RATE
 
 THERE = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 1200.0])
@@ -419,7 +419,7 @@ def test_the_likeliest_fault_alarms_as_often_as_is_said(false_alarm):
 
     limit = norm.isf(false_alarm / 2)
     w = np.array([[limit - 1e-3], [limit + 1e-3]])
-    alarm, _ = least_squares.find_alarms(w, np.full((2, 1), 0.4), false_alarm)
+    alarm, _ = fault_test.find_alarms(w, np.full((2, 1), 0.4), false_alarm)
     assert alarm.tolist() == [False, True]
 
     share = np.array([0.9, 0.3, 0.25, 0.1, 0.02, 0.0])
@@ -429,7 +429,7 @@ def test_the_likeliest_fault_alarms_as_often_as_is_said(false_alarm):
     for _ in range(60):  # the odds where the alarm begins, by the alarms alone
         middle = (low + high) / 2
         w = np.diag(np.sqrt(np.maximum(middle + margin, 0.0)))[:5] * told
-        alarm, worst = least_squares.find_alarms(w, np.tile(share, (5, 1)), false_alarm)
+        alarm, worst = fault_test.find_alarms(w, np.tile(share, (5, 1)), false_alarm)
         assert worst[alarm].tolist() == np.flatnonzero(alarm).tolist()
         low, high = (low, middle) if alarm[0] else (middle, high)
     chance = 2 * norm.sf(np.sqrt(np.maximum(high + margin, 0.0)))[told].sum()
@@ -441,12 +441,12 @@ def test_the_likeliest_fault_alarms_as_often_as_is_said(false_alarm):
             quad(lambda b, s=s, x=x: np.exp(b * s * x - (b * s) ** 2 / 2) / wide, -300, 300, limit=200)[0]
             for s, x in zip(share, w, strict=True)
         ]
-        _, worst = least_squares.find_alarms(w[None], np.array([share]), false_alarm)
+        _, worst = fault_test.find_alarms(w[None], np.array([share]), false_alarm)
         assert worst[0] == np.argmax(odds)
 
 
 def test_a_row_that_tells_nothing_has_no_fault():
-    alarm, _ = least_squares.find_alarms(np.zeros((2, 3)), np.zeros((2, 3)), 5e-3)
+    alarm, _ = fault_test.find_alarms(np.zeros((2, 3)), np.zeros((2, 3)), 5e-3)
     assert not alarm.any()
 
 

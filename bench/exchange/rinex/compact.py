@@ -79,12 +79,14 @@ class CompactText:
                 names = head[41 if modern else 32 :]
                 sats = [names[3 * k : 3 * k + 3] for k in range(count)]
                 now = {}
-                for sat in sats:
+                for k, sat in enumerate(sats):
                     system = sat[:1] if modern else " "
                     before = arcs.get(sat)
                     now[sat] = before if before is not None else _Arcs(types[system])
                     text = self._next()
                     if text is None:
+                        ends = f"the file ends before satellite {k + 1} of {count} of the epoch"
+                        self.damaged.append(f"{self._shown}: line {self._number - 1}: {ends}")
                         return
                     now[sat].read(text)
                 arcs = now
