@@ -20,8 +20,8 @@ from bench.exchange.fix_truth import Truth
 from bench.exchange.nees_band import find_band
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.lines import find_kind
-from bench.exchange.rinex.merging import merge_observations
 from bench.exchange.rinex.observations import ObservationFile, read_observations
+from bench.exchange.rinex.one_receiver import merge_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
 from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
