@@ -92,6 +92,7 @@ def test_the_words_and_pictures_are_those_of_the_tables(found):
             assert_allclose(drawn, course[f"{name}_{k}_arcsec"], atol=1e-9)
     (route,) = plots["route"].series
     assert np.interp(1000.0, route.t, np.ravel(route.values)) == pytest.approx(1738.2, rel=1e-3)
+    assert (route.t[0], route.t[-1]) == pytest.approx((1.0, 5000.0))
 
 
 def test_59_two_vectors_tell_the_attitude_as_their_angle_allows(found):

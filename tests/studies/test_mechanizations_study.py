@@ -92,7 +92,11 @@ def test_the_words_and_pictures_are_those_of_the_tables(found):
     assert_allclose(
         alone["position_then_m"], STANDARD_GRAVITY / 24.0 * error * np.square(0.2 / error), rtol=1e-3
     )
-    strapdown = next(one for one in found.findings.figures if one.path[1] == "accelerometers").series[-1]
+    *laws, strapdown = next(one for one in found.findings.figures if one.path[1] == "accelerometers").series
+    assert (strapdown.t[0], strapdown.t[-1]) == (30.0, 3600.0)
+    for line, one in zip(laws, error, strict=True):
+        assert (line.t[0], line.t[-1]) == pytest.approx((10.0, 3600.0))
+        assert_allclose(np.ravel(line.values)[:9], STANDARD_GRAVITY * one * line.t[:9] ** 4 / 24.0, rtol=2e-3)
     assert_allclose(
         np.ravel(strapdown.values)[:5], STANDARD_GRAVITY * error[1] * strapdown.t[:5] ** 4 / 24.0, rtol=0.01
     )

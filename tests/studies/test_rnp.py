@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy import stats
 
 import bench
 from bench import earth, pipeline
@@ -18,7 +19,7 @@ from bench.errors import ConfigError
 from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
 from bench.specs import EvaluationWindow
-from bench.studies import rnp
+from bench.studies import rnp, stanford
 from bench.studies.watched_flights import WatchedFlight
 from bench.units import STANDARD_GRAVITY
 
@@ -416,3 +417,18 @@ def test_a_flight_is_watched_in_the_plane_and_in_height_by_hand(monkeypatch, ste
     assert_allclose(found.error, [[5.0, 12.0]] * len(found.t))
     assert np.isnan(found.across).all()
     assert not found.crashed
+
+
+def test_the_parts_of_the_stanford_diagram_by_hand():
+    """Two flights of four instants: bounded, beyond the limit of 50 m, misleading, hazardous; an alarm."""
+    error = np.array([[1.0, 1.0, 20.0, 60.0], [1.0, 1.0, 1.0, 60.0]])
+    level = np.array([[10.0, 51.0, 10.0, 10.0], [10.0, 10.0, 10.0, 10.0]])
+    alarm = np.array([[False] * 4, [False, False, False, True]])
+    both = [stanford.Watched(1.0, error, level, alarm, 50.0)] * 2
+    found = stanford.tabulate_stanford(both).columns
+    assert found["plane"] == ["horizontal"] * 4 + ["vertical"] * 4
+    assert found["instants_percent"][:4] == [50.0, 25.0, 12.5, 12.5]
+    assert found["runs"][:4] == [2, 2, 1, 1]
+    assert found["runs_low_percent"][2] == pytest.approx(100.0 * stats.beta.ppf(0.025, 1, 2))
+    assert found["runs_high_percent"][2] == pytest.approx(100.0 * stats.beta.ppf(0.975, 2, 1))
+    assert found["runs_high_percent"][0] == 100.0
