@@ -28,6 +28,17 @@ def one_line(text: str) -> str:
     return replace_control(text.replace("\n", " "))
 
 
+def format_count(number: int, what: str) -> str:
+    """Return a number of things in words.
+
+    Examples
+    --------
+    >>> format_count(1, "gap"), format_count(2, "fix")
+    ('1 gap', '2 fixes')
+    """
+    return f"{number} {what}" if number == 1 else f"{number} {what}{'es' if what.endswith('x') else 's'}"
+
+
 _SPACES = "\u00a0\u2002\u2003\u2007\u2009\u202f\u3000"
 """Spaces that Python does not count as printable."""
 

@@ -20,6 +20,7 @@ import numpy as np
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, FlightError
 from bench.flight.model_files import read_xml
+from bench.wording import format_count
 
 MOST_FIXES, LEAST_FIXES = 500_000, 10
 _MOST_BYTES = 200_000_000
@@ -73,10 +74,10 @@ def order_fixes(t: FloatArray, lla: FloatArray, notes: list[str], shown: str) ->
     if len(t):
         later[1:] = t[1:] > np.maximum.accumulate(t)[:-1]
     if left:
-        notes.append(f"{left} fixes without a time, a position or a height were left out")
+        notes.append(f"left out: {format_count(left, 'fix')} without a time, a position or a height")
     if not later.all():
-        many = int((~later).sum())
-        notes.append(f"{many} fixes that do not come after the one before were left out")
+        many = format_count(int((~later).sum()), "fix")
+        notes.append(f"left out: {many} not after the one before")
     t, lla = t[later], lla[later]
     if len(t) < LEAST_FIXES:
         raise ConfigError(
@@ -179,13 +180,14 @@ def _read_nmea(path: Path, notes: list[str]) -> Iterator[Fix]:
         without += math.isnan(separation)
         height = _parse_number(words[9]) + (0.0 if math.isnan(separation) else separation)
         yield day + t, lat, lon, height
-    for count, what in (
-        (broken, "sentences with a wrong checksum were left out"),
-        (none, "sentences without a fix (quality 0) were left out"),
-        (without, "heights are above the sea: their sentences have no geoid separation"),
+    for count, why in (
+        (broken, "with a wrong checksum"),
+        (none, "without a fix (quality 0)"),
     ):
         if count:
-            notes.append(f"{count} {what}")
+            notes.append(f"left out: {format_count(count, 'sentence')} {why}")
+    if without:
+        notes.append(f"{format_count(without, 'height')} above the sea: sentences without a geoid separation")
 
 
 def _parse_degrees(text: str, side: str) -> float:

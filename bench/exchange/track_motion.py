@@ -9,7 +9,7 @@ and what no vehicle does is refused.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -23,6 +23,7 @@ from bench.exchange.track_fit import TrackFit, fit_track
 from bench.flight_specs import TrackSpec
 from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate, to_rotvec
 from bench.units import STANDARD_GRAVITY
+from bench.wording import format_count
 
 _RATE = 20.0  # rows per second of the motion
 _OUTLIER = 6.0  # a fix further off, in robust standard deviations, is left out
@@ -32,6 +33,7 @@ _SLOW = 1.0  # the course of a slower vehicle is not known [m/s]
 _GAP = 3.0  # an interval longer than this many median intervals is told
 _GROWTH = 4.0**2  # a bounded acceleration leaves the middle of twice the interval off by 4 times, at least
 _BLURRED, _LOST = 2.0, 5.0  # turns taken for noise [m]: told, refused
+_JUMP = 5.0  # times the speed of nine tenths of the steps is no motion; assumed
 _MISSED, _MISSED_NOISE = 15.0, 6.0  # a fix missed by more [m] and [sd] is not predicted by its neighbours
 _LOAD = (-0.5, 5.0)  # of an aircraft; assumed [g]
 _ROLL_RATE = math.radians(120.0)  # of an aircraft; assumed [rad/s]
@@ -68,12 +70,14 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
     t, lla = _choose_piece(track.t[asked], track.lla[asked], spec.bridge, notes)
     if len(t) < LEAST_FIXES:
         raise ConfigError(
-            f"{shown}: the longest piece without a gap of more than {spec.bridge:g} s has {len(t)} fixes; "
-            f"at least {LEAST_FIXES} are needed (bridge_s)"
+            f"{shown}: the longest piece without a gap of more than {spec.bridge:g} s (bridge_s) has "
+            f"{format_count(len(t), 'fix')}; at least {LEAST_FIXES} are needed, and their median interval is "
+            f"{np.median(np.diff(track.t[asked])):.4g} s"
         )
     origin, C_en = to_ecef(lla[0]), matrix_en(lla[0, 0], lla[0, 1])
     fixes = (to_ecef(lla) - origin) @ C_en
-    level, height = _smooth(t, fixes, spec, notes, shown)
+    jump = _find_jump(t, fixes)
+    level, height = _smooth(t, fixes, spec, notes, shown, jump)
     at = np.arange(math.floor((t[-1] - t[0]) * _RATE + 1e-6) + 1) / _RATE + t[0]
     pos, vel, acc = (
         np.column_stack(
@@ -93,7 +97,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
         matrices = _roll_on_wheels(vel_n)
     q_nb = continuous(from_matrix(matrices))
     q_eb = continuous(multiply(q_en, q_nb))
-    _report(at - t[0], level, height, force_n, q_nb, vel_n, spec, notes, shown)
+    _report(at - t[0], level, height, force_n, q_nb, vel_n, spec, notes, shown, jump)
     return TableMotion(at - t[0], pos_e, q_eb, None, [(0.0, 0.0, "table", note) for note in notes])
 
 
@@ -117,24 +121,24 @@ def _choose_piece(
     begin, end = max(pairwise(edges), key=lambda pair: t[pair[1] - 1] - t[pair[0]])
     if len(edges) > 2:
         notes.append(
-            f"cut at {len(edges) - 2} gaps of more than {bridge:g} s; the longest piece is used: "
-            f"{t[begin]:.6g} to {t[end - 1]:.6g} s"
+            f"cut at {format_count(len(edges) - 2, 'gap')} of more than {bridge:g} s; the longest piece "
+            f"is used: {t[begin]:.6g} to {t[end - 1]:.6g} s"
         )
     steps = steps[begin : end - 1]
     gaps = steps > _GAP * median
     if gaps.any():
         notes.append(
-            f"{int(gaps.sum())} gaps of up to {steps.max():.3g} s bridged by the curve; "
+            f"{format_count(int(gaps.sum()), 'gap')} of up to {steps.max():.3g} s bridged by the curve; "
             f"the median interval is {median:.3g} s"
         )
     return t[begin:end], lla[begin:end]
 
 
 def _smooth(
-    t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str
+    t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str, jump: str
 ) -> tuple[TrackFit, TrackFit]:
     """Fit north and east together, and down; without outliers, and at rest where the vehicle stands."""
-    used: BoolArray = np.ones(len(t), dtype=bool)
+    used = ~_find_lone(t, fixes)
     weights, target = np.ones(len(t)), fixes.copy()
 
     def fit() -> tuple[TrackFit, TrackFit]:
@@ -145,17 +149,20 @@ def _smooth(
         )
 
     level, height = fit()
-    off = np.abs(np.column_stack([level.left, height.left]))
+    off = np.abs(np.column_stack([level.spline(t), height.spline(t)]) - fixes)
     scale = np.maximum(1.4826 * np.median(off, axis=0), 0.1)
     noises = [level.noise, level.noise, height.noise]
     wild: BoolArray = np.any(off > _OUTLIER * np.maximum(scale, noises), axis=1)
     wild[[0, -1]] = False
     if wild.any() and wild.sum() < 0.1 * len(t):
-        notes.append(f"{int(wild.sum())} fixes were left out as outliers, up to {off[wild].max():.3g} m off")
+        many = format_count(int(wild.sum()), "outlier")
+        notes.append(f"left out: {many}, up to {off[wild].max():.3g} m off")
         used[wild] = False
         level, height = fit()
     blurred = _blur(t[used], fixes[used, :2], level) if spec.noise is None else 0.0
-    _check_resolved(t[used], level, blurred, spec, shown)  # a curve through the middle of circles stands
+    _check_resolved(
+        t[used], level, blurred, spec, shown, jump
+    )  # a curve through the middle of circles stands
     if blurred > _BLURRED:
         notes.append(
             f"fixes {np.median(np.diff(t)):.3g} s apart: {blurred:.2g} m of the {level.noise:.3g} m of noise "
@@ -170,7 +177,10 @@ def _smooth(
             total += float(t[rows.stop - 1] - t[rows.start])
         count = "once" if len(stands) == 1 else f"{len(stands)} times"
         notes.append(f"stands {count}, {total:.4g} s in all; its place there is the mean of the fixes")
-        level, height = fit()
+        found, (level, height) = (level.noise, height.noise), fit()
+        at = t[used]  # fixes that were moved tell neither noise nor residual
+        level = replace(level, noise=found[0], left=fixes[used, :2] - level.spline(at))
+        height = replace(height, noise=found[1], left=fixes[used, 2:] - height.spline(at))
     return level, height
 
 
@@ -194,7 +204,34 @@ def _blur(t: FloatArray, fixes: FloatArray, level: TrackFit) -> float:
     return min(level.noise, math.sqrt(max(more, 0.0) / (_GROWTH - 1)))
 
 
-def _check_resolved(t: FloatArray, level: TrackFit, blurred: float, spec: TrackSpec, shown: str) -> None:
+def _speeds(t: FloatArray, fixes: FloatArray, skip: int = 1) -> FloatArray:
+    """Return the speeds between each fix and that ``skip`` fixes later [m/s]."""
+    return np.asarray(np.linalg.norm(fixes[skip:] - fixes[:-skip], axis=1) / (t[skip:] - t[:-skip]))
+
+
+def _find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
+    """Return which fixes are far from both neighbours, which are near each other.
+
+    One that is far enough bends the first curve so that its neighbours are off, too.
+    """
+    steps, lone = _speeds(t, fixes), np.zeros(len(t), dtype=bool)
+    far = steps > _JUMP * np.percentile(steps, 90)
+    lone[1:-1] = far[:-1] & far[1:] & (_speeds(t, fixes, 2) < np.minimum(steps[:-1], steps[1:]) / _JUMP)
+    return lone
+
+
+def _find_jump(t: FloatArray, fixes: FloatArray) -> str:
+    """Return the end of a message that names the fastest step between fixes, if no other is like it."""
+    steps = _speeds(t, fixes)
+    k = int(np.argmax(steps))
+    if steps[k] < _JUMP * np.percentile(steps, 90):
+        return ""
+    return f". They jump by {steps[k] * (t[k + 1] - t[k]):.4g} m at {t[k + 1]:.6g} s (from_s, to_s)"
+
+
+def _check_resolved(
+    t: FloatArray, level: TrackFit, blurred: float, spec: TrackSpec, shown: str, jump: str
+) -> None:
     """Refuse fixes that do not predict each other, and noise estimated of turns."""
     lost = ""
     if level.missed > max(_MISSED, _MISSED_NOISE * (spec.noise or 0.0)):
@@ -203,7 +240,7 @@ def _check_resolved(t: FloatArray, level: TrackFit, blurred: float, spec: TrackS
         lost = f"{blurred:.2g} m of the {level.noise:.3g} m of noise are turns (noise_m keeps them)"
     if lost:
         raise ConfigError(
-            f"{shown}: its fixes, {np.median(np.diff(t)):.3g} s apart, do not resolve its turns: {lost}"
+            f"{shown}: its fixes, {np.median(np.diff(t)):.3g} s apart, do not resolve its turns: {lost}{jump}"
         )
 
 
@@ -250,6 +287,7 @@ def _report(
     spec: TrackSpec,
     notes: list[str],
     shown: str,
+    jump: str,
 ) -> None:
     """Say what was changed and the extremes; refuse what no vehicle does."""
     rms = [math.sqrt(float((fit.left**2).sum(axis=1).mean())) for fit in (level, height)]
@@ -290,7 +328,8 @@ def _report(
         if beyond.any():
             raise ConfigError(
                 f"{shown}: {what} at {t[int(k)]:.1f} s: no {_VEHICLES[spec.vehicle]} moves like that; "
-                f"the fixes do not resolve its motion, or their noise is above {level.noise:.2g} m (noise_m)"
+                f"the fixes do not resolve its motion, or their noise is above {level.noise:.2g} m "
+                f"(noise_m){jump}"
             )
 
 

@@ -83,7 +83,7 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         return f"{_DEG * summary[name]:.1f}"
 
     rates = ", ".join(format_degrees(f"{axis}_rate_max_rad_s") for axis in ("roll", "pitch", "yaw"))
-    return {
+    shown = {
         "duration": f"{summary['duration_s']:g} s, {summary['samples']} samples at {summary['rate_hz']:g} Hz",
         "distance over ground": f"{summary['path_over_ground_m'] / 1000:.2f} km",
         "altitude": f"{format_range('alt', '_m', 1)} m",
@@ -97,6 +97,9 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         "replay": f"{describe_replay(summary['replay_position_m'], summary['replay_attitude_rad'])}: "
         "largest error of an error-free two-sample strapdown within 10 minutes",
     }
+    if "airspeed_max_mps" not in summary:  # a table says nothing of the air
+        del shown["true airspeed"]
+    return shown
 
 
 def list_exports() -> list[CatalogEntry]:

@@ -1,5 +1,6 @@
 """Tracks of positions become truth: files of five formats, real ones, and flights known exactly."""
 
+import re
 from datetime import UTC, datetime, timedelta
 from functools import reduce
 from math import cos, degrees, pi, radians
@@ -89,6 +90,11 @@ def circle(seconds=120.0, step=1.0, speed=25.0, radius=300.0, lat=-33.0, lon=-70
     return np.column_stack([t, *pymap3d.ned2geodetic(n, e, d, lat, lon, 800.0)])
 
 
+def order(rows):
+    """Fixes of rows with degrees."""
+    return FixSeries(rows[:, 0], np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]), ())
+
+
 @pytest.mark.parametrize(("ending", "off"), [(".gpx", 0.01), (".kml", 0.01), (".nmea", 0.01), (".igc", 1.5)])
 def test_every_format_gives_the_fixes_back(tmp_path, ending, off):
     """IGC has thousandths of minutes, whole metres and whole seconds."""
@@ -137,7 +143,7 @@ def test_a_flight_at_1_hz_with_a_metre_of_noise_comes_back(swinging, told):
     offs, turned = [], []
     for seed in range(6):
         rows = thinned(swinging, 1.0, 1.0, seed)
-        track = FixSeries(rows[:, 0], np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]), ())
+        track = order(rows)
         motion = make_motion(track, TrackSpec(noise=told, vertical_noise=told), "t")
         k = np.round(motion.t / swinging.t[1]).astype(int)
         offs.append(earth.difference_n(earth.to_geodetic(motion.pos_e), swinging.lla[k]))
@@ -160,7 +166,7 @@ def test_a_track_that_does_not_resolve_its_turns_is_refused(tmp_path, swinging):
 def test_circles_are_not_taken_for_a_standstill():
     """A fix in 5 s on circles of 19 s: the smoothest curve stays in their middle."""
     rows = circle(seconds=300.0, step=5.0, radius=76.0)
-    fixes = FixSeries(rows[:, 0], np.column_stack([np.radians(rows[:, 1:3]), rows[:, 3]]), ())
+    fixes = order(rows)
     with pytest.raises(ConfigError, match=r"5 s apart, do not resolve its turns: .* missed by \d\d"):
         make_motion(fixes, TrackSpec(), "circles")
 
@@ -249,6 +255,11 @@ def test_standing_still_stays_still():
     speed = np.linalg.norm(np.diff(motion.pos_e[standing], axis=0), axis=1) * 20.0
     assert speed.max() < 0.01
     assert any("stands once, " in note[3] for note in motion.notes)
+    (said,) = (note[3] for note in motion.notes if "smoothed" in note[3])
+    noise, vertical = (
+        float(x) for x in re.findall(r"noise ([\d.]+) m each axis.* ([\d.]+) m in height", said)[0]
+    )
+    assert_allclose([noise, vertical], 1.0, rtol=0.15)
     roll, pitch, _ = rotation.to_euler(
         rotation.multiply(
             rotation.conjugate(rotation.from_matrix(earth.matrix_en(*lla[0, :2]))), motion.q_eb[standing]
@@ -320,12 +331,32 @@ def test_broken_sentences_and_gaps_are_told(tmp_path):
     path = tmp_path / "t.nmea"
     path.write_text("\n".join(lines))
     track = read_track(path)
-    assert "1 sentences with a wrong checksum were left out" in track.notes
+    assert "left out: 1 sentence with a wrong checksum" in track.notes
     motion = make_motion(track, TrackSpec(), "t")
-    assert any("1 gaps of up to 11 s bridged" in note[3] for note in motion.notes)
+    assert any("1 gap of up to 11 s bridged" in note[3] for note in motion.notes)
     cut = make_motion(track, TrackSpec(bridge=5.0), "t")
     assert cut.t[-1] == pytest.approx(track.t[-1] - 49.0, abs=1.1)
-    assert any("cut at 1 gaps" in note[3] for note in cut.notes)
+    assert any("cut at 1 gap of" in note[3] for note in cut.notes)
+
+
+@pytest.mark.parametrize("noise", [None, 1.0])
+def test_a_track_that_jumps_is_refused_with_its_place(noise):
+    """By 1 km to the north after 60 s; a fix that alone is there is an outlier."""
+    rows = circle(120.0, noise=1.0)
+    moved = rows.copy()
+    moved[60:, 1] += 1000.0 / 111_000
+    with pytest.raises(ConfigError, match=r"They jump by (9|10)\d\d m at 60 s \(from_s, to_s\)"):
+        make_motion(order(moved), TrackSpec(noise=noise), "t")
+    moved[61:] = rows[61:]
+    motion = make_motion(order(moved), TrackSpec(noise=noise), "t")
+    assert any(note[3].startswith("left out: 1 outlier, up to 9") for note in motion.notes)
+
+
+def test_times_in_milliseconds_are_told_by_their_interval():
+    rows = circle(60.0)
+    rows[:, 0] *= 1000.0
+    with pytest.raises(ConfigError, match=r"has 1 fix; .* their median interval is 1000 s"):
+        make_motion(order(rows), TrackSpec(), "t")
 
 
 def test_a_table_with_an_attitude_wants_no_track(tmp_path):

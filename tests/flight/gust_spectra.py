@@ -78,12 +78,11 @@ def draw():
     for k, name in enumerate(GUSTS):
         colour = tuple(tone / 255 for tone in SLOTS[k % 3].light)
         where = axes[k // 3]
-        where.loglog(f, shaping(name, 2 * pi * f, speed, SPAN, figures), color=colour)
-        where.loglog(
-            CENTRES, measured[:, k], "o", ms=4, color=colour, label=f"{name}, within {off[:, k].max():.0%}"
-        )
-    for where, unit in zip(axes, ("(m/s)² per rad/s", "(rad/s)² per rad/s"), strict=True):
-        where.set(xlabel="frequency [Hz]", ylabel=unit)
+        where.loglog(f, 2 * pi * shaping(name, 2 * pi * f, speed, SPAN, figures), color=colour)
+        label = f"{name}, within {off[:, k].max():.0%}"
+        where.loglog(CENTRES, 2 * pi * measured[:, k], "o", ms=4, color=colour, label=label)
+    for where, title, unit in zip(axes, ("gusts", "rates of the air"), ("m/s", "rad/s"), strict=True):
+        where.set(title=title, xlabel="frequency [Hz]", ylabel=f"power spectral density [({unit})²/Hz]")
         where.grid(visible=True, alpha=0.3)
         where.legend(title="third octaves of 20 draws; lines: MIL-F-8785C", fontsize=8, title_fontsize=8)
     figure.savefig(FOLDER / "gusts.png", dpi=100)

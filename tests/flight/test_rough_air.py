@@ -47,9 +47,9 @@ KINDS = {
 @pytest.mark.parametrize(
     ("name", "severity", "gain"),
     [
-        ("aerosonde", 3, 0.2),
-        ("aerosonde", 4, 0.1),
-        ("aerosonde", 6, 0.1),
+        ("aerosonde", 2, 0.2),
+        ("aerosonde", 3, 0.09),
+        ("aerosonde", 6, 0.09),
         ("navion", 2, 0.2),
         ("navion", 3, 0.12),
     ],
@@ -110,24 +110,17 @@ def ask_of(severity: int, kind: Kind) -> np.ndarray:
     "severity", [pytest.param(4, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.long)]
 )
 def test_the_hold_in_rough_air_is_what_is_asked(severity):
-    """In moderate turbulence 3.2 deg, 1.2 m/s and 7.5 m, and as much more as the gusts are stronger.
-
-    Pitch: 70 % of the 4.6 deg of the gains of calm air. Climb: less than the gusts, which have 1.5 m/s.
-    Height: within 15 m for 95 % of the time, 7.5 m rms.
-    """
-    gusts = [scales_and_intensities(ABOVE, one)[3] for one in (4, severity)]
-    asked = np.array([3.2, 1.2, 7.5]) * gusts[1] / gusts[0]
-    assert (np.array(hold_in(severity, range(1, 21))[:3]) < asked).all()
+    assert (np.array(hold_in(severity, range(1, 21))[:4]) < ask_of(severity, KINDS["aerosonde"])).all()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "severity", "table"),
     [
-        ("aerosonde", 3, (2.0, 0.55, 1.4, 4.4)),
+        ("aerosonde", 3, (1.2, 0.32, 2.6, 8.2)),
         ("navion", 3, (0.58, 0.43, 2.0, 5.8)),
         ("navion", 4, (1.2, 0.86, 4.0, 11.0)),
-        ("c172x", 3, (0.64, 0.64, 3.0, 9.8)),
+        ("c172x", 3, (0.53, 0.48, 2.2, 6.3)),
         ("jet747", 4, (0.48, 0.87, 2.9, 8.4)),
     ],
 )

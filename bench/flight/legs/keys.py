@@ -102,11 +102,6 @@ def side_of(value: float) -> str:
     return "right" if value > 0 else "left"
 
 
-def format_count(number: int, what: str) -> str:
-    """Return a number of things in words."""
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
 def check_leg(leg: Leg, start: LegStart) -> list[str]:
     """Return all that does not fit the aircraft or what is before the leg, a line each."""
     return [*_check_limits(leg, start.aircraft), *_check_begin(leg, start.after), *leg.check(start)]

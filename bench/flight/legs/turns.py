@@ -13,7 +13,6 @@ from bench.flight.legs.keys import (
     AtSpeed,
     Bank,
     Key,
-    format_count,
     format_deg,
     require_one,
     side_of,
@@ -21,6 +20,7 @@ from bench.flight.legs.keys import (
 )
 from bench.flight.shaping import G, Steps, roll_time, smooth, ticks, turned_in_roll
 from bench.flight_specs import LegStart
+from bench.wording import format_count
 
 _NEAR_HEADING = math.radians(2.0)  # a heading is reached within [rad]
 _PATIENCE = 120.0  # how much longer than planned a turn may take [s]
