@@ -81,7 +81,7 @@ def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
     return aircraft
 
 
-def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign:
+def design_gains(aircraft: AircraftSpec, lift: float, pace: float, hold: float = 1.0) -> GainDesign:
     """Trim an aircraft of others at a lift coefficient, and place its loops.
 
     Parameters
@@ -92,6 +92,8 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
         Lift coefficient over its wing area that the airspeed is chosen for.
     pace : float
         How fast the outer loops are, 1 usual.
+    hold : float
+        How fast a bank that stays off is taken back, 1 usual; a turn may roll the aircraft as it yaws.
 
     Raises
     ------
@@ -109,6 +111,7 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float) -> GainDesign
     trim = trim_aircraft(fdm, condition, guided=False)
     found = _linearize(fdm, condition, trim)
     gains, climb = _place_loops(found, condition.speed, trim, pace)
+    gains["bank-integral-gain"] *= hold
     return GainDesign(alt, condition.speed, climb, mass, span, trim, gains, found)
 
 
@@ -258,6 +261,6 @@ def plan_acceptance(aircraft: AircraftSpec, design: GainDesign) -> FlightSpec:
     )
 
 
-def attempts() -> Iterator[tuple[float, float]]:
-    """Lift coefficients and paces in the order they are tried."""
-    yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.15, 1.0))
+def attempts() -> Iterator[tuple[float, ...]]:
+    """Lift coefficients, paces and holds of `design_gains` in the order they are tried."""
+    yield from ((0.4, 1.0), (0.3, 1.0), (0.55, 1.0), (0.3, 0.6), (0.2, 1.0), (0.15, 1.0), (0.3, 1.0, 5.0))

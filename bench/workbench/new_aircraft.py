@@ -166,9 +166,9 @@ def find_design(
     """
     raw = _run_in_child(raw.name, "loaded", prepare_aircraft, raw)
     reason, fewest = "", 99
-    for lift, pace in attempts():
+    for attempt in attempts():
         try:
-            design = _run_in_child(raw.name, "trimmed", design_gains, raw, lift, pace)
+            design = _run_in_child(raw.name, "trimmed", design_gains, raw, *attempt)
         except FlightError as error:
             reason = reason or str(error)
             tell(str(error))
