@@ -18,7 +18,15 @@ from bench.data import Events
 from bench.errors import FlightError
 from bench.flight import fly
 from bench.flight.executive import load_aircraft
-from bench.flight.gain_design import BANK, _find_stubs, _place_loops, _with
+from bench.flight.gain_design import (
+    BANK,
+    _find_stubs,
+    _place_loops,
+    _with,
+    attempts,
+    design_gains,
+    prepare_aircraft,
+)
 from bench.flight.trimming import (
     Trim,
     TrimCondition,
@@ -28,7 +36,7 @@ from bench.flight.trimming import (
     run_engines,
     trim_aircraft,
 )
-from bench.workbench.new_aircraft import measure_acceptance
+from bench.workbench.new_aircraft import BANK_BAND, _equip, _fly, measure_acceptance
 
 TRIM = Trim(0.05, 0.0, 0.0, 0.05, 0.0, 0.0, 0.5, 1e-6)
 FOUND = {
@@ -139,6 +147,19 @@ def test_a_property_that_a_model_reads_and_does_not_have_is_found_and_declared()
     assert load_aircraft(_with(craft, {}, stubs), 0.0025)["fcs/flaps-pos-deg"] == 0.0
     with pytest.raises(FlightError, match=r"stubs 'a b' is no property"):
         load_aircraft(_with(craft, {}, ("a b",)), 0.0025)
+
+
+@pytest.mark.slow
+def test_an_aircraft_that_turns_roll_is_held_by_the_last_attempt():
+    """The A4 in its circle, whose yaw rolls it: beyond the band where the integral is as usual."""
+    craft = prepare_aircraft(bare("A4"))
+    *_, (lift, pace, hold) = attempts()
+    found = []
+    for faster in (1.0, hold):
+        design = design_gains(craft, lift, pace, faster)
+        found.append(measure_acceptance(_fly(_equip(craft, design), design), design))
+    assert [len(one.failures()) for one in found] == [1, 0]
+    assert found[0].bank > BANK_BAND > found[1].bank
 
 
 @pytest.mark.slow
