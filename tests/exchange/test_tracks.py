@@ -378,4 +378,6 @@ def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
     assert cli.main(["fly", "walk.toml"]) == 0
     out = capsys.readouterr().out
     assert "smoothed" in out
+    assert "ground speed" in out
+    assert "airspeed" not in out
     assert "incidence of 3 deg" in " ".join(out.split())
