@@ -444,7 +444,7 @@ def test_files_of_two_receivers_are_refused(tmp_path, capsys):
 
 
 def test_headers_of_two_places_are_not_compared_with_the_fixes(tmp_path):
-    """OPEC after ESBC, 500 km away, both without a marker name."""
+    """OPEC after ESBC, 500 km away, both without a marker name; ESBC in two parts is one place."""
     for files in (ESBC, OPEC):
         text = gzip.decompress(stored_gnss_file(files[0]).read_bytes()).decode()
         (tmp_path / files[0][:4]).write_text(re.sub(r".*MARKER NAME *\n", "", text))
@@ -453,8 +453,10 @@ def test_headers_of_two_places_are_not_compared_with_the_fixes(tmp_path):
     assert found.fixes.valid.all()
     assert "nees_3" not in found.figures()
     assert found.judge() == ("", "")
-    again = bench.solve_rinex(paths[:1], stored_gnss_file(ESBC[1]))
-    assert again.compared
+    head, *epochs = paths[0].read_text().split("\n>")
+    for path, part in zip(paths, (epochs[:6], epochs[6:]), strict=True):
+        path.write_text("\n>".join([head, *part]) + "\n")
+    assert "nees_3" in bench.solve_rinex(paths, stored_gnss_file(ESBC[1])).figures()
 
 
 def test_systems_without_an_ephemeris_are_told(tmp_path):
