@@ -27,7 +27,7 @@ from bench.studies.budget import _give_colours
 from bench.studies.drawn_errors import key_instants, output_times, split_draws
 from bench.studies.linear_flight import _CLIMB as CLIMB
 from bench.studies.linear_flight import _STEADY as STEADY
-from bench.studies.linear_flight import LOST, LinearFlight
+from bench.studies.linear_flight import GRADES, LOST, LinearFlight
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
@@ -511,3 +511,21 @@ def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
     assert_allclose(drawn.values, size * np.sqrt(2.0) / DEG)
     assert_allclose(least.values, np.sqrt(2.0) / DEG)
     assert_allclose(smoothed.values, np.sqrt(0.5) / DEG)
+
+
+def test_the_reference_heading_by_hand():
+    """Headings that fall from 5 and 7 deg, and from twice as much: four figures, lines and colours."""
+    t = np.arange(1801.0)
+    grown = {"grade-3": 5.0, "MEMS": 7.0}
+    headings = {
+        (name, turns): grown.get(name, 1.0) * (2.0 - turns) * (1.0 - t / 3600.0)
+        for name in GRADES
+        for turns in (True, False)
+    }
+    table, plot = observability._tabulate_reference(headings)
+    k = list(GRADES).index("MEMS")
+    found = [column[k] for name, column in table.columns.items() if name != "grade"]
+    assert_allclose(found, [7.0 * (1.0 - at / 3600.0) for at in (240, 400, 1800)] + [7.0])
+    assert [one.key for one in plot.series] == ["grade-3", "grade-3 straight", "MEMS", "MEMS straight"]
+    assert [one.values[0, 0] for one in plot.series] == [5.0, 10.0, 7.0, 14.0]
+    assert len({one.colours for one in plot.series}) == 4
