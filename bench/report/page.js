@@ -49,6 +49,10 @@ function logSplits(low, high) {
   const all = [];
   for (let k = Math.floor(Math.log10(low)); k <= Math.log10(high); k++) for (const part of [1, 2, 5]) all.push(part * 10 ** k);
   const within = all.filter((v) => v >= low && v <= high), tens = within.filter((v) => Math.abs(Math.log10(v) % 1) < 1e-9);
+  if (within.length < 2) {  // a narrow one has round numbers as a plain axis has
+    const power = 10 ** Math.floor(Math.log10((high - low) / 4)), step = power * [1, 2, 5, 10].find((one) => (high - low) / (one * power) <= 4);
+    return Array.from({ length: Math.floor(high / step) - Math.ceil(low / step) + 1 }, (_, k) => (Math.ceil(low / step) + k) * step);
+  }
   const kept = tens.length > 2 ? tens : within;
   return kept.filter((_, k) => k % Math.ceil(kept.length / 6) === 0);
 }

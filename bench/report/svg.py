@@ -222,6 +222,8 @@ def _round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[Floa
         decades = range(int(np.floor(low)), int(np.ceil(high)) + 1)
         numbers = np.array([part * 10.0**k for k in decades for part in (1.0, 2.0, 5.0)])
         numbers = numbers[(numbers >= 10.0 ** (low - 1e-9)) & (numbers <= 10.0 ** (high + 1e-9))]
+        if len(numbers) < 2:  # a narrow one has round numbers as a plain axis has
+            numbers = round_steps(10.0**low, 10.0**high, most)
     return np.log10(numbers), numbers
 
 

@@ -200,7 +200,7 @@ def _tell(
         for row in own:
             words[row.word] = words.get(row.word, 0) + 1
         listed = ", ".join(f"{word} on {number}" for word, number in words.items())
-        yield f"{label}, {count} logs: {listed}."
+        yield f"{label}, {count} {'log' if count == 1 else 'logs'}: {listed}."
     for name, label, ratio, logs, word in told:
         if word in ("better", "worse"):
             text = f"{format_estimate(ratio)} times that of {labels[0]} on {logs} logs: {word}."
@@ -249,7 +249,7 @@ def _plot(rows: Sequence[LogResult], labels: Sequence[str], logs: Sequence[str])
                 ("logs", name.removesuffix("_m")),
                 f"{_say(name)} [{'m/s' if name.endswith('mps') else 'm'}]",
                 tuple(lines),
-                across="1",
+                across="",
                 over="log",
                 log="y",
                 ticks=tuple((places[log], log) for log in logs),

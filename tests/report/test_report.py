@@ -299,3 +299,12 @@ def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
 )  # fmt: skip
 def test_numbers_beside_an_axis_have_room(value, text):
     assert svg._format_mark(value) == text
+
+
+def test_a_narrow_logarithmic_axis_has_round_numbers_of_a_plain_one():
+    """Between 13.9 and 14.1 mm no 1, 2 or 5 of a decade lies: steps of 0.05 mm."""
+    at, numbers = svg._round_marks(np.log10(0.0139), np.log10(0.0141), 5, log=True)
+    assert numbers == pytest.approx([0.0139, 0.01395, 0.014, 0.01405, 0.0141])
+    assert at == pytest.approx(np.log10(numbers))
+    assert svg._round_marks(np.log10(0.9), np.log10(6.0), 5, log=True)[1].tolist() == [1.0, 2.0, 5.0]
+    assert svg._round_marks(-3.0, 5.0, 5, log=True)[1].tolist() == [1e-3, 1e-1, 1e1, 1e3, 1e5]

@@ -227,6 +227,7 @@ def test_words_tables_and_pictures_of_logs_by_hand():
         "c: it is empty",
     ]
     few = list(recorded_logs._tell(found[:1], LABELS, 1, []))
+    assert few[0] == "first, 1 log: consistent on 1."
     assert few[-1] == "Fewer than 3 logs have results of both filters: nothing is compared."
     assert not [text for text in recorded_logs._tell(found[:1], LABELS[:1], 1, []) if "Fewer" in text]
     logs, pairs = recorded_logs._fill(found, told)

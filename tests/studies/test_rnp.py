@@ -398,7 +398,9 @@ def test_alerts_of_one_flight_come_together_and_may_decide_less(monkeypatch, eve
 def test_a_flight_is_watched_in_the_plane_and_in_height_by_hand(monkeypatch, steered):
     """Errors of 3, 4 and -12 m. Where answers steered it, at the first of them from each second on."""
     truth = SimpleNamespace(t=np.linspace(0.0, 4.0, 401), events=no_events())
-    answers = SimpleNamespace(t=np.array([0.0, 0.7, 1.0 - 1e-9, 1.4, 2.3 + 1e-9, 3.0, 3.2])) if steered else None
+    answers = (
+        SimpleNamespace(t=np.array([0.0, 0.7, 1.0 - 1e-9, 1.4, 2.3 + 1e-9, 3.0, 3.2])) if steered else None
+    )
     profile = SimpleNamespace(evaluation=EvaluationWindow(1.0), flight=None)
     sensed = SimpleNamespace()
 
