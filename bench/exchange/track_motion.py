@@ -215,8 +215,9 @@ def _find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
     One that is far enough bends the first curve so that its neighbours are off, too.
     """
     steps, lone = _speeds(t, fixes), np.zeros(len(t), dtype=bool)
-    far = steps > _JUMP * np.percentile(steps, 90)
-    lone[1:-1] = far[:-1] & far[1:] & (_speeds(t, fixes, 2) < np.minimum(steps[:-1], steps[1:]) / _JUMP)
+    there, back = steps[:-1], steps[1:]
+    near = _speeds(t, fixes, 2) < np.minimum(there, back) / _JUMP
+    lone[1:-1] = near & (there > _JUMP * np.percentile(steps, 90))
     return lone
 
 
