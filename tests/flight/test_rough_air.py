@@ -47,18 +47,20 @@ KINDS = {
 @pytest.mark.parametrize(
     ("name", "severity", "gain"),
     [
-        ("aerosonde", 2, 0.2),
-        ("aerosonde", 3, 0.1),
-        ("aerosonde", 6, 0.1),
-        ("navion", 2, 0.2),
-        ("navion", 3, 0.12),
+        ("aerosonde", 2, 1.0),
+        ("aerosonde", 3, 1.4),
+        ("aerosonde", 6, 1.4),
+        ("navion", 2, 0.6),
+        ("navion", 3, 1.2),
+        ("jet747", 2, 1.0),
+        ("jet747", 3, 0.8),
     ],
 )
 def test_rough_air_has_gains_of_its_own_from_where_the_aircraft_says(name, severity, gain):
     kind = KINDS[name]
     rough = plan(Straight(1.0), severity=severity, aircraft=kind.aircraft, speed=kind.speed)
     fdm, _ = prepare(rough, 1 / 400)
-    assert fdm["guidance/altitude-gain"] == gain
+    assert fdm["guidance/climb-gain"] == gain
     assert fdm["guidance/bank-gain"] == kind.aircraft.gains["bank-gain"]
 
 
