@@ -63,22 +63,22 @@ def new_trust(channels: int, start: float) -> Trust:
 class InnovationLog(NamedTuple):
     """Rows of the innovation table."""
 
-    numbers: FloatArray  # (N, 4) t, innovation, its variance, NIS
-    marks: IntArray  # (N, 4) sensor, component, accepted, channel
+    numbers: FloatArray  # (4, N) t, innovation, its variance, NIS
+    marks: IntArray  # (4, N) sensor, component, accepted, channel
     filled: IntArray  # (1,) number of rows written
 
 
 def new_log(size: int) -> InnovationLog:
     """Return an empty log with room for ``size`` rows."""
-    return InnovationLog(np.empty((size, 4)), np.empty((size, 4), np.int64), np.zeros(1, np.int64))
+    return InnovationLog(np.empty((4, size)), np.empty((4, size), np.int64), np.zeros(1, np.int64))
 
 
 def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) -> Innovations:
     """Return the table of the rows of a log."""
-    if len(numbers) == 0:
+    if numbers.shape[1] == 0:
         return no_innovations()
-    t, z, S, found = np.ascontiguousarray(numbers.T)
-    code, component, accepted = np.ascontiguousarray(marks.T[:3])
+    t, z, S, found = numbers
+    code, component, accepted = marks[:3]
     return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
 
 
@@ -249,10 +249,10 @@ def note_kernel(
 ) -> None:
     """Write a row of the log: an innovation z of variance S, and whether it was used."""
     row = log.filled[0]
-    log.numbers[row, 0], log.numbers[row, 1] = t, z
-    log.numbers[row, 2], log.numbers[row, 3] = S, value
-    log.marks[row, 0], log.marks[row, 1] = code, component
-    log.marks[row, 2], log.marks[row, 3] = used, channel
+    log.numbers[0, row], log.numbers[1, row] = t, z
+    log.numbers[2, row], log.numbers[3, row] = S, value
+    log.marks[0, row], log.marks[1, row] = code, component
+    log.marks[2, row], log.marks[3, row] = used, channel
     log.filled[0] = row + 1
 
 
@@ -342,8 +342,8 @@ class InnovationGate(SessionState):
 
     def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:
         """Return the innovations, and events of refusals that have ended, since this was called last."""
-        numbers = np.array(self._numbers).reshape(-1, 4)
-        marks = np.array(self._marks, np.int64).reshape(-1, 4)
+        numbers = np.array(self._numbers).reshape(-1, 4).T
+        marks = np.array(self._marks, np.int64).reshape(-1, 4).T
         self._numbers, self._marks = [], []
-        events = refusals(numbers[:, 0], marks, list(self.sensors), self.refused, last=last)
+        events = refusals(numbers[0], marks, list(self.sensors), self.refused, last=last)
         return innovations(self.sensors, numbers, marks), events

@@ -70,7 +70,7 @@ def take_rows(record: Any, rows: Any) -> Any:
     return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
 
 
-def take_observations(o: GnssObservations, rows: BoolArray) -> GnssObservations:
+def take_observations(o: GnssObservations, rows: BoolArray | slice) -> GnssObservations:
     """Return some rows (K,) of a record of satellites, in the epochs that have any."""
     counts = np.bincount(o.epoch[rows], minlength=len(o.epoch_start) - 1)
     by_row = {name: column[rows] for name, column in columns(o).items() if name not in _WHOLE}

@@ -45,9 +45,18 @@ def without_orbits(specs: Any) -> Any:
     return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, orbits=None)))
 
 
+def _take(record: Any, rows: BoolArray | slice) -> Any:
+    """Return some rows of a record of satellites or of another sensor."""
+    take = take_observations if isinstance(record, GnssObservations) else take_rows
+    return take(record, rows)
+
+
 def take_head(piece: SensorData) -> SensorData:
     """Return a piece without rows."""
-    return replace(cut_piece(piece, slice(0), np.inf, np.inf), specs=without_orbits(piece.specs))
+    none = slice(0)
+    cut = {name: _take(one, none) for name, one in aiding_records(piece).items()}
+    imu, specs = take_rows(piece.imu, none), without_orbits(piece.specs)
+    return replace(piece, imu=imu, output_t=piece.output_t[none], specs=specs, **cut)
 
 
 def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
@@ -60,11 +69,7 @@ def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
         found: BoolArray = (t > begin) & (t <= end)
         return found
 
-    cut: dict[str, Any] = {}
-    for name, one in aiding_records(record).items():
-        rows = inside(one.t_arrival)
-        observed = isinstance(one, GnssObservations)
-        cut[name] = take_observations(one, rows) if observed else take_rows(one, rows)
+    cut = {name: _take(one, inside(one.t_arrival)) for name, one in aiding_records(record).items()}
     imu, output_t = record.imu, record.output_t
     return replace(record, imu=take_rows(imu, inside(imu.t)), output_t=output_t[inside(output_t)], **cut)
 
@@ -96,11 +101,8 @@ def cut_piece(record: SensorData, samples: slice | IntArray, after: float, until
         found: BoolArray = ~(t > until + slack)
         return found if np.isneginf(after) else found & (t > after + slack)
 
-    cut: dict[str, Any] = {}
-    for name, one in aiding_records(record).items():
-        rows = inside(arrivals(one), TIME_TOLERANCE)
-        observed = isinstance(one, GnssObservations)
-        cut[name] = take_observations(one, rows) if observed else take_rows(one, rows)
+    every = aiding_records(record).items()
+    cut = {name: _take(one, inside(arrivals(one), TIME_TOLERANCE)) for name, one in every}
     wanted = record.output_t[inside(record.output_t, 0.0)]
     return replace(record, imu=take_rows(record.imu, samples), output_t=wanted, **cut)
 

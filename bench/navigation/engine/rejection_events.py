@@ -23,13 +23,13 @@ def refusals(
 
     ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
     """
-    if not so_far and marks[:, 2].all():
+    if not so_far and marks[2].all():
         return []
     ended: list[tuple[int, tuple[float, float, int]]] = []
-    first = marks[:, 1] == 0
-    for channel in {*np.unique(marks[first & (marks[:, 2] == 0), 3]).tolist(), *so_far}:
-        rows = np.flatnonzero(first & (marks[:, 3] == channel))
-        refused = marks[rows, 2] == 0
+    first = marks[1] == 0
+    for channel in {*np.unique(marks[3, first & (marks[2] == 0)]).tolist(), *so_far}:
+        rows = np.flatnonzero(first & (marks[3] == channel))
+        refused = marks[2, rows] == 0
         edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
         before = so_far.pop(channel, None)
         if before is not None and not refused[:1].any():

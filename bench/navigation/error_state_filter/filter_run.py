@@ -381,7 +381,7 @@ class ForwardRun(SessionState):
         self.now, self.pending, self.gate, self.refused = now, pending, gate, refused
         self.carried = work.carried.whole.copy()
         count = int(log.filled[0])
-        numbers, marks = log.numbers[:count], log.marks[:count]
+        numbers, marks = log.numbers[:, :count], log.marks[:, :count]
         wanted = schedule.output_t
         t = schedule.advance(plan)
         *state, cov, variance = stores[:6]
@@ -389,7 +389,7 @@ class ForwardRun(SessionState):
             rows = np.searchsorted(t, wanted[plan.outputs])
             *state, cov, variance = (spread(one, rows, len(t)) for one in stores[:6])
         add_arm(cov, self.antenna_b)
-        events = schedule.events + refusals(numbers[:, 0], marks, names, refused, last=schedule.last)
+        events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:

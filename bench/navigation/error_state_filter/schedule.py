@@ -26,7 +26,7 @@ from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.range_states import list_range_errors
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_processes import assumed
-from bench.navigation.error_state_filter.step_entries import FREE, plan_kernel
+from bench.navigation.error_state_filter.step_entries import FREE, IN_ORDER, plan_kernel
 from bench.navigation.options import FixAccuracy
 from bench.sensor_specs import GnssSpec, ImuSpec
 
@@ -244,7 +244,9 @@ class Schedule(SessionState):
         of_row = number[o.epoch]
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
-        sky = ranging.make_sky(o, gnss, rows, of_row[rows], len(epochs), lat, channels)
+        sky = ranging.make_sky(
+            o, gnss, values[rows], variance[rows], rows, of_row[rows], len(epochs), lat, channels
+        )
         with_states = [k for k in gnss.sky.constellations if any(list_range_errors(gnss.sky, k))]
         wait = (sky.which[:, 3] < 0) & np.isin(o.system[rows], with_states)
         self.events += timeline.left_out(
@@ -351,7 +353,7 @@ class Schedule(SessionState):
             self._cut or self._as_sampled, self.last, slot, left, work, busy, entries, ahead, outputs,
         )  # fmt: skip
         entries = entries[:count]
-        entries = entries[np.lexsort((entries[:, 3], entries[:, 1], entries[:, 2], entries[:, 0]))]
+        entries = entries[np.argsort(entries[:, :3] @ IN_ORDER, kind="stable")]  # rows of a kind are in order
         wide, waits = rows.values, rows._replace(slot=slot).take(left)
         ahead, outputs = ahead[:due], outputs[:due]
         values, variance = wide[:, :6], rows.variance

@@ -10,6 +10,8 @@ from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
 AT_ONCE, MEASURE, USE, OUTPUT, GO_ON = range(5)
 """Actions: measure and update at once, measure, update with what was measured, output, just go there."""
 _BEFORE = -2  # step of what was measured in an earlier piece
+IN_ORDER = (1024, 1, 8)
+"""Entries rise by step, by kind and by action, each of these at most 127 and 7: weights of the columns."""
 FREE = -3  # step until which a slot is taken that nothing waits in
 
 

@@ -112,7 +112,7 @@ class FixTrack(SessionState):
         x, P = np.full((m, 9), np.nan), np.full((m, 9, 9), np.nan)
         track_kernel(self._now, fixes, read_only(output_t), self._model, log, x, P, self._work)
         if filled := int(log.filled[0]):
-            self._rows.append((log.numbers[:filled], log.marks[:filled]))
+            self._rows.append((log.numbers[:, :filled], log.marks[:, :filled]))
         return x, P
 
     @property
@@ -131,6 +131,6 @@ class FixTrack(SessionState):
 
     def take_innovations(self) -> Innovations:
         """Return the innovations of the fixes since this was called last."""
-        numbers, marks = (np.concatenate(parts) for parts in zip(*self._rows, strict=True))
+        numbers, marks = (np.concatenate(parts, axis=1) for parts in zip(*self._rows, strict=True))
         self._rows = self._rows[:1]
         return innovations(SENSORS, numbers, marks)

@@ -133,6 +133,8 @@ def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[Fl
 def make_sky(
     o: GnssObservations,
     spec: GnssSpec,
+    values: FloatArray,
+    variance: FloatArray,
     rows: IntArray,
     epochs: IntArray,
     count: int,
@@ -147,6 +149,8 @@ def make_sky(
         Record.
     spec : GnssSpec
         Datasheet of the receiver that is assumed.
+    values, variance : (K, 2) arrays
+        Range and rate of the rows used and their variances, of :func:`correct_observations`.
     rows, epochs : (K,) arrays of int
         Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
     lat : float
@@ -156,13 +160,12 @@ def make_sky(
     """
     channel = channels.of_satellites(o)[rows]
     own, fresh = channels.give_states(o, rows)
-    values, variance = correct_observations(o, spec)
     free = spec.sky is not None and spec.sky.bands == 2
     decay = 1.0 if spec.sky is None else max(spec.sky.ionosphere_decay, 1.0)
     return SkyRows(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
-        values=values[rows],
-        variance=variance[rows],
+        values=values,
+        variance=variance,
         sat=np.hstack([o.sat_pos_e, o.sat_vel_e])[rows],
         t=o.t[rows] + o.gps_t0,
         ionosphere=np.zeros(len(rows)) if free else (L1 / o.frequency[rows, 0]) ** 2,
