@@ -43,7 +43,10 @@ def matrix_kernel(nav: FloatArray, C: FloatArray) -> None:
 
 @kernel
 def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> None:
-    """Multiply q_nb by the quaternion of a rotation vector [rad], on the left (in n) or the right (in b)."""
+    """Multiply q_nb by the quaternion of a rotation vector [rad], on the left (in n) or the right (in b).
+
+    A turn on the left makes its norm 1 again; one on the right leaves that to the next on the left.
+    """
     angle2 = x * x + y * y + z * z
     if angle2 < 1e-2:  # series: the next terms are below 1e-15
         c = 1.0 - angle2 * (1.0 / 8.0 - angle2 * (1.0 / 384.0 - angle2 * (1.0 / 46080.0)))
@@ -61,10 +64,12 @@ def turn_kernel(nav: FloatArray, x: float, y: float, z: float, left: bool) -> No
     p = a * x + i * c + j * z - k * y
     q = a * y - i * z + j * c + k * x
     r = a * z + i * y - j * x + k * c
-    square = w * w + p * p + q * q + r * r
-    scale = 1.5 - 0.5 * square  # one over its root; the next term is below 1e-16
-    if abs(square - 1.0) > 1e-8:
-        scale = 1.0 / np.sqrt(square)
+    scale = 1.0
+    if left:
+        square = w * w + p * p + q * q + r * r
+        scale = 1.5 - 0.5 * square  # one over its root; the next term is below 1e-16
+        if abs(square - 1.0) > 1e-8:
+            scale = 1.0 / np.sqrt(square)
     sign *= scale
     nav[6], nav[7], nav[8], nav[9] = scale * w, sign * p, sign * q, sign * r
 
