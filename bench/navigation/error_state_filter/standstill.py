@@ -36,11 +36,13 @@ class StandstillDetector(ImuSampler):
         From where the windows count [s].
     spec : ImuSpec
         The unit assumed.
+    by_gyros : bool
+        It need not turn, but may be shaken: the accelerometers are not asked.
     """
 
-    def __init__(self, start: float, spec: ImuSpec) -> None:
+    def __init__(self, start: float, spec: ImuSpec, *, by_gyros: bool = False) -> None:
         super().__init__(start, WINDOW)
-        self.spec = spec
+        self.spec, self.by_gyros = spec, by_gyros
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Return in which windows it stood, the mean rates and forces (W, 6) and the variances (6,)."""
@@ -62,14 +64,15 @@ class StandstillDetector(ImuSampler):
             mean = sum_segments(rate, first, end) / count[:, None]
             square = np.square(rate - np.repeat(mean, count, axis=0))
             sd = np.sqrt(sum_segments(square, first, end) / count[:, None])
-            still &= (sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)).all(axis=1)
+            quiet = (sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)).all(axis=1)
+            still &= quiet | (self.by_gyros and triad is spec.accel)
             means.append(mean)
         turn, force = means
         by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
         still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
         size = np.linalg.norm(force, axis=1)
         allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
-        still &= np.abs(size - GAMMA_E) < allowed
+        still &= (np.abs(size - GAMMA_E) < allowed) | self.by_gyros
         return still, np.hstack(means), variance
 
     def first_needed(self, imu: ImuData, last: IntArray) -> int:

@@ -62,7 +62,7 @@ class FixTrack(SessionState):
             float(options.readmit_after_s),
         )
         self.make_scratch()
-        self._rows = [(np.empty((0, 4)), np.empty((0, 4), np.int64))]
+        self._rows = [(np.empty((4, 0)), np.empty((4, 0), np.int64))]
 
     def expect(self, options: GnssOnlyOptions) -> None:
         """Continue with other manoeuvres; the variance of the acceleration grows to theirs."""

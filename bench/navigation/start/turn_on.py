@@ -5,7 +5,7 @@ until the first turn, and a linear filter is then lost. So the mean rate over a 
 stays is taken for the bias: the attitude of a vehicle that flies or drives straight changes little. At rest
 it does not change at all. The filter begins again at the start with what is left of the bias, first after
 1.5 s and then with what a longer stretch tells; answers that were given are not changed. What is left is
-learnt while the course stays (`steady_course`).
+learnt while the course stays (`steady_course`). A start in a turn has no such stretch: see `turning_start`.
 """
 
 from __future__ import annotations
@@ -39,6 +39,7 @@ from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
+from bench.navigation.start import turning_start
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.steady_course import (
     FIRST,
@@ -53,6 +54,7 @@ from bench.units import STANDARD_GRAVITY
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]
 SHORTEST, FIRST_LOOK = 5.0, 0.9  # stretch that has ended; one that goes on, which a longer one replaces [s]
+NEAR = float(np.deg2rad(15.0))  # a filter that errs by less is linear [rad]
 MOST = 5.0  # sd; no unit errs by more
 
 Run = Callable[[SensorData, InitialState, float | None], NavSolution]
@@ -64,7 +66,7 @@ class TurnOn:
     """A bias of the gyros, and how well it is known."""
 
     bias_b: FloatArray  # (3,) [rad/s], b
-    sd: float  # [rad/s]
+    sd: float | None  # [rad/s]; None: as the datasheet says, the bias is where the filter begins
     until: float  # end of the stretch that it comes from [s]
 
 
@@ -72,7 +74,8 @@ class FromTurnOn(SessionState):
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
     While the stretch goes on it takes the record so far once more, from the start, whenever the bias is known
-    better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn.
+    better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn. Where the course
+    leaves it begins near the bias that :mod:`turning_start` finds.
 
     Parameters
     ----------
@@ -123,8 +126,8 @@ class FromTurnOn(SessionState):
                 break
             self.step += 1
             record = self._join_pieces()
-            found = find_turn_on(record, self.initial, due)
-            if self._is_other(found):
+            found = find_turn_on(record, self.initial, due) or self._find_turning(record, due)
+            if self._is_other(found, piece, due):
                 before, piece = _until(piece, due), _after(piece, due)
                 solution = self._take(before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
@@ -140,11 +143,21 @@ class FromTurnOn(SessionState):
     def _take(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         return self._own(self.filter.feed(self._less(piece), look_back, last=last))
 
-    def _is_other(self, found: TurnOn | None) -> bool:
+    def _find_turning(self, record: SensorData, due: float) -> TurnOn | None:
+        """Return where a filter begins whose start is no straight; None if it is one."""
+        near = np.zeros(3) if self.found is None else self.found.bias_b
+        return find_turning(record, self.initial, due, near)
+
+    def _is_other(self, found: TurnOn | None, piece: SensorData, due: float) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
         if found is None or self.found is None:
             return found is not self.found
-        return found.sd < self.found.sd
+        if found.sd is None and self.found.sd is None:  # not where the filter itself comes near
+            trial = self.copy()
+            trial._take(_until(piece, due), 0.0, last=True)
+            off = np.abs(trial.steady_errors()[0][:3] - found.bias_b).max() * (due - self.initial.t)
+            return not off < NEAR
+        return found.sd is None or self.found.sd is None or found.sd < self.found.sd
 
     def _join_pieces(self) -> SensorData:
         """Return the record so far."""
@@ -210,9 +223,12 @@ def smooth_from_turn_on(
 
     The second is the bias (3,) of the gyros [rad/s] that it did not see.
     """
-    found = find_turn_on(sensors, initial)
+    found, near = find_turn_on(sensors, initial), np.zeros(3)
+    for step in STEPS if found is None else ():
+        if turning := find_turning(sensors, initial, initial.t + step, near):
+            found, near = turning, turning.bias_b
     if found is None:
-        return run(sensors, initial, None), np.zeros(3)
+        return run(sensors, initial, None), near
     return _run_without(found, run, sensors, initial), found.bias_b
 
 
@@ -225,6 +241,14 @@ def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialS
 def _event(initial: InitialState, found: TurnOn | None, due: float = math.inf) -> EventRow:
     if found is None:
         return initial.t, due, "alignment", "turn-on bias of the gyros as before: the course has left"
+    if found.sd is None:
+        size = np.rad2deg(np.abs(found.bias_b).max())
+        return (
+            initial.t,
+            found.until,
+            "alignment",
+            f"gyros near a bias of {size:.2g} deg/s, by the first turn",
+        )
     text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
     return initial.t, found.until, "alignment", text
 
@@ -256,17 +280,17 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
     rows, _, _ = timeline.imu_rows(sensors.imu, initial.t, spec)
     if not len(t):
         return None
-    height = fixes.lla[used, 2]
-    if (speed < STILL).all():
+    height, span, rests = fixes.lla[used, 2], 0.0, bool((speed < STILL).all())
+    if rests:  # an aircraft rocks on its gear and turns little
         inside = rows[sensors.imu.t[rows] <= until]
-        ends, motion_b, _ = StandstillDetector(initial.t, spec).take(take_rows(sensors.imu, inside))
+        detector = StandstillDetector(initial.t, spec, by_gyros=True)
+        ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
         span, ended = len(ends) * standstill.WINDOW, False
-        if span < FIRST_LOOK:
-            return None
+    if span >= FIRST_LOOK:
         sd, bias_b, end = STILL_SD, motion_b[:, :3].mean(axis=0), float(ends[-1])
     else:
-        course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
-        straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
+        course = np.zeros(len(t)) if rests else np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
+        straight = (np.abs(course - course[0]) < STRAIGHT) & (rests | (speed > LEAST_SPEED))
         ended = not straight.all()
         count = int(np.argmin(straight)) if ended else len(t)
         if count < 2:
@@ -285,6 +309,16 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
     if np.abs(bias_b).max() > MOST * math.hypot(before, sd):  # the vehicle turns, not the unit
         return None
     return TurnOn(bias_b, sd, end)
+
+
+def find_turning(sensors: SensorData, initial: InitialState, until: float, near: FloatArray) -> TurnOn | None:
+    """Return near which bias a filter begins whose start is no straight (:func:`turning_start.find_bias`)."""
+    if sensors.fixes is None or not may_be_learnt(sensors, initial):
+        return None
+    bias_b = turning_start.find_bias(sensors, initial, until, near)
+    if bias_b is None or np.abs(bias_b).max() > MOST * _error_sd(sensors.specs.imu, initial):
+        return None
+    return TurnOn(bias_b, None, until)
 
 
 def _error_sd(spec: ImuSpec, initial: InitialState) -> float:
