@@ -54,7 +54,6 @@ from bench.units import STANDARD_GRAVITY
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]
 SHORTEST, FIRST_LOOK = 5.0, 0.9  # stretch that has ended; one that goes on, which a longer one replaces [s]
-NEAR = float(np.deg2rad(15.0))  # a filter that errs by less is linear [rad]
 MOST = 5.0  # sd; no unit errs by more
 
 Run = Callable[[SensorData, InitialState, float | None], NavSolution]
@@ -66,8 +65,9 @@ class TurnOn:
     """A bias of the gyros, and how well it is known."""
 
     bias_b: FloatArray  # (3,) [rad/s], b
-    sd: float | None  # [rad/s]; None: as the datasheet says, the bias is where the filter begins
+    sd: float  # [rad/s]
     until: float  # end of the stretch that it comes from [s]
+    turning: bool = False  # that is no straight
 
 
 class FromTurnOn(SessionState):
@@ -127,7 +127,7 @@ class FromTurnOn(SessionState):
             self.step += 1
             record = self._join_pieces()
             found = find_turn_on(record, self.initial, due) or self._find_turning(record, due)
-            if self._is_other(found, piece, due):
+            if self._is_other(found):
                 before, piece = _until(piece, due), _after(piece, due)
                 solution = self._take(before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
@@ -148,16 +148,11 @@ class FromTurnOn(SessionState):
         near = np.zeros(3) if self.found is None else self.found.bias_b
         return find_turning(record, self.initial, due, near)
 
-    def _is_other(self, found: TurnOn | None, piece: SensorData, due: float) -> bool:
+    def _is_other(self, found: TurnOn | None) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
         if found is None or self.found is None:
             return found is not self.found
-        if found.sd is None and self.found.sd is None:  # not where the filter itself comes near
-            trial = self.copy()
-            trial._take(_until(piece, due), 0.0, last=True)
-            off = np.abs(trial.steady_errors()[0][:3] - found.bias_b).max() * (due - self.initial.t)
-            return not off < NEAR
-        return found.sd is None or self.found.sd is None or found.sd < self.found.sd
+        return found.turning != self.found.turning or found.sd < self.found.sd
 
     def _join_pieces(self) -> SensorData:
         """Return the record so far."""
@@ -241,15 +236,8 @@ def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialS
 def _event(initial: InitialState, found: TurnOn | None, due: float = math.inf) -> EventRow:
     if found is None:
         return initial.t, due, "alignment", "turn-on bias of the gyros as before: the course has left"
-    if found.sd is None:
-        size = np.rad2deg(np.abs(found.bias_b).max())
-        return (
-            initial.t,
-            found.until,
-            "alignment",
-            f"gyros near a bias of {size:.2g} deg/s, by the first turn",
-        )
-    text = f"turn-on bias of the gyros by their mean rate, left {np.rad2deg(found.sd):.2g} deg/s"
+    way = "the first turn" if found.turning else "their mean rate"
+    text = f"turn-on bias of the gyros by {way}, left {np.rad2deg(found.sd):.2g} deg/s"
     return initial.t, found.until, "alignment", text
 
 
@@ -315,10 +303,11 @@ def find_turning(sensors: SensorData, initial: InitialState, until: float, near:
     """Return near which bias a filter begins whose start is no straight (:func:`turning_start.find_bias`)."""
     if sensors.fixes is None or not may_be_learnt(sensors, initial):
         return None
-    bias_b = turning_start.find_bias(sensors, initial, until, near)
-    if bias_b is None or np.abs(bias_b).max() > MOST * _error_sd(sensors.specs.imu, initial):
+    before = _error_sd(sensors.specs.imu, initial)
+    found = turning_start.find_bias(sensors, initial, until, near)
+    if found is None or found[1] > before or np.abs(found[0]).max() > MOST * before:
         return None
-    return TurnOn(bias_b, None, until)
+    return TurnOn(found[0], found[1], until, turning=True)
 
 
 def _error_sd(spec: ImuSpec, initial: InitialState) -> float:

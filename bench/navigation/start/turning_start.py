@@ -1,9 +1,7 @@
 """A bias of the gyros by a start in a turn, where no stretch is straight.
 
 The attitude at an instant is taken for that of coordinated flight: the heading has turned with the course,
-the bank is that of the turn, the pitch is that of the start. The bias is what leads there. Nobody knows how
-well this holds, so it is no measurement: a filter that begins near the bias has errors that are small enough
-for a linear model, and learns it as its datasheet has it.
+the bank is that of the turn, the pitch is that of the start. The bias is what leads there.
 """
 
 from __future__ import annotations
@@ -18,17 +16,20 @@ from bench.data import InitialState, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.mechanization import propagate
 from bench.navigation.start.course import LEAST_SPEED
-from bench.navigation.start.steady_course import STRAIGHT
+from bench.navigation.start.steady_course import STRAIGHT, TURNED_SD
 from bench.units import STANDARD_GRAVITY
 
+_PART = 0.5  # of the bank: sd of what it may be beside that, a car has none
 _STEPS = 10  # of Newton's method, at most
 _NEAR = 1e-4  # the last of them is shorter, and so are those that give the slopes [rad/s]
 
 
 def find_bias(
     sensors: SensorData, initial: InitialState, until: float, near: FloatArray
-) -> FloatArray | None:
-    """Return the bias (3,) [rad/s], b, of the gyros that leads to coordinated flight; None if there is none.
+) -> tuple[FloatArray, float] | None:
+    """Return the bias (3,) of the gyros that leads to coordinated flight, b, and its sd [rad/s].
+
+    None: the course stays, the vehicle hardly moves, or no bias is found.
 
     Parameters
     ----------
@@ -74,5 +75,5 @@ def find_bias(
         change, *_ = np.linalg.lstsq(slopes, between(q, q_end))
         bias = bias + change
         if np.abs(change).max() < _NEAR:
-            return bias
+            return bias, math.hypot(TURNED_SD, _PART * bank) / (end - initial.t)
     return None
