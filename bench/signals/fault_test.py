@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 
-_FAULT = 30.0  # up to about which size faults are equally likely [m]; assumed, 10 to 1000 find the same ones
+_FAULT = 30.0  # up to about which size faults are equally likely [m]; assumed, 30 to 1000 find the same ones
 _SIZES = np.linspace(0.0, 12.0, 1201)  # of a standard normal variable [1]
 _LOG_TAILS = np.log([erfc(x / np.sqrt(2.0)) for x in _SIZES])  # chance that it is as large, either sign
 _REFINED = 8  # steps to a threshold, of Newton; with 5e-3 three have all digits

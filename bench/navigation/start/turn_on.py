@@ -144,7 +144,7 @@ class FromTurnOn(SessionState):
         return self._own(self.filter.feed(self._less(piece), look_back, last=last))
 
     def _find_turning(self, record: SensorData, due: float) -> TurnOn | None:
-        """Return where a filter begins whose start is no straight; None if it is one."""
+        """Return the bias by the turn that the start is in; None if it is in none."""
         near = np.zeros(3) if self.found is None else self.found.bias_b
         return find_turning(record, self.initial, due, near)
 
@@ -300,7 +300,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
 
 
 def find_turning(sensors: SensorData, initial: InitialState, until: float, near: FloatArray) -> TurnOn | None:
-    """Return near which bias a filter begins whose start is no straight (:func:`turning_start.find_bias`)."""
+    """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if that tells nothing."""
     if sensors.fixes is None or not may_be_learnt(sensors, initial):
         return None
     before = _error_sd(sensors.specs.imu, initial)
