@@ -150,6 +150,12 @@ def test_a_bias_that_no_unit_has_is_none():
     assert turn_on.find_turning(data, start, 4.5, np.deg2rad([38.0, 0.0, 0.0])) is None
     data, start = coordinated(np.deg2rad([20.0, 0.0, 0.0]))
     assert turn_on.find_turning(data, start, 4.5, np.deg2rad([18.0, 0.0, 0.0])) is not None
+    gyro = replace(data.specs.imu.gyro, turn_on_bias_sd=np.deg2rad(2.0))  # known better than the turn tells
+    known = replace(data, specs=replace(data.specs, imu=replace(data.specs.imu, gyro=gyro)))
+    assert turn_on.find_turning(known, start, 4.5, np.deg2rad([18.0, 0.0, 0.0])) is None
+    known, start = replace(coordinated(np.zeros(3))[0], specs=known.specs), start
+    assert turn_on.find_turning(known, start, 4.5, np.zeros(3)) is None
+    assert turn_on.find_turning(known, start, 12.0, np.zeros(3)) is not None
 
 
 def test_a_filter_that_starts_in_a_turn_is_honest(turning):
@@ -196,7 +202,7 @@ def test_a_unit_that_is_shaken_on_the_ground_learns_its_bias():
     profile = with_biases_alone(bench.load_profile("figure-eight", {"sensors.imu": "lsm6dsl"}))
     truth = at_rest(12.0, 200.0, np.array([0.8, 0.2, 500.0]))
     wave = np.sin(2 * np.pi * 9.0 * truth.t[1:])[:, None] / 200.0
-    for force, turn, most in ((0.04, 0.0, 0.02), (0.04, np.deg2rad(1.0), 1.0)):
+    for force, turn, sd_deg_s in ((0.04, 0.0, 0.1 / 11.0), (0.04, np.deg2rad(1.0), 5.0 / 10.0)):
         shaken = replace(
             truth,
             dvel_b=truth.dvel_b + force * wave * [0.0, 0.0, 1.0],
@@ -205,7 +211,7 @@ def test_a_unit_that_is_shaken_on_the_ground_learns_its_bias():
         sensed = pipeline.sense(profile, shaken)
         found = turn_on.find_turn_on(sensed.data, sensed.initial, 11.0)
         assert found is not None
-        assert found.sd < np.deg2rad(most)
+        assert np.rad2deg(found.sd) == pytest.approx(sd_deg_s, rel=0.25)
         assert_allclose(found.bias_b, sensed.truth.gyro_bias_b[-1], atol=4.0 * found.sd)
 
 

@@ -37,7 +37,7 @@ class StandstillDetector(ImuSampler):
     spec : ImuSpec
         The unit assumed.
     by_gyros : bool
-        It need not turn, but may be shaken: the accelerometers are not asked.
+        It need not turn, but may be shaken: the noise of the accelerometers is not asked.
     """
 
     def __init__(self, start: float, spec: ImuSpec, *, by_gyros: bool = False) -> None:
@@ -72,7 +72,7 @@ class StandstillDetector(ImuSampler):
         still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
         size = np.linalg.norm(force, axis=1)
         allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
-        still &= (np.abs(size - GAMMA_E) < allowed) | self.by_gyros
+        still &= np.abs(size - GAMMA_E) < allowed
         return still, np.hstack(means), variance
 
     def first_needed(self, imu: ImuData, last: IntArray) -> int:
