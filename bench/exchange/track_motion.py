@@ -160,9 +160,8 @@ def _smooth(
         used[wild] = False
         level, height = fit()
     blurred = _blur(t[used], fixes[used, :2], level) if spec.noise is None else 0.0
-    _check_resolved(
-        t[used], level, blurred, spec, shown, jump
-    )  # a curve through the middle of circles stands
+    # before stands are looked for: a curve through the middle of circles stands
+    _check_resolved(t[used], level, blurred, spec, shown, jump)
     if blurred > _BLURRED:
         notes.append(
             f"fixes {np.median(np.diff(t)):.3g} s apart: {blurred:.2g} m of the {level.noise:.3g} m of noise "

@@ -19,7 +19,7 @@ from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.steady_course import STRAIGHT, TURNED_SD
 from bench.units import STANDARD_GRAVITY
 
-_PART = 0.5  # of the bank: sd of what it may be beside that, a car has none
+_PART = 0.5  # sd of the bank over the bank, as a turn may slip and a car has none; assumed
 _STEPS = 10  # of Newton's method, at most
 _NEAR = 1e-4  # the last of them is shorter, and so are those that give the slopes [rad/s]
 
