@@ -314,7 +314,8 @@ def test_a_reviewer_draws_noise_of_their_own_and_runs_are_kept(made, monkeypatch
     assert first.seed == 77
     assert first.suite_hash != base.suite_hash
     assert first.program == base.program
-    assert "--seed 77" in first.commands["short"]
+    assert first.commands["short"].endswith("--seed 77 --run 0")
+    assert all(re.fullmatch("[0-9a-f]{16}", x) for x in (first.suite_hash, first.program, first.answers))
     assert "start_s" not in base.commands["short"]  # the spoof comes when the profile says, at 8 s
     starts = sorted(map(float, re.findall(r'"start_s" = ([\d.]+)', first.commands["short"])))
     assert [a != b for a, b in zip(starts, (8.0, 14.0), strict=True)] == [True, True]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from bench.campaigns.factor_search import REACH, search_factors
+from bench.campaigns.factor_search import REACH, _step_to_valley, _Tried, search_factors
 
 TRUE = np.log([0.2, 3.0])  # right factors of the two noises that show
 DRAWS, EPOCHS = 8, 400
@@ -84,3 +84,17 @@ def test_the_start_does_not_matter():
     found = search_factors(costs, 1, 500)
     assert found.x[0] == pytest.approx(-2.0, abs=0.05)
     assert found.agreed < found.starts
+
+
+@pytest.mark.parametrize("off", [(0.02, -0.03, 0.01), (-0.02, 0.03, -0.01), (0.3, 0.0, -0.3)])
+def test_a_step_goes_to_the_bottom_of_a_quadratic_and_no_further_than_its_reach(off):
+    """Second derivatives are those of the cost and of the pull to 1; of three factors that go together."""
+    A, bottom = np.array([[3.0, 1.0, -0.5], [1.0, 2.0, 0.7], [-0.5, 0.7, 4.0]]), np.array([0.1, -0.2, 0.3])
+
+    def costs(x: np.ndarray) -> np.ndarray:
+        return np.full(2, 0.5 * (x - bottom) @ A @ (x - bottom) - 1e-3 * x @ x)  # less the pull
+
+    start = bottom + off
+    found, hessian = _step_to_valley(_Tried(costs, 100), start)
+    assert hessian == pytest.approx(A, abs=1e-9)
+    assert found == pytest.approx(start - np.clip(off, -0.05, 0.05), abs=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,15 +14,17 @@ from scipy.stats import multivariate_normal
 
 import bench
 from bench import pipeline
-from bench.campaigns import tuning
+from bench.campaigns import trials, tuning
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import HeldOutScore, ProfileTrial, measure_costs
+from bench.campaigns.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
 from bench.campaigns.worker import RunTask
 from bench.cli import main
 from bench.config import load_profile
+from bench.data import ErrorSeries, Innovations, no_innovations
 from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate
 from bench.places import PACKAGE
+from bench.specs import DEFAULT_GUARD
 from bench.store import truth_key
 from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE
@@ -166,6 +169,50 @@ def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
 def test_a_filter_that_claims_nothing_cannot_be_tuned(here):
     with pytest.raises(ConfigError, match="claims no accuracy"):
         bench.tune("short.toml", "tests.campaigns.test_lost_draws:PositionsOnly", runs=2)
+
+
+def test_a_log_is_tuned_on_its_first_half_and_judged_on_the_second(monkeypatch):
+    """Ten stretches of each half, from the begin of the evaluation: their sums by hand."""
+    rng, t = np.random.default_rng(9), np.arange(211.0)
+    pos_n, nees, z = rng.normal(size=(211, 3)), rng.chisquare(9, 211), rng.normal(size=211)
+    none = np.zeros((211, 3))
+    errors = ErrorSeries(t, pos_n, none, none, none[:, 0], nees, 9)
+    rows = [(now, 0, 0, one, 2.0, 1.0, True) for now, one in zip(t, z, strict=True)]
+    innovations = Innovations.from_rows(("baro",), rows)
+    result = SimpleNamespace(
+        metrics={"x": {}},
+        profile={},
+        errors={"x": errors},
+        solutions={"x": SimpleNamespace(innovations=innovations)},
+    )
+    given = []
+    log = SimpleNamespace(spec=SimpleNamespace(evaluation=SimpleNamespace(begin=10.0)))
+    monkeypatch.setattr(
+        trials.log_pipeline, "read_log", lambda source, **more: given.append((source, more)) or log
+    )
+    monkeypatch.setattr(trials.log_pipeline, "navigate_log", lambda _: result)
+    monkeypatch.setattr(trials, "_list_assumed", lambda _: {})
+    trial = LogTrial("log.toml", "x", {"a": 1, "b": 2}, allow_code=True, guard=DEFAULT_GUARD)
+
+    square = np.square(pos_n[:, :2]).sum(axis=1)
+    score = 0.5 * (np.square(z) / 2.0 + np.log(2.0))
+    parts = [slice(10, 21), *(slice(k + 1, k + 11) for k in range(20, 210, 10))]  # a sample each second
+    for goal, values in (("rmse", square), ("consistency", score)):
+        costs = trial.score({"b": 3}, goal)
+        assert costs == pytest.approx([values[part].sum() * 10 / 101 for part in parts[:10]])
+    same = {"estimators": ["x"], "allow_code": True, "guard": DEFAULT_GUARD}
+    assert given[0] == ("log.toml", {"overrides": {"a": 1, "b": 2}, **same})
+    assert given[1] == ("log.toml", {"overrides": {"a": 1, "b": 3}, **same})
+    judged = trial.judge({})
+    assert judged.rmse_h_m.value == pytest.approx(
+        np.sqrt(np.mean([square[one].mean() for one in parts[10:]]))
+    )
+    assert judged.nees_ratio.value == pytest.approx(nees[111:211].mean() / 9)
+    late = z[111:]
+    assert judged.repetition["baro"][0] == pytest.approx(late[1:] @ late[:-1] / (late @ late))
+    result.solutions["x"].innovations = no_innovations()
+    with pytest.raises(ConfigError, match="--goal rmse tunes without them"):
+        trial.score({}, "consistency")
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from bench import cli, earth, rotation
 from bench.errors import ConfigError
 from bench.exchange.track_files import FixSeries, read_track
-from bench.exchange.track_fit import fit_track
+from bench.exchange.track_fit import _find_least, fit_track
 from bench.exchange.track_motion import make_motion
 from bench.exchange.trajectory import read_trajectory
 from bench.flight import fly
@@ -230,6 +230,14 @@ def test_degrees_that_may_be_radians_are_told():
         lla = np.column_stack([np.radians(scale * rows[:, 1:3]), rows[:, 3]])
         motion = make_motion(FixSeries(rows[:, 0], lla, ()), TrackSpec(noise=1.0), "t")
         assert any("are latitude and longitude in radians?" in text for *_, text in motion.notes) == told
+
+
+@pytest.mark.parametrize("least", [-8.0, -7.9, 0.3, 4.321, 9.99, 10.0])
+def test_the_penalty_with_the_least_risk_is_found(least):
+    """To the width of 24 golden sections of three decades; a shallower valley elsewhere does not matter."""
+    there = -7.0 if least > 1.0 else 9.0
+    found = _find_least(lambda x: min(abs(x - least) ** 1.5, 1.0 + abs(x - there)), -8.0, 10.0)
+    assert abs(found - least) < 1e-4
 
 
 def test_noise_is_estimated_where_it_is_not_told():

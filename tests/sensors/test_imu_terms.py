@@ -387,6 +387,28 @@ def test_the_size_effect_is_the_derivative_of_the_motion_of_the_point():
             assert_allclose(felt[k, i], (turn(a[1]).T @ moved)[i], atol=1e-4)
 
 
+def test_the_size_effect_knows_the_length_of_each_sample():
+    """Rates on a parabola through the middles of unequal samples: its derivative, exactly; on a line the
+    first two samples have it, too. The samples before a piece are those of the whole."""
+    dt = np.array([0.004, 0.007, 0.005, 0.012, 0.003, 0.009])
+    middle = np.cumsum(dt) - dt / 2
+    arms, none = np.eye(3) * 0.5, np.zeros((len(dt), 3))
+    for slope, bend in ((2.0, 0.0), (2.0, 300.0)):
+        w = 0.3 + slope * middle + bend * middle**2
+        turned = np.outer(w * dt, [0.0, 0.0, 1.0])
+        whole = imu_terms.resolve_along_axes(turned, none, dt, arms[[1, 0, 2]], np.eye(3), SensorDraws(1, 0))
+        rate = slope + 2 * bend * middle
+        known = slice(2 if bend else 0, None)
+        expected = np.column_stack([-0.5 * rate, 0.5 * rate, 0 * rate])  # of arms y, x and z
+        assert_allclose((whole / dt[:, None])[known], expected[known], rtol=0, atol=1e-9)
+        draws = SensorDraws(1, 0)
+        parts = [
+            imu_terms.resolve_along_axes(turned[k], none[k], dt[k], arms[[1, 0, 2]], np.eye(3), draws)
+            for k in (slice(0, 3), slice(3, 4), slice(4, 6))
+        ]
+        assert_array_equal(np.concatenate(parts), whole)
+
+
 # --- temperature and vibration ------------------------------------------------------------------------
 
 
@@ -421,6 +443,24 @@ def test_the_bias_follows_the_air_and_the_own_heat():
     assert_allclose(hotter, np.outer(15.0 * (1 - fade), slope), rtol=0, atol=1e-9)
     at_once = run(truth, gyro=spec, thermal=replace(thermal, time_constant=0.0))[1].gyro_b
     assert_allclose(at_once, np.outer(290.0 - 0.01 * bias.t + 15.0 - 298.15, slope), rtol=0, atol=1e-9)
+
+
+def test_speed_and_strength_of_the_shaking_are_lines_between_instants_of_the_air():
+    """Held at both ends; the angle of the engine is their sum by trapezoids, from what it had turned."""
+    rng = np.random.default_rng(6)
+    t, at, values = (
+        np.cumsum(rng.uniform(0.5, 1.5, 60)),
+        np.array([9.0, 12.5, 30.0, 41.0]),
+        rng.normal(size=4),
+    )
+    found, angle, turned = np.empty(60), np.empty(60), np.array([3.0])
+    vibration._interpolate_kernel(t, at, values, found)
+    line = np.interp(t, at, values)
+    assert_allclose(found, line, rtol=0, atol=1e-12)
+    vibration._engine_angle_kernel(t, at, values, turned, angle)
+    expected = 3.0 + np.append(0.0, np.cumsum(0.5 * (line[1:] + line[:-1]) * np.diff(t)))
+    assert_allclose(angle, expected, rtol=0, atol=1e-12)
+    assert turned[0] == angle[-1]
 
 
 def test_the_engine_shakes_at_its_speed_with_the_rms_of_its_figure():
@@ -486,16 +526,34 @@ def test_vibration_reaches_the_gyro_through_the_square_of_the_force():
 # --- what cannot be -----------------------------------------------------------------------------------
 
 
+GUSTS = ("gust_gyro", "gust_accel")
+
+
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
         ({"gyro": TriadSpec(nonlinearity_sd=1e-3)}, "nonlinearity_sd needs range_deg_s"),
         ({"gyro": TriadSpec(dead_zone=1.0, dead_zone_kind="soft")}, "dead_zone_kind = 'soft'"),
         ({"accel": TriadSpec(g_sensitivity_sd=1.0)}, "g_sensitivity_sd and g2_sensitivity_sd are for gyros"),
+        ({"accel": TriadSpec(g2_sensitivity_sd=1.0)}, "g_sensitivity_sd and g2_sensitivity_sd are for gyros"),
         ({"accel_arms": ((0.0, 0.0), (0.0, 0.0))}, "three positions"),
-        ({"accel_cone": 2.0}, "accel_cone must be"),
-        ({"vibration": VibrationSpec(engine_accel=1.0)}, "engine_reference_rpm and engine_order above 0"),
-        ({"vibration": VibrationSpec(gust_accel=1.0)}, "mode_frequency_hz above 0"),
+        *(({"accel_cone": angle}, "accel_cone must be") for angle in (2.0, -0.1)),
+        *(
+            ({"vibration": VibrationSpec(**figures)}, "engine_reference_rpm and engine_order above 0")
+            for figures in (
+                {"engine_accel": 1.0},
+                {"engine_gyro": 1.0},
+                {"engine_gyro": 1.0, "engine_reference": 100.0, "engine_order": 0.0},
+            )
+        ),
+        *(({"vibration": VibrationSpec(**{f: 1.0})}, "mode_frequency_hz above 0") for f in GUSTS),
+        *(
+            (
+                {"vibration": VibrationSpec(gust_gyro=1.0, mode_frequency=9.0, mode_damping=damping)},
+                "mode_damping above 0 and below 1",
+            )
+            for damping in (0.0, 1.0)
+        ),
     ],
 )
 def test_a_figure_that_lacks_another_is_refused(parts, message):

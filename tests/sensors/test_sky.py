@@ -18,6 +18,7 @@ from bench.config.datasheets import read_gnss
 from bench.data import GnssObservations
 from bench.errors import ConfigError
 from bench.orbit_sets import GLONASS, GPS
+from bench.random_streams import stream
 from bench.sensor_specs import SkySpec
 from bench.sensors import clock, gnss, sky
 from bench.sensors.draws import SensorDraws
@@ -349,6 +350,27 @@ def test_specific_force_bends_the_clock(turn):
     assert f_down < -9.9
     assert_allclose(drift, orbits.C * what.clock_g * f_down, rtol=1e-9)
     assert_allclose(offset, drift * turn.t[rows], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("figure", "name", "systems"),
+    [
+        ("clock_offset_sd", "clock.offset", (GPS, GLONASS)),
+        ("clock_drift_sd", "clock.drift", (GPS, GLONASS)),
+        ("glonass_offset_sd", "glonass_offset", (GLONASS,)),
+    ],
+)
+def test_constant_offsets_are_the_figure_times_what_was_drawn(turn, figure, name, systems):
+    """In the ranges of its systems alone; a drift from the first epoch on, and in the range rates."""
+    clean, moved = (
+        measure(turn, QUIET).observations,
+        measure(turn, replace(QUIET, **{figure: 5.0})).observations,
+    )
+    size = 5.0 * stream(1, 0, f"gnss.sky.{name}").standard_normal() * np.isin(clean.system, systems)
+    drift = figure == "clock_drift_sd"
+    expected = size * (clean.t - clean.t[0] if drift else 1.0)
+    assert_allclose((moved.pseudorange - clean.pseudorange)[:, 0], expected, rtol=0, atol=1e-7)
+    assert_allclose((moved.range_rate - clean.range_rate)[:, 0], size * drift, rtol=0, atol=1e-9)
 
 
 def test_every_error_has_its_stream_and_none_is_drawn_for_nothing(turn, streams_drawn):
