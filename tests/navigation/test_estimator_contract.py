@@ -67,11 +67,7 @@ def test_they_keep_it_without_aiding(sensed, name):
 
 def shorten(data, name):
     """The first five seconds of a record for the filters in plain Python; all of it for the others."""
-    if (
-        not BUILT_IN[name]
-        .import_class()
-        .__module__.startswith(("bench.navigation.models.classic", "bench.navigation.models.graph"))
-    ):
+    if BUILT_IN[name].import_class().__module__.split(".")[-1] in ("loose_tight", "smoother", "gnss_only"):
         return data
     cut = {
         record: type(one)(**{f.name: getattr(one, f.name)[one.t <= 5.0] for f in fields(one)})
