@@ -22,11 +22,11 @@ from bench.navigation.error_state_filter import filter_run
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.learnt_biases import LearntBiases
 from bench.navigation.start.whole_records import run_between_gaps
-from tests.builders import band, put, take
+from tests.builders import band, first_rows, put, take
 from tests.flight.plans import truth_of
 from tests.weaving import DEG, IMU, units, weaving
 
-RUNS = 20
+RUNS = 8
 FILTER = Loose()
 
 
@@ -59,9 +59,9 @@ def window(errors, first, last):
 
 @pytest.mark.parametrize(("start", "length"), [(75.0, 0.1), (52.0, 0.5), (60.0, 5.0), (30.0, 60.0)])
 def test_consistent_and_back_30_s_after_a_gap(truth, draws, whole, start, length):
-    """Twenty draws, straight and turning: NEES at most twice that of the same draws without the gap.
+    """Eight draws, straight and turning: NEES at most twice that of the same draws without the gap.
 
-    The mean of 20 draws over 90 s, correlated over 20 s, scatters by 6 %. Without a restart it is thousands.
+    The mean of 8 draws over 90 s, correlated over 20 s, scatters by 10 %. Without a restart it is thousands.
     """
     nees, plain, tilt, ratios = [], [], [], []
     end = start + length
@@ -183,18 +183,18 @@ def test_without_fixes_after_the_gap_it_does_not_start_again(truth, draws):
 
 @pytest.mark.parametrize("name", ["loose-22", "loose-mems", "classic-22", "ukf", "smoother", "invariant-ekf"])
 def test_every_filter_with_fixes_starts_again(truth, draws, name):
-    """One draw, five seconds without IMU in a turn, then a minute."""
+    """One draw, five seconds without IMU in a turn, then 39 s."""
     drawn = draws[0]
     data = with_gap(drawn.data, 22.0, 5.0)
-    data = replace(data, imu=take(data.imu, data.imu.t < 80.0), output_t=data.output_t[data.output_t < 79.5])
+    data = replace(data, imu=take(data.imu, data.imu.t < 66.0), output_t=data.output_t[data.output_t < 65.5])
     solution = load(name, {}).run(data, drawn.initial)
     assert len(solution.events.select("restart")) == 1
     assert np.isfinite(solution.cov).all()
     errors = error_series(truth, solution)
-    rows = window(errors, 57.0, 79.0)
+    rows = window(errors, 57.0, 65.0)
     assert np.sqrt(np.mean(errors.phi_n[rows, :2] ** 2)) < 0.4 * DEG
     assert np.linalg.norm(errors.pos_n[rows], axis=1).max() < 10.0
-    assert errors.nees[rows].mean() < 45.0  # 9 expected, the mean of one draw over 22 s
+    assert errors.nees[rows].mean() < 45.0  # 9 expected, the mean of one draw over 8 s
 
 
 @pytest.mark.parametrize("use", ["baro-inertial", "free-inertial"])
@@ -325,7 +325,7 @@ def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
     """
     gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
     profile = load_profile("figure-eight", {"sensors.imu": unit, "fault": [gap], "evaluation.output_hz": 1.0})
-    truth = truth_of(recorded(profile.flight), 100.0)
+    truth = first_rows(truth_of(recorded(profile.flight), 100.0), 30_001)
     inside, after = [], []
     for draw in range(10):
         drawn = pipeline.sense(profile, truth, draw)
@@ -345,7 +345,7 @@ def test_a_smoother_of_a_consumer_unit_starts_again_with_its_gyros_known_as_a_wh
     gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
     changes = {"sensors.imu": "mpu-9250", "fault": [gap], "evaluation.output_hz": 1.0}
     profile = load_profile("figure-eight", changes)
-    truth, found = truth_of(recorded(profile.flight), 100.0), []
+    truth, found = first_rows(truth_of(recorded(profile.flight), 100.0), 30_001), []
     for draw in range(2):
         drawn = pipeline.sense(profile, truth, draw)
         solution = load("smoother", {}).run(drawn.data, drawn.initial)
