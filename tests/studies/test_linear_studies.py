@@ -87,7 +87,7 @@ def test_an_outage_is_looked_at_before_the_first_fix_that_ends_it():
 
 
 def test_the_budget_of_a_short_flight(flight):
-    found = bench.study("budget", profiles=flight, draws=140, jobs=1)
+    found = bench.study("budget", profiles=flight, estimator="loose-15", draws=140, jobs=1)
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t
