@@ -14,7 +14,7 @@ from bench.data import Trajectory
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight.recorder import record_plan
+from bench.flight.recorder import fly_pieces, record_plan
 from bench.flight.truth import Stretch, make_truth
 from bench.flight_specs import FlightSpec, Leg
 
@@ -51,6 +51,12 @@ def record_whole(spec: FlightSpec) -> Stretch:
     """Fly a plan, recorded as one stretch."""
     (stretch,) = record_plan(spec, seconds=inf)
     return stretch
+
+
+def fly_here(spec: FlightSpec) -> Trajectory:
+    """Fly a plan in this process, with an aircraft of others too, for which `fly` starts one."""
+    (truth,) = fly_pieces(spec, seconds=inf)
+    return truth
 
 
 def truth_of(stretch: Stretch, rate: float) -> Trajectory:

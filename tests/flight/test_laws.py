@@ -1,7 +1,7 @@
 """Laws of mechanics on every shipped profile, found by glob: what is flown is one motion of one body.
 
 Profiles of more than 15 minutes, and those of other aircraft than the Aerosonde, fly with the slow tests.
-They are shortened, see SHORTENED; the flights of SHARED are whole.
+They are shortened, see SHORTENED and FIRST_LEGS; the flights of SHARED are whole.
 The laws share rotations, normal gravity and the figure of the Earth with the bench, nothing of the flight.
 """
 
@@ -42,6 +42,17 @@ SHARED = {"circuit", "circuit-navion", "climb-cruise-descend", "figure-eight-mat
 SHORTENED = {"duration": 20.0, "laps": 1, "count": 1, "strips": 2}
 """Most of a straight or a stand [s], and of what a leg repeats."""
 
+FIRST_LEGS = {
+    "airliner": 3,
+    "all-sensors": 4,
+    "alpine-approach": 3,
+    "gate-to-gate": 4,
+    "gnss-denied-closed": 1,
+    "long-cruise": 3,
+    "touch-and-go": 4,
+}
+"""Legs of longer profiles that are flown here: others have the like of the rest, which `make long` flies."""
+
 ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
@@ -66,26 +77,30 @@ def _planned(spec: FlightSpec) -> float:
 def _marked(name: str):
     spec = _FLIGHTS[name]
     slow = spec.aircraft.name != "aerosonde" or _planned(spec) > 900
-    return pytest.param(name, marks=pytest.mark.slow) if slow else name
+    return pytest.param((name, FIRST_LEGS.get(name)), id=name, marks=pytest.mark.slow if slow else ())
 
 
-def _shorten(spec: FlightSpec) -> FlightSpec:
+def _shorten(spec: FlightSpec, first: int | None) -> FlightSpec:
     legs = []
-    for leg in spec.legs:
+    for leg in spec.legs[:first]:
         values = {name: most for name, most in SHORTENED.items() if getattr(leg, name, 0.0) > most}
         legs.append(replace(leg, **values))
     return spec if tuple(legs) == spec.legs else replace(spec, legs=tuple(legs), duration=None)
 
 
-@pytest.fixture(scope="module", params=[_marked(name) for name in PROFILES])
+_WHOLE = [pytest.param((name, None), id=f"{name}, all", marks=pytest.mark.long) for name in FIRST_LEGS]
+
+
+@pytest.fixture(scope="module", params=[*map(_marked, PROFILES), *_WHOLE])
 def flight(request, recorded) -> Flight:
-    spec = _FLIGHTS[request.param]
-    if request.param in SHARED:
+    name, first = request.param
+    spec = _FLIGHTS[name]
+    if name in SHARED:
         stretch = recorded(spec)
     else:
-        spec = _shorten(spec)
+        spec = _shorten(spec, first)
         stretch = record_whole(spec)
-    return Flight(request.param, spec, truth_of(stretch, spec.rate), same_form_error(stretch.motion))
+    return Flight(name, spec, truth_of(stretch, spec.rate), same_form_error(stretch.motion))
 
 
 def over_ten_minutes(flight: Flight) -> float:

@@ -246,7 +246,14 @@ def measure_landing(truth) -> tuple[float, float, float, float]:
     return float(sink), float(along[touch]), float(abs(off[touch])), float(np.abs(off[touch:]).max())
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        pytest.param(range(21, 24), marks=pytest.mark.slow),
+        pytest.param(range(24, 33), marks=pytest.mark.long),
+    ],
+    ids=["three", "nine more"],
+)
 @pytest.mark.parametrize(
     ("name", "severity", "most"),
     [
@@ -258,9 +265,13 @@ def measure_landing(truth) -> tuple[float, float, float, float]:
         ("jet747", 4, 2.0),
     ],
 )
-def test_twelve_of_twelve_land_in_turbulence_and_wind_across(name, severity, most):
-    """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground."""
-    for seed in range(21, 33):
+def test_all_land_in_turbulence_and_wind_across(name, severity, most, seeds):
+    """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground.
+
+    The twelve seeds of the table (`tests.flight.landing_table`). A defect that spoils half of all landings
+    passes the 18 of three seeds once in 2.6e5, one that spoils a third of them once in 1500.
+    """
+    for seed in seeds:
         truth = land_in(severity, 4.0, seed, KINDS[name])
         assert np.abs(truth.vel_n[-1]).max() < 0.1
         assert measure_landing(truth)[0] < most

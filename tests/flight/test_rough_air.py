@@ -13,13 +13,12 @@ from numpy.testing import assert_allclose
 
 from bench import rotation
 from bench.config import load_profile
-from bench.flight import fly
 from bench.flight.dryden import scales_and_intensities
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.recorder import prepare
 from bench.flight_specs import AircraftSpec
-from tests.flight.plans import AEROSONDE, plan
+from tests.flight.plans import AEROSONDE, fly_here, plan
 
 ABOVE = 250.0  # ground at the ellipsoid [m]
 
@@ -79,19 +78,29 @@ ASKED = np.array([2.75, 1.12, 5.9, 19.7])
 """Of the Aerosonde in moderate turbulence: pitch, climb, height off and its worst."""
 
 
-def hold_in(severity: int, seeds: Iterable[int], kind: Kind = KINDS["aerosonde"]) -> Hold:
-    """Fly a line in gusts of each seed; the first 30 s of each do not count."""
+def hold_in(
+    severity: int, seeds: Iterable[int], kind: Kind = KINDS["aerosonde"], parts: int = 1, part: float = 120.0
+) -> Hold:
+    """Fly a line in gusts of each seed; the first 30 s of each do not count, each part after them is one."""
     found = []
     for seed in seeds:
         air = {"severity": severity, "turbulence_seed": seed}
-        truth = fly(plan(Straight(150.0), aircraft=kind.aircraft, speed=kind.speed, alt=ABOVE, **air))
-        late = truth.t > 30.0
-        pitch = np.rad2deg(rotation.to_euler(truth.q_nb)[1])[late]
-        off = np.abs(truth.lla[late, 2] - ABOVE)
-        throttle = truth.controls.throttle[truth.controls.t > 30.0]
-        moved = np.diff(throttle) * 20.0
-        squares = pitch.var(), truth.vel_n[late, 2].var(), np.mean(off**2), throttle.var(), np.mean(moved**2)
-        found.append((*np.sqrt(squares), np.percentile(off, 99)))
+        line = Straight(30.0 + parts * part)
+        truth = fly_here(plan(line, aircraft=kind.aircraft, speed=kind.speed, alt=ABOVE, **air))
+        for begin in 30.0 + part * np.arange(parts):
+            late, slow = ((t > begin) & (t <= begin + part) for t in (truth.t, truth.controls.t))
+            pitch = np.rad2deg(rotation.to_euler(truth.q_nb)[1])[late]
+            off = np.abs(truth.lla[late, 2] - ABOVE)
+            throttle = truth.controls.throttle[slow]
+            moved = np.diff(throttle) * 20.0
+            squares = (
+                pitch.var(),
+                truth.vel_n[late, 2].var(),
+                (off**2).mean(),
+                throttle.var(),
+                (moved**2).mean(),
+            )
+            found.append((*np.sqrt(squares), np.percentile(off, 99)))
     pitch, climb, off, throttle, moved, worst = np.transpose(found)
     rms = [float(np.sqrt(np.mean(v**2))) for v in (pitch, climb, off, throttle, moved)]
     return Hold(*rms[:3], float(worst.max()), *rms[3:])
@@ -108,9 +117,8 @@ def ask_of(severity: int, kind: Kind) -> np.ndarray:
     return np.asarray(ASKED * gusts[1] / gusts[0] * [slower, 1.0, 1.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    "severity", [pytest.param(4, marks=pytest.mark.slow), pytest.param(6, marks=pytest.mark.long)]
-)
+@pytest.mark.long
+@pytest.mark.parametrize("severity", [4, 6])
 def test_the_hold_in_rough_air_is_what_is_asked(severity):
     assert (np.array(hold_in(severity, range(1, 21))[:4]) < ask_of(severity, KINDS["aerosonde"])).all()
 
@@ -120,16 +128,21 @@ def test_the_hold_in_rough_air_is_what_is_asked(severity):
     ("name", "severity", "table"),
     [
         ("aerosonde", 3, (1.3, 0.32, 2.2, 6.8)),
+        ("aerosonde", 4, (2.6, 0.64, 4.5, 13.0)),
         ("navion", 3, (0.58, 0.43, 2.0, 5.8)),
         ("navion", 4, (1.2, 0.86, 4.0, 11.0)),
         ("c172x", 3, (0.53, 0.48, 2.2, 6.3)),
         ("jet747", 3, (0.29, 0.45, 1.2, 4.0)),
     ],
 )
-def test_other_holds_are_those_of_the_guide(name, severity, table):
-    """Four of the twenty seeds of the table (`tests.flight.hold_table`): at most a quarter above it."""
-    held = np.array(hold_in(severity, range(1, 5), KINDS[name])[:4])
-    assert (held < 1.25 * np.array(table)).all(), held
+def test_holds_are_those_of_the_guide(name, severity, table):
+    """Two parts of two minutes where the table (`tests.flight.hold_table`) has twenty: 35 % above it at most.
+
+    A part has a pitch within 18 %, a climb within 8 % and a height within 25 % (one sd), so that 35 % are
+    2.8, 6 and 2 sd of two.
+    """
+    held = np.array(hold_in(severity, [1], KINDS[name], parts=2)[:4])
+    assert (held < 1.35 * np.array(table)).all(), held
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -155,7 +168,7 @@ def test_the_play_of_its_elevator_swings_the_cessna(tmp_path):
     def swing(folder):
         legs = (Climb(ABOVE, 1.0), Straight(150.0))
         aircraft = replace(kind.aircraft, folder=folder)
-        truth = fly(plan(*legs, aircraft=aircraft, speed=kind.speed, alt=ABOVE - 10.0))
+        truth = fly_here(plan(*legs, aircraft=aircraft, speed=kind.speed, alt=ABOVE - 10.0))
         late = truth.t > truth.t[-1] - 60.0
         pitch = np.rad2deg(rotation.to_euler(truth.q_nb)[1])[late]
         return np.array([pitch.std(), truth.vel_n[late, 2].std(), truth.lla[late, 2].std()])
