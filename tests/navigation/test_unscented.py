@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-import bench
 from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
@@ -59,7 +58,7 @@ def test_the_covariance_step_is_that_of_the_linear_filter_for_small_errors(sense
 
 
 @pytest.mark.slow
-def test_ten_seeds_over_a_minute_are_consistent(minute):
+def test_six_seeds_over_a_minute_are_consistent(minute):
     """Mean NEES and mean NIS in their 99.9 % bands.
 
     A receiver believed to have half the noise it has leaves the bands.
@@ -68,10 +67,10 @@ def test_ten_seeds_over_a_minute_are_consistent(minute):
     def draw(run):
         return sensors.sense(minute, units(), 11, run)
 
-    found = ensemble(Unscented(), minute, draw, 10, 30.0)
+    found = ensemble(Unscented(), minute, draw, 6, 30.0)
     nees, nis = found.averages(), found.pooled_nis()
-    assert abs(standard_errors_from(nees, 9)) < student(10)
-    assert abs(nees.mean() - 9) < 3.0
+    assert abs(standard_errors_from(nees, 9)) < student(6)
+    assert abs(nees.mean() - 9) < 4.0
     assert all(band.inside for band in nis.values()), nis
     half = replace(GNSS, pos_h_white_sd=0.75, pos_v_white_sd=1.25, vel_white_sd=0.025)
     believed = replace(units().assumed, gnss=half)
@@ -81,21 +80,21 @@ def test_ten_seeds_over_a_minute_are_consistent(minute):
 
 
 def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
-    """60 deg of heading sd, 16 draws of a minute: the headings after 30 s in units of what is claimed.
+    """60 deg of heading sd, 8 draws of a minute: the headings after 30 s in units of what is claimed.
 
-    One filter, without the hypotheses that it starts with from such a heading. Of 16 honest draws three are
-    beyond 3.29 sigma once in 10^6 times.
+    One filter, without the hypotheses that it starts with from such a heading. Of 8 honest draws two are
+    beyond 3.29 sigma once in 36,000 times.
     """
     monkeypatch.setattr(headings, "LINEAR", np.inf)
     truth, spec = weaving(60.0, rate=50.0), replace(units(), initial_heading_sd=60.0 * DEG)
     beyond = 0
-    for run in range(16):
+    for run in range(8):
         sensed = sensors.sense(truth, spec, 2, run)
         solution = Unscented().run(sensed.data, sensed.initial)
         errors = error_series(truth, solution)
         late = errors.t > 30.0
         beyond += np.mean(errors.heading[late] ** 2 / solution.cov[-late.sum() :, 8, 8]) > 3.29**2
-    assert beyond < 3
+    assert beyond < 2
 
 
 def test_a_gauss_markov_state_forgets_between_measurements(sensed):
@@ -207,7 +206,7 @@ def test_every_option_moves_the_answer(sensed):
     wild[10:14, 0] += 300.0 / 6.4e6
     data = replace(sensed.data, fixes=replace(sensed.data.fixes, lla=wild))
     plain = Unscented().run(data, sensed.initial)
-    bench.check_estimator(Unscented(spread=0.3), data, sensed.initial)
+    assert (np.linalg.eigvalsh(Unscented(spread=0.3).run(data, sensed.initial).cov) > 0.0).all()
     for options in (
         {"gnss": False}, {"baro": False}, {"covariance_hz": 20.0}, {"gate_probability": 0.3},
         {"readmit_after_s": 2.0}, {"spread": 0.3},
