@@ -6,6 +6,7 @@ CDDIS (via RTKLIB), in tests/data/gnss.
 
 from __future__ import annotations
 
+import codecs
 import re
 import tracemalloc
 from dataclasses import replace
@@ -326,6 +327,14 @@ def test_rinex_3_observations(tmp_path):
     )
     assert_allclose(raw.doppler[:, 0], [-1037.205, np.nan, -1037.205])
     assert_allclose(raw.cn0[:, 0], [50.5, 41.0, np.nan])
+
+
+def test_a_byte_order_mark_before_a_file_is_passed_over(tmp_path):
+    """Some editors write one."""
+    plain = observations.read_observations(written(tmp_path, OBS_3))
+    marked = tmp_path / "marked.obs"
+    marked.write_bytes(codecs.BOM_UTF8 + written(tmp_path, OBS_3).read_bytes())
+    assert observations.read_observations(marked).pseudorange.tobytes() == plain.pseudorange.tobytes()
 
 
 def test_rinex_2_observations_with_more_than_twelve_satellites(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import zlib
@@ -19,7 +20,7 @@ _MOST_BITS = 16
 
 
 def open_text(path: Path, shown: str) -> TextIO:
-    """Open a text file, packed or not, for reading.
+    """Open a text file, packed or not, for reading; a byte order mark is passed over.
 
     Raises
     ------
@@ -36,7 +37,9 @@ def open_text(path: Path, shown: str) -> TextIO:
         raise ConfigError(f"{shown}: is a ZIP archive; unpack the file first")
     if magic[:2] == _GZIP:
         return io.TextIOWrapper(gzip.open(path), encoding="latin-1", newline="")
-    return path.open(encoding="latin-1", newline="")
+    text = path.open(encoding="latin-1", newline="")
+    text.seek(len(codecs.BOM_UTF8) if magic.startswith(codecs.BOM_UTF8) else 0)
+    return text
 
 
 def open_bytes(path: Path, shown: str) -> bytes:
