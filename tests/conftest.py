@@ -24,8 +24,11 @@ from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan
 from tests.weaving import weaving
 
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's background: children would be deaf to it
+# what is ignored here children ignore, too; a handler they do not inherit
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # in a shell's background
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
+    signal.signal(signal.SIGHUP, lambda *_: None)
 for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"):  # they change what is printed
     os.environ.pop(_name, None)
 

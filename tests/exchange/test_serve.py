@@ -91,6 +91,11 @@ def frame(kind, *values, last=1):
     return b"\xaa\x55" + checked + struct.pack("<H", crc16(checked))
 
 
+def read_to_end(line):
+    """Return what comes until the server closes: it waits two seconds for a client that does not close then."""
+    return b"".join(iter(lambda: line.recv(1 << 16), b""))
+
+
 @pytest.mark.skipif(COMPILER is None, reason="no C compiler here")
 @pytest.mark.parametrize("gives", ["estimate", "commands"])
 def test_a_client_in_c_flies(gives, path, tmp_path):
@@ -245,7 +250,8 @@ def test_what_a_client_does_wrong_in_flight_ends_it_with_a_line(sent, words, pat
             line.sendall(sent)
             if 0 < len(sent) < 10:
                 line.shutdown(socket.SHUT_WR)
-        served = server.join()
+            assert f"the client {words}".encode() in read_to_end(line)
+    served = server.join()
     assert served.ended.endswith(f"the client {words}")
     (crash,) = served.result.truth.events.select("crash")
     assert crash[2].endswith(f"the client {words}")
@@ -260,7 +266,8 @@ def test_a_client_steers_only_where_it_may(path):
         while 18 not in decoded(data)[0]:
             data += line.recv(1 << 16)
         line.sendall(frame(20, 0.5, 0.0, 0.0, 0.5))
-        served = server.join()
+        read_to_end(line)
+    served = server.join()
     assert served.ended == "the client sent ATTITUDE; bench serve --give commands lets a client steer"
 
 
@@ -268,7 +275,8 @@ def test_an_estimate_whose_turn_was_never_ended_is_no_answer(tmp_path):
     server = Server(write_straight(tmp_path / "straight.toml", 2.0), {"duration_s": 2.0})
     with socket.create_connection(("127.0.0.1", server.port)) as line:
         line.sendall(frame(16, 1.0) + frame(19, 0.5, *GOOD) + frame(22, 0.4))
-        served = server.join()
+        read_to_end(line)
+    served = server.join()
     assert (served.ended, served.flown) == ("the client sent DONE for 0.4 s at the turn of 0.5 s", 2.0)
     assert "in-flight" not in served.result.solutions
 

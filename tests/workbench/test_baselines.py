@@ -395,7 +395,7 @@ def test_the_cpu_time_of_a_filter_is_in_units_of_the_strapdown(tmp_path, monkeyp
     assert [row[0] for row in values] == [None, None]
     once, twice = (min(row[1:]) for row in values)
     assert once > 1.0
-    assert 1.6 < twice / once < 2.4
+    assert 1.3 < twice / once < 3.0  # a busy machine shares its caches
 
 
 class WorksOnce:
