@@ -1,5 +1,7 @@
 # Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer).
 PYTHON ?= python3
+# containers set it; then each process of a test would compile the package again
+export PYTHONDONTWRITEBYTECODE =
 BIN := .venv/bin
 PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 UV := .uv/bin/uv

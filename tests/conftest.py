@@ -5,7 +5,7 @@ import hashlib
 import os
 import pickle
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +51,14 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
     chosen = getattr(getattr(item, "callspec", None), "params", {}).values()
     if "graph-smoother" in [one for one in chosen if isinstance(one, str)]:
         pytest.importorskip("gtsam", reason="the extra 'graph' is not installed")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_waiting_for_the_disk() -> Iterator[None]:
+    """Leave out `os.fsync`, which waits for the disk: no test ends with the machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture(scope="session")

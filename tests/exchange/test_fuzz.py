@@ -22,12 +22,12 @@ from tests.exchange import test_log_formats
 
 SLOW_TO_OPEN = {"log-ros1": 25, "log-ros2": 25, "log-mcap": 25, "results": 40}
 SLOW_TO_OPEN |= {"views": 12, "campaign": 12, "journal": 12, "baseline": 30}
-"""Inputs of formats that take 30 ms or more to be opened and shown; 200 of the others."""
+"""Inputs of formats that take 30 ms or more to be opened and shown; 100 of the others."""
 
 
 @pytest.mark.parametrize("name", fuzz.FORMATS)
 def test_a_damaged_file_is_read_or_refused_by_one_line(tmp_path, name):
-    _, failures = fuzz.run(name, 1, range(SLOW_TO_OPEN.get(name, 200)), tmp_path, quick=True)
+    _, failures = fuzz.run(name, 1, range(SLOW_TO_OPEN.get(name, 100)), tmp_path, quick=True)
     assert not failures
 
 

@@ -92,7 +92,7 @@ def frame(kind, *values, last=1):
 
 
 def read_to_end(line):
-    """Return what comes until the server closes: it waits two seconds for a client that does not close then."""
+    """Return what comes until the server closes; it waits two seconds for who does not close then."""
     return b"".join(iter(lambda: line.recv(1 << 16), b""))
 
 

@@ -22,6 +22,7 @@ import pytest
 from rich.console import Console
 
 import bench
+from bench.baselines.baseline_file import LEAST_DRAWS
 from bench.cli import main
 from bench.cli.group import commands
 from bench.config import load_profile
@@ -31,6 +32,7 @@ from bench.exchange.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
 from bench.workbench import guide
+from bench.workbench.new import new_check
 
 ROOT = Path(__file__).parents[2]
 PAGES = {path.stem: path for path in sorted(guide.FOLDER.glob("*.md")) if path.stem != "README"}
@@ -142,6 +144,7 @@ def test_every_block_of_a_page_runs_in_its_order(page, figure_eight, tmp_path, m
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("BENCH_CACHE", cache)
     monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(new_check, "__kwdefaults__", {"draws": LEAST_DRAWS})
     Path("runs").mkdir()
     if page != "README":  # README makes it itself
         (Path("runs") / results.name).symlink_to(results)
