@@ -47,6 +47,7 @@ class Figure:
     reported: bool = False  # the instrument reports it and a filter divides by it: it must be above 0
     default: float | None = None  # in SI; None: required
     stem: str = ""  # beginning of its key; empty: the name of the field
+    error: str = ""  # that it describes, in words
 
     def key(self, name: str) -> str:
         """Return the key in the file of the field ``name``."""
@@ -122,13 +123,14 @@ def figure(
     reciprocal: bool = False,
     reported: bool = False,
     stem: str = "",
+    error: str = "",
 ) -> Any:
     """Declare a figure of a spec: the unit at the end of its key, and its limits in that unit.
 
     ``default`` is in SI. No real instrument has a figure above 1e6 in any of these units.
     """
     fallback = None if default is MISSING else default
-    declaration = Figure(unit, low, high, reciprocal, reported, fallback, stem)
+    declaration = Figure(unit, low, high, reciprocal, reported, fallback, stem, error)
     return field(default=default, metadata={"figure": declaration})
 
 

@@ -93,7 +93,7 @@ class BaroSpec:
     """Bias at the start [m]."""
     bias_walk: float = figure("m_sqrt_s", default=0.0)
     """Random walk of the bias [m/sqrt(s)]."""
-    quantization: float = figure("m", default=0.0)
+    quantization: float = figure("m", default=0.0, error="barometer quantization")
     """Resolution [m]."""
     latency: float = figure("s", default=0.0)
     """Time from a measurement until a filter gets it [s]."""
@@ -109,13 +109,13 @@ class MagSpec:
     """Measurements in a second [Hz]."""
     white_sd: float = figure("nt", reported=True)
     """White noise of each axis [T]."""
-    hard_iron_sd: float = figure("nt", default=0.0)
+    hard_iron_sd: float = figure("nt", default=0.0, error="magnetometer calibration")
     """Remaining offset of the sensor and the iron around it, each axis [T]."""
-    soft_iron_sd: float = figure("percent", 0, 100, default=0.0)
+    soft_iron_sd: float = figure("percent", 0, 100, default=0.0, error="magnetometer calibration")
     """Each element of the remaining symmetric matrix of the iron around it [1]."""
-    scale_factor_sd: float = figure("percent", 0, 100, default=0.0)
+    scale_factor_sd: float = figure("percent", 0, 100, default=0.0, error="magnetometer calibration")
     """Error of the scale factor of each axis [1]."""
-    misalignment_sd: float = figure("deg", 0, 45, default=0.0)
+    misalignment_sd: float = figure("deg", 0, 45, default=0.0, error="magnetometer calibration")
     """Misalignment of each axis towards each other one [rad]."""
     range: float = figure("ut", default=0.0)
     """Largest field of an axis: samples beyond it are clipped and flagged [T]; 0: no limit."""
@@ -139,13 +139,13 @@ class AirspeedSpec:
     """White noise of the differential pressure [Pa]."""
     white_sd: float = figure("mps", default=0.0)
     """White noise of the true airspeed [m/s]."""
-    pressure_bias_sd: float = figure("pa", default=0.0)
+    pressure_bias_sd: float = figure("pa", default=0.0, error="airspeed bias and scale factor")
     """Zero offset of the differential pressure [Pa]."""
-    bias_sd: float = figure("mps", default=0.0)
+    bias_sd: float = figure("mps", default=0.0, error="airspeed bias and scale factor")
     """Bias of the true airspeed [m/s]."""
-    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)
+    scale_factor_sd: float = figure("percent", 0, 50, default=0.0, error="airspeed bias and scale factor")
     """Error of the scale factor of the true airspeed [1]."""
-    lag: float = figure("s", 0, 60, default=0.0)
+    lag: float = figure("s", 0, 60, default=0.0, error="airspeed lag")
     """Time constant of tube and lines, first order [s]."""
     range: float = figure("pa", default=0.0)
     """Largest differential pressure: samples beyond it are clipped and flagged [Pa]; 0: no limit."""
@@ -180,9 +180,9 @@ class RadarSpec:
     """Samples below this height are flagged [m]."""
     max_tilt: float = figure("deg", 1, 90, default=math.pi / 2)
     """Samples tilted beyond this are flagged [rad]."""
-    bias_sd: float = figure("m", default=0.0)
+    bias_sd: float = figure("m", default=0.0, error="radar altimeter bias")
     """Bias, constant in a run [m]."""
-    quantization: float = figure("m", default=0.0)
+    quantization: float = figure("m", default=0.0, error="radar altimeter quantization")
     """Resolution [m]."""
     latency: float = figure("s", default=0.0)
     """Time from a measurement until a filter gets it [s]."""
@@ -205,9 +205,9 @@ class OdometerSpec:
     """Measurements in a second [Hz]."""
     white_sd: float = figure("mps", reported=True)
     """White noise [m/s]."""
-    scale_factor_sd: float = figure("percent", 0, 50, default=0.0)
+    scale_factor_sd: float = figure("percent", 0, 50, default=0.0, error="odometer scale factor")
     """Error of the diameter of the wheel, constant in a run [1]."""
-    quantization: float = figure("mps", default=0.0)
+    quantization: float = figure("mps", default=0.0, error="odometer quantization")
     """Resolution [m/s]."""
     latency: float = figure("s", default=0.0)
     """Time from a measurement until a filter gets it [s]."""
@@ -230,15 +230,15 @@ class HeadingSpec:
     """Measurements in a second [Hz]."""
     white_sd: float = figure("deg", 0, 90, reported=True)
     """White noise [rad]."""
-    wander_sd: float = figure("deg", 0, 90, default=0.0)
+    wander_sd: float = figure("deg", 0, 90, default=0.0, error="multipath of the antennas' heading")
     """Multipath, Gauss-Markov [rad]."""
     wander_time: float = figure("s", 1, 1e5, default=60.0)
     """Correlation time of the multipath [s]."""
-    bias_sd: float = figure("deg", 0, 90, default=0.0)
+    bias_sd: float = figure("deg", 0, 90, default=0.0, error="offset of the antennas' heading")
     """Offset of the line between the antennas from the forward axis, constant in a run [rad]."""
     max_slope: float = figure("deg", 1, 84, default=math.radians(60.0))
     """Samples with that line steeper than this are flagged [rad]."""
-    quantization: float = figure("deg", default=0.0)
+    quantization: float = figure("deg", default=0.0, error="quantization of the antennas' heading")
     """Resolution [rad]."""
     latency: float = figure("s", default=0.0)
     """Time from a measurement until a filter gets it [s]."""

@@ -17,6 +17,7 @@ import numpy as np
 from bench import earth
 from bench.arrays import FloatArray
 from bench.data import GnssFixes, InitialState, SensorData
+from bench.fields import figures_of
 from bench.instruments import (
     AirspeedData,
     AirspeedSpec,
@@ -25,7 +26,6 @@ from bench.instruments import (
     HeadingData,
     HeadingSpec,
     MagData,
-    MagSpec,
     OdometerData,
     OdometerSpec,
     RadarData,
@@ -58,6 +58,13 @@ Reader = Callable[[Any, Any, SensorData, InitialState, StateLayout], tuple[Float
 (m,) or (M, m)."""
 
 
+def declared_errors(spec: Any) -> Errors:
+    """Yield the errors that the figures of a datasheet describe."""
+    for name, one in figures_of(type(spec)).items():
+        if one.error:
+            yield one.error, getattr(spec, name)
+
+
 @dataclass(frozen=True, slots=True)
 class AidingSensor:
     """One aiding sensor, its place in the records and what a filter makes of it."""
@@ -67,11 +74,10 @@ class AidingSensor:
     spec: str  # of `AssumedSpecs`; its name in events, too
     kind: int  # of its rows
     read: Reader | None  # None: satellites
-    errors: Callable[[Any], Errors]  # of its datasheet, beyond white noise
+    errors: Callable[[Any], Errors] = declared_errors  # of its datasheet, beyond white noise
     on_request: bool = True  # a filter that asks for it cannot work without its record
-    short: Callable[[Any], FloatArray] | None = (
-        None  # variance of errors of one row; for ``every_error`` alone
-    )
+    # variance of errors of one row; for ``every_error`` alone
+    short: Callable[[Any], FloatArray] | None = None
 
 
 def fix_variance(gnss: GnssSpec, *, gnss_markov: bool) -> FloatArray:
@@ -159,7 +165,7 @@ def _read_baro(record: BaroData, baro: BaroSpec, *_: object) -> tuple[FloatArray
 
 
 def _baro_errors(baro: BaroSpec) -> Errors:
-    yield "barometer quantization", baro.quantization
+    yield from declared_errors(baro)
     yield "barometer errors with height, airspeed and incidence", baro.physical is not None
 
 
@@ -183,12 +189,6 @@ def _read_airspeed(
     return record.airspeed_true[:, None], variance
 
 
-def _airspeed_errors(airspeed: AirspeedSpec) -> Errors:
-    sizes = (airspeed.bias_sd, airspeed.pressure_bias_sd, airspeed.scale_factor_sd)
-    yield "airspeed bias and scale factor", max(sizes)
-    yield "airspeed lag", airspeed.lag
-
-
 def _read_radar(
     record: RadarData, radar: RadarSpec, sensors: SensorData, *_: object
 ) -> tuple[FloatArray, FloatArray]:
@@ -196,37 +196,16 @@ def _read_radar(
     return (record.height + sensors.ground_alt)[:, None], np.array([radar.white_sd**2])
 
 
-def _radar_errors(radar: RadarSpec) -> Errors:
-    yield "radar altimeter bias", radar.bias_sd
-    yield "radar altimeter quantization", radar.quantization
-
-
 def _read_odometer(record: OdometerData, odometer: OdometerSpec, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.speed[:, None], np.array([odometer.white_sd**2])
-
-
-def _odometer_errors(odometer: OdometerSpec) -> Errors:
-    yield "odometer scale factor", odometer.scale_factor_sd
-    yield "odometer quantization", odometer.quantization
 
 
 def _read_heading(record: HeadingData, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.heading[:, None], np.square(record.sd)[:, None]
 
 
-def _heading_errors(spec: HeadingSpec) -> Errors:
-    yield "offset of the antennas' heading", spec.bias_sd
-    yield "multipath of the antennas' heading", spec.wander_sd
-    yield "quantization of the antennas' heading", spec.quantization
-
-
 def _read_field(record: MagData, *_: object) -> tuple[FloatArray, FloatArray]:
     return record.field_b, np.repeat(np.square(record.sd)[:, None], 3, axis=1)
-
-
-def _magnetometer_errors(mag: MagSpec) -> Errors:
-    sizes = (mag.hard_iron_sd, mag.soft_iron_sd, mag.scale_factor_sd, mag.misalignment_sd)
-    yield "magnetometer calibration", max(sizes)
 
 
 def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
@@ -244,15 +223,11 @@ FIXES = AidingSensor("gnss", "fixes", "gnss", FIX_ROWS, _read_fixes, fix_errors,
 SATELLITES = AidingSensor(
     "gnss", "observations", "gnss", SATELLITE_ROWS, None, _satellite_errors, on_request=False
 )
-AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed, _airspeed_errors)
-MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field, _magnetometer_errors)
-RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, _radar_errors, short=_rounding)
-ODOMETER = AidingSensor(
-    "odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, _odometer_errors, short=_rounding
-)
-HEADING = AidingSensor(
-    "heading", "heading", "heading", HEADING_ROWS, _read_heading, _heading_errors, short=_rounding
-)
+AIRSPEED = AidingSensor("airspeed", "airspeed", "airspeed", AIRSPEED_ROWS, _read_airspeed)
+MAGNETOMETER = AidingSensor("magnetometer", "mag", "mag", MAGNETIC_ROWS, _read_field)
+RADAR = AidingSensor("radar", "radar", "radar", RADAR_ROWS, _read_radar, short=_rounding)
+ODOMETER = AidingSensor("odometer", "odometer", "odometer", ODOMETER_ROWS, _read_odometer, short=_rounding)
+HEADING = AidingSensor("heading", "heading", "heading", HEADING_ROWS, _read_heading, short=_rounding)
 BARO = AidingSensor("baro", "baro", "baro", BARO_ROWS, _read_baro, _baro_errors, False, _rounding)
 
 AIDING = (FIXES, SATELLITES, AIRSPEED, MAGNETOMETER, RADAR, ODOMETER, HEADING, BARO)
