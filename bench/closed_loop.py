@@ -33,7 +33,7 @@ from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.steering import Commanded, Commands
 from bench.flight_specs import FlightSpec
-from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
+from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.piecewise import join_events, join_solutions, join_tables
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
@@ -86,8 +86,7 @@ class Deliveries:
             if there.all():
                 come[name] = rows
                 continue
-            take = take_observations if name == "observations" else take_rows
-            come[name], self._waiting[name] = take(rows, there), take(rows, ~there)
+            come[name], self._waiting[name] = take_rows(rows, there), take_rows(rows, ~there)
         return replace(measured, **come) if come else measured
 
 

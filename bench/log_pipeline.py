@@ -45,7 +45,7 @@ from bench.exchange.loading import load_estimators
 from bench.exchange.log_records import LogRecords, divide_intervals, read_records
 from bench.exchange.log_start import find_start
 from bench.navigation import built_in, estimator
-from bench.navigation.engine.kept_rows import take_observations
+from bench.navigation.engine.kept_rows import take_rows
 from bench.run_result import RunResult
 from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.stages import Stages, Watcher
@@ -329,7 +329,7 @@ class Session:
         if o is None:
             return None
         begun = o.t > self.initial.t if self.initial.alignment == "given" else o.t >= self.initial.t
-        return take_observations(o, np.asarray(begun & (o.t <= self.last)))
+        return take_rows(o, np.asarray(begun & (o.t <= self.last)))
 
     def _keep_observations(self, keep: BoolArray, outage: tuple[float, float]) -> GnssObservations | None:
         """Return the satellites that filters get: an epoch goes with the first fix at its time or later."""
@@ -338,7 +338,7 @@ class Session:
             return None
         with_fix = np.searchsorted(self.fixes.t, o.t - SAME_INSTANT)
         out = (o.t > outage[0] + SAME_INSTANT) & (o.t <= outage[1] + SAME_INSTANT)
-        return take_observations(o, np.append(keep, True)[with_fix] & ~out)
+        return take_rows(o, np.append(keep, True)[with_fix] & ~out)
 
     def make_output_times(self) -> FloatArray:
         """Return the output instants [s], a whole number of output intervals after t = 0."""

@@ -254,8 +254,8 @@ class LaserSpec:
                 "ROWS: dict[int, Callable[..., int]] = {\n",
                 """
 @inner
-def _laser_kernel(row, first, now, data, index, pending, work):
-    return _height_kernel(LASER, -1, row, first, now, data, pending)
+def _laser_kernel(row, first, site):
+    return _height_kernel(LASER, -1, row, first, site)
 
 
 """,

@@ -13,7 +13,7 @@ from bench.config.log import SourceSpec
 from bench.data import GnssObservations, SkyView
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
 from bench.exchange.rows import LogRows
-from bench.navigation.engine.kept_rows import take_observations
+from bench.navigation.engine.kept_rows import take_rows
 from bench.sensor_specs import GnssSpec, SkySpec
 from bench.sensors.sky import find_loop_noise, make_processing
 from bench.signals import receiver
@@ -100,4 +100,4 @@ def _take_whole(solved: RinexFixes, sky: SkySpec, t: FloatArray) -> GnssObservat
     ranges = receiver.correct_pseudoranges(o, make_processing(sky))
     rates = o.range_rate[:, 0] + o.sat_clock_rate
     whole = np.isin(o.system, sky.constellations) & np.isfinite(o.sat_pos_e).all(axis=1)
-    return take_observations(o, np.asarray(whole & np.isfinite(ranges) & np.isfinite(rates)))
+    return take_rows(o, np.asarray(whole & np.isfinite(ranges) & np.isfinite(rates)))

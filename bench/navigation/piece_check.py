@@ -7,9 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from bench.data import InitialState, NavSolution, SensorData
-from bench.navigation.engine.long_records import longest_wait
 from bench.navigation.engine.piecewise import RunsInPieces
-from bench.navigation.engine.record_cuts import take_head, take_piece
+from bench.navigation.engine.record_cuts import longest_wait, take_head, take_piece
 
 _ENDS = (0.3, 0.31, 0.8)  # of the pieces, as parts of the samples
 

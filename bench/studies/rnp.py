@@ -54,7 +54,7 @@ from bench.findings import Findings, FindingTable
 from bench.flight.desired_path import measure_off_path
 from bench.flight_specs import FlightSpec
 from bench.navigation import estimator
-from bench.navigation.engine.kept_rows import take_observations
+from bench.navigation.engine.kept_rows import take_rows
 from bench.specs import Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import (
@@ -271,7 +271,7 @@ def _leave_out(sensed: Sensed) -> Iterator[Sensed]:
     o = sensed.data.observations
     assert o is not None
     for system, sat in list_satellites(o):
-        kept = take_observations(o, (o.system != system) | (o.sat != sat))
+        kept = take_rows(o, (o.system != system) | (o.sat != sat))
         yield replace(sensed, data=replace(sensed.data, observations=kept))
 
 

@@ -138,8 +138,7 @@ class Probe:
         n = len(error)
         run.now.P[:, :n] = P
         run.gate = run.gate._replace(nis=np.full(4, -1.0), readmit_after_s=np.inf)
-        passage.take(self.data, last=True)
-        solution, nodes = passage.go()
+        solution, (nodes,) = passage.feed(self.data, 0.0, last=True), passage.stretches
         table = solution.innovations
         late = table.t > 1.0 - 1e-6
         assert late.any()
@@ -166,8 +165,8 @@ class Probe:
             run = passage.run
             run.now.state[:], run.now.P[:, :n] = self.state, P
             run.gate = run.gate._replace(nis=np.full(4, np.inf))
-            passage.take(replace(data, baro=read), last=True)
-            solution, nodes = passage.go()
+            solution = passage.feed(replace(data, baro=read), 0.0, last=True)
+            (nodes,) = passage.stretches
             assert (solution.innovations.code == solution.innovations.sensor.index("baro")).all()
             before, after = nodes.state[-1]
             return before, after, nodes.P[-1, 0], nodes.P[-1, 1]

@@ -64,7 +64,7 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
     state[10:13] = [1e-3, -2e-3, 3e-3]
     state[index.axis_yaw + 1 : index.axis_yaw + 6] = [0.2, -0.3, 0.05, -0.04, 0.006]
     values = np.array([[0.1, -0.2, 0.4, 0.5, 0.3, -9.7, 2.0, -1.5]])
-    aid = measurement_rows.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
+    aid = propagation.Measurements(values, np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3))
 
     def measure(error):
         moved, back = state.copy(), -error
@@ -76,7 +76,7 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
         work.last[0] = values[0, :3] - moved[10:13]
         belief = propagation.FilterState(moved, model.P.copy(), np.zeros(n))
         code = ROWS.get(kind, measurement_rows.AIRSPEED_ROWS)
-        rows = plain(measurement_rows.ROWS[code])(0, 0, belief, aid, index, pending, work)
+        rows = plain(measurement_rows.ROWS[code])(0, 0, propagation.Site(belief, aid, index, pending, work))
         assert rows == (2 if code == measurement_rows.VEHICLE_ROWS else 1)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 

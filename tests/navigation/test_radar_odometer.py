@@ -48,7 +48,7 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
     state[:3], state[3:6] = truth.lla[0], [21.0, -13.0, 2.0]
     state[6:10] = rotation.from_euler(0.4, -0.2, 1.1)
     state[model.index.radar_bias + 1], state[model.index.odometer_scale + 1] = 0.7, 0.03
-    aid = measurement_rows.Measurements(
+    aid = propagation.Measurements(
         np.full((1, 6), 3.0), np.ones((1, 6)), np.zeros(3), np.zeros((4, 3)), np.zeros(3)
     )
     code = measurement_rows.RADAR_ROWS if kind == "radar" else measurement_rows.ODOMETER_ROWS
@@ -61,7 +61,9 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
         )
         belief = propagation.FilterState(moved, model.P.copy(), np.zeros(n))
         work = propagation.work_for(n, model.process.drives).measure
-        made = plain(measurement_rows.ROWS[code])(0, 0, belief, aid, model.index, pending, work)
+        made = plain(measurement_rows.ROWS[code])(
+            0, 0, propagation.Site(belief, aid, model.index, pending, work)
+        )
         assert made == 1
         return pending.z[0], pending.H[0].copy()
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from bench.arrays import FloatArray
 from bench.navigation.engine.record_cuts import take_head
-from bench.navigation.engine.session import Growing, Kept, Scratch, SessionState, kept, rebuild, scratch
+from bench.navigation.engine.session import Growing, Kept, Scratch, SessionState, marked, rebuild
 from tests.navigation.test_pieces import OTHERS, SEVERAL, USES, loaded, pieces, record
 
 EVERY = [*USES, *SEVERAL, *OTHERS]
@@ -61,7 +61,7 @@ def snapshot(whole: SessionState) -> dict[int, tuple[SessionState, dict[str, Any
     """Return of each part what it holds and does not declare."""
     found = {}
     for part in parts(whole):
-        declared = {*kept(type(part)), *scratch(type(part))}
+        declared = {*marked(type(part), "kept"), *marked(type(part), "scratch")}
         rest = {name: freeze(one) for name, one in vars(part).items() if name not in declared}
         found[id(part)] = part, rest
     return found

@@ -11,7 +11,7 @@ from bench import disk_arrays, pipeline, rotation
 from bench.config import load_profile
 from bench.data import GnssFixes
 from bench.navigation.built_in import load
-from bench.navigation.engine.kept_rows import take_observations
+from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.error_state_filter.error_state import StateLayout, less_errors, state_errors
 from bench.navigation.error_state_filter.filter_run import Nodes
 from bench.navigation.models.smoother import smooth
@@ -110,7 +110,7 @@ def test_a_long_record_is_smoothed_in_blocks_with_the_bits_of_the_whole(over, mo
     if over != "tight":
         data = replace(data, fixes=take(data.fixes, heard))
     else:
-        data = replace(data, observations=take_observations(data.observations, heard))
+        data = replace(data, observations=take_rows(data.observations, heard))
     expected = load("smoother", {"over": over}).run(data, initial)
     assert np.isfinite(expected.cov).all()
     for rows in (83, 290):

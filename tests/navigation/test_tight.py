@@ -17,9 +17,9 @@ from bench.data import GnssObservations
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation.built_in import load
-from bench.navigation.error_state_filter import error_state, measurement_rows
+from bench.navigation.error_state_filter import error_state
 from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.propagation import FilterState, Pending, work_for
+from bench.navigation.error_state_filter.propagation import FilterState, Measurements, Pending, Site, work_for
 from bench.navigation.error_state_filter.ranges import ranging, satellite_states
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGES
@@ -87,9 +87,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     schedule.take(data, last=True)
     schedule.add_satellites(data.observations, SKY, initial.lla[0], satellite_states.Channels())
     sky = schedule.sky
-    aid = measurement_rows.Measurements(
-        np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
-    )
+    aid = Measurements(np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla)
     blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 2), ("glonass_offset", "m", 1)]
     blocks += [("antenna_b", "m", 3), ("gps_range_1", "1", RANGES[GPS])]
     blocks += [("glonass_range_1", "1", RANGES[GLONASS]), ("ionosphere_1", "1", len(ANCHORS))]
@@ -112,7 +110,7 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
             np.zeros(1, np.int64), width,
         )  # fmt: skip
         belief = FilterState(state, np.zeros((n, n)), np.zeros(n))
-        rows = kernel(3, 0, belief, aid, index, pending, work, sky)
+        rows = kernel(3, 0, Site(belief, aid, index, pending, work), sky)
         return pending.z[:rows].copy(), pending.H[:rows].copy()
 
     size = np.repeat([30.0, 1.0, 1e-3, 1e-3, 1.0], 3)

@@ -77,7 +77,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
             "loose-full learns the turn-on bias of this IMU before it starts, which has no linear model; "
             "use loose-22 or loose-mems"
         )
-    solution, stretches = filter_.forward(data, sensed.initial)
+    solution, stretches, _ = filter_.forward(data, sensed.initial)
     nodes = _join_nodes(stretches)
     table = solution.innovations
     model = state_model(sensed.initial, data.specs, filter_.blocks_for(data))

@@ -16,7 +16,6 @@ from bench.compiled import inner, kernel
 from bench.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
 from bench.navigation.engine.kalman import nis_kernel
-from bench.navigation.engine.rejection_events import Refused, refusals
 from bench.navigation.engine.session import Growing, Kept, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 
@@ -29,6 +28,9 @@ NOISIER = 3.0
 REFUSED, SOUND, DRIFTED, STEPPED, LOST = range(5)
 """What becomes of a measurement. It is used where it is sound, or tells that the filter drifted while there
 were no fixes, and after long refusals: then the instrument made a step, or the filter itself may be lost."""
+
+Refused = dict[int, tuple[float, float, int]]
+"""Channel -> instants of the first and the last [s] and number of the refusals that have not ended."""
 
 
 class Trust(NamedTuple):
@@ -80,6 +82,42 @@ def innovations(sensors: tuple[str, ...], numbers: FloatArray, marks: IntArray) 
     t, z, S, found = numbers
     code, component, accepted = marks[:3]
     return Innovations(t, sensors, code, component, z, S, found, accepted.astype(np.bool_))
+
+
+def refusals(
+    t: FloatArray,
+    marks: IntArray,
+    names: list[str],
+    so_far: Refused,
+    *,
+    last: bool,
+) -> list[EventRow]:
+    """Return an event for every row of refusals of one channel that has ended, from its first to its last.
+
+    ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
+    """
+    if not so_far and marks[2].all():
+        return []
+    ended: list[tuple[int, tuple[float, float, int]]] = []
+    first = marks[1] == 0
+    for channel in {*np.unique(marks[3, first & (marks[2] == 0)]).tolist(), *so_far}:
+        rows = np.flatnonzero(first & (marks[3] == channel))
+        refused = marks[2, rows] == 0
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], refused, [False]]).astype(np.int64)))
+        before = so_far.pop(channel, None)
+        if before is not None and not refused[:1].any():
+            ended.append((channel, before))
+        for begin, end in edges.reshape(-1, 2).tolist():
+            row = float(t[rows[begin]]), float(t[rows[end - 1]]), end - begin
+            if before is not None and begin == 0:
+                row = before[0], row[1], before[2] + row[2]
+            ended.append((channel, row))
+        if ended and ended[-1][0] == channel and not last and (not len(rows) or refused[-1]):
+            so_far[channel] = ended.pop()[1]
+    return sorted(
+        (begin, end, "refused", f"{names[channel]}: {count} in a row refused", names[channel])
+        for channel, (begin, end, count) in ended
+    )
 
 
 @kernel
@@ -271,16 +309,8 @@ def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: Boo
 class InnovationGate(SessionState):
     """The gate of a filter in Python.
 
-    Parameters
-    ----------
-    sensors : tuple of str
-        Names by code; the code of a sensor is its channel. The first two are position and velocity of a fix.
-    start : float
-        Start of the record [s].
-    probability : float
-        Chance of refusing a sound measurement.
-    readmit_after_s : float
-        As :func:`decide_kernel` takes it.
+    The code of one of the ``sensors`` is its channel; the first two are position and velocity of a fix. The
+    record begins at ``start`` [s], and ``probability`` is the chance of refusing a sound measurement.
     """
 
     trust: Kept[Trust]

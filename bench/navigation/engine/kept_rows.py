@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.arrays import FloatArray, IntArray
 from bench.data import GnssObservations
-from bench.navigation.engine.session import require
 
+_Record = TypeVar("_Record")
 _WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column
 
 
@@ -43,20 +43,6 @@ def make_rows(kind: int, t: FloatArray, arrival: FloatArray) -> Rows:
     return Rows(np.full(m, kind), t, arrival, np.zeros((m, 9)), np.zeros((m, 6)), none, none)
 
 
-def check_rows(place: str, rows: Rows) -> None:
-    """Check the shapes of measurements that come from a file.
-
-    Raises
-    ------
-    ValueError
-        With the name of what is wrong.
-    """
-    m = len(rows.t)
-    shapes = (m,), (m,), (m,), (m, 9), (m, 6), (m,), (m,)
-    for name, column, shape in zip(Rows._fields, rows, shapes, strict=True):
-        require(column.shape == shape, f"{place}/{name}", f"must have shape {shape}")
-
-
 _names: Callable[[Any], tuple[str, ...]] = cache(lambda kind: tuple(f.name for f in fields(kind)))
 
 
@@ -65,16 +51,14 @@ def columns(record: Any) -> dict[str, Any]:
     return {name: getattr(record, name) for name in _names(type(record))}
 
 
-def take_rows(record: Any, rows: Any) -> Any:
-    """Return rows of a record of columns."""
-    return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
-
-
-def take_observations(o: GnssObservations, rows: BoolArray | slice) -> GnssObservations:
-    """Return some rows (K,) of a record of satellites, in the epochs that have any."""
-    counts = np.bincount(o.epoch[rows], minlength=len(o.epoch_start) - 1)
-    by_row = {name: column[rows] for name, column in columns(o).items() if name not in _WHOLE}
-    return replace(o, epoch_start=np.concatenate([[0], np.cumsum(counts[counts > 0])]), **by_row)
+def take_rows(record: _Record, rows: Any) -> _Record:
+    """Return rows of a record of columns; of satellites in the epochs that have any."""
+    if not isinstance(record, GnssObservations):
+        return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
+    counts = np.bincount(record.epoch[rows], minlength=len(record.epoch_start) - 1)
+    taken: Any = {name: column[rows] for name, column in columns(record).items() if name not in _WHOLE}
+    taken["epoch_start"] = np.concatenate([[0], np.cumsum(counts[counts > 0])])
+    return replace(record, **taken)
 
 
 def join_rows(first: Any, second: Any) -> Any:

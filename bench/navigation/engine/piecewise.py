@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace
 from typing import Any, Protocol, Self, runtime_checkable
 
@@ -119,7 +119,7 @@ class RunsInPieces(Protocol):
 def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
     """Return the last of the answers to a record that ends with what a filter has taken."""
     solution = filter_.feed(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
-    return take_answers(solution, slice(-1, None))
+    return solution if len(solution) == 1 else take_answers(solution, slice(-1, None))
 
 
 def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
@@ -147,13 +147,48 @@ def join_solutions(parts: list[NavSolution]) -> NavSolution:
     parts = [one for one in parts if len(one) or one.extra_names] or parts[:1]  # others know nothing yet
     if len(parts) == 1:
         return parts[0]
-    found = {f.name: getattr(parts[0], f.name) for f in fields(NavSolution)}
-    for name, column in found.items():
-        if isinstance(column, np.ndarray):
-            found[name] = np.concatenate([getattr(one, name) for one in parts])
-    found["innovations"] = join_tables([one.innovations for one in parts if len(one.innovations)])
-    found["events"] = Events.from_rows(join_events([row for one in parts for row in one.events.rows()]))
-    return NavSolution(**found)
+    joined = JoinedSolution(sum(map(len, parts)))
+    for one in parts:
+        joined.add(one)
+    return joined.solution()
+
+
+class JoinedSolution:
+    """Solutions that follow on each other, as one with ``count`` answers: on disk if these are many."""
+
+    def __init__(self, count: int) -> None:
+        self._count, self._filled = count, 0
+        self._columns: dict[str, Any] = {}
+        self._names: tuple[str, ...] = ()
+        self._tables: list[Innovations] = []
+        self._events: list[EventRow] = []
+
+    def add(self, solution: NavSolution) -> None:
+        """Take the answers that come next; a filter that knows nothing yet has none."""
+        if not (len(solution) or solution.extra_names):
+            return
+        if not self._columns:
+            self._names = solution.extra_names
+            for f in fields(solution):
+                column = getattr(solution, f.name)
+                if isinstance(column, np.ndarray):
+                    self._columns[f.name] = disk_arrays.empty((self._count, *column.shape[1:]))
+        end = self._filled + len(solution)
+        for name, column in self._columns.items():
+            column[self._filled : end] = getattr(solution, name)
+        self._filled = end
+        if len(solution.innovations):
+            self._tables.append(solution.innovations)
+        self._events += solution.events.rows()
+
+    def solution(self, more: Iterable[EventRow] = ()) -> NavSolution:
+        """Return all of it, with more events."""
+        return NavSolution(
+            **self._columns,
+            extra_names=self._names,
+            innovations=join_tables(self._tables),
+            events=Events.from_rows(join_events([*self._events, *more])),
+        )
 
 
 def join_tables(tables: list[Innovations]) -> Innovations:

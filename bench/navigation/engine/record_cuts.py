@@ -1,15 +1,17 @@
-"""Pieces of a record: cut, joined, and as plain columns."""
+"""Pieces of a record: cut, joined, and blocks of a record of hours, whose memory does not grow with it."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.data import GnssObservations, NavSolution, SensorData
-from bench.navigation.engine.kept_rows import join_rows, take_observations, take_rows
+from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 
 
@@ -45,16 +47,10 @@ def without_orbits(specs: Any) -> Any:
     return replace(specs, gnss=replace(specs.gnss, sky=replace(specs.gnss.sky, orbits=None)))
 
 
-def _take(record: Any, rows: BoolArray | slice) -> Any:
-    """Return some rows of a record of satellites or of another sensor."""
-    take = take_observations if isinstance(record, GnssObservations) else take_rows
-    return take(record, rows)
-
-
 def take_head(piece: SensorData) -> SensorData:
     """Return a piece without rows."""
     none = slice(0)
-    cut = {name: _take(one, none) for name, one in aiding_records(piece).items()}
+    cut = {name: take_rows(one, none) for name, one in aiding_records(piece).items()}
     imu, specs = take_rows(piece.imu, none), without_orbits(piece.specs)
     return replace(piece, imu=imu, output_t=piece.output_t[none], specs=specs, **cut)
 
@@ -64,14 +60,8 @@ def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
 
     IMU samples and wanted answers by their time, measurements by their arrival.
     """
-
-    def inside(t: FloatArray) -> BoolArray:
-        found: BoolArray = (t > begin) & (t <= end)
-        return found
-
-    cut = {name: _take(one, inside(one.t_arrival)) for name, one in aiding_records(record).items()}
-    imu, output_t = record.imu, record.output_t
-    return replace(record, imu=take_rows(imu, inside(imu.t)), output_t=output_t[inside(output_t)], **cut)
+    t = record.imu.t
+    return cut_piece(record, (t > begin) & (t <= end), begin, end)
 
 
 def join_pieces(first: SensorData, second: SensorData) -> SensorData:
@@ -91,7 +81,9 @@ def arrivals(record: Any) -> FloatArray:
     return arrival
 
 
-def cut_piece(record: SensorData, samples: slice | IntArray, after: float, until: float) -> SensorData:
+def cut_piece(
+    record: SensorData, samples: slice | IntArray | BoolArray, after: float, until: float
+) -> SensorData:
     """Return some IMU samples of a record, and what arrived or is wanted after an instant until another [s].
 
     Both may be infinite; what has no time is there from the begin of the record.
@@ -102,7 +94,7 @@ def cut_piece(record: SensorData, samples: slice | IntArray, after: float, until
         return found if np.isneginf(after) else found & (t > after + slack)
 
     every = aiding_records(record).items()
-    cut = {name: _take(one, inside(arrivals(one), TIME_TOLERANCE)) for name, one in every}
+    cut = {name: take_rows(one, inside(arrivals(one), TIME_TOLERANCE)) for name, one in every}
     wanted = record.output_t[inside(record.output_t, 0.0)]
     return replace(record, imu=take_rows(record.imu, samples), output_t=wanted, **cut)
 
@@ -112,3 +104,28 @@ def goes_beyond(record: SensorData, t: float) -> bool:
     arrival = (one.t_arrival for one in aiding_records(record).values())
     late = any(len(one) and (one > t + TIME_TOLERANCE).any() for one in arrival)
     return late or bool(len(record.output_t) and (record.output_t > t).any())
+
+
+def is_long(record: SensorData) -> bool:
+    """Return whether a record is long enough to go through a filter in blocks."""
+    return len(record.imu) > disk_arrays.LONG * disk_arrays.ROWS
+
+
+def longest_wait(record: SensorData) -> float:
+    """Return the longest time from the validity of a measurement to its arrival [s]."""
+    waits = [one.t_arrival - one.t for one in aiding_records(record).values()]
+    longest = max((float(wait[np.isfinite(wait)].max(initial=0.0)) for wait in waits), default=0.0)
+    return longest + 2.0 * TIME_TOLERANCE
+
+
+def cut_blocks(record: SensorData) -> Iterator[tuple[SensorData, bool]]:
+    """Yield a record in blocks of IMU samples, in their order, and whether a block is the last.
+
+    A measurement is in the block at whose end it has arrived, an answer wanted in that which reaches it; the
+    last block has all that is left. What earlier blocks touched on disk is released.
+    """
+    reached = -np.inf
+    for rows in disk_arrays.blocks(len(record.imu)):
+        last, t = rows.stop == len(record.imu), record.imu.t[rows]
+        begin, reached = reached, max(reached, float(t[np.isfinite(t)].max(initial=-np.inf)))
+        yield cut_piece(record, rows, begin, np.inf if last else reached), last

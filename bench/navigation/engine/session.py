@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import types
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from datetime import date
@@ -49,7 +49,7 @@ class SessionState:
 
     def state(self) -> dict[str, Any]:
         """Return what is carried from one piece to the next, as arrays, numbers and words by name."""
-        return {name.lstrip("_"): _plain(getattr(self, name)) for name in kept(type(self))}
+        return {name.lstrip("_"): _plain(getattr(self, name)) for name in marked(type(self), "kept")}
 
     def restore(self, state: Mapping[str, Any], place: str = "", specs: AssumedSpecs | None = None) -> None:
         """Take over what :meth:`state` returned; it is checked first.
@@ -62,7 +62,7 @@ class SessionState:
         ValueError
             With the name of what is wrong.
         """
-        hints = kept(type(self))
+        hints = marked(type(self), "kept")
         _require_names(state, [name.lstrip("_") for name in hints], place)
         specs = specs or getattr(getattr(self, "head", None), "specs", None)
         for parts in (False, True):
@@ -99,17 +99,8 @@ class SessionState:
         """
 
 
-def kept(cls: type) -> dict[str, Any]:
-    """Return the declared state of a class: name of the attribute -> its type."""
-    return _marked(cls, "kept")
-
-
-def scratch(cls: type) -> dict[str, Any]:
-    """Return the attributes of a class that hold nothing between two pieces, with their types."""
-    return _marked(cls, "scratch")
-
-
 def _find_marked(cls: type, mark: str) -> dict[str, Any]:
+    """Return the attributes of a class that are declared "kept" or "scratch", with their types."""
     hints = get_type_hints(cls, include_extras=True)
     for name, one in (pair for base in reversed(cls.__mro__) for pair in vars(base).items()):
         if isinstance(one, property):
@@ -128,12 +119,12 @@ def _find_forked(cls: type) -> tuple[str, ...]:
     """Return the attributes that a copy has to have of its own."""
     return tuple(
         name
-        for name, hint in kept(cls).items()
+        for name, hint in marked(cls, "kept").items()
         if "replaced" not in hint.__metadata__ and get_args(hint)[0] not in _UNCHANGING
     )
 
 
-_marked: Callable[[type, str], dict[str, Any]] = cache(_find_marked)
+marked: Callable[[type, str], dict[str, Any]] = cache(_find_marked)
 _forked: Callable[[type], tuple[str, ...]] = cache(_find_forked)
 _fields: Callable[[type], dict[str, Any]] = cache(_find_fields)
 
@@ -294,7 +285,7 @@ def _array(hint: Any, found: Any, like: Any, place: str, *, grows: bool = False)
     dtype = np.dtype(wanted) if like is None else like.dtype
     require(isinstance(found, np.ndarray) and found.dtype == dtype, place, f"must be {dtype}")
     found = _copy_array(found)
-    if like is None or like.shape == (0,):
+    if like is None:
         return found
     grows = grows or not len(like)
     same = found.ndim == like.ndim and found.shape[grows:] == like.shape[grows:]
@@ -334,6 +325,14 @@ def require(good: bool, place: str, wanted: str) -> None:
     """Raise ValueError with a place and what it must be, unless it is good."""
     if not good:
         raise ValueError(f"{place.strip('/')} {wanted}")
+
+
+def require_rows(place: str, table: Any, names: Iterable[str], count: int) -> None:
+    """Check that columns of a table have a number of rows."""
+    for name in names:
+        shape = getattr(table, name).shape
+        wanted = (count, *shape[1:])
+        require(shape == wanted, f"{place}/{name}", f"must have shape {wanted}; got {shape}")
 
 
 def require_range(name: str, numbers: IntArray, end: int) -> None:

@@ -9,7 +9,7 @@ longer one it starts again (`restart`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,8 +49,7 @@ _NO_ROWS = np.empty(0, np.int64)
 AidingRecord = GnssFixes | InstrumentData
 
 
-@dataclass(frozen=True, slots=True)
-class Steps:
+class Steps(NamedTuple):
     """The steps of a strapdown integration."""
 
     t: FloatArray  # (K,) end of each step [s]
@@ -58,7 +57,6 @@ class Steps:
     row: IntArray  # (K,) row of dtheta_b and dvel_b whose rates it takes
     share: FloatArray  # (K,) the step over the length of that row [1]
     unknown: FloatArray  # (K, 2) variance of velocity [m^2/s^2] and attitude [rad^2] that a gap adds
-    sample: IntArray  # (K,) IMU sample in use that the step ends at or before
     dtheta_b: FloatArray  # (N + G, 3) increments of the record [rad], then of one second of each gap
     dvel_b: FloatArray  # (N + G, 3) the same [m/s]
 
@@ -119,16 +117,10 @@ def steps(
 
     Parameters
     ----------
-    imu : ImuData
-        Record.
     rows, span : (K,) arrays
-        As :func:`imu_rows` returns them.
-    start : float
-        Instant of the initial state [s].
-    instants : (M,) array
-        Where a step has to end too [s], wherever it is.
-    in_gaps : (M,) array
-        Where one has to end when there is a gap [s].
+        As :func:`imu_rows` returns them, from the ``start`` [s].
+    instants, in_gaps : (M,) arrays
+        Where a step has to end too, wherever it is, and when there is a gap [s].
     spec : ImuSpec
         Datasheet, for its ranges.
     earlier : (L,) array of int
@@ -152,12 +144,11 @@ def steps(
         extra = extra[np.diff(extra, prepend=-np.inf) > TIME_TOLERANCE]
         extra = _inside(extra, ends)
     if len(extra) == 0:
-        unknown, sample = np.zeros((len(t), 2)), np.arange(len(t))
-        return Steps(t, span, rows, span / dt, unknown, sample, imu.dtheta_b, imu.dvel_b)
+        return Steps(t, span, rows, span / dt, np.zeros((len(t), 2)), imu.dtheta_b, imu.dvel_b)
     cut_t = np.concatenate([t, extra])
     order = np.argsort(cut_t, kind="stable")
     cut_t = cut_t[order]
-    sample = np.searchsorted(t, cut_t - 0.5 * TIME_TOLERANCE)
+    sample = np.searchsorted(t, cut_t - 0.5 * TIME_TOLERANCE)  # that a step ends at or before
     cut_span = np.diff(cut_t, prepend=start)
     row, share = rows[sample], cut_span / dt[sample]
     unknown = np.zeros((len(cut_t), 2))
@@ -176,7 +167,7 @@ def steps(
         row[bridged], share[bridged] = len(imu) + of_gap, cut_span[bridged]
         spread = spread[of_gap]
         unknown[bridged] = bridge_variance(after, spread) - bridge_variance(np.maximum(before, 0.0), spread)
-    return Steps(cut_t, cut_span, row, share, unknown, sample, dtheta_b, dvel_b)
+    return Steps(cut_t, cut_span, row, share, unknown, dtheta_b, dvel_b)
 
 
 def needed_rows(imu: ImuData, rows: IntArray) -> IntArray:
@@ -222,13 +213,7 @@ def imu_rows(imu: ImuData, start: float, spec: ImuSpec) -> tuple[IntArray, Float
 
 
 class ImuIntake(SessionState):
-    """What has been taken of an IMU record that comes in pieces.
-
-    Parameters
-    ----------
-    start : float
-        As in :func:`imu_rows`.
-    """
+    """What has been taken of an IMU record that comes in pieces, after a ``start`` [s]."""
 
     newest: Kept[float]  # of the rows in use [s]
     before: Kept[float]  # of the sound rows after the start, the one before the next [s]
@@ -290,17 +275,13 @@ class ImuIntake(SessionState):
             wild[:-1] = t[:-1] > t[1:] + TIME_TOLERANCE
             wild &= t > np.append(self.before, t[:-1]) + LONGEST_BRIDGE
             wild[:-1] &= t[1:] > np.append(self.before, t[:-2])
-            out = np.zeros(len(imu.t), np.bool_)
-            out[rows[wild]] = True
-            events += left_out("imu", imu.t, out, "ahead of the rows after it")
+            events += left_out("imu", imu.t, rows[wild], "ahead of the rows after it")
             kept, again = self._hold(rows, imu.t, last)
             rows = kept[~wild[: len(kept)]]
             t = imu.t[rows]
             newest = np.maximum.accumulate(np.concatenate([[self.newest], t]))[:-1]
             ordered = t > newest + TIME_TOLERANCE
-            out = np.zeros(len(imu.t), np.bool_)
-            out[rows[~ordered]] = True
-            events += left_out("imu", imu.t, out, "repeated or going back in time")
+            events += left_out("imu", imu.t, rows[~ordered], "repeated or going back in time")
             rows = rows[ordered]
         return rows, again, events
 
@@ -339,39 +320,35 @@ def _check_kernel(
     return gaps
 
 
-def aiding_rows(
-    record: AidingRecord, values: FloatArray, name: str, imu_t: FloatArray, start: float
-) -> tuple[IntArray, IntArray, list[EventRow]]:
-    """Return the rows of an aiding record to use, the IMU sample each is used after, and the events.
+def sound_rows(record: AidingRecord, values: FloatArray) -> BoolArray:
+    """Return which rows (M,) of a record are not flagged and have finite times and values (M, n)."""
+    sound: BoolArray = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
+    return sound & np.isfinite(values).all(axis=1)
 
-    The sample is -1 at the start.
+
+def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[EventRow]]:
+    """Return the fixes to use, the IMU sample each is used after (-1 at the start), and the events.
+
+    A position must be finite, a velocity need not be: one that is not finite in all of its components is
+    none, and an event counts the fixes in use that have none.
 
     Parameters
     ----------
-    record : GnssFixes or InstrumentData
+    fixes : GnssFixes
         Record; rows that are flagged, not finite or repeated are left out.
-    values : (M, n) array
-        What must be finite in a row.
-    name : str
-        What the events call the record.
     imu_t : (K,) array
         Instants of the IMU samples in use [s].
     start : float
         Instant of the initial state [s]; rows that arrive earlier are left out.
     """
-    sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
-    sound &= np.isfinite(values).all(axis=1)
-    return ordered_rows(record.t, record.t_arrival, sound, name, imu_t, start)
-
-
-def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArray, IntArray, list[EventRow]]:
-    """Return what :func:`aiding_rows` does, of fixes: a position must be finite, a velocity need not be.
-
-    A velocity that is not finite in all of its components is none; an event counts the fixes in use that
-    have none.
-    """
-    rows, sample, events = aiding_rows(fixes, fixes.lla, "gnss", imu_t, start)
-    return rows, sample, events + without_velocity(fixes, rows)
+    t_arrival = fixes.t_arrival
+    rows, events = fresh_rows(fixes.t, t_arrival, sound_rows(fixes, fixes.lla), "gnss", -np.inf)
+    sample = np.searchsorted(imu_t, t_arrival[rows] - TIME_TOLERANCE)
+    inside = (sample < len(imu_t)) & (t_arrival[rows] > start - TIME_TOLERANCE)
+    sample[t_arrival[rows] < start + TIME_TOLERANCE] = -1
+    events += left_out("gnss", fixes.t, rows[~inside], OUTSIDE)
+    rows = rows[inside]
+    return rows, sample[inside].astype(np.int64), events + without_velocity(fixes, rows)
 
 
 def without_velocity(fixes: GnssFixes, rows: IntArray) -> list[EventRow]:
@@ -389,20 +366,6 @@ def without_velocity(fixes: GnssFixes, rows: IntArray) -> list[EventRow]:
     ]
 
 
-def ordered_rows(
-    t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, imu_t: FloatArray, start: float
-) -> tuple[IntArray, IntArray, list[EventRow]]:
-    """Return what :func:`aiding_rows` does, of rows by their times and whether they are ``sound`` (M,)."""
-    rows, events = fresh_rows(t, t_arrival, sound, name, -np.inf)
-    sample = np.searchsorted(imu_t, t_arrival[rows] - TIME_TOLERANCE)
-    inside = (sample < len(imu_t)) & (t_arrival[rows] > start - TIME_TOLERANCE)
-    sample[t_arrival[rows] < start + TIME_TOLERANCE] = -1
-    out = np.zeros(len(t), np.bool_)
-    out[rows[~inside]] = True
-    events += left_out(name, t, out, OUTSIDE)
-    return rows[inside], sample[inside].astype(np.int64), events
-
-
 def fresh_rows(
     t: FloatArray, t_arrival: FloatArray, sound: BoolArray, name: str, newest: float
 ) -> tuple[IntArray, list[EventRow]]:
@@ -417,9 +380,7 @@ def fresh_rows(
     if len(rows):
         before = np.maximum.accumulate(np.concatenate([[newest], valid_t]))[:-1]
         fresh = valid_t > before + TIME_TOLERANCE
-        out = np.zeros(len(t), np.bool_)
-        out[rows[~fresh]] = True
-        events += left_out(name, t, out, "repeated or going back in time")
+        events += left_out(name, t, rows[~fresh], "repeated or going back in time")
         rows = rows[fresh]
     return rows, events
 
@@ -440,11 +401,11 @@ def empty_epochs(t: FloatArray, epoch_start: IntArray, start: float, end: float)
     return [(first, max(first, last), "timeline", text, "satellites")]
 
 
-def left_out(name: str, t: FloatArray, out: BoolArray, why: str) -> list[EventRow]:
-    """Return the event that counts the rows ``out`` (M,) of a record; none if there is no such row."""
-    if not out.any():
-        return []
+def left_out(name: str, t: FloatArray, out: BoolArray | IntArray, why: str) -> list[EventRow]:
+    """Return the event that counts the rows ``out`` of a record; none if there is no such row."""
     times = t[out]
+    if not len(times):
+        return []
     finite = times[np.isfinite(times)]
     first, last = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
-    return [(first, last, "timeline", f"{name}: {int(out.sum())} rows left out: {why}", name)]
+    return [(first, last, "timeline", f"{name}: {len(times)} rows left out: {why}", name)]

@@ -59,7 +59,8 @@ class MovedFixes(SessionState):
         self._decay, self._decay_by_way = gnss.pos_decay_time, gnss.pos_decay_distance
         self._markov = np.square([gnss.pos_h_markov_sd, gnss.pos_h_markov_sd, gnss.pos_v_markov_sd])
         self._jump = np.square([gnss.pos_h_jump_sd, gnss.pos_h_jump_sd, gnss.pos_v_jump_sd])
-        self._begin = self._C_en = self._steps = np.empty(0)
+        self._begin = self._steps = np.empty(0)
+        self._C_en = np.empty((0, 3))
         self._before, self._measures = np.zeros(11), np.empty((0, 11))
         self._vel_e = self._change = self._sum_e = np.zeros(3)
         self._passed, self._told = False, None

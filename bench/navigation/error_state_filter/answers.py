@@ -21,40 +21,34 @@ def solution(
 ) -> NavSolution:
     """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
     variance = np.einsum("kii->ki", P)[:, 9:]
-    return answers(t, layout, split(state), P[:, :9, :9], variance, table, events)
-
-
-def split(state: FloatArray) -> list[FloatArray]:
-    """Return position, velocity, attitude and the values of the further states from states (M, n + 1)."""
-    return [state[:, :3], state[:, 3:6], state[:, 6:10], state[:, 10:]]
+    return answers(t, layout, state, P[:, :9, :9], variance, table, events)
 
 
 def answers(
     t: FloatArray,
     layout: StateLayout,
-    state: list[FloatArray],
+    state: FloatArray,
     cov: FloatArray,
     variance: FloatArray,
     table: Innovations,
     events: Events,
 ) -> NavSolution:
-    """Return the same from states as :func:`split`, covariances (M, 9, 9) and variances (M, shown - 9).
+    """Return the same from covariances (M, 9, 9) and variances (M, shown - 9).
 
     Values that follow on those of the first ``shown`` states are no part of an answer.
     """
-    lla, vel_n, q_nb, values = state
     with np.errstate(invalid="ignore"):
         sd = np.sqrt(variance)
     return NavSolution(
         t=t,
-        lla=lla,
-        vel_n=vel_n,
-        q_nb=q_nb,
-        gyro_bias_b=values[:, :3],
-        accel_bias_b=values[:, 3:6],
+        lla=state[:, :3],
+        vel_n=state[:, 3:6],
+        q_nb=state[:, 6:10],
+        gyro_bias_b=state[:, 10:13],
+        accel_bias_b=state[:, 13:16],
         cov=cov,
         extra_names=layout.labels()[: variance.shape[1]],
-        extra=values[:, : variance.shape[1]],
+        extra=state[:, 10 : 10 + variance.shape[1]],
         extra_sd=sd,
         innovations=table,
         events=events,

@@ -21,8 +21,7 @@ from bench.navigation.error_state_filter.corrections import (
     newest_kernel,
 )
 from bench.navigation.error_state_filter.error_state import ACCEL, GYRO, PHI, POS, VEL
-from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork
-from bench.navigation.error_state_filter.state_blocks import Index
+from bench.navigation.error_state_filter.propagation import Site
 from bench.navigation.mechanization import matrix_kernel
 
 
@@ -87,19 +86,13 @@ def lever_kernel(C: FloatArray, w_ib_b: FloatArray, at: int, H: FloatArray) -> N
 
 @inner
 def antenna_rows_kernel(
-    now: FilterState,
-    antenna_b: FloatArray,
-    lla: FloatArray,
-    vel_n: FloatArray,
-    index: Index,
-    H: FloatArray,
-    z: FloatArray,
-    work: MeasureWork,
+    site: Site, antenna_b: FloatArray, lla: FloatArray, vel_n: FloatArray, H: FloatArray, z: FloatArray
 ) -> None:
     """Fill z (6,) and H (6, n) as :func:`antenna_kernel` does, with all states that the antenna depends on.
 
     The lever arm is the estimated one if the layout has it.
     """
+    now, _, index, _, work = site
     at = index.antenna_b
     for i in range(3):
         work.lever[i] = now.state[at + 1 + i] if at >= 0 else antenna_b[i]
@@ -116,14 +109,14 @@ def antenna_rows_kernel(
 
 
 @inner
-def late_rows_kernel(
-    now: FilterState, vel_n: FloatArray, at: int, H: FloatArray, z: FloatArray, work: MeasureWork
-) -> None:
+def late_rows_kernel(site: Site, vel_n: FloatArray, H: FloatArray, z: FloatArray) -> None:
     """Move z (6,) and H (6, n) to the instant that a fix shows by the estimated offset of its clock.
 
-    z[3:] is the velocity of the antenna, from which the measured ``vel_n`` (3,) is not yet taken; ``at`` is
-    the state of the offset. The acceleration is that of the IMU, without Coriolis: 2 mm/s at 50 m/s, 0.25 s.
+    z[3:] is the velocity of the antenna, from which the measured ``vel_n`` (3,) is not yet taken. The
+    acceleration is that of the IMU, without Coriolis: 2 mm/s at 50 m/s, 0.25 s.
     """
+    now, _, index, _, work = site
+    at = index.time_offset
     state, C, f, motion = now.state, work.C, work.force_n, work.motion
     n, ahead, factor = now.P.shape[0], state[at + 1], work.factor
     half = 0.5 * ahead * ahead

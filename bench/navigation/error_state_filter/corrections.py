@@ -51,16 +51,8 @@ def constants_kernel(
 ) -> int:
     """Fill what a correction (A-5.4.11) takes off in any motion; return the first drive that asks for one.
 
-    Parameters
-    ----------
-    state : (n + 1,) array
-        Filter state.
-    drives : (D, 3) array
-        States that act like a bias.
-    known : (4,) array
-        As :func:`factor_kernel` takes it.
-    bias, slope : (6,) arrays
-        Overwritten: all that acts like a bias of gyros and accelerometers, and one over their slopes.
+    Of a filter state (n + 1,): bias (6,) is all that acts like a bias of gyros and accelerometers, slope (6,)
+    one over their slopes.
     """
     moving: int = drives.shape[0]
     for i in range(6):
@@ -116,27 +108,10 @@ def correct_kernel(
     state: FloatArray, dt: float, drives: IntArray, known: FloatArray, dth: FloatArray, dv: FloatArray,
     constants: FloatArray,
 ) -> None:  # fmt: skip
-    """Do both for one sample; ``constants`` (2, 6) is memory."""
+    """Do both for one sample, with dt = 1 for a mean motion; ``constants`` (2, 6) is memory."""
     bias, slope = constants[0], constants[1]
     moving = constants_kernel(state, drives, known, bias, slope)
     increments_kernel(state, dt, drives, moving, known, dth, dv, bias, slope)
-
-
-@inner
-def motion_kernel(
-    state: FloatArray,
-    motion: FloatArray,
-    drives: IntArray,
-    known: FloatArray,
-    constants: FloatArray,
-    factor: FloatArray,
-) -> None:
-    """Take the estimated errors out of a measured mean motion (2, 3), and fill the factors (D,) of it.
-
-    Rows of the motion are the rate [rad/s] and the specific force [m/s^2], b. ``constants`` (2, 6) is memory.
-    """
-    correct_kernel(state, 1.0, drives, known, motion[0], motion[1], constants)
-    motion_factors_kernel(motion, drives, known, factor)
 
 
 @inner
@@ -185,16 +160,9 @@ def axes_kernel(
     measures gravity, whatever its tilt. Where it moves, the tangent turns; a covariance that does not takes
     the correction for a turn of the unit.
 
-    Parameters
-    ----------
-    state : (n + 1,) array
-        Filter state before the feedback.
-    dx : (n,) array
-        What that will subtract.
-    drives, factor : (D, 3) and (D,) arrays
-        States that act like a bias, those of the accelerometers first, and by how much.
-    turn : (5, 3) array
-        Overwritten; its last row is memory.
+    The filter state (n + 1,) is that before the feedback, which will subtract dx (n,); of the drives, whose
+    ``factor`` (D,) says by how much they act, those of the accelerometers come first. The last row of turn is
+    memory.
     """
     force, (w, p, q, r) = turn[4], (state[6], state[7], state[8], state[9])
     _force_kernel(dx, drives, factor, force)

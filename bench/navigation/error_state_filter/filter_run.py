@@ -12,8 +12,7 @@ from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, no_events, no_innovations
-from bench.navigation.engine.gate import InnovationLog, innovations, new_log
-from bench.navigation.engine.rejection_events import Refused, refusals
+from bench.navigation.engine.gate import InnovationLog, Refused, innovations, new_log, refusals
 from bench.navigation.engine.session import (
     Kept,
     Replaced,
@@ -22,19 +21,21 @@ from bench.navigation.engine.session import (
     fork,
     require,
     require_range,
+    require_rows,
 )
+from bench.navigation.engine.timeline import Steps
 from bench.navigation.error_state_filter.answers import answers, solution, spread
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
     SENSORS,
-    Measurements,
 )
 from bench.navigation.error_state_filter.measurement_update import Gate, use_kernel
 from bench.navigation.error_state_filter.propagation import (
     FilterState,
-    ImuSteps,
+    Measurements,
     Pending,
+    Site,
     Work,
     advance_kernel,
     grown,
@@ -46,7 +47,6 @@ from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
-    Index,
     Process,
     StateModel,
     first_of_satellites,
@@ -61,14 +61,11 @@ LONGEST = 3
 class Stores(NamedTuple):
     """What a run stores."""
 
-    lla: FloatArray  # (M, 3) at each output
-    vel_n: FloatArray  # (M, 3)
-    q_nb: FloatArray  # (M, 4)
-    values: FloatArray  # (M, shown - 9) of the states from the gyro bias on, but the last: single satellites
+    state: FloatArray  # (M, shown + 1) at each output, but the last states: single satellites
     cov: FloatArray  # (M, 9, 9) of position, velocity, attitude
-    variance: FloatArray  # (M, shown - 9) of these
-    node_t: FloatArray  # (N,) instants of measurements and outputs, for a smoother; none without one
-    node_state: FloatArray  # (N, 2, n + 1) before and after the measurements
+    variance: FloatArray  # (M, shown - 9) of the states from the gyro bias on
+    # (N, 2, n + 1) before and after the measurements at the nodes of a smoother; none without one
+    node_state: FloatArray
     node_cov: FloatArray  # (N, 2, n, n)
     transition: FloatArray  # (N, n, n)
 
@@ -87,16 +84,14 @@ def _keep_kernel(now: FilterState, state: FloatArray, P: FloatArray) -> None:
 @inner
 def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
     """Store the state of the filter as an answer."""
-    state, P, cov = now.state, now.P, stores.cov[at]
-    for i in range(3):
-        stores.lla[at, i], stores.vel_n[at, i] = state[i], state[3 + i]
-    for i in range(4):
-        stores.q_nb[at, i] = state[6 + i]
+    P, cov = now.P, stores.cov[at]
+    for i in range(stores.state.shape[1]):
+        stores.state[at, i] = now.state[i]
     for i in range(9):
         for j in range(9):
             cov[i, j] = P[i, j]
-    for i in range(stores.values.shape[1]):
-        stores.values[at, i], stores.variance[at, i] = state[10 + i], P[9 + i, 9 + i]
+    for i in range(stores.variance.shape[1]):
+        stores.variance[at, i] = P[9 + i, 9 + i]
 
 
 @kernel
@@ -104,13 +99,11 @@ def _fusion_kernel(
     schedule: IntArray,
     fillers: IntArray,
     ahead: FloatArray,
-    now: FilterState,
+    site: Site,
     process: Process,
-    index: Index,
-    steps: ImuSteps,
-    data: Measurements,
+    steps: Steps,
+    interval: float,
     sky: SkyRows,
-    pending: Pending,
     gate: Gate,
     log: InnovationLog,
     stores: Stores,
@@ -121,11 +114,12 @@ def _fusion_kernel(
     A row of the schedule is a step (-1: the start), what is done after it, the kind of measurement, its row
     among its kind, and the slot it waits in. An answer is that of a filter which goes ``ahead`` (M,) of the
     next step and ends a step of the covariance there. With the nodes of a smoother the filter itself ends a
-    step at each answer, and none is ahead. ``now`` is the state at the start and becomes the last one.
+    step at each answer, and none is ahead. The state of the site is that at the start and becomes the last.
     """
+    now, _, index, pending, _ = site
     n = now.P.shape[0]
-    carried, step, _, measure, update, other = work
-    keep = stores.node_t.shape[0] > 0
+    carried, step, _, _, update, other = work
+    keep = stores.node_state.shape[0] > 0
     k = steps.span.shape[0] * 0 - 1
     e, node, output = 0, 0, 0
     while e < schedule.shape[0]:
@@ -143,7 +137,7 @@ def _fusion_kernel(
         closing = peeking or not (asked or action == GO_ON)
         if k < target or closing:
             advance_kernel(
-                k, target, goes, process, index, steps, work, pending, keep, closing, part, peeking
+                k, target, goes, process, index, steps, interval, work, pending, keep, closing, part, peeking
             )
         k = until
         if peeking:
@@ -168,7 +162,6 @@ def _fusion_kernel(
             f += 1
         if keep:
             before = stores.node_cov[node, 0]
-            stores.node_t[node] = t
             _keep_kernel(now, stores.node_state[node, 0], stores.node_cov[node, 0])
             for i in range(n):
                 for j in range(n):
@@ -180,9 +173,9 @@ def _fusion_kernel(
             if action != USE:
                 fill = fillers[kind]
                 if kind == SATELLITE_ROWS:
-                    made: int = call_at(fill, row, first, now, data, index, pending, measure, sky)
+                    made: int = call_at(fill, row, first, site, sky)
                 else:
-                    made = call_at(fill, row, first, now, data, index, pending, measure)
+                    made = call_at(fill, row, first, site)
                 pending.live[slot] = made
             if action != MEASURE:
                 made = pending.live[slot]
@@ -213,22 +206,9 @@ class Nodes:
 class ForwardRun(SessionState):
     """A filter on its way through a record.
 
-    Parameters
-    ----------
-    initial : InitialState
-        Start.
-    model : StateModel
-        Layout, covariance at the start, processes.
-    antenna_b : (3,) array
-        Antenna [m], b.
-    field : (4, 3) array
-        Magnetic field at the start and its change by metre [T], n.
-    gate : Gate
-        Tests and their memories, of the sensors.
-    interval : float
-        Of the covariance step [s]; 0: every sample.
-    keep : bool
-        Store the nodes of a smoother, on disk if the record comes in pieces.
+    ``antenna_b`` is (3,) [m], ``field`` (4, 3) the magnetic field at the start and its change by metre [T],
+    n, ``interval`` that of the covariance step [s], 0: every sample. With ``keep`` it stores the nodes of a
+    smoother, on disk if the record comes in pieces.
     """
 
     now: Replaced[FilterState]
@@ -275,18 +255,14 @@ class ForwardRun(SessionState):
 
     def check(self) -> None:
         """Check what the filter kernel takes from it."""
-        n, gate, pending = self.model.layout.size, self.gate, self.pending
+        gate, pending = self.gate, self.pending
         channels, slots, width = len(gate.trust.misses), len(pending.live), pending.width
         require(channels >= len(gate.opens), "misses", f"must have at least {len(gate.opens)} rows")
         for name in ("since", "used"):
             same = getattr(gate.trust, name).shape == (channels,)
             require(same, f"gate/trust/{name}", f"must have {channels} rows")
         require(width >= 2 * LONGEST and slots > 0, "pending/width", "must hold a fix")
-        rows = slots * width
-        shapes = {"H": (rows, n), "z": (rows,), "r": (rows,), "tags": (rows, 4)}
-        for name, shape in shapes.items():
-            column = getattr(pending, name)
-            require(column.shape == shape, f"pending/{name}", f"must have shape {shape}; got {column.shape}")
+        require_rows("pending", pending, Pending._fields[:4], slots * width)
         require_range("pending/live", pending.live, width + 1)
         waiting = np.arange(width)[None, :] < pending.live[:, None]
         code, channel, component, length = pending.tags.reshape(slots, width, 4)[waiting].T
@@ -311,8 +287,12 @@ class ForwardRun(SessionState):
         process, index, n = model.process, model.index, model.layout.size
         shown = first_of_satellites(index, n)
         plan, sky = schedule.plan(look_back), schedule.sky
-        steps, entries = plan.steps, plan.entries
-        start = schedule.t
+        steps, entries, start = plan.steps, plan.entries, schedule.t
+        steps = steps._replace(
+            t=np.append(steps.t, start),  # the last one serves the start, index -1
+            dtheta_b=read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type
+            dvel_b=read_only(steps.dvel_b),
+        )
         visible = int(np.diff(sky.epoch_start).max(initial=0)) if len(sky.t) else 0
         now, pending = fork(self.now), fork(grown(self.pending, plan.slots, 2 * visible + 6))
         gate = fork(self.gate._replace(trust=self.gate.trust.with_channels(len(names), self.initial.t)))
@@ -328,13 +308,9 @@ class ForwardRun(SessionState):
         whole = schedule.last and start == self.initial.t
         empty = np.empty if whole else disk_arrays.empty
         stores = Stores(
-            np.empty((m, 3)),
-            np.empty((m, 3)),
-            np.empty((m, 4)),
-            np.empty((m, shown - 9)),
+            np.empty((m, shown + 1)),
             np.empty((m, 9, 9)),
             np.empty((m, shown - 9)),
-            np.empty(len(at)),
             empty((len(at), 2, n + 1)),
             empty((len(at), 2, n, n)),
             empty((len(at), n, n)),
@@ -343,34 +319,24 @@ class ForwardRun(SessionState):
             self.work = work_for(n, process.drives)
         work = self.work
         work.carried.whole[:] = self.carried
-        if len(steps.t) and not self.moved:  # what is measured at the start sees the rate of the first sample
+        if len(steps.span) and not self.moved:  # measurements at the start see the rate of the first sample
             first = np.stack([steps.dtheta_b[steps.row[0]], steps.dvel_b[steps.row[0]]])
             work.measure.last[:] = first * steps.share[0] / steps.span[0]
             self.moved = True
         data = Measurements(
             plan.measured, plan.variance, self.antenna_b.copy(), self.field, self.initial.lla.copy()
         )
+        site = Site(now, data, index, pending, work.measure)
         kinds = set(entries[entries[:, 1] < USE, 2].tolist())
         _fusion_kernel(
             entries,
-            place_fillers(kinds, (now, data, index, pending, work.measure), sky),
+            place_fillers(kinds, site, sky),
             plan.ahead,
-            now,
+            site,
             process,
-            index,
-            ImuSteps(
-                np.concatenate([steps.t, [start]]),  # the last one serves the start, index -1
-                steps.span,
-                steps.row,
-                steps.share,
-                steps.unknown,
-                read_only(steps.dtheta_b),  # those of the record, or with bridges: of one type for the kernel
-                read_only(steps.dvel_b),
-                self.interval,
-            ),
-            data,
+            steps,
+            self.interval,
             sky,
-            pending,
             gate,
             log,
             stores,
@@ -384,20 +350,17 @@ class ForwardRun(SessionState):
         numbers, marks = log.numbers[:, :count], log.marks[:, :count]
         wanted = schedule.output_t
         t = schedule.advance(plan)
-        *state, cov, variance = stores[:6]
+        state, cov, variance = stores[:3]
+        rows = np.searchsorted(t, wanted[plan.outputs])
         if len(t) != m:
-            rows = np.searchsorted(t, wanted[plan.outputs])
-            *state, cov, variance = (spread(one, rows, len(t)) for one in stores[:6])
+            state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:
             outputs = entries[entries[:, 1] == OUTPUT, 0]
-            node[np.searchsorted(t, wanted[plan.outputs])] = np.searchsorted(at, outputs)
-        nodes = Nodes(
-            model.layout, stores.node_t, stores.node_state, stores.node_cov, stores.transition, node
-        )
-        table = Events.from_rows(events)
-        marked = innovations(SENSORS, numbers, marks)
-        return answers(t, model.layout, state, cov, variance, marked, table), nodes
+            node[rows] = np.searchsorted(at, outputs)
+        nodes = Nodes(model.layout, steps.t[at], *stores[3:], node)
+        table = innovations(SENSORS, numbers, marks)
+        return answers(t, model.layout, state, cov, variance, table, Events.from_rows(events)), nodes

@@ -23,7 +23,6 @@ position only. What has a column for the gyro bias has one for each state that a
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -32,13 +31,12 @@ from bench.compiled import inner
 from bench.earth import EARTH_RATE, radii_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel, late_rows_kernel
 from bench.navigation.error_state_filter.corrections import (
+    correct_kernel,
     drive_rows_kernel,
     motion_factors_kernel,
-    motion_kernel,
 )
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
-from bench.navigation.error_state_filter.magnetometer_errors import calibration_kernel
-from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
+from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending, Site
 from bench.navigation.error_state_filter.rough_heading import yaw_kernel
 from bench.navigation.error_state_filter.state_blocks import Index
 from bench.navigation.error_state_filter.vehicle_motion import along_kernel
@@ -73,16 +71,6 @@ _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
 _LEAST_LEVEL = 0.1  # horizontal part of two antennas apart, below which they tell no heading [1]
 
 
-class Measurements(NamedTuple):
-    """Measurements of all kinds except satellites."""
-
-    values: FloatArray  # (R, 9); columns 6 to 8 of a fix: its antenna [m], b
-    variance: FloatArray  # (R, 6)
-    antenna_b: FloatArray  # (3,) of the satellites [m], b
-    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
-    field_lla: FloatArray  # (3,)
-
-
 @inner
 def _row_kernel(
     pending: Pending, row: int, code: int, channel: int, component: int, length: int, r: float
@@ -98,21 +86,16 @@ def _row_kernel(
 @inner
 def _sense_kernel(now: FilterState, values: FloatArray, work: MeasureWork) -> None:
     """Fill ``work.motion`` and its factors from a measured mean rate and force (6,)."""
+    turn, push = work.motion[0], work.motion[1]
     for i in range(3):
-        work.motion[0, i], work.motion[1, i] = values[i], values[3 + i]
-    motion_kernel(now.state, work.motion, work.drives, work.known, work.constants, work.factor)
+        turn[i], push[i] = values[i], values[3 + i]
+    correct_kernel(now.state, 1.0, work.drives, work.known, turn, push, work.constants)
+    motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
 
 
 @inner
-def _fix_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _fix_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     state, values = now.state, data.values[row]
     for i in range(6):
         code = i // 3
@@ -121,10 +104,10 @@ def _fix_kernel(
     if index.time_offset >= 0:
         none = work.vectors[0]
         none[:] = 0.0
-        antenna_rows_kernel(now, values[6:], values[:3], none, index, H, z, work)
-        late_rows_kernel(now, values[3:6], index.time_offset, H, z, work)
+        antenna_rows_kernel(site, values[6:], values[:3], none, H, z)
+        late_rows_kernel(site, values[3:6], H, z)
     else:
-        antenna_rows_kernel(now, values[6:], values[:3], values[3:6], index, H, z, work)
+        antenna_rows_kernel(site, values[6:], values[:3], values[3:6], H, z)
     if index.gnss_pos >= 0:
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
@@ -136,15 +119,36 @@ def _fix_kernel(
 
 
 @inner
-def _magnetic_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _calibration_kernel(
+    state: FloatArray, p: FloatArray, index: Index, H: FloatArray, z: FloatArray, M: FloatArray
+) -> None:
+    """Add to z (3,) and H (3, n) of a true field p (3,) in b what calibration left in a magnetometer."""
+    M[:] = 0.0
+    for i in range(3):
+        if index.mag_iron_b >= 0:
+            z[i] += state[index.mag_iron_b + 1 + i]
+            H[i, index.mag_iron_b + i] = 1.0
+        j, k = (i + 1) % 3, (i + 2) % 3
+        for at, a, b, back in (
+            (index.mag_scale, i, i, 0.0),
+            (index.mag_soft_iron, j, k, 1.0),
+            (index.mag_turn, j, k, -1.0),
+        ):
+            if at >= 0:
+                M[a, b] += state[at + 1 + i]
+                M[b, a] += back * state[at + 1 + i]
+                H[a, at + i] = p[b]
+                H[b, at + i] += back * p[a]
+    for i in range(3):
+        z[i] += M[i, 0] * p[0] + M[i, 1] * p[1] + M[i, 2] * p[2]
+        a, b, c = H[0, PHI + i], H[1, PHI + i], H[2, PHI + i]
+        for j in range(3):
+            H[j, PHI + i] += M[j, 0] * a + M[j, 1] * b + M[j, 2] * c
+
+
+@inner
+def _magnetic_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     state, C, m = now.state, work.C, work.vectors[0]
     matrix_kernel(state, C)
     s = np.sin(state[0])
@@ -164,20 +168,13 @@ def _magnetic_kernel(
         H[j, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
         H[j, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
         H[j, PHI + 2] = C[0, j] * m[1] - C[1, j] * m[0]
-    calibration_kernel(state, p, index, H, z, work.vectors[2:5])
+    _calibration_kernel(state, p, index, H, z, work.vectors[2:5])
     return 3
 
 
 @inner
-def _airspeed_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _airspeed_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, _ = site
     state, wind, gust = now.state, index.wind_north, index.gust_n
     u = state[3] - state[wind + 1]
     v = state[4] - state[wind + 2]
@@ -200,10 +197,9 @@ def _airspeed_kernel(
 
 
 @inner
-def _height_kernel(
-    code: int, bias: int, row: int, first: int, now: FilterState, data: Measurements, pending: Pending
-) -> int:
+def _height_kernel(code: int, bias: int, row: int, first: int, site: Site) -> int:
     """Fill the row of a height above the ellipsoid; ``bias`` is the state of its bias, -1 for none."""
+    now, data, _, pending, _ = site
     _row_kernel(pending, first, code, code, 0, 1, data.variance[row, 0])
     pending.H[first, POS + 2] = -1.0
     pending.z[first] = now.state[2] - data.values[row, 0]
@@ -214,41 +210,18 @@ def _height_kernel(
 
 
 @inner
-def _baro_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
-    return _height_kernel(BARO, index.baro_bias, row, first, now, data, pending)
+def _baro_kernel(row: int, first: int, site: Site) -> int:
+    return _height_kernel(BARO, site.where.baro_bias, row, first, site)
 
 
 @inner
-def _radar_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
-    return _height_kernel(RADAR, index.radar_bias, row, first, now, data, pending)
+def _radar_kernel(row: int, first: int, site: Site) -> int:
+    return _height_kernel(RADAR, site.where.radar_bias, row, first, site)
 
 
 @inner
-def _heading_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _heading_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     C = work.C
     matrix_kernel(now.state, C)
     north, east, down = C[0, 0], C[1, 0], C[2, 0]
@@ -267,22 +240,15 @@ def _heading_kernel(
 
 
 @inner
-def _odometer_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _odometer_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     at = index.odometer_scale
     _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     for i in range(3):
         work.motion[0, i], work.motion[1, i] = work.last[0, i], work.last[1, i]
     motion_factors_kernel(work.motion, work.drives, work.known, work.factor)
-    forward = along_kernel(0, 0.0, 0.0, now, index, H, work)  # the force of one sample is shaking
+    forward = along_kernel(0, 0.0, 0.0, site, H)  # the force of one sample is shaking
     scale = 1.0
     if at >= 0:
         scale += now.state[at + 1]
@@ -294,36 +260,22 @@ def _odometer_kernel(
 
 
 @inner
-def _vehicle_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _vehicle_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     values = data.values[row]
     code = COORDINATED if index.gust_n >= 0 else NONHOLONOMIC
     _sense_kernel(now, values, work)
     for i in range(2):
         k = first + i
         _row_kernel(pending, k, code, code, i, 2, data.variance[row, i])
-        pending.z[k] = along_kernel(1 + i, values[6], values[7], now, index, pending.H[k], work)
+        pending.z[k] = along_kernel(1 + i, values[6], values[7], site, pending.H[k])
     return 2
 
 
 @inner
-def _standstill_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _standstill_kernel(row: int, first: int, site: Site) -> int:
     """Fill the rows of a standstill: zero velocity, and the mean rate of the gyros is that of the Earth."""
+    now, data, _, pending, work = site
     state, C = now.state, work.C
     matrix_kernel(state, C)
     _sense_kernel(now, data.values[row], work)
@@ -345,15 +297,8 @@ def _standstill_kernel(
 
 
 @inner
-def _course_kernel(
-    row: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-) -> int:
+def _course_kernel(row: int, first: int, site: Site) -> int:
+    now, data, index, pending, work = site
     matrix_kernel(now.state, work.C)
     _row_kernel(pending, first, COURSE, COURSE, 0, 1, data.variance[row, 0])
     yaw = yaw_kernel(work.C, pending.H[first])

@@ -14,6 +14,7 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner
 from bench.navigation.engine.late_updates import LateUpdates, late_updates
 from bench.navigation.engine.session import Growing
+from bench.navigation.engine.timeline import Steps
 from bench.navigation.error_state_filter.corrections import (
     constants_kernel,
     factor_kernel,
@@ -49,19 +50,6 @@ class FilterState(NamedTuple):
     dx: FloatArray  # (n,) error estimated and not yet fed back
 
 
-class ImuSteps(NamedTuple):
-    """`timeline.Steps` and the increments they go by."""
-
-    t: FloatArray  # (K,)
-    span: FloatArray  # (K,)
-    row: IntArray  # (K,)
-    share: FloatArray  # (K,)
-    unknown: FloatArray  # (K, 2)
-    dtheta_b: FloatArray  # (N, 3)
-    dvel_b: FloatArray  # (N, 3)
-    interval: float  # of the covariance step [s]; 0: every sample
-
-
 class Pending(NamedTuple):
     """Measurements made and not yet used, a slot of ``width`` rows each: z = H dx + v, var v = r."""
 
@@ -88,6 +76,26 @@ class MeasureWork(NamedTuple):
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
     constants: FloatArray  # (2, 6) bias and slope (`corrections.constants_kernel`)
+
+
+class Measurements(NamedTuple):
+    """Measurements of all kinds except satellites."""
+
+    values: FloatArray  # (R, 9); columns 6 to 8 of a fix: its antenna [m], b
+    variance: FloatArray  # (R, 6)
+    antenna_b: FloatArray  # (3,) of the satellites [m], b
+    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
+    field_lla: FloatArray  # (3,)
+
+
+class Site(NamedTuple):
+    """What measurements are compared with, and where their rows of H go."""
+
+    now: FilterState
+    data: Measurements
+    where: Index
+    pending: Pending
+    work: MeasureWork
 
 
 class UpdateWork(NamedTuple):
@@ -300,7 +308,8 @@ def advance_kernel(
     now: FilterState,
     process: Process,
     index: Index,
-    steps: ImuSteps,
+    steps: Steps,
+    interval: float,
     work: Work,
     pending: Pending,
     keep: bool,
@@ -308,14 +317,14 @@ def advance_kernel(
     part: float,
     ahead: bool,
 ) -> None:
-    """Take the steps k + 1 to ``until``; with ``closing`` a step of the covariance ends there.
+    """Take the steps k + 1 to ``until``, of the last one a ``part`` (1: all of it).
 
-    Of the last one only a ``part`` is taken (1: all of it). ``ahead``: rows that wait stay as they are.
+    A step of the covariance ends after an ``interval`` [s], 0: every sample, and with ``closing`` at the end.
+    ``ahead``: rows that wait stay as they are.
     """
     state, P = now.state, now.P
     carried, step, memory, measure, update, _ = work
-    drives, interval = process.drives, steps.interval
-    clock = index.clock_offset
+    drives, clock = process.drives, index.clock_offset
     rows, spans, shares, unknown = steps.row, steps.span, steps.share, steps.unknown
     dtheta_b, dvel_b = steps.dtheta_b, steps.dvel_b
     C, C_mean, reference, F, G = measure.C, carried.C_mean, carried.reference, step.F, step.G

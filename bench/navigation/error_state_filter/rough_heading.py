@@ -41,16 +41,10 @@ def may_stand(vel_n: FloatArray, cov: FloatArray) -> BoolArray:
 def motion_share(more2: float, variance: float) -> float:
     """Return how much of a force beyond that of a steady flight is taken for motion.
 
-    A heading error turns the noise of the accelerometers, too, but nobody knows how much of a measured force
-    it is: a filter that takes it for motion finds a heading where nothing tells it. So the part that noise
-    may be is left out (James and Stein, with three sigma).
-
-    Parameters
-    ----------
-    more2 : float
-        Square of that force, horizontal, mean of an interval [m^2/s^4].
-    variance : float
-        Of the mean, along an axis, by noise [m^2/s^4].
+    ``more2`` is its horizontal square, mean of an interval, ``variance`` that of the mean, along an axis, by
+    noise [m^2/s^4]. A heading error turns the noise of the accelerometers, too, but nobody knows how much of
+    a measured force it is: a filter that takes it for motion finds a heading where nothing tells it. So the
+    part that noise may be is left out (James and Stein, with three sigma).
     """
     share = 1.0 - _NOISE_SIGMAS * _NOISE_SIGMAS * variance / more2 if more2 > 0.0 else 0.0
     return max(share, 0.0)
@@ -60,18 +54,9 @@ def motion_share(more2: float, variance: float) -> float:
 def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArray) -> None:
     """Let an attitude error turn the horizontal force of a motion, and not the noise of the accelerometers.
 
-    What is beyond the force of a steady flight is taken for motion as :func:`motion_share` says.
-
-    Parameters
-    ----------
-    nav : (10,) array
-        Navigation state.
-    f_n : (3,) array
-        Mean specific force of the interval [m/s^2], n.
-    variance : float
-        Of that mean, along an axis, by noise.
-    F : (9, 15) array
-        Dynamics of position, velocity and attitude errors; overwritten.
+    Change F (9, 15) of a navigation state (10,) under a mean specific force f_n (3,) [m/s^2], n, of a
+    ``variance`` by noise along each axis. What is beyond the force of a steady flight is taken for motion as
+    :func:`motion_share` says.
     """
     s, c = np.sin(nav[0]), np.cos(nav[0])
     meridian, prime = radii_kernel(s)
@@ -86,27 +71,15 @@ def steady_kernel(nav: FloatArray, f_n: FloatArray, variance: float, F: FloatArr
 
 @kernel
 def stand_kernel(state: FloatArray, T: float, P: FloatArray, F: FloatArray, noise: FloatArray) -> bool:
-    """Take out of F what a roughly known heading does, while the velocity may be none.
+    """Take out of F (9, 15) what a roughly known heading does over T [s], while the velocity may be none.
 
-    Return whether the heading is unknown: its error then begins anew, independent of what it was.
+    Return whether the heading is unknown: its error then begins anew, independent of what it was. P (n, n) of
+    a filter state (n + 1,) and the variance ``noise`` (n,) that the interval adds change with it.
 
     With an sd above ``WIDE`` the heading may be any, independent of all the rest. What it does to the rate of
     the tilts, no more than the horizontal Earth rate, is left to the gyro biases: they wander more in a unit
     that loses it. The tilts turn with the heading, at a rate as unknown as the bias about the vertical, and
     so forget themselves in the time of a turn by a radian.
-
-    Parameters
-    ----------
-    state : (n + 1,) array
-        Filter state.
-    T : float
-        Interval [s].
-    P : (n, n) array
-        Covariance; overwritten.
-    F : (9, 15) array
-        Dynamics of position, velocity and attitude errors; overwritten.
-    noise : (n,) array
-        Variance that the interval adds; overwritten.
     """
     if not (P[8, 8] > _ROUGH**2 and _stands_kernel(state, P)):
         return False

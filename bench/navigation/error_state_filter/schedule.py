@@ -14,9 +14,16 @@ from bench.arrays import BoolArray, FloatArray, IntArray, read_only, take_increa
 from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine import timeline
-from bench.navigation.engine.kept_rows import Rows, check_rows, join_rows, make_rows, take_rows
+from bench.navigation.engine.kept_rows import Rows, join_rows, make_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
-from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
+from bench.navigation.engine.session import (
+    Kept,
+    Replaced,
+    SessionState,
+    require,
+    require_range,
+    require_rows,
+)
 from bench.navigation.engine.timeline import TIME_TOLERANCE, ImuIntake, Steps
 from bench.navigation.engine.velocity_consistency import MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import AidingSensor, fix_variance, weigh_fixes
@@ -39,7 +46,6 @@ class StepPlan(NamedTuple):
     ahead: FloatArray  # (A,) part of the next step that an answer lies ahead [1]
     slots: int  # that hold all which waits
     measured: FloatArray  # (R, 9) values, and of a fix its antenna [m], b
-    values: FloatArray  # (R, 6) of them the values
     variance: FloatArray  # (R, 6)
     outputs: IntArray  # (A,) rows of ``output_t`` that are answered
     left: Rows  # what waits afterwards
@@ -124,7 +130,8 @@ class Schedule(SessionState):
         require(bool((np.diff(reached) >= 0).all()), "imu/t", "must increase, and begin where the filter is")
         require(self.end == reached[-1], "intake/newest", "must be the last sample")
         ranging.check_sky(sky)
-        check_rows("waiting", waiting := self.waiting)
+        waiting = self.waiting
+        require_rows("waiting", waiting, Rows._fields, len(waiting.t))
         of_satellites = waiting.kind == SATELLITE_ROWS
         if not self._compensate:
             require_range("waiting/slot", waiting.slot, 1)
@@ -204,8 +211,7 @@ class Schedule(SessionState):
             variance, needed = weigh_fixes(record, spec, white, self._accuracy), record.lla
         else:
             variance, needed = np.broadcast_to(white, values.shape), values
-        sound = record.valid & np.isfinite(record.t) & np.isfinite(record.t_arrival)
-        sound &= np.isfinite(needed).all(axis=1)
+        sound = timeline.sound_rows(record, needed)
         rows, t, arrival = self._admit(sensor.kind, sensor.spec, record.t, record.t_arrival, sound)
         if isinstance(record, GnssFixes):
             self.events += timeline.without_velocity(record, rows)
@@ -282,11 +288,11 @@ class Schedule(SessionState):
         outside = arrival[rows] <= self.start - TIME_TOLERANCE
         if self.last:
             outside |= arrival[rows] - TIME_TOLERANCE > self._last_sample
-        self._leave_out(name, t, rows[outside], timeline.OUTSIDE)
+        self.events += timeline.left_out(name, t, rows[outside], timeline.OUTSIDE)
         rows = rows[~outside]
         valid = t[rows] if self._compensate else arrival[rows]
         early = valid < self.start - TIME_TOLERANCE
-        self._leave_out(name, t, rows[early], "valid before the start")
+        self.events += timeline.left_out(name, t, rows[early], "valid before the start")
         rows, valid = rows[~early], valid[~early]
         ahead = valid > arrival[rows] + TIME_TOLERANCE
         if ahead.any():
@@ -296,12 +302,6 @@ class Schedule(SessionState):
         if self.t > self.start and (late := valid - TIME_TOLERANCE <= self.t).any():
             refuse(f"a row of {name}", float(valid[late][0]), self.t)
         return rows, valid, arrival[rows]
-
-    def _leave_out(self, name: str, t: FloatArray, rows: IntArray, why: str) -> None:
-        if len(rows):
-            out = np.zeros(len(t), np.bool_)
-            out[rows] = True
-            self.events += timeline.left_out(name, t, out, why)
 
     def _wait(
         self,
@@ -324,40 +324,32 @@ class Schedule(SessionState):
         """
         if self.last:
             self._forget_late()
-        rows, wanted = self.waiting, self.output_t
+        rows, wanted = self.waiting._replace(slot=self.waiting.slot.copy()), self.output_t
         everywhere = rows.t[rows.slot == 0] if self._compensate else np.empty(0)
         if self._cut:
             everywhere = np.append(everywhere, wanted)
+        in_gaps = everywhere if self._as_sampled else np.append(everywhere, rows.arrival)
         steps = timeline.steps(
-            self.imu,
-            self.rows,
-            self.span,
-            self.t,
-            everywhere,
-            everywhere if self._as_sampled else np.concatenate([everywhere, rows.arrival]),
-            self._spec,
-            self._earlier,
+            self.imu, self.rows, self.span, self.t, everywhere, in_gaps, self._spec, self._earlier
         )
         go_to = len(steps.t) - 1
         if not self.last:
             known = (imu_t := self.imu_t) <= self.end - look_back - 2.0 * TIME_TOLERANCE
             go_to = int(np.searchsorted(steps.t, imu_t[known][-1])) if known.any() else -1
         m, asked = len(rows.t), len(wanted)
-        slot, left, work = rows.slot.copy(), np.empty(m, np.bool_), np.empty((2, m), np.int64)
-        busy = np.full(int(slot.max(initial=0)) + m, FREE)
+        left, work = np.empty(m, np.bool_), np.empty((2, m), np.int64)
+        busy = np.full(int(rows.slot.max(initial=0)) + m, FREE)
         entries, ahead = np.empty((2 * m + asked + 1, 5), np.int64), np.empty(asked)
         outputs = np.empty(asked, np.int64)
         count, due, slots = plan_kernel(
-            read_only(steps.t), read_only(steps.span), self.t, go_to, rows.kind, rows.t, rows.arrival,
-            rows.number, np.argsort(rows.t, kind="stable"), self._compensate, wanted, self.start, self.end,
-            self._cut or self._as_sampled, self.last, slot, left, work, busy, entries, ahead, outputs,
+            read_only(steps.t), read_only(steps.span), self.t, go_to, rows,
+            np.argsort(rows.t, kind="stable"), self._compensate, wanted, self.start, self.end,
+            self._cut or self._as_sampled, self.last, left, work, busy, entries, ahead, outputs,
         )  # fmt: skip
         entries = entries[:count]
         entries = entries[np.argsort(entries[:, :3] @ IN_ORDER, kind="stable")]  # rows of a kind are in order
-        wide, waits = rows.values, rows._replace(slot=slot).take(left)
-        ahead, outputs = ahead[:due], outputs[:due]
-        values, variance = wide[:, :6], rows.variance
-        return StepPlan(steps, entries, ahead, slots + 1, wide, values, variance, outputs, waits, go_to)
+        ahead, outputs, waits = ahead[:due], outputs[:due], rows.take(left)
+        return StepPlan(steps, entries, ahead, slots + 1, rows.values, rows.variance, outputs, waits, go_to)
 
     def _forget_late(self) -> None:
         """Leave out what waited and never arrives."""

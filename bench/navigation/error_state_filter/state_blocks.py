@@ -47,9 +47,6 @@ class Index(NamedTuple):
     baro_bias: int
     gnss_pos: int  # gnss_vel follows
     clock_offset: int  # clock_drift follows
-    glonass_offset: int
-    galileo_offset: int
-    beidou_offset: int
     antenna_b: int
     wind_north: int  # wind_east follows
     radar_bias: int
@@ -64,13 +61,17 @@ class Index(NamedTuple):
     axis_yaw: int  # axis_pitch, slip_yaw, slip_pitch and pitch_by_force follow
     axle_b: int
     gust_n: int
+    ionosphere_1: int  # one for each of `ANCHORS`
+    troposphere: int
+    course_offset: int
     gps_range_1: int  # RANGES of them, of each system
     glonass_range_1: int
     galileo_range_1: int
     beidou_range_1: int
-    ionosphere_1: int  # one for each of `ANCHORS`
-    troposphere: int
-    course_offset: int
+    gps_offset: int  # none: that of the others is against GPS time
+    glonass_offset: int
+    galileo_offset: int
+    beidou_offset: int
 
     def take(self, used: IntArray) -> Index:
         """Return the index of a layout of the ``used`` states alone."""
@@ -99,10 +100,13 @@ class Process(NamedTuple):
         return Process(q, decay_time, decay_distance, stationary, drives, self.thermal, self.range)
 
 
+FIRST_RANGE, FIRST_OFFSET = Index._fields.index("gps_range_1"), Index._fields.index("gps_offset")
+"""Places in an index; what they stand for in the other systems follows."""
+
+
 def first_of_satellites(index: Index, n: int) -> int:
     """Return the first of n states that single satellites have; they are the last ones."""
-    first = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
-    return min([one for one in first if one >= 0], default=n)
+    return min([one for one in index[FIRST_RANGE:FIRST_OFFSET] if one >= 0], default=n)
 
 
 @dataclass(frozen=True, slots=True)

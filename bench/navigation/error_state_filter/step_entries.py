@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner, kernel
+from bench.navigation.engine.kept_rows import Rows
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS
 
@@ -83,10 +84,7 @@ def plan_kernel(
     span: FloatArray,
     now: float,
     go_to: int,
-    kind: IntArray,
-    valid: FloatArray,
-    arrival: FloatArray,
-    number: IntArray,
+    rows: Rows,
     order: IntArray,
     compensate: bool,
     wanted: FloatArray,
@@ -94,7 +92,6 @@ def plan_kernel(
     end: float,
     at_ends: bool,
     last: bool,
-    slot: IntArray,
     left: BoolArray,
     work: IntArray,
     busy: IntArray,
@@ -104,23 +101,24 @@ def plan_kernel(
 ) -> tuple[int, int, int]:
     """Write the entries of a plan until the step ``go_to``; return how many, of how many answers, and slots.
 
-    The steps end at t (K,) after ``span``, the first begins at ``now`` [s]. Of what waits (M,) ``order`` is
-    that of validity, ``slot`` goes on, and ``left`` is what has not been used then. Of the answers ``wanted``
+    The steps end at t (K,) after ``span``, the first begins at ``now`` [s]. Of the rows that wait (M,)
+    ``order`` is that of validity, the slots go on, and ``left`` is what has not been used then. Of ``wanted``
     (A,) those that are due fill ``outputs``, and how far ahead of a step's end each lies; with ``at_ends``
     each is given at the first step's end from its instant on.
     """
+    kind, slot = rows.kind, rows.slot
     measure, use, e, m, near = work[0], work[1], 0, 0, 0
     for k in range(slot.shape[0]):
-        near = _step_kernel(t, now, arrival[k], near)
+        near = _step_kernel(t, now, rows.arrival[k], near)
         use[k] = near
         measure[k] = use[k]
         if slot[k] > 0:
             measure[k] = _BEFORE
-        elif compensate and abs(valid[k] - arrival[k]) >= TIME_TOLERANCE:
-            measure[k] = _step_kernel(t, now, valid[k], 0)
+        elif compensate and abs(rows.t[k] - rows.arrival[k]) >= TIME_TOLERANCE:
+            measure[k] = _step_kernel(t, now, rows.t[k], 0)
     slots = _slots_kernel(measure, use, order, go_to, slot, busy)
     for k in range(slot.shape[0]):
-        row = number[k] if kind[k] == SATELLITE_ROWS else k
+        row = rows.number[k] if kind[k] == SATELLITE_ROWS else k
         left[k] = use[k] > go_to
         if slot[k] > 0 and measure[k] != _BEFORE:
             e = _write_kernel(entries, e, measure[k], MEASURE, kind[k], row, slot[k])

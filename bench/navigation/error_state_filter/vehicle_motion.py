@@ -24,8 +24,7 @@ from bench.compiled import inner
 from bench.data import ImuData
 from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, VEL
-from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork
-from bench.navigation.error_state_filter.state_blocks import Index
+from bench.navigation.error_state_filter.propagation import Site
 from bench.navigation.mechanization import matrix_kernel
 from bench.units import STANDARD_GRAVITY
 
@@ -77,20 +76,13 @@ class VehicleSampler(ImuSampler):
 
 
 @inner
-def along_kernel(
-    component: int,
-    push: float,
-    side: float,
-    now: FilterState,
-    index: Index,
-    H: FloatArray,
-    work: MeasureWork,
-) -> float:
+def along_kernel(component: int, push: float, side: float, site: Site, H: FloatArray) -> float:
     """Return a component of the velocity along the vehicle [m/s], and fill its row H (n,).
 
     A layout without a vehicle has its axle at the IMU and its axes in b. The rate is that of ``work.motion``,
     less the rotation of the Earth, which is neglected: 1e-4 m/s.
     """
+    now, _, index, _, work = site
     state, at, axle, gust, C = now.state, index.axis_yaw, index.axle_b, index.gust_n, work.C
     u, c, lever, v, w = work.vectors[0], work.vectors[1], work.vectors[2], work.vectors[3], work.motion[0]
     matrix_kernel(state, C)

@@ -23,11 +23,11 @@ from bench import earth
 from bench.arrays import FloatArray, same_array
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
-from bench.navigation.engine import long_records
 from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
-from bench.navigation.engine.piecewise import InPieces, KnowsImuErrors, take_answers
+from bench.navigation.engine.piecewise import InPieces, JoinedSolution, KnowsImuErrors, answer_now
+from bench.navigation.engine.record_cuts import cut_blocks, is_long, longest_wait
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require, require_range
 from bench.navigation.engine.timeline import empty_epochs
 from bench.navigation.engine.velocity_consistency import MovedFixes
@@ -64,7 +64,7 @@ from bench.navigation.error_state_filter.vehicle_motion import VehicleSampler
 from bench.navigation.options import FusionOptions, TightOptions, read_options
 from bench.navigation.start import alignment, headings, turn_on
 from bench.navigation.start.headings import ManyHeadings
-from bench.navigation.start.restart import between_gaps
+from bench.navigation.start.restart import Begin, between_gaps
 from bench.navigation.start.steady_course import (
     AS_SPECIFIED,
     Gyros,
@@ -98,67 +98,44 @@ class Fusion:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
         initial, events = alignment.complete(sensors, initial)
-        filter_ = self.in_pieces(sensors, initial, events)
-        if not long_records.is_long(sensors):
+        return self._run_whole(self.in_pieces(sensors, initial, events), sensors)
+
+    def _run_whole(self, filter_: InPieces, sensors: SensorData) -> NavSolution:
+        """Return the answers of a filter at its start to a whole record, in blocks if that is long."""
+        if not is_long(sensors):
             return filter_.feed(sensors, 0.0, last=True)
-        joined, wait = long_records.JoinedSolution(sensors.output_t), long_records.longest_wait(sensors)
-        for piece, last in long_records.cut_record(sensors):
+        joined, wait, start = JoinedSolution(len(sensors.output_t)), longest_wait(sensors), filter_.end
+        for piece, last in cut_blocks(sensors):
             joined.add(filter_.feed(piece, wait, last=last))
-        return joined.solution(self._empty_epochs(sensors, initial.t, filter_.end))
-
-    def forward(
-        self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED,
-        ends: list[KnowsImuErrors] | None = None,
-    ) -> tuple[NavSolution, list[Nodes]]:  # fmt: skip
-        """Return a solution and the nodes a smoother goes back over.
-
-        They come in stretches, in their order; a record that is not long is one. There are none where the
-        heading was unknown and stayed so. The filter at its end is appended to ``ends``.
-        """
-        initial, events = alignment.complete(sensors, initial)
-        ends = [] if ends is None else ends
-        if not headings.heading_is_unknown(initial):
-            return self._forward(sensors, initial, events, gyros, ends)
-        search = ManyHeadings(partial(self._passage, gyros=gyros), sensors, initial, events)
-        solution = search.feed(sensors, 0.0, last=True)
-        ends.append(search)
-        if not search.complete:
-            return solution, []
-        return solution, self._forward(sensors, search.starts[search.best], [], gyros, [])[1]
-
-    def _forward(
-        self, sensors: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros,
-        ends: list[KnowsImuErrors],
-    ) -> tuple[NavSolution, list[Nodes]]:  # fmt: skip
-        """Return what :meth:`forward` does, from a complete initial state with a known heading."""
-        passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
-        ends.append(passage)
-        if not long_records.is_long(sensors):
-            passage.take(sensors, last=True)
-            solution, nodes = passage.go()
-            return solution, [nodes]
-        joined, wait = long_records.JoinedSolution(sensors.output_t), long_records.longest_wait(sensors)
-        stretches = list[Nodes]()
-        for piece, last in long_records.cut_record(sensors):
-            passage.take(piece, last=last)
-            if last or passage.can_go(wait):
-                solution, nodes = passage.go(wait)
-                joined.add(solution)
-                stretches.append(nodes)
-        return joined.solution(self._empty_epochs(sensors, initial.t, passage.end)), stretches
-
-    def _empty_epochs(self, sensors: SensorData, start: float, end: float) -> list[EventRow]:
-        """Return the event of the epochs without satellites in a record that is cut in blocks."""
         seen = sensors.observations
         if seen is None or SATELLITES not in self.aiding():
-            return []
-        return empty_epochs(seen.t, seen.epoch_start, start, end)
+            return joined.solution()
+        return joined.solution(empty_epochs(seen.t, seen.epoch_start, start, filter_.end))
+
+    def forward(
+        self, sensors: SensorData, initial: InitialState, gyros: Gyros = AS_SPECIFIED
+    ) -> tuple[NavSolution, list[Nodes], KnowsImuErrors]:
+        """Return a solution, the nodes a smoother goes back over, and the filter at its end.
+
+        The nodes come in stretches, in their order; a record that is not long is one. There are none where
+        the heading was unknown and stayed so.
+        """
+        initial, events = alignment.complete(sensors, initial)
+        if not headings.heading_is_unknown(initial):
+            passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
+            return self._run_whole(passage, sensors), passage.stretches, passage
+        search = ManyHeadings(partial(Passage, self, gyros=gyros), sensors, initial, events)
+        solution, stretches = search.feed(sensors, 0.0, last=True), list[Nodes]()
+        if search.complete:
+            _, stretches, _ = self.forward(sensors, search.starts[search.best], gyros)
+        return solution, stretches, search
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
         options = self.options
         whole = options.every_error or options.mems
-        begin = partial(self._from_start, steady=options.every_error and has_large_bias(first))
+        large = options.every_error and has_large_bias(first)
+        begin: Begin = self._from_large_bias if large else self._from_start
         return between_gaps(
             begin, first, initial, events, options.accuracy,
             whole=whole, readmit_after_s=None if options.tight else options.readmit_after_s,
@@ -170,29 +147,26 @@ class Fusion:
         initial: InitialState,
         events: list[EventRow],
         gyro_sd: float | None = None,
+        *,
         steady: bool = False,
     ) -> InPieces:
         """Return what :meth:`in_pieces` does, for a record without long gaps of the IMU.
 
         ``gyro_sd`` [rad/s] is how well a filter before has learnt the error of the gyros as a whole.
         """
+        begin = partial(Passage, self, gyros=Gyros(gyro_sd, steady))
+        if headings.heading_is_unknown(initial):
+            return ManyHeadings(begin, first, initial, events)
+        return begin(first, initial, events)
 
-        def known(
-            first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None
-        ) -> InPieces:
-            begin = partial(self._passage, gyros=Gyros(gyro_sd, steady))
-            if headings.heading_is_unknown(initial):
-                return ManyHeadings(begin, first, initial, events)
-            return begin(first, initial, events)
-
-        if gyro_sd is None and steady and turn_on.may_be_learnt(first, initial):
-            return FromTurnOn(known, first, initial, events)
-        return known(first, initial, events, gyro_sd)
-
-    def _passage(
-        self, first: SensorData, initial: InitialState, events: list[EventRow], gyros: Gyros
-    ) -> Passage:
-        return Passage(self, first, initial, events, gyros=gyros)
+    def _from_large_bias(
+        self, first: SensorData, initial: InitialState, events: list[EventRow], gyro_sd: float | None = None
+    ) -> InPieces:
+        """Return the same of a unit with a large turn-on bias."""
+        begin = partial(self._from_start, steady=True)
+        if gyro_sd is None and turn_on.may_be_learnt(first, initial):
+            return FromTurnOn(begin, first, initial, events)
+        return begin(first, initial, events, gyro_sd)
 
     def blocks_for(self, sensors: SensorData) -> list[Block]:
         """Return the blocks whose record is there."""
@@ -272,20 +246,8 @@ class Fusion:
 class Passage(SessionState):
     """A filter on its way through a record that comes in pieces, from a complete start.
 
-    Parameters
-    ----------
-    filter_ : Fusion
-        Options.
-    first : SensorData
-        The first piece: its records say which sensors there are.
-    initial : InitialState
-        Start.
-    events : list of (t, t_end, kind, text)
-        What went before.
-    keep : bool
-        Store the nodes of a smoother.
-    gyros : Gyros
-        What else is known of them.
+    ``first``, ``initial`` and ``events`` are those of `piecewise.RunsInPieces.in_pieces`, ``gyros`` is what
+    else is known of them. With ``keep`` it stores the nodes of a smoother in ``stretches``.
     """
 
     schedule: Kept[Schedule]
@@ -306,6 +268,7 @@ class Passage(SessionState):
         gyros: Gyros = AS_SPECIFIED,
     ) -> None:
         self.filter, self.initial, self.antenna_b = filter_, initial, first.antenna_b
+        self.stretches = list[Nodes]()
         options, specs = filter_.options, first.specs
         self.used = [sensor for sensor in filter_.aiding() if getattr(first, sensor.record) is not None]
         if SATELLITES in self.used and specs.gnss is not None and specs.gnss.sky is None:
@@ -343,16 +306,18 @@ class Passage(SessionState):
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if not same_array(self.antenna_b, piece.antenna_b):
             self._go_over(piece.antenna_b)
-        self.take(piece, last=last)
-        if not last and not self.can_go(look_back):
+        self._take(piece, last=last)
+        if not last and self.schedule.end - self.schedule.t < look_back + _STRIDE:
             return self.run.nothing
-        return self.go(look_back)[0]
+        solution, nodes = self.run.go(self.schedule, self.channels, look_back)
+        if self.run.keep:
+            self.stretches.append(nodes)
+        return solution
 
     def answer(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
-        self.schedule.output_t = np.array([self.end])
-        solution = self.feed(head, 0.0, last=True)
-        return solution if len(solution) == 1 else take_answers(solution, slice(-1, None))
+        self.schedule.output_t = np.empty(0)
+        return answer_now(self, head)
 
     def steady_errors(self) -> tuple[FloatArray, FloatArray]:
         """Return the errors (6,) of gyros and accelerometers at the end in level flight, and their sd."""
@@ -364,8 +329,7 @@ class Passage(SessionState):
         variance = np.einsum("ij,jk,ik->i", L, run.now.P[:, :n], L)
         return L[:, GYRO:] @ run.now.state[GYRO + 1 :], np.sqrt(variance)
 
-    def take(self, piece: SensorData, *, last: bool) -> None:
-        """Take the next piece; nothing comes after the ``last``."""
+    def _take(self, piece: SensorData, *, last: bool) -> None:
         specs, schedule = piece.specs, self.schedule
         samples = schedule.take(piece, last=last)
         if SATELLITES in self.used and piece.observations is not None:
@@ -380,17 +344,6 @@ class Passage(SessionState):
         schedule.add_samples(measurement_rows.COURSE_ROWS, *self.course.take(piece))
         if last:
             schedule.events += self._absent(piece)
-
-    def can_go(self, look_back: float) -> bool:
-        """Return whether enough samples wait to be processed before the last piece."""
-        return self.schedule.end - self.schedule.t >= look_back + _STRIDE
-
-    def go(self, look_back: float = 0.0) -> tuple[NavSolution, Nodes]:
-        """Return the answers that are final, and the nodes of a smoother.
-
-        After the last piece all are; before, what may still come up to ``look_back`` [s] late decides which.
-        """
-        return self.run.go(self.schedule, self.channels, look_back)
 
     def _go_over(self, antenna_b: FloatArray) -> None:
         """Take what comes from now on for that of another antenna (3,) [m], b."""

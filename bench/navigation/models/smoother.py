@@ -16,7 +16,6 @@ and P_j^s to those of x_j^s.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,9 +24,8 @@ from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
-from bench.navigation.engine import long_records
-from bench.navigation.engine.piecewise import KnowsImuErrors
-from bench.navigation.error_state_filter.answers import answers, split, spread
+from bench.navigation.engine.piecewise import JoinedSolution, KnowsImuErrors
+from bench.navigation.error_state_filter.answers import answers, spread
 from bench.navigation.error_state_filter.corrections import reset_kernel
 from bench.navigation.error_state_filter.error_state import (
     PHI,
@@ -63,48 +61,42 @@ class Smoother:
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate each instant from all measurements of the record, earlier and later."""
+        options = self.options
+        steady, whole = options.every_error and has_large_bias(sensors), options.every_error or options.mems
+        errors, sd = np.zeros((2, 6))  # of the IMU at the end of the last run (`KnowsImuErrors`)
 
-        ends: list[KnowsImuErrors] = []
-        unseen = np.zeros(6)  # errors of the IMU that the filter does not see
-
-        def between(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
-            run = partial(self._run, steady=steady, ends=ends)
-            unseen[:] = 0.0
-            if not steady or gyro_sd is not None:
-                return run(piece, start, gyro_sd)
-            solution, unseen[:3] = smooth_from_turn_on(run, piece, start)
+        def run(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
+            solution, end = self._smooth(piece, start, Gyros(gyro_sd, steady))
+            if whole:
+                errors[:], sd[:] = end.steady_errors()
             return solution
 
-        def errors_at_end() -> tuple[FloatArray, FloatArray]:
-            mean, sd = ends[-1].steady_errors()
-            return mean + unseen, sd
+        def between(piece: SensorData, start: InitialState, gyro_sd: float | None) -> NavSolution:
+            if not steady or gyro_sd is not None:
+                return run(piece, start, gyro_sd)
+            solution, unseen = smooth_from_turn_on(run, piece, start)
+            errors[:3] += unseen
+            return solution
 
-        options = self.options
-        steady = options.every_error and has_large_bias(sensors)
-        whole = errors_at_end if options.every_error or options.mems else None
-        return run_between_gaps(between, sensors, initial, options.accuracy, whole)
+        learnt = (lambda: (errors.copy(), sd.copy())) if whole else None
+        return run_between_gaps(between, sensors, initial, options.accuracy, learnt)
 
-    def _run(
-        self,
-        sensors: SensorData,
-        initial: InitialState,
-        gyro_sd: float | None,
-        *,
-        steady: bool,
-        ends: list[KnowsImuErrors],
-    ) -> NavSolution:
-        forward, stretches = self.filter.forward(sensors, initial, Gyros(gyro_sd, steady), ends)
+    def _smooth(
+        self, sensors: SensorData, initial: InitialState, gyros: Gyros
+    ) -> tuple[NavSolution, KnowsImuErrors]:
+        """Return the solution of a record without long gaps, and the forward filter at its end."""
+        forward, stretches, end = self.filter.forward(sensors, initial, gyros)
         if not any(len(nodes.t) for nodes in stretches):
-            return forward
+            return forward, end
         smooth(stretches)
-        found, begin = long_records.JoinedSolution(forward.t), 0
+        found, begin = JoinedSolution(len(forward.t)), 0
         for nodes in stretches:
-            end = begin + len(nodes.output)
-            found.add(_answer(forward.t[begin:end], nodes, sensors.antenna_b))
-            begin = end
+            t = forward.t[begin : begin + len(nodes.output)]
+            found.add(_answer(t, nodes, sensors.antenna_b))
+            begin += len(t)
             if len(stretches) > 1:
                 disk_arrays.release()
-        return replace(found.solution(), innovations=forward.innovations, events=forward.events)
+        return replace(found.solution(), innovations=forward.innovations, events=forward.events), end
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -126,7 +118,7 @@ def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
     if len(rows) != len(t):
         state, cov, variance = (spread(one, rows, len(t)) for one in (state, cov, variance))
     add_arm(cov, antenna_b)
-    return answers(t, nodes.layout, split(state), cov, variance, no_innovations(), Events.from_rows([]))
+    return answers(t, nodes.layout, state, cov, variance, no_innovations(), Events.from_rows([]))
 
 
 class SmootherWork(NamedTuple):

@@ -74,18 +74,8 @@ class SteppedFilter(SessionState, ABC):
 class SteppedPassage(SessionState):
     """A filter on its way through a record that comes in pieces (`piecewise.InPieces`).
 
-    Parameters
-    ----------
-    flight : Flight
-        The filter at its start.
-    schedule : Schedule
-        From the same start; measurements are not compensated for their latency.
-    aiding : sequence of AidingSensor
-        The sensors in use.
-    first, initial : SensorData, InitialState
-        The first piece and the start.
-    layout : StateLayout
-        Of the filter, as the sensors are read for it.
+    The schedule begins where the filter is; it does not compensate latency. ``aiding`` are the sensors in
+    use, read for a ``layout`` of the filter.
     """
 
     flight: Kept[SteppedFilter]
@@ -117,7 +107,9 @@ class SteppedPassage(SessionState):
             if self.flight.one_antenna:
                 raise EstimatorError("it cannot go over to another antenna: loose-* and ukf can")
             self.antenna_b = piece.antenna_b
-        self._take(piece, last=last)
+        self.schedule.take(piece, last=last)
+        for sensor in self.aiding:
+            self.schedule.add(sensor, piece, self.initial, self.layout)
         if not last and self.schedule.end - self.schedule.t < _STRIDE:
             return self._solution(np.empty(0), np.empty(0, np.int64), (), last=False)
         return self._go()
@@ -132,11 +124,6 @@ class SteppedPassage(SessionState):
         """Check that what waits is of the sensors in use."""
         known = {sensor.kind for sensor in self.aiding}.issuperset(self.schedule.waiting.kind.tolist())
         require(known, "waiting/kind", "must be those of the sensors of the filter")
-
-    def _take(self, piece: SensorData, *, last: bool) -> None:
-        self.schedule.take(piece, last=last)
-        for sensor in self.aiding:
-            self.schedule.add(sensor, piece, self.initial, self.layout)
 
     def _go(self) -> NavSolution:
         """Process the samples received so far; return the answers that are final."""

@@ -48,13 +48,12 @@ from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     POSITION,
     SENSORS,
-    Measurements,
 )
 from bench.navigation.error_state_filter.measurement_update import opened_states
 from bench.navigation.error_state_filter.propagation import (
-    FilterState,
-    MeasureWork,
+    Measurements,
     Pending,
+    Site,
     Work,
     pending_for,
     work_for,
@@ -63,7 +62,6 @@ from bench.navigation.error_state_filter.ranges.ranging import empty_sky, place_
 from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import (
-    Index,
     StateModel,
     chosen_blocks,
     state_model,
@@ -107,25 +105,22 @@ def _predict_kernel(
     fill: int,
     truths: FloatArray,
     w_ib_b: FloatArray,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
+    site: Site,
     z: FloatArray,
 ) -> int:
     """Fill z (S, 6): what each of the truths (S, n + 1) is predicted to show less what was measured.
 
-    Return the number of rows, 0 if the measurement tells one of them nothing. The rows that ``pending`` ends
+    Return the number of rows, 0 if the measurement tells one of them nothing. The rows that the site ends
     with are those of the first truth. No state of this filter goes by the specific force.
     """
+    now, _, _, pending, work = site
     least: int = z.shape[1]
     for s in range(truths.shape[0] - 1, -1, -1):
         for i in range(truths.shape[1]):
             now.state[i] = truths[s, i]
         for i in range(3):
             work.last[0, i] = w_ib_b[i] - truths[s, 10 + i]
-        made: int = call_at(fill, 0, 0, now, data, index, pending, work)
+        made: int = call_at(fill, 0, 0, site)
         for i in range(made):
             z[s, i] = pending.z[i]
         least = min(least, made)
@@ -343,15 +338,11 @@ class SigmaPointFlight(SteppedFilter):
 
     def _predict(self, kind: int, points: _Points) -> FloatArray:
         """Return what the truths that the points stand for show less what was measured (S, m)."""
-        work, now = self.work, self.work.ahead
+        site = Site(self.work.ahead, self.data, self.model.index, self.pending, self.work.measure)
         if kind not in self.fillers:
-            arguments = now, self.data, self.model.index, self.pending, work.measure
-            self.fillers[kind] = int(place_fillers([kind], arguments, empty_sky())[kind])
+            self.fillers[kind] = int(place_fillers([kind], site, empty_sky())[kind])
         truths, z = less_errors(self.estimate, points.x), np.empty((len(points.x), 6))
-        rows = _predict_kernel(
-            self.fillers[kind], truths, self.w_ib_b, now, self.data, self.model.index, self.pending,
-            work.measure, z,
-        )  # fmt: skip
+        rows = _predict_kernel(self.fillers[kind], truths, self.w_ib_b, site, z)
         return z[:, :rows]
 
     def _update(self, t: float, kind: int, code: int, part: slice, points: _Points, z: FloatArray) -> None:

@@ -33,7 +33,6 @@ from bench.data import (
     no_innovations,
 )
 from bench.earth import EARTH_RATE, difference_n
-from bench.navigation.engine.long_records import longest_wait
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,
@@ -42,7 +41,7 @@ from bench.navigation.engine.piecewise import (
     join_tables,
     take_answers,
 )
-from bench.navigation.engine.record_cuts import cut_piece, first_sample, newest_sample
+from bench.navigation.engine.record_cuts import cut_piece, first_sample, longest_wait, newest_sample
 from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.error_state import PHI, POS, VEL, less_errors

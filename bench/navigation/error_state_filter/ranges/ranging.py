@@ -22,16 +22,15 @@ from bench.arrays import FloatArray, IntArray
 from bench.compiled import find_address, inner, types_of
 from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
-from bench.navigation.engine.session import Growing, require
+from bench.navigation.engine.session import Growing, require, require_rows
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
 from bench.navigation.error_state_filter.measurement_rows import (
     PSEUDORANGE,
     RANGE_RATE,
     ROWS,
     SATELLITE_ROWS,
-    Measurements,
 )
-from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending
+from bench.navigation.error_state_filter.propagation import FilterState, Pending, Site
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
     ANCHORS,
     ionosphere_kernel,
@@ -39,8 +38,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
 )
 from bench.navigation.error_state_filter.ranges.range_states import multipath_sd
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
-from bench.navigation.error_state_filter.state_blocks import Index
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS
+from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
 from bench.sensor_specs import GnssSpec, SkySpec
 from bench.signals import receiver
 from bench.signals.delays import (
@@ -102,13 +100,8 @@ def check_sky(sky: SkyRows) -> None:
         With the name of what is wrong.
     """
     count, epochs = len(sky.t), len(sky.epoch_start) - 1
-    widths = {"values": 2, "variance": 2, "sat": 6, "which": 5}
-    shapes: dict[str, tuple[int, ...]] = {name: (count, width) for name, width in widths.items()}
-    shapes |= {"t": (count,), "ionosphere": (count,), "combined": (count,), "sizes": (9,)} | (
-        {"klobuchar": (8,)} if count else {}
-    )
-    for name, shape in shapes.items():
-        require(getattr(sky, name).shape == shape, f"sky/{name}", f"must have shape {shape}")
+    require_rows("sky", sky, SkyRows._fields[1:8], count)
+    require(not count or sky.klobuchar.shape == (8,), "sky/klobuchar", "must have shape (8,)")
     start = sky.epoch_start
     whole = epochs >= 0 and start[0] == 0 and start[-1] == count and bool((np.diff(start) >= 0).all())
     require(whole, "sky/epoch_start", f"must rise from 0 to {count}")
@@ -145,18 +138,12 @@ def make_sky(
 
     Parameters
     ----------
-    o : GnssObservations
-        Record.
-    spec : GnssSpec
-        Datasheet of the receiver that is assumed.
     values, variance : (K, 2) arrays
         Range and rate of the rows used and their variances, of :func:`correct_observations`.
     rows, epochs : (K,) arrays of int
         Rows that are used, and the epoch of each, 0 to ``count`` - 1 in ascending order.
     lat : float
         Latitude of the table of vertical delays [rad]; 500 km north or south they differ by 1 mm.
-    channels : Channels
-        What the satellites have had so far.
     """
     channel = channels.of_satellites(o)[rows]
     own, fresh = channels.give_states(o, rows)
@@ -222,46 +209,24 @@ def _with_rows(sky: SkyRows, *columns: Any) -> SkyRows:
     return SkyRows(*columns, *sky[len(columns) :])
 
 
-def place_fillers(kinds: Iterable[int], arguments: tuple[Any, ...], sky: SkyRows) -> IntArray:
-    """Return by kind of record the address of what fills its rows, 0 for a kind that is not among ``kinds``.
-
-    ``arguments`` are those that all fillers take behind the row of the record and the first row to fill.
-    """
-    at, types = np.zeros(max(ROWS) + 1, np.int64), None
+def place_fillers(kinds: Iterable[int], site: Site, sky: SkyRows) -> IntArray:
+    """Return by kind of record the address of what fills its rows, 0 for others."""
+    at = np.zeros(max(ROWS) + 1, np.int64)
     for kind in kinds:
         if kind == SATELLITE_ROWS:
-            at[kind] = find_address(satellites_kernel, types_of(0, 0, *arguments, sky))
+            at[kind] = find_address(satellites_kernel, types_of(0, 0, site, sky))
         else:
-            types = types or types_of(0, 0, *arguments)
-            at[kind] = find_address(ROWS[kind], types)
+            at[kind] = find_address(ROWS[kind], types_of(0, 0, site))
     return at
 
 
 @inner
 def range_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
     """Return the state of the range error of row k; `_NONE`: no range has one, `_TAKEN`: all are taken."""
-    first, own = index.gps_range_1, sky.which[k, 3]
-    if sky.which[k, 0] == GLONASS:
-        first = index.glonass_range_1
-    elif sky.which[k, 0] == GALILEO:
-        first = index.galileo_range_1
-    elif sky.which[k, 0] == BEIDOU:
-        first = index.beidou_range_1
+    first, own = index[FIRST_RANGE + sky.which[k, 0]], sky.which[k, 3]
     if first < 0:
         return _NONE
     return first + own if own >= 0 else _TAKEN
-
-
-@inner
-def offset_state_kernel(k: int, sky: SkyRows, index: Index) -> int:
-    """Return the state of the offset of row k against GPS time; `_NONE` for GPS."""
-    if sky.which[k, 0] == GLONASS:
-        return index.glonass_offset
-    if sky.which[k, 0] == GALILEO:
-        return index.galileo_offset
-    if sky.which[k, 0] == BEIDOU:
-        return index.beidou_offset
-    return _NONE
 
 
 @inner
@@ -286,17 +251,9 @@ def renew_kernel(
 
 
 @inner
-def satellites_kernel(
-    epoch: int,
-    first: int,
-    now: FilterState,
-    data: Measurements,
-    index: Index,
-    pending: Pending,
-    work: MeasureWork,
-    sky: SkyRows,
-) -> int:
+def satellites_kernel(epoch: int, first: int, site: Site, sky: SkyRows) -> int:
     """Fill two rows, range and rate, for each satellite of an epoch above the mask; return their number."""
+    now, data, index, pending, _ = site
     state, H, z = now.state, pending.H, pending.z
     n, at = now.P.shape[0], index.clock_offset
     # the last six rows of the slot hold position and velocity of the antenna
@@ -305,7 +262,7 @@ def satellites_kernel(
         for i in range(n):
             H[j, i] = 0.0
     arm = z[last : last + 6]
-    antenna_rows_kernel(now, data.antenna_b, state[:3], state[3:6], index, H[last : last + 6], arm, work)
+    antenna_rows_kernel(site, data.antenna_b, state[:3], state[3:6], H[last : last + 6], arm)
     s, c = np.sin(state[0]), np.cos(state[0])
     sl, cl = np.sin(state[1]), np.cos(state[1])
     _, prime = radii_kernel(s)
@@ -356,7 +313,7 @@ def satellites_kernel(
                 u_n * p + u_e * q + u_d * r
             )
         H[row, at], H[row + 1, at + 1] = 1.0, 1.0
-        offset: int = offset_state_kernel(k, sky, index)
+        offset: int = index[FIRST_OFFSET + sky.which[k, 0]]
         if offset >= 0:
             H[row, offset] = 1.0
             z[row] += state[offset + 1]

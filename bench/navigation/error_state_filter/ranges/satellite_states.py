@@ -12,7 +12,7 @@ from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate
 from bench.navigation.error_state_filter.propagation import FilterState, Pending
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
-from bench.navigation.error_state_filter.state_blocks import Index
+from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
 from bench.orbit_sets import name_satellite
 from bench.wide_rows import widened
 
@@ -66,7 +66,7 @@ class Channels(SessionState):
     def used(self, index: Index, n: int) -> IntArray:
         """Return the states out of n that have a use so far: all but those which no satellite has had."""
         used = np.ones(n, np.bool_)
-        places = (index.gps_range_1, index.glonass_range_1, index.galileo_range_1, index.beidou_range_1)
+        places = index[FIRST_RANGE:FIRST_OFFSET]
         for first, held in zip(places, np.split(self.held, np.cumsum(RANGES)[:-1]), strict=True):
             if first >= 0:
                 used[first : first + len(held)] = held >= 0

@@ -21,7 +21,7 @@ from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
-from bench.navigation.error_state_filter.answers import answers, split
+from bench.navigation.error_state_filter.answers import answers
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.imu_states import core_states
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
@@ -82,7 +82,7 @@ class GraphSmoother:
             else:
                 w_b = dtheta[max(k, 0)] / steps.span[max(k, 0)]
                 now = float(steps.t[k]) if k >= 0 else initial.t
-                chain.fixes[-1] += chain.read_fix(now, plan.values[row], plan.variance[row], w_b)
+                chain.fixes[-1] += chain.read_fix(now, plan.measured[row, :6], plan.variance[row], w_b)
         m = len(sensors.output_t)
         out, cov, variance = np.full((m, 16), np.nan), np.full((m, 9, 9), np.nan), np.full((m, 6), np.nan)
         try:
@@ -98,7 +98,7 @@ class GraphSmoother:
                 events.append((initial.t, float(sensors.output_t[-1]), "graph", text))
         table, refused = chain.gate.take(last=True)
         told = Events.from_rows(events + refused)
-        return answers(sensors.output_t, StateLayout(), split(out), cov, variance, table, told)
+        return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
 
     def refuses(self, specs: AssumedSpecs) -> str:
         """Return why it takes no fixes of the receiver assumed; "" where they are white.
