@@ -113,3 +113,23 @@ def test_the_number_of_refusals_is_an_option_no_more():
         load("loose-15", {"readmit_after": 10})
     told = "unknown option 'readmit_after'; use 'readmit_after_s', the time of refusals in seconds"
     assert str(caught.value) == f"estimator 'loose-15': {told}"
+
+
+@pytest.mark.parametrize(
+    ("position", "velocity", "drifted"),
+    [
+        (12.0, 0.0, False),
+        (12.0, 9.0, True),
+        (30.0, 12.0, True),
+    ],
+)
+def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velocity, drifted):
+    S = np.eye(6) + 4.0 * np.kron([[1.0, 0.95], [0.95, 1.0]], np.eye(3))
+    y = np.array([position, 0.0, 0.0, velocity, 0.0, 0.0])
+    gate = InnovationGate(SENSORS, 0.0, 1e-5, 10.0)
+    gate.see_fix(9.0, y, S, np.ones(3))
+    assert not gate.drifted
+    gate.see_fix(20.0, y, S, np.ones(3))
+    assert gate.drifted is drifted
+    gate.see_fix(20.0, y, S, np.full(3, 10.0))  # the filter claims to know its place better than the fix
+    assert gate.drifted is (velocity == 12.0)

@@ -9,7 +9,6 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner, kernel
@@ -201,10 +200,13 @@ def moves_kernel(
 
 @kernel
 def drift_kernel(position: float, velocity: float, both: float, apart: float, limit: float) -> bool:
-    """Return :func:`tells_of_drift` from the NIS of position, velocity and both.
+    """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
 
-    ``apart`` is the trace of S less twice that of the noise of the position: above 0 the filter claims to
-    know its place worse than the fix does.
+    A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
+    to be beyond the gate as well; or to be expected once the position is used, if the filter claims to know
+    its place worse than the fix does. Given are the NIS of the position, of the velocity and of both, the
+    ``limit`` for three components, and how far ``apart`` the trace of S and twice that of the noise of the
+    position are [m^2]: above 0 for such a claim.
     """
     return position > limit and (velocity > limit or (apart > 0.0 and both - position <= limit))
 
@@ -226,7 +228,7 @@ def fix_kernel(
     HP: FloatArray,
     at: IntArray,
 ) -> tuple[bool, bool]:
-    """Return :func:`tells_of_drift`, after an outage, and :func:`moves_kernel` of a fix z (6,) = H dx + v.
+    """Return :func:`drift_kernel`, after an outage, and :func:`moves_kernel` of a fix z (6,) = H dx + v.
 
     dx is 0. ``work`` (6, 7), ``HP`` (6, n) and ``at`` (6, n + 1) end as `kalman.nis_kernel` of the position
     leaves them.
@@ -242,35 +244,6 @@ def fix_kernel(
         apart += var[a] - 2.0 * r[a]
     drifted = returns_kernel(t, trust) and drift_kernel(position, velocity, both, apart, limit)
     return drifted, moves
-
-
-def tells_of_drift(y: ArrayLike, S: ArrayLike, r: ArrayLike, limit: float) -> bool:
-    """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
-
-    A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
-    to be beyond the gate as well; or to be expected once the position is used, if the filter claims to know
-    its place worse than the fix does.
-
-    Parameters
-    ----------
-    y, S : (6,) and (6, 6) array
-        Innovation of position [m] and velocity [m/s] and its covariance.
-    r : (3,) array
-        Variance of the position of the fix [m^2].
-    limit : float
-        Largest NIS of three components.
-
-    Examples
-    --------
-    >>> S, r = np.eye(6) + 4.0 * np.kron([[1.0, 0.95], [0.95, 1.0]], np.eye(3)), np.ones(3)
-    >>> moved = [(12.0, 0.0), (12.0, 9.0), (30.0, 12.0)]  # a step, what is to be expected, both beyond
-    >>> [tells_of_drift([p, 0, 0, v, 0, 0], S, r, 25.9) for p, v in moved]
-    [False, True, True]
-    """
-    y, S = np.asarray(y, float), np.asarray(S, float)
-    apart = float(np.trace(S[:3, :3])) - 2.0 * float(np.sum(r))
-    position, velocity = nis(y[:3], S[:3, :3]), nis(y[3:], S[3:, 3:])
-    return bool(drift_kernel(position, velocity, nis(y, S), apart, limit))
 
 
 @inner
@@ -361,10 +334,12 @@ class InnovationGate(SessionState):
 
         y (6,) and S (6, 6) are in axes that do not turn, r (3,) the variance of its position.
         """
-        returns = bool(returns_kernel(t, self.trust))
-        self.drifted = returns and tells_of_drift(y, S, r, self.limits[3])
-        asked = self.limits[3], self.readmit_after_s
-        self.moves = bool(moves_kernel(t, y, np.diag(S).copy(), *asked, self.trust))
+        self.drifted, limit = False, self.limits[3]
+        if returns_kernel(t, self.trust):
+            apart = float(np.trace(S[:3, :3])) - 2.0 * float(np.sum(r))
+            found = nis(y[:3], S[:3, :3]), nis(y[3:], S[3:, 3:]), nis(y, S)
+            self.drifted = bool(drift_kernel(*found, apart, limit))
+        self.moves = bool(moves_kernel(t, y, np.diag(S).copy(), limit, self.readmit_after_s, self.trust))
 
     def see_position(self) -> None:
         """See a fix without a velocity: nothing tells why it is beyond the gate."""

@@ -176,18 +176,10 @@ def _plain(value: Any) -> Any:
 def rebuild(
     hint: Any, found: Any, like: Any = None, place: str = "", specs: AssumedSpecs | None = None
 ) -> Any:
-    """Return the value of a type that a plain one stands for, checked.
+    """Return the value of a declared type that a plain one stands for, checked.
 
-    Parameters
-    ----------
-    hint : type
-        As it is declared.
-    found : object
-        The plain value.
-    like : object
-        The value of the same filter before its first piece; None: it has come with the pieces.
-    place, specs
-        As in :meth:`SessionState.restore`.
+    ``like`` is that of the same filter before its first piece; None: it has come with the pieces. Others as
+    in :meth:`SessionState.restore`.
 
     Raises
     ------

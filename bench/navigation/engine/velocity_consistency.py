@@ -34,12 +34,7 @@ _T, _REST, _END, _SUMMED, _PATH = 0, slice(1, 4), slice(4, 7), slice(7, 10), 10
 class MovedFixes(SessionState):
     """Tests the positions of fixes, one after another, against the velocities of the same receiver.
 
-    Parameters
-    ----------
-    gnss : GnssSpec
-        For the Markov errors.
-    false_alarm : float
-        Probability that a sound fix is reported.
+    ``false_alarm`` is the probability that a sound fix is reported.
     """
 
     _begin: Kept[FloatArray]  # (3,) of the first fix [m], e; none before it
@@ -68,16 +63,8 @@ class MovedFixes(SessionState):
     def take(self, fixes: GnssFixes, variance: FloatArray, *, last: bool) -> tuple[BoolArray, list[EventRow]]:
         """Return which positions (M,) of the next fixes disagree with the velocities, and the events.
 
-        Fixes without velocity pass; the test begins anew after a gap.
-
-        Parameters
-        ----------
-        fixes : GnssFixes
-            In order of time.
-        variance : (M, 6) array
-            White variances of position [m^2] and velocity [m^2/s^2], n.
-        last : bool
-            Nothing comes after them.
+        Fixes without velocity pass; the test begins anew after a gap. The white variances (M, 6) are those of
+        position [m^2] and velocity [m^2/s^2], n; nothing comes after the ``last``.
         """
         moved, events = np.zeros(len(fixes), np.bool_), list[EventRow]()
         whole = fixes.valid & np.isfinite(np.hstack([fixes.lla, fixes.vel_n])).all(axis=1)

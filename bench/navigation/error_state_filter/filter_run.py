@@ -274,14 +274,8 @@ class ForwardRun(SessionState):
     def go(self, schedule: Schedule, channels: Channels, look_back: float) -> tuple[NavSolution, Nodes]:
         """Return the answers that are final, and with ``keep`` the nodes a smoother goes back over.
 
-        Parameters
-        ----------
-        schedule : Schedule
-            Everything to measure that is known; it forgets what is done.
-        channels : Channels
-            Those of the gate, and the states that satellites have.
-        look_back : float
-            How far before the last sample to stop [s] (`Schedule.plan`).
+        The schedule forgets what is done. ``look_back`` is how far before the last sample to stop [s]
+        (`Schedule.plan`).
         """
         model, keep, names = self.model, self.keep, channels.names
         process, index, n = model.process, model.index, model.layout.size

@@ -56,9 +56,8 @@ class Pending(NamedTuple):
     H: Growing[FloatArray]  # (S width, n)
     z: Growing[FloatArray]  # (S width,)
     r: Growing[FloatArray]  # (S width,)
-    tags: Growing[
-        IntArray
-    ]  # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
+    # (S width, 4) sensor, channel, component, length of the sub-vector that begins here
+    tags: Growing[IntArray]
     live: Growing[IntArray]  # (S,) rows that wait in each slot
     width: int
 

@@ -87,9 +87,8 @@ class Process(NamedTuple):
     decay_distance: FloatArray  # (n,)
     stationary: FloatArray  # (n,)
     drives: IntArray  # (D, 3) a state, the bias it acts like, and what it multiplies, in order of correction
-    thermal: (
-        FloatArray  # (4,) IMU above reference at the start [K]; in the end at height 0 [K], per m [K/m]; s
-    )
+    # (4,) of the IMU above reference at the start [K], in the end at height 0 [K], per m [K/m]; [s]
+    thermal: FloatArray
     range: FloatArray  # (2,) of the gyros [rad/s] and accelerometers [m/s^2]
 
     def take(self, used: IntArray) -> Process:
