@@ -9,10 +9,8 @@ from bench.navigation.options import FusionOptions
 
 SQUAT_SD = 0.006  # pitch of a body by its forward specific force: 3.4 deg by g [rad s^2/m]
 LIFT_SD = 0.01  # angle of attack by the load on the wings: 5.6 deg by g [rad s^2/m]
-SIDESLIP_SD, SIDESLIP_TIME = (
-    float(np.deg2rad(1.5)),
-    1.0,
-)  # of an aircraft between gusts and its fin [rad], [s]
+SIDESLIP_SD = float(np.deg2rad(1.5))  # of an aircraft between gusts and its fin [rad]
+SIDESLIP_TIME = 1.0  # in which it comes and goes [s]
 GUST_TIME = 5.0  # in which an aircraft of 25 m/s crosses an eddy of 125 m [s]
 
 
