@@ -13,8 +13,7 @@ from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.ranges import satellite_states
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
-from bench.navigation.models.loose_tight import Tight
-from bench.navigation.start.steady_course import AS_SPECIFIED
+from bench.navigation.models.loose_tight import Passage, Tight
 from bench.sensor_specs import Fault
 from tests.builders import band, ensemble
 from tests.navigation.test_tight import SKY, shifted, taken
@@ -174,7 +173,7 @@ def test_states_that_no_satellite_has_had_take_no_part(few, monkeypatch):
     _, sense = few
     drawn = sense(0)
     o = drawn.data.observations
-    model = Tight()._passage(drawn.data, drawn.initial, [], AS_SPECIFIED).run.model
+    model = Passage(Tight(), drawn.data, drawn.initial, []).run.model
     channels = Channels()
     channels.give_states(o, np.flatnonzero(o.t < CHANGE))
     used = channels.used(model.index, model.layout.size)

@@ -19,8 +19,7 @@ from bench.data import GnssFixes, ImuData
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
-from bench.navigation.models.loose_tight import Loose, Tight
-from bench.navigation.start.steady_course import AS_SPECIFIED
+from bench.navigation.models.loose_tight import Loose, Passage, Tight
 from bench.sensor_specs import ImuSpec
 from tests import twin
 from tests.builders import take
@@ -123,7 +122,7 @@ def test_without_aiding_and_without_baro_they_agree_too():
 
 def satellites_at_end(sensed):
     """The states of satellites, in the order of the twin, and their sd, which are no part of an answer."""
-    passage = Tight(covariance_hz=None)._passage(sensed.data, sensed.initial, [], AS_SPECIFIED)
+    passage = Passage(Tight(covariance_hz=None), sensed.data, sensed.initial, [])
     passage.feed(sensed.data, 0.0, last=True)
     o, run = sensed.data.observations, passage.run
     own, _ = Channels().give_states(o, np.arange(len(o.t)))
