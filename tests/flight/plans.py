@@ -16,7 +16,7 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.flight.recorder import fly_pieces, record_plan
 from bench.flight.truth import Stretch, make_truth
-from bench.flight_specs import FlightSpec, Leg
+from bench.flight_specs import FlightSpec, Leg, ScriptSpec
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft
@@ -53,8 +53,8 @@ def record_whole(spec: FlightSpec) -> Stretch:
     return stretch
 
 
-def fly_here(spec: FlightSpec) -> Trajectory:
-    """Fly a plan in this process, with an aircraft of others too, for which `fly` starts one."""
+def fly_here(spec: FlightSpec | ScriptSpec) -> Trajectory:
+    """Fly in this process what others wrote, too, for which `fly` starts one."""
     (truth,) = fly_pieces(spec, seconds=inf)
     return truth
 

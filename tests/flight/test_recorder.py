@@ -247,11 +247,13 @@ def cruise_for(seconds: float) -> Profile:
     profile = load_profile("long-cruise")
     if seconds == profile.flight.duration:
         return profile
-    return replace(profile, flight=replace(profile.flight, legs=profile.flight.legs[-2:], duration=seconds))
+    turn, straight = profile.flight.legs[-2:]
+    legs = (turn, replace(straight, duration=0.5 * seconds))
+    return replace(profile, flight=replace(profile.flight, legs=legs, duration=seconds))
 
 
 @pytest.fixture(
-    params=[1200.0, pytest.param(7200.0, marks=pytest.mark.long)], ids=["20 minutes", "two hours"]
+    params=[600.0, pytest.param(7200.0, marks=pytest.mark.long)], ids=["ten minutes", "two hours"]
 )
 def cruise(request, session_folder, made_once) -> tuple[float, Path, str]:
     """A cruise flown in a process of its own, once in a session: how long, its cache, and what it printed."""
@@ -275,7 +277,7 @@ def cruise(request, session_folder, made_once) -> tuple[float, Path, str]:
 def test_a_long_cruise_at_200_hz_needs_less_than_64_mb(cruise):
     """Flown, kept in the cache and summed up; then from the cache. Peak memory above that after imports.
 
-    Flown as one piece, 20 minutes need 200 MB.
+    Flown as one piece, ten minutes need 100 MB.
     """
     seconds, cache, printed = cruise
     for line in printed.splitlines():

@@ -28,6 +28,7 @@ from bench.flight.model_files import class_of, script_facts
 from bench.flight_specs import ScriptSpec
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
+from tests.flight.plans import fly_here
 
 WHEEL = Path(jsbsim.get_default_root_dir())
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
@@ -45,7 +46,7 @@ def sanity(truth: Trajectory) -> str:
 @pytest.fixture(scope="module")
 def take_off(tmp_path_factory) -> Trajectory:
     """The script c1723 of the wheel: a Cessna takes off, climbs and turns."""
-    return fly(profile(tmp_path_factory.mktemp("c1723"), 'script = "c1723"').flight)
+    return fly_here(profile(tmp_path_factory.mktemp("c1723"), 'script = "c1723"').flight)
 
 
 def test_a_profile_of_one_line_flies_a_script_to_its_end(take_off):
@@ -129,7 +130,7 @@ def test_truth_is_a_fixed_point_of_the_body_while_the_tanks_empty(take_off, tmp_
 )
 def test_a_script_that_trims_on_the_way_is_flown_from_trim_to_trim_and_says_so(tmp_path, name, least, said):
     category = "light" if name.startswith("c172") else "transport"
-    truth = fly(profile(tmp_path, f'script = "{name}"\nclass = "{category}"').flight)
+    truth = fly_here(profile(tmp_path, f'script = "{name}"\nclass = "{category}"').flight)
     assert truth.t[-1] >= least
     assert said in sanity(truth)
     distance, angle = replay(truth, 200.0)
@@ -141,7 +142,7 @@ def test_a_script_that_trims_on_the_way_is_flown_from_trim_to_trim_and_says_so(t
 
 def test_the_doublet_is_beyond_a_transport_which_the_report_says(tmp_path):
     text = 'script = "c172_elevator_doublet"\nclass = "transport"\nduration_s = 15\n[evaluation]\nfrom_s = 0'
-    said = sanity(fly(profile(tmp_path, text).flight))
+    said = sanity(fly_here(profile(tmp_path, text).flight))
     wanted = r"load factor -2\.\d\d to 5\.\d\d is beyond -1 to 2\.5 of the class transport \(14 CFR 25\.337\)"
     assert re.search(wanted, said)
     assert "angular rate 71 deg/s is beyond 60 of the class transport" in said
@@ -202,7 +203,7 @@ HEIGHT = """<event continuous="true"><condition> simulation/sim-time-sec ge 0 </
 def test_a_script_no_truth_can_be_made_of_fails_with_one_line(tmp_path, more, message):
     own_script(tmp_path, more)
     with pytest.raises(FlightError, match=f"^script dive: .*{message}") as caught:
-        fly(profile(tmp_path, 'script = "dive.xml"').flight)
+        fly_here(profile(tmp_path, 'script = "dive.xml"').flight)
     assert "\n" not in str(caught.value)
 
 
@@ -237,12 +238,14 @@ def test_a_script_too_long_asks_for_a_duration_and_a_duration_stops_it(tmp_path)
     with pytest.raises(
         FlightError, match=r"script dive: it runs for 1e\+09 s, longer than 14400 s; duration_s stops"
     ):
-        fly(profile(tmp_path, 'script = "dive.xml"').flight)
-    truth = fly(profile(tmp_path, 'script = "dive.xml"\nduration_s = 3\n[evaluation]\nfrom_s = 0').flight)
+        fly_here(profile(tmp_path, 'script = "dive.xml"').flight)
+    truth = fly_here(
+        profile(tmp_path, 'script = "dive.xml"\nduration_s = 3\n[evaluation]\nfrom_s = 0').flight
+    )
     assert truth.t[-1] == pytest.approx(3.0, abs=0.01)
     own_script(tmp_path)
     with pytest.raises(FlightError, match="it ends at 120 s; duration is 300 s"):
-        fly(profile(tmp_path, 'script = "dive.xml"\nduration_s = 300').flight)
+        fly_here(profile(tmp_path, 'script = "dive.xml"\nduration_s = 300').flight)
 
 
 def test_the_same_script_gives_the_same_bits_in_another_process_and_another_key_after_a_change(tmp_path):
