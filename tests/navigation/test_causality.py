@@ -21,7 +21,7 @@ INSTANTS = (20.3, 31.25, 47.9)
 
 def draws(**changes):
     spec = replace(units(gnss=LATE), **changes)
-    truth = weaving(60.0, rate=100.0)
+    truth = weaving(60.0, rate=50.0)
     return (sensors.sense(truth, spec, 4, run) for run in range(2))
 
 

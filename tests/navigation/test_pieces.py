@@ -316,7 +316,7 @@ def test_a_saved_filter_goes_on_as_if_it_had_not_stopped(tmp_path):
     ):
         filter_, data = opened(use)
         found = []
-        for piece in pieces(data, [0.3, 4.15, 6.1, 7.3, 9.01, 26.0, 29.5, 42.0]):
+        for piece in pieces(data, [0.3, 6.1, 9.01, 29.5]):
             found.append(filter_.feed(piece))
             filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
         found.append(filter_.finish())

@@ -90,7 +90,7 @@ def test_an_eccentricity_is_never_negative():
     """Instants that run fast by 1e-7 make a circle an ellipse; its other apsis is the perigee."""
     nominal, t = orbits.make_nominal(GPS), 45000.0 + np.linspace(-150.0, 150.0, 31)
     signs = set()
-    for row, sat in enumerate(nominal.sat.tolist()):
+    for row, sat in list(enumerate(nominal.sat.tolist()))[::3]:
         true = orbits.compute_states(nominal, np.full(len(t), row), t)
         for rate in (1e-7, -1e-7):
             told = t + rate * (t - 44900.0)
