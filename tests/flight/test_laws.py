@@ -53,6 +53,9 @@ FIRST_LEGS = {
 }
 """Legs of longer profiles that are flown here: others have the like of the rest, which `make long` flies."""
 
+ALIKE = {"approach-closed", "holding-jammed", "mapping", "waypoints-closed"}
+"""Profiles of legs, air and aircraft that others here have, too: `make long` flies them."""
+
 ROUGH = AileronRoll | Approach | Doublet | Flare | LandingRoll | TakeOff | WindUpTurn
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
@@ -76,8 +79,10 @@ def _planned(spec: FlightSpec) -> float:
 
 def _marked(name: str):
     spec = _FLIGHTS[name]
-    slow = spec.aircraft.name != "aerosonde" or _planned(spec) > 900
-    return pytest.param((name, FIRST_LEGS.get(name)), id=name, marks=pytest.mark.slow if slow else ())
+    marks = [pytest.mark.long] if name in ALIKE else []
+    if spec.aircraft.name != "aerosonde" or _planned(spec) > 900:
+        marks.append(pytest.mark.slow)
+    return pytest.param((name, FIRST_LEGS.get(name)), id=name, marks=marks)
 
 
 def _shorten(spec: FlightSpec, first: int | None) -> FlightSpec:

@@ -111,7 +111,7 @@ def test_it_stands_where_and_as_the_plan_says():
     assert_allclose(rotation.to_euler(truth.q_nb)[2], ALONG, atol=1e-4)
 
 
-@pytest.mark.parametrize("across", [0.0, -4.0, 4.0])
+@pytest.mark.parametrize("across", [-4.0, 4.0])
 @pytest.mark.parametrize("name", KINDS)
 def test_take_off_and_landing_keep_to_the_runway(name, across):
     """Soft at touch-down, less than 5 m off the centreline, in up to 4 m/s across it."""
@@ -246,30 +246,29 @@ def measure_landing(truth) -> tuple[float, float, float, float]:
     return float(sink), float(along[touch]), float(abs(off[touch])), float(np.abs(off[touch:]).max())
 
 
+_LANDED = [
+    ("aerosonde", 4, 3.0, range(21, 25)),
+    ("navion", 4, 3.3, range(21, 25)),
+    ("jet747", 4, 2.0, range(21, 25)),
+]
+_OTHERS = [
+    *((name, severity, most, range(25, 33)) for name, severity, most, _ in _LANDED),
+    ("aerosonde", 3, 2.0, range(21, 33)),
+    ("navion", 3, 2.4, range(21, 33)),
+    ("jet747", 3, 1.8, range(21, 33)),
+]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "seeds",
-    [
-        pytest.param(range(21, 24), marks=pytest.mark.slow),
-        pytest.param(range(24, 33), marks=pytest.mark.long),
-    ],
-    ids=["three", "nine more"],
-)
-@pytest.mark.parametrize(
-    ("name", "severity", "most"),
-    [
-        ("aerosonde", 3, 2.0),
-        ("aerosonde", 4, 3.0),
-        ("navion", 3, 2.4),
-        ("navion", 4, 3.3),
-        ("jet747", 3, 1.8),
-        ("jet747", 4, 2.0),
-    ],
+    ("name", "severity", "most", "seeds"),
+    [*_LANDED, *(pytest.param(*one, marks=pytest.mark.long) for one in _OTHERS)],
 )
 def test_all_land_in_turbulence_and_wind_across(name, severity, most, seeds):
     """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground.
 
     The twelve seeds of the table (`tests.flight.landing_table`). A defect that spoils half of all landings
-    passes the 18 of three seeds once in 2.6e5, one that spoils a third of them once in 1500.
+    passes those of four seeds in moderate turbulence once in 4000, one that spoils a third once in 130.
     """
     for seed in seeds:
         truth = land_in(severity, 4.0, seed, KINDS[name])

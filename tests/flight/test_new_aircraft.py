@@ -165,7 +165,7 @@ def test_an_aircraft_that_turns_roll_is_held_by_the_last_attempt():
     assert found[0].bank > BANK_BAND > found[1].bank
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_aircraft_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert cli.main(["new", "aircraft", "jsbsim:c172p"]) == 0

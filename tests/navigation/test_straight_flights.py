@@ -45,7 +45,7 @@ def assert_honest(averages, draws=DRAWS):
     [
         (TOUR, {}, "loose-full", SEED),
         (TOUR, {}, "smoother", SEED),
-        (TOUR, {"wind.turbulence": "light"}, "loose-full", SEED),
+        pytest.param(TOUR, {"wind.turbulence": "light"}, "loose-full", SEED, marks=pytest.mark.long),
         ("climb-cruise-descend", {"sensors.imu": "mpu-9250"}, "loose-full", SEED),
         ("date-line", {"sensors.imu": "bmi088"}, "loose-full", 5077),  # one has a bias of three sd
         pytest.param(
