@@ -11,6 +11,8 @@ import time
 from concurrent.futures import Future
 from typing import Any
 
+import pytest
+
 from bench.campaigns.batches import BATCH, Lost, _Pace, compute
 from bench.campaigns.pools import THREADS, ProcessPool
 
@@ -58,6 +60,17 @@ def test_a_worker_has_one_thread_and_does_not_hear_an_interruption():
     assert found == (["1"] * len(THREADS), True)
     assert {name: os.environ.get(name) for name in THREADS} == before
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+
+def test_what_runs_is_finished_at_the_end_and_ended_by_an_error():
+    with ProcessPool(1) as pool:
+        finished = pool.submit(square, 3)
+    assert finished.result(0.0) == 9
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), ProcessPool(1) as pool:
+        pool.submit(time.sleep, 60.0)
+        raise KeyboardInterrupt
+    assert time.monotonic() - begun < 50.0
 
 
 DRIVER = """

@@ -100,11 +100,13 @@ def test_without_errors_a_fix_is_the_antenna(turn, bands):
         assert len(found.fixes) == 120
 
 
-def test_the_pseudorange_is_the_sum_of_its_parts(turn):
-    """Range by an iteration that turns vectors, delays by their public functions (B-12)."""
-    o = measure(turn, QUIET).observations
-    rows = np.searchsorted(turn.t, o.t - 1e-6)
-    lla, _ = gnss.compute_antenna_motion(turn, rows, LEVER, SensorDraws(1, 0))
+@pytest.mark.parametrize("hours", [False, True])
+def test_the_pseudorange_is_the_sum_of_its_parts(turn, hours):
+    """Range by an iteration that turns vectors, delays by their public functions (B-12); after hours, too."""
+    truth = still(15000.0, 0.01, attitude=(0.1, 0.2, 0.3)) if hours else turn
+    o = measure(truth, QUIET, rate=0.01 if hours else 1.0).observations
+    rows = np.searchsorted(truth.t, o.t - 1e-6)
+    lla, _ = gnss.compute_antenna_motion(truth, rows, LEVER, SensorDraws(1, 0))
     here = earth.to_ecef(lla)
     sets = [orbits.make_nominal(GPS), orbits.make_nominal(GLONASS)]
     for k in range(0, len(o), 37):
@@ -124,7 +126,7 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn):
         troposphere = delays.zenith_troposphere(lla[k, 0], lla[k, 2]) * delays.mapping_kernel(np.sin(el))
         expected = orbits.C * travel[0] + ionosphere + troposphere
         assert abs(o.pseudorange[k, 0] - expected) < 1e-6
-        assert abs(o.cn0[k, 0] - by_antenna(turn, rows[k], [n, e, d])) < 1e-6
+        assert abs(o.cn0[k, 0] - by_antenna(truth, rows[k], [n, e, d])) < 1e-6
 
 
 def by_antenna(truth, row, toward_n):
@@ -260,6 +262,30 @@ def test_doppler_noise_has_its_size(rest):
     low, high = band(len(sd))
     assert low < np.mean(((noisy.range_rate - clean.range_rate)[:, 0] / sd) ** 2) < high
     assert_array_equal(noisy.pseudorange, clean.pseudorange)
+
+
+def test_the_noise_of_the_loops_is_that_of_the_chip_and_carrier_of_each_system():
+    """Kaplan and Hegarty, eq. 5.23 and 5.9; the correlation of Galileo's BOC(1,1) is three times as steep."""
+    system, cn0, frequency = np.arange(4).repeat(2), np.tile([35.0, 50.0], 4), np.linspace(1.2e9, 1.6e9, 8)
+    chip = np.array([293.052256, 586.678, 293.052256 / np.sqrt(3), 146.526128])[system]
+    n, d, T = 10 ** (cn0 / 10), FULL.dll_spacing, FULL.integration
+    code = chip * np.sqrt(FULL.dll_bandwidth * d / (2 * n) * (1 + 2 / ((2 - d) * T * n)))
+    doppler = orbits.C / frequency / (2 * np.pi * T) * np.sqrt(4 * FULL.fll_bandwidth / n * (1 + 1 / (T * n)))
+    assert_allclose(sky.find_loop_noise(system, cn0, frequency, FULL), [code, doppler], rtol=1e-6)
+
+
+def test_the_second_band_is_weaker_and_has_noise_of_its_own(rest):
+    noise = {"dll_bandwidth": 0.5, "fll_bandwidth": 2.0}
+    two = replace(QUIET, bands=2, second_band_loss=4.0)
+    clean, noisy = (measure(rest, one).observations for one in (two, replace(two, **noise)))
+    assert_allclose(clean.cn0[:, 0] - clean.cn0[:, 1], 4.0)
+    low, high = band(len(clean))
+    for kind, name in enumerate(("pseudorange", "range_rate")):
+        added = getattr(noisy, name) - getattr(clean, name)
+        for k in range(2):
+            loops = clean.system, clean.cn0[:, k], clean.frequency[:, k], replace(two, **noise)
+            assert low < np.mean((added[:, k] / sky.find_loop_noise(*loops)[kind]) ** 2) < high
+        assert abs(np.corrcoef(added.T)[0, 1]) < 3.29 / np.sqrt(len(clean))
 
 
 def test_slow_errors_remember(rest):
