@@ -90,13 +90,28 @@ def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
     assert np.array_equal(worse.sd_pseudorange[~gps], back.sd_pseudorange[~gps])
 
 
-def test_weeks_of_messages_are_those_of_their_system(flown):
-    """Of GPS since 1980-01-06; Galileo counts as GPS in RINEX, BeiDou since 2006-01-01 (table A14)."""
+def test_what_no_reader_of_ours_takes_from_a_message_is_that_of_its_system(flown):
+    """Tables A6, A8 and A14: source of data, week, flag, accuracy, health, group delay and fit interval.
+
+    Weeks of GPS since 1980-01-06; Galileo counts as GPS in RINEX, BeiDou since 2006-01-01."""
     lines = (flown[0] / "run.nav").read_text().splitlines()
-    first = [k for k, line in enumerate(lines) if line[0] in "GEC" and line[1:3].isdecimal()]
-    weeks = {lines[k][0]: float(lines[k + 5][42:61].replace("D", "E")) for k in first}
+    fields = ((5, 1), (5, 2), (5, 3), (6, 0), (6, 1), (6, 2), (7, 1))
+    found: dict[str, set[tuple[float, ...]]] = {}
+    for k in (k for k, line in enumerate(lines) if line[0] in "GEC" and line[1:3].isdecimal()):
+
+        def read(row, column, k=k):
+            return float(lines[k + row][4 + 19 * column : 23 + 19 * column].replace("D", "E"))
+
+        found.setdefault(lines[k][0], set()).add(tuple(read(*one) for one in fields))
+        assert read(7, 0) == read(3, 0)  # sent at its reference time
+        assert read(6, 3) == (read(1, 0) if lines[k][0] == "G" else 0.0)  # its issue
+        assert read(1, 0) == read(3, 0) // 300 % 256
     week = BEGIN // 604800
-    assert weeks == {"G": week, "E": week, "C": week - 1356}
+    assert found == {
+        "G": {(1.0, week, 0.0, 2.0, 0.0, 0.0, 4.0)},
+        "E": {(517.0, week, 0.0, 3.12, 0.0, 0.0, 0.0)},
+        "C": {(0.0, week - 1356, 0.0, 2.0, 0.0, 0.0, 0.0)},
+    }
 
 
 def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
