@@ -128,7 +128,9 @@ COLUMNS |= {f"accel_{axis}_m_s2": f"fb.{k}" for k, axis in enumerate("xyz", 1)}
     "told", ['topic = "imu1"', 'topic = "flight.imu1"', "table", "table by topic", "top of the log"]
 )
 def test_structures_in_structures_are_named_by_key(tmp_path, told):
-    """NaveGo's structure by its own or its whole name, by columns of a table, and at the top of the log."""
+    """NaveGo's structure by its own or its whole name, by columns of a table, and at the top of the log.
+
+    Columns count as they are named: here its rates are called degrees."""
     path = drives.write_log(tmp_path)
     plain = read_records(load_log(str(path)))
     write_structures(tmp_path, "imu1", "imu2")
@@ -136,7 +138,7 @@ def test_structures_in_structures_are_named_by_key(tmp_path, told):
     listed = ", ".join(f'{ours} = "{inside}{theirs}"' for ours, theirs in COLUMNS.items())
     told = {
         "table": f"columns = {{ {listed} }}",
-        "table by topic": f'topic = "imu1"\ncolumns = {{ {listed} }}',
+        "table by topic": f'topic = "imu1"\ncolumns = {{ {listed.replace("rad_s", "deg_s")} }}',
     }.get(told, told)
     if told == "top of the log":
         text = f'file = "all.mat"\nimu = "imu1"\n[gnss]\ntopic = "gnss1"\n{SHEETS}'
@@ -144,7 +146,8 @@ def test_structures_in_structures_are_named_by_key(tmp_path, told):
         text = drives.LOG.replace('file = "imu.csv"', f'file = "all.mat"\n{told}')
     path.write_text(text)
     found = read_records(load_log(str(path)))
-    assert_allclose(found.imu.dtheta_b, plain.imu.dtheta_b, atol=1e-11)
+    unit = np.deg2rad(1.0) if "deg_s" in told else 1.0
+    assert_allclose(found.imu.dtheta_b, unit * plain.imu.dtheta_b, atol=1e-11)
     assert_allclose(found.imu.dvel_b, plain.imu.dvel_b, atol=1e-10)
     assert_allclose(found.fixes.lla, plain.fixes.lla, atol=1e-11)
 
