@@ -239,6 +239,19 @@ def test_who_loses_the_worst_draws_is_not_said_to_have_the_future():
 # --- what is right and yet no good ------------------------------------------------------------------------
 
 
+def test_a_ratio_is_of_the_draws_that_both_have():
+    """Geometric mean of the ratios, with the interval of Student's t of their logarithms."""
+    own, other = (2.0, None, 3.0, 8.0, 5.0, None), (1.0, 7.0, 2.0, 2.0, None, None)
+    logs = np.log([2.0, 1.5, 4.0])
+    reach = scipy.stats.t.ppf(0.975, 2) * logs.std(ddof=1) / np.sqrt(3)
+    found = card_lines.compare_rms(own, other)
+    expected = np.exp(logs.mean() + reach * np.array([0.0, -1.0, 1.0]))
+    assert [found.value, found.low, found.high] == pytest.approx(expected)
+    for few in ((2.0, None), (None, 2.0), (0.0, 1.0)):
+        assert card_lines.compare_rms(few, (1.0, 1.0)) is None
+        assert card_lines.compare_rms((1.0, 1.0), few) is None
+
+
 def test_a_filter_that_loses_its_worst_draws_is_not_better(made):
     line = find(bench.read_card(made / "a.json"), "short", "accuracy")
     base = bench.read_card(made / "a.json")
