@@ -62,14 +62,19 @@ def test_a_worker_has_one_thread_and_does_not_hear_an_interruption():
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
+def interrupt() -> None:
+    with ProcessPool(1) as pool:
+        pool.submit(time.sleep, 60.0)
+        raise KeyboardInterrupt
+
+
 def test_what_runs_is_finished_at_the_end_and_ended_by_an_error():
     with ProcessPool(1) as pool:
         finished = pool.submit(square, 3)
     assert finished.result(0.0) == 9
     begun = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), ProcessPool(1) as pool:
-        pool.submit(time.sleep, 60.0)
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        interrupt()
     assert time.monotonic() - begun < 50.0
 
 

@@ -30,11 +30,12 @@ from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.worker import MOST_INSTANTS, choose_step
+from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import Estimate
+from bench.evaluation.error_series import heading_sd, select_epochs
 from bench.recording import drawing
 from bench.report import campaign_page
 from bench.report.index import find_folders, write_index
@@ -145,6 +146,19 @@ def test_runs_differ_and_columns_have_units(here):
     assert table.schema.field("heading_rmse_deg").metadata[b"unit"] == b"deg"
 
 
+def list_channels(result: Any, at: int) -> list[float]:
+    """What is kept of loose-22 at an instant, in the order of `CHANNELS`."""
+    one, solution = result.errors["loose-22"], result.solutions["loose-22"]
+    k = int(np.argmin(np.abs(solution.t - one.t[at])))
+    variance, claimed = (
+        np.diag(solution.cov[k]),
+        np.rad2deg(heading_sd(select_epochs(solution, np.array([k])))),
+    )
+    tilt, heading = np.rad2deg(np.hypot(*one.phi_n[at, :2])), np.rad2deg(one.heading[at])
+    sds = [np.sqrt(variance[:2].sum()), np.sqrt(variance[2]), claimed[0]]
+    return [*one.pos_n[at], *one.vel_n[at], tilt, heading, *sds, one.nees[at]]
+
+
 def test_epochs_hold_the_statistics_of_the_runs(here):
     table = pq.read_table(here / "two" / EPOCHS)
     rows = [row for row in table.to_pylist() if row["estimator"] == "loose-22"]
@@ -159,6 +173,8 @@ def test_epochs_hold_the_statistics_of_the_runs(here):
         assert (row["nees_low"], row["nees_high"]) == pytest.approx(mean_band(9, 4, 0.95), rel=1e-6)
         heading = [np.rad2deg(one.heading[at]) for one in errors]
         assert row["heading_err_deg_p50"] == pytest.approx(np.median(heading), rel=1e-5)
+        found = np.array([list_channels(one, at) for one in results])
+        assert [row[f"{name}_mean"] for name in CHANNELS] == pytest.approx(found.mean(axis=0), rel=1e-5)
     assert rows[-1]["t_s"] == errors[0].t[-1]
     assert table.schema.field("pos_err_d_m_p95").type == "float"
     assert table.schema.field("pos_err_d_m_p95").metadata[b"unit"] == b"m"
