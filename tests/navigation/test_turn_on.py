@@ -17,6 +17,7 @@ from bench.flight.legs.turns import Turn
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.start import steady_course, turn_on, turning_start
+from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.units import STANDARD_GRAVITY
 from tests.builders import Z, at_rest, band, first_rows
 from tests.flight.plans import plan
@@ -53,6 +54,22 @@ def test_the_mean_rate_of_a_straight_or_a_standstill_is_the_bias(figure_eight_tr
         now = np.searchsorted(sensed.truth.t, found.until)
         square.append(((found.bias_b - sensed.truth.gyro_bias_b[now]) / found.sd) ** 2)
     assert np.mean(square) < band(36)[1]  # at least as good as it says
+
+
+def test_what_a_datasheet_leaves_open_of_a_bias_and_of_its_warming():
+    """By hand: 1 g on the gyros, 281.65 K at 1000 m, 6.5 K/km on the way, 15 K of its own heat."""
+    gyro = TriadSpec(turn_on_bias_sd=3e-3, temperature_sd=1e-4, g_sensitivity_sd=2e-4)
+    spec = ImuSpec("unit", gyro, TriadSpec(), thermal=ThermalSpec(298.15, 15.0, 100.0))
+    start = SimpleNamespace(t=0.0, lla=np.array([0.8, 0.2, 1000.0]))
+    assert turn_on._error_sd(spec, start) == pytest.approx(np.hypot(np.hypot(3e-3, 16.5e-4), 2e-4 * 9.80665))
+    for height, change in ((1400.0, 15.0), (400.0, 18.9)):
+        heights = np.array([1000.0, np.nan, height])
+        warming = turn_on._warming_sd(50.0, heights, spec, start)
+        assert warming == pytest.approx(1e-4 * change * (1 - np.exp(-0.5)))
+        at_once = replace(spec, thermal=replace(spec.thermal, time_constant=0.0))
+        assert turn_on._warming_sd(50.0, heights, at_once, start) == pytest.approx(
+            6.5e-7 * abs(height - 1000.0)
+        )
 
 
 def test_a_slow_turn_that_the_course_shows_is_no_bias(figure_eight_truth):
