@@ -482,3 +482,15 @@ def test_fixes_whose_sd_is_raised_pull_less_and_the_claim_is_right(truth, raised
         assert max(np.mean(told**2 / honest), np.mean(blind**2 / claimed)) < 4.0
     else:  # what is reported is what the datasheet says
         np.testing.assert_allclose(honest, claimed, rtol=0.1)
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_an_instrument_that_is_asked_for_and_not_there_is_told(there):
+    mag = MagSpec("mag", 10.0, 2e-7) if there else None
+    spec = replace(units(), mag=mag, assumed=replace(units().assumed, mag=mag))
+    drawn = sensors.sense(weaving(5.0, rate=50.0), spec, 1, 0)
+    told = Loose(magnetometer=True, radar=True).run(drawn.data, drawn.initial).events.select("aiding")
+    absent = ["radar"] if there else ["magnetometer", "radar"]
+    assert [text for *_, text in told] == [
+        f"{name}: asked for, but the record holds nothing for it" for name in absent
+    ]
