@@ -72,14 +72,12 @@ _LEAST_LEVEL = 0.1  # horizontal part of two antennas apart, below which they te
 
 
 @inner
-def _row_kernel(
-    pending: Pending, row: int, code: int, channel: int, component: int, length: int, r: float
-) -> None:
+def _row_kernel(pending: Pending, row: int, code: int, component: int, length: int, r: float) -> None:
     """Set a row of H to zero and write its variance and tags."""
     for i in range(pending.H.shape[1]):
         pending.H[row, i] = 0.0
     pending.r[row] = r
-    pending.tags[row, 0], pending.tags[row, 1] = code, channel
+    pending.tags[row, 0], pending.tags[row, 1] = code, code  # its channel
     pending.tags[row, 2], pending.tags[row, 3] = component, length
 
 
@@ -99,7 +97,7 @@ def _fix_kernel(row: int, first: int, site: Site) -> int:
     state, values = now.state, data.values[row]
     for i in range(6):
         code = i // 3
-        _row_kernel(pending, first + i, code, code, i - 3 * code, 3, data.variance[row, i])
+        _row_kernel(pending, first + i, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
     if index.time_offset >= 0:
         none = work.vectors[0]
@@ -163,7 +161,7 @@ def _magnetic_kernel(row: int, first: int, site: Site) -> int:
         p[j] = C[0, j] * m[0] + C[1, j] * m[1] + C[2, j] * m[2]
     H, z = pending.H[first : first + 3], pending.z[first : first + 3]
     for j in range(3):
-        _row_kernel(pending, first + j, MAGNETIC, MAGNETIC, j, 3, data.variance[row, j])
+        _row_kernel(pending, first + j, MAGNETIC, j, 3, data.variance[row, j])
         z[j] = p[j] - data.values[row, j]
         H[j, PHI] = C[1, j] * m[2] - C[2, j] * m[1]  # C' [m x]
         H[j, PHI + 1] = C[2, j] * m[0] - C[0, j] * m[2]
@@ -186,7 +184,7 @@ def _airspeed_kernel(row: int, first: int, site: Site) -> int:
     speed = np.sqrt(u * u + v * v + w * w)
     if not speed > _SLOWEST_AIR:
         return 0
-    _row_kernel(pending, first, AIRSPEED, AIRSPEED, 0, 1, data.variance[row, 0])
+    _row_kernel(pending, first, AIRSPEED, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     H[VEL], H[VEL + 1], H[VEL + 2] = u / speed, v / speed, w / speed
     H[wind], H[wind + 1] = -u / speed, -v / speed
@@ -200,7 +198,7 @@ def _airspeed_kernel(row: int, first: int, site: Site) -> int:
 def _height_kernel(code: int, bias: int, row: int, first: int, site: Site) -> int:
     """Fill the row of a height above the ellipsoid; ``bias`` is the state of its bias, -1 for none."""
     now, data, _, pending, _ = site
-    _row_kernel(pending, first, code, code, 0, 1, data.variance[row, 0])
+    _row_kernel(pending, first, code, 0, 1, data.variance[row, 0])
     pending.H[first, POS + 2] = -1.0
     pending.z[first] = now.state[2] - data.values[row, 0]
     if bias >= 0:
@@ -228,7 +226,7 @@ def _heading_kernel(row: int, first: int, site: Site) -> int:
     level = north * north + east * east
     if not level > _LEAST_LEVEL * _LEAST_LEVEL:
         return 0
-    _row_kernel(pending, first, HEADING, HEADING, 0, 1, data.variance[row, 0])
+    _row_kernel(pending, first, HEADING, 0, 1, data.variance[row, 0])
     H, z = pending.H[first], np.arctan2(east, north) - data.values[row, 0]
     H[PHI], H[PHI + 1], H[PHI + 2] = -down * north / level, -down * east / level, 1.0
     for at in (index.heading_bias, index.heading_wander):
@@ -243,7 +241,7 @@ def _heading_kernel(row: int, first: int, site: Site) -> int:
 def _odometer_kernel(row: int, first: int, site: Site) -> int:
     now, data, index, pending, work = site
     at = index.odometer_scale
-    _row_kernel(pending, first, ODOMETER, ODOMETER, 0, 1, data.variance[row, 0])
+    _row_kernel(pending, first, ODOMETER, 0, 1, data.variance[row, 0])
     H = pending.H[first]
     for i in range(3):
         work.motion[0, i], work.motion[1, i] = work.last[0, i], work.last[1, i]
@@ -267,7 +265,7 @@ def _vehicle_kernel(row: int, first: int, site: Site) -> int:
     _sense_kernel(now, values, work)
     for i in range(2):
         k = first + i
-        _row_kernel(pending, k, code, code, i, 2, data.variance[row, i])
+        _row_kernel(pending, k, code, i, 2, data.variance[row, i])
         pending.z[k] = along_kernel(1 + i, values[6], values[7], site, pending.H[k])
     return 2
 
@@ -281,12 +279,12 @@ def _standstill_kernel(row: int, first: int, site: Site) -> int:
     _sense_kernel(now, data.values[row], work)
     n, d = EARTH_RATE * np.cos(state[0]), -EARTH_RATE * np.sin(state[0])
     for i in range(3):
-        _row_kernel(pending, first + i, ZERO_VELOCITY, ZERO_VELOCITY, i, 3, data.variance[row, i])
+        _row_kernel(pending, first + i, ZERO_VELOCITY, i, 3, data.variance[row, i])
         pending.H[first + i, VEL + i] = 1.0
         pending.z[first + i] = state[VEL + i]
     for j in range(3):
         k = first + 3 + j
-        _row_kernel(pending, k, ZERO_RATE, ZERO_RATE, j, 3, data.variance[row, 3 + j])
+        _row_kernel(pending, k, ZERO_RATE, j, 3, data.variance[row, 3 + j])
         pending.z[k] = work.motion[0, j] - (C[0, j] * n + C[2, j] * d)
         pending.H[k, GYRO + j] = -1.0
         pending.H[k, PHI] = -C[1, j] * d  # -C' [w_ie x]
@@ -300,7 +298,7 @@ def _standstill_kernel(row: int, first: int, site: Site) -> int:
 def _course_kernel(row: int, first: int, site: Site) -> int:
     now, data, index, pending, work = site
     matrix_kernel(now.state, work.C)
-    _row_kernel(pending, first, COURSE, COURSE, 0, 1, data.variance[row, 0])
+    _row_kernel(pending, first, COURSE, 0, 1, data.variance[row, 0])
     yaw = yaw_kernel(work.C, pending.H[first])
     apart = yaw - now.state[index.course_offset + 1] - data.values[row, 0]
     pending.H[first, index.course_offset] = -1.0

@@ -57,10 +57,6 @@ class Schedule(SessionState):
 
     Parameters
     ----------
-    start : float
-        Instant of the initial state [s].
-    imu : ImuSpec
-        The unit assumed.
     compensate : bool
         Measure at the instant of validity, not at that of arrival.
     accuracy : str

@@ -28,16 +28,8 @@ class StandstillDetector(ImuSampler):
     """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
 
     Values are the measured mean rate [rad/s] and force [m/s^2] over each window, b; variances those of the
-    velocity, which is zero, and of the rate.
-
-    Parameters
-    ----------
-    start : float
-        From where the windows count [s].
-    spec : ImuSpec
-        The unit assumed.
-    by_gyros : bool
-        It need not turn, but may be shaken: the noise of the accelerometers is not asked.
+    velocity, which is zero, and of the rate. With ``by_gyros`` it may be shaken: the noise of the
+    accelerometers is not asked.
     """
 
     def __init__(self, start: float, spec: ImuSpec, *, by_gyros: bool = False) -> None:

@@ -38,17 +38,10 @@ AIR_SD = 0.3  # of the velocity through the air, sideways and along the third ax
 
 
 class VehicleSampler(ImuSampler):
-    """Samples the motion of a vehicle at the ends of intervals of `INTERVAL` or `AIR_INTERVAL`.
+    """Samples the motion of a vehicle at the ends of intervals of `INTERVAL`, ``flying`` of `AIR_INTERVAL`.
 
     Values are, as measured, the mean rate [rad/s] and force [m/s^2], b, over `RATE_SPAN`, and of the mean
     force over `LEAN` the push [m/s^2] and the side [1].
-
-    Parameters
-    ----------
-    start : float
-        Instant of the initial state [s].
-    flying : bool
-        On wings, not on wheels.
     """
 
     def __init__(self, start: float, *, flying: bool) -> None:

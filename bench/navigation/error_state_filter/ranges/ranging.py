@@ -57,7 +57,7 @@ _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5
 _TOP = 12_000.0  # the vertical delay above this height is taken as at this height [m]
 _PART = 1e-3  # least share of the variance of a range that is white
 _NONE, _TAKEN = -1, -2
-MULTIPATH_DECAY = GROUND.multipath_decay  # [rad]
+_MULTIPATH_DECAY = GROUND.multipath_decay  # [rad]
 _MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
@@ -327,7 +327,7 @@ def satellites_kernel(epoch: int, first: int, site: Site, sky: SkyRows) -> int:
             left = ionosphere_kernel(el, e_n, e_e, flat, above, sky.anchors, sky.whiten, sky.decay, columns)
         if own >= 0:
             space = sky.sizes[sky.which[k, 0]]
-            near = sky.combined[k] * (sky.sizes[7] + sky.sizes[8] * np.exp(-el / MULTIPATH_DECAY))
+            near = sky.combined[k] * (sky.sizes[7] + sky.sizes[8] * np.exp(-el / _MULTIPATH_DECAY))
             H[row, own] = np.sqrt(left + space * space + near * near)
         if index.troposphere >= 0:
             H[row, index.troposphere] = sky.sizes[4] * mapping
