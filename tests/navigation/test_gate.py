@@ -133,3 +133,6 @@ def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velo
     assert gate.drifted is drifted
     gate.see_fix(20.0, y, S, np.full(3, 10.0))  # the filter claims to know its place better than the fix
     assert gate.drifted is (velocity == 12.0)
+    gate.decide(20.0, 0, y[:3], [1.0] * 3, 0.0, sound=True)
+    gate.see_fix(20.5, y, S, np.ones(3))
+    assert not gate.drifted
