@@ -1,9 +1,8 @@
 """What each aiding instrument gives a filter: one row a sensor.
 
-A row says which record and datasheet belong to the sensor, which rows of `measurement_rows` it fills
-and how, and the errors that its datasheet lists. A new instrument is a row here
-and its kernel in `measurement_rows.ROWS`. Satellites alone come another way
-(`ranging`).
+A row says which record and datasheet belong to the sensor, and which rows of `measurement_rows` it fills and
+how. Its errors are those that the figures of its datasheet describe. A new instrument is a row here and its
+kernel in `measurement_rows.ROWS`. Satellites alone come another way (`ranging`).
 """
 
 from __future__ import annotations
