@@ -201,5 +201,5 @@ temperature and to acceleration and its square; what is 0 has no state.
 
 With it the biases also hold a rate random walk and what the air differs from the standard atmosphere does to
 them, and flicker noise is a sum of processes: its fast stages are states, the slowest is part of the bias.
-Roundings are noise (`measurements`).
+Roundings are noise (`aiding_sensors`).
 """

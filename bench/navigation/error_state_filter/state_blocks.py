@@ -286,7 +286,7 @@ GNSS_JUMPS = replace(
     states=_gnss_jumps,
     takes=(*GNSS_MARKOV.takes, "jumps of the GNSS error where the satellites change"),
 )
-"""The same with the jumps that last, for `EVERY_ERROR`; those of one epoch are in R: `measurements.jumps`."""
+"""The same with the jumps that last, for `EVERY_ERROR`; R has those of one epoch: `aiding_sensors.jumps`."""
 
 
 def antenna(sd: float) -> Block:
