@@ -36,7 +36,7 @@ def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows])
     """
     profiles = {cell.condition: cell.profile for cell in plan.cells}
     broken = {
-        k: [draw for draw, row in enumerate(rows) if row.get("verdict") in BROKEN and not row.get("failed")]
+        k: [draw for draw, row in enumerate(rows) if row.get("verdict") in BROKEN]
         for k, rows in enumerate(own)
     }
     flights = [k for k, draws in broken.items() if len(draws) > _MOST_BROKEN * len(own[k])]

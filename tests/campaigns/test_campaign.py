@@ -16,12 +16,14 @@ from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
+from scipy import stats
 
 import bench
 from bench import recording
@@ -29,11 +31,12 @@ from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.merging import merge_campaigns
+from bench.campaigns.outcome import _pool_nis
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
-from bench.evaluation.consistency import mean_band
+from bench.evaluation.consistency import NIS_PROBABILITY, mean_band
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.error_series import heading_sd, select_epochs
 from bench.recording import drawing
@@ -524,6 +527,28 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
     assert result.finished == 4
     campaign("mortal", resume=True)  # it is tried again
     assert same(here / "two", here / "mortal")
+
+
+def test_progress_tells_how_fast_it_is_and_how_long_it_lasts():
+    now = running.Progress(runs=10, done=6, failed=0, new=4, elapsed=8.0, flown=200.0)
+    assert (now.rate, now.remaining, now.real_time) == (0.5, 8.0, 25.0)
+    before = replace(now, done=2, new=0, elapsed=0.0, flown=0.0)
+    assert (before.rate, before.remaining, before.real_time) == (0.0, None, 0.0)
+
+
+def test_the_nis_of_the_runs_that_converged_is_weighted_by_their_updates():
+    """A run without the sensor and one that is lost do not count; the band is that of chi-square."""
+    rows = [(1.2, 10, 30), (0.6, 30, 90), (9.0, 50, 150), None]
+    group: Any = SimpleNamespace(
+        converged=np.array([True, True, False, True]),
+        nis_dof=[{"baro": row[2]} if row else {} for row in rows],
+        metrics=[{"nis_mean_baro": row[0], "updates_baro": row[1]} if row else {} for row in rows],
+    )
+    ((sensor, found),) = _pool_nis(group).items()
+    assert sensor == "baro"
+    assert (found.mean, found.updates) == (pytest.approx(0.75), 40)
+    tail = 0.5 * (1.0 - NIS_PROBABILITY)
+    assert [found.low, found.high] == pytest.approx(stats.chi2.ppf([tail, 1.0 - tail], 120) / 40)
 
 
 def test_a_campaign_shows_its_figures_in_a_notebook_as_a_plot_and_as_a_frame(here):

@@ -15,7 +15,7 @@ import scipy.stats
 
 import bench
 from bench import rotation
-from bench.campaigns import card, card_lines, running
+from bench.campaigns import card, card_comparison, card_lines, running
 from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
@@ -286,6 +286,27 @@ def test_what_is_no_error_is_compared_in_words(made):
     told = [line.sentence for line in bench.compare_cards(having(value=0.5), having(value=None), ("x", "y"))]
     assert "short: look-ahead: 0.5 s and not proven." in told
     assert "short: answers at 50 and 0 % of the instants." in told
+
+
+def test_a_time_to_the_heading_is_compared_in_words(made):
+    base = find(bench.read_card(made / "a.json"), "heading", "convergence")
+    line = base.model_copy(update={"figure": "median time to the heading [s]", "value": 12.5})
+    told = card_comparison._tell_values(line, line.model_copy(update={"value": None}))
+    assert told == "heading found after 12.5 s and never"
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (None, None, True),
+        (None, 1.0, False),
+        (1.0, None, False),
+        (1.0, 1.0 + 1e-7, True),
+        (1.0, 1.00001, False),
+    ],
+)
+def test_a_value_of_a_card_is_the_same_but_for_the_processor(one, other, same):
+    assert card._same_value(one, other) == same
 
 
 def test_what_is_not_estimated_is_said():

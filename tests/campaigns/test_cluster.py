@@ -11,8 +11,10 @@ import socket
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pyarrow.parquet as pq
@@ -21,7 +23,8 @@ import pytest
 import bench
 from bench.campaigns import cluster
 from bench.campaigns.pools import SerialExecutor
-from bench.errors import ConfigError
+from bench.errors import ConfigError, WorkersLostError
+from bench.specs import EstimatorChoice
 from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 
@@ -137,6 +140,34 @@ def test_the_lines_of_the_guide_listen_only_where_they_say(tmp_path, number):
     assert {address.ip for address in listening} == {"127.0.0.1"}
     assert port in {address.port for address in listening}
     assert len(listening) >= 6  # each of the three processes has one for the others and one for its page
+
+
+def test_a_package_is_sent_whole_and_workers_that_differ_or_are_gone_are_told(tmp_path, monkeypatch):
+    own = tmp_path / "own_filters"
+    (own / "deep").mkdir(parents=True)
+    for name in ("__init__.py", "one.py", "deep/two.py"):
+        (own / name).write_text("x = 1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    sent: list[list[str]] = []
+    client = SimpleNamespace(
+        upload_file=lambda path, load: sent.append(sorted(zipfile.ZipFile(path).namelist())),
+        nthreads=lambda: threads,
+    )
+    pool = object.__new__(cluster.ClusterPool)
+    pool._client, threads = client, {"a": 2}
+    pool._send_module(EstimatorChoice("own_filters.one:Own", "own"))
+    assert sent == [[f"own_filters/{name}" for name in ("__init__.py", "deep/two.py", "one.py")]]
+
+    pool._seen = time.monotonic() - 1000.0
+    pool.check()
+    assert time.monotonic() - pool._seen < 100.0
+    threads = {}
+    pool.check()
+    pool._seen -= 1000.0
+    with pytest.raises(WorkersLostError, match="no worker for 120 s"):
+        pool.check()
+    with pytest.raises(ConfigError, match="its versions are not those of the driver"):
+        cluster._call({"bench": "another"}, int)
 
 
 def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -213,6 +214,33 @@ def test_a_log_is_tuned_on_its_first_half_and_judged_on_the_second(monkeypatch):
     result.solutions["x"].innovations = no_innovations()
     with pytest.raises(ConfigError, match="--goal rmse tunes without them"):
         trial.score({}, "consistency")
+
+
+def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
+    """The search begins at 1, whatever the metres of the flight are."""
+    judged, seen = HeldOutScore(Estimate(1.0, 0.9, 1.1), Estimate(1.0, 0.9, 1.1), {}), list[float]()
+
+    class Fake:
+        label, beside, assumed = "x", here, {"gnss": "poor.toml"}
+
+        def __init__(self, *_: Any) -> None: ...
+
+        def score(self, figures: Any, goal: str) -> Any:
+            size = sum(np.log(value) for value in figures.values())
+            return np.array([49.0, 51.0]) * (1.0 + (size - first) ** 2)
+
+        def judge(self, figures: Any) -> HeldOutScore:
+            return judged
+
+    text = (here / "poor.toml").read_text()
+    white = [float(x) for x in re.findall(r"^pos_._white_sd_m = ([\d.]+)", text, re.MULTILINE)]
+    first = sum(np.log(white))
+    monkeypatch.setattr(tuning, "ProfileTrial", Fake)
+    names = ["gnss.gnss.pos_h_white,gnss.gnss.pos_v_white"]
+    bench.tune(
+        "short.toml", "x", goal="rmse", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c)
+    )
+    assert seen[:2] == pytest.approx([50.0, 1.0])
 
 
 @pytest.mark.slow
