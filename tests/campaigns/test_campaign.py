@@ -31,7 +31,7 @@ from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.merging import merge_campaigns
-from bench.campaigns.outcome import _pool_nis
+from bench.campaigns.outcome import Outcome, _pool_nis
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
@@ -534,6 +534,21 @@ def test_progress_tells_how_fast_it_is_and_how_long_it_lasts():
     assert (now.rate, now.remaining, now.real_time) == (0.5, 8.0, 25.0)
     before = replace(now, done=2, new=0, elapsed=0.0, flown=0.0)
     assert (before.rate, before.remaining, before.real_time) == (0.0, None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "told"),
+    [
+        (Estimate(0.9, 0.8, 0.95), "x: 4 of 40 runs did not converge, 5 to 20 % of all"),
+        (Estimate(1.0, 0.91, 1.0), "x: all 40 runs converged; the share that does not is 0 to 9 %"),
+    ],
+)
+def test_an_outcome_tells_what_did_not_converge_and_whether_the_claims_hold(rate, told):
+    claim: Any = SimpleNamespace(sentence="overconfident by 2", reasons=("one", "two"))
+    outcome = Outcome("short", "x", 40, rate, {}, None)
+    assert outcome.sentences == (told,)
+    more = ("x is overconfident by 2", "x: one", "x: two")
+    assert replace(outcome, consistency=claim).sentences == (told, *more)
 
 
 def test_the_nis_of_the_runs_that_converged_is_weighted_by_their_updates():
