@@ -22,6 +22,7 @@ from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
 from bench.config import load_profile
 from bench.errors import ConfigError
+from bench.evaluation.regression import average_changes
 from bench.exchange.solution_folder import name_draw
 from bench.report.card_page import write_card
 from tests.campaigns import card_power
@@ -307,6 +308,14 @@ def test_a_time_to_the_heading_is_compared_in_words(made):
 )
 def test_a_value_of_a_card_is_the_same_but_for_the_processor(one, other, same):
     assert card._same_value(one, other) == same
+
+
+def test_the_ratio_that_would_be_found_is_that_of_students_t():
+    """Its quantile at the level, both sides, and that of the power, times the standard error."""
+    change = average_changes(np.array([0.1, -0.2, 0.15, 0.05, -0.1, 0.02, 0.3, -0.12]))
+    t = scipy.stats.t(7)
+    ratio = np.exp((t.ppf(0.99) + t.ppf(0.8)) * change.standard_error)
+    assert card_comparison._find_power(change, 0.02) == f"a ratio of {card_lines.write_figure(ratio)}"
 
 
 def test_what_is_not_estimated_is_said():

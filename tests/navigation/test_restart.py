@@ -7,12 +7,14 @@ fixes and starts again by the alignment on the move or at rest, with the biases 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numba
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+import bench
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.evaluation.error_series import error_series
@@ -93,7 +95,9 @@ def test_an_event_says_what_was_done(draws):
 
 
 def test_a_gap_at_the_end_of_a_range_names_it(draws):
-    """A unit that clips flags its samples; one step of quantization off the end they still count."""
+    """A unit that clips flags its samples; one step of quantization off the end they still count.
+
+    In pieces, too, that end in the gap."""
     imu, specs = draws[0].data.imu, draws[0].data.specs
     gyro = replace(specs.imu.gyro, range=60.0 * DEG, quantization=1e-6)
     lost = (imu.t > 60.0) & (imu.t <= 65.0)
@@ -104,6 +108,10 @@ def test_a_gap_at_the_end_of_a_range_names_it(draws):
     ((_, _, text),) = FILTER.run(data, draws[0].initial).events.select("restart")
     count = int(lost.sum())
     assert f"({count} of {count} samples have the gyro at or beyond its range of 60 deg/s): position" in text
+    opened = bench.open_filter("loose-15", draws[0].initial, {}, look_back=0.5)
+    edges = [-1.0, 61.0, 63.3, 100.0]
+    found = [opened.feed(bench.take_piece(data, *edge)) for edge in pairwise(edges)]
+    assert [text for one in found for *_, text in one.events.select("restart")] == [text]
 
 
 def test_what_is_known_in_the_gap_is_claimed(truth, draws):
