@@ -1,14 +1,14 @@
 """The built-in estimators by name, and how an estimator is built from a name and its options.
 
-A row imports its filter and its options only when they are asked for: listing the names loads neither numba
-nor pydantic.
+Filter and options of a row are imported when they are asked for: listing the names loads neither numba nor
+pydantic.
 """
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from bench.errors import EstimatorError
@@ -26,15 +26,22 @@ class BuiltIn:
     """A built-in estimator."""
 
     title: str
-    import_class: Callable[[], type[Estimator]]  # imports it
-    import_options: Callable[[], type[Options]]
-    fixed: Mapping[str, Any]  # options that make it what it is
+    place: str  # "module:Class"
+    model: str  # class of its options, in `bench.navigation.options`
+    fixed: Mapping[str, Any] = field(default_factory=dict)  # options that make it what it is
     package: str | None = None  # that has to be installed beside bench
+
+    def import_class(self) -> type[Estimator]:
+        """Return its class."""
+        module, _, name = self.place.partition(":")
+        found: type[Estimator] = getattr(importlib.import_module(module), name)
+        return found
 
     @property
     def options(self) -> type[Options]:
         """The class of its options."""
-        return self.import_options()
+        found: type[Options] = getattr(importlib.import_module("bench.navigation.options"), self.model)
+        return found
 
     def wrong(self, given: Mapping[str, Any]) -> list[str]:
         """Return a line for each option of a profile that is wrong."""
@@ -45,188 +52,97 @@ class BuiltIn:
         ]
 
 
-def _options() -> Any:
-    from bench.navigation import options
-
-    return options
-
-
-def _import_loose() -> type[Estimator]:
-    from bench.navigation.models.loose_tight import Loose
-
-    return Loose
-
-
-def _import_tight() -> type[Estimator]:
-    from bench.navigation.models.loose_tight import Tight
-
-    return Tight
-
-
-def _import_smoother() -> type[Estimator]:
-    from bench.navigation.models.smoother import Smoother
-
-    return Smoother
-
-
-def _import_gnss_only() -> type[Estimator]:
-    from bench.navigation.models.gnss_only import GnssOnly
-
-    return GnssOnly
-
-
-def _import_ukf() -> type[Estimator]:
-    from bench.navigation.models.ukf import Unscented
-
-    return Unscented
-
-
-def _import_classic_22() -> type[Estimator]:
-    from bench.navigation.models.classic import Classic22
-
-    return Classic22
-
-
-def _import_error_ekf() -> type[Estimator]:
-    from bench.navigation.register.error_ekf import ErrorEkfEstimator
-
-    return ErrorEkfEstimator
-
-
-def _import_fixed_gain() -> type[Estimator]:
-    from bench.navigation.register.given_gains import FixedGain
-
-    return FixedGain
-
-
-def _import_complementary() -> type[Estimator]:
-    from bench.navigation.register.given_gains import Complementary
-
-    return Complementary
-
-
-def _import_least_squares() -> type[Estimator]:
-    from bench.navigation.register.given_gains import LeastSquares
-
-    return LeastSquares
-
-
-def _import_invariant_ekf() -> type[Estimator]:
-    from bench.navigation.models.invariant_ekf import InvariantEkf
-
-    return InvariantEkf
-
-
-def _import_graph_smoother() -> type[Estimator]:
-    from bench.navigation.models.graph.factor_graph import GraphSmoother
-
-    return GraphSmoother
-
-
+_LOOSE = "bench.navigation.models.loose_tight:Loose"
 _NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
 BUILT_IN: Mapping[str, BuiltIn] = {
     "loose-15": BuiltIn(
-        "INS/GNSS/baro, 15 states and a baro bias",
-        _import_loose,
-        lambda: _options().FusionOptions,
-        FORWARD["loose-15"],
+        "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", FORWARD["loose-15"]
     ),
     "loose-22": BuiltIn(
-        "the same with GNSS Markov errors, 22 states",
-        _import_loose,
-        lambda: _options().FusionOptions,
-        FORWARD["loose-22"],
+        "the same with GNSS Markov errors, 22 states", _LOOSE, "FusionOptions", FORWARD["loose-22"]
     ),
     "loose-mems": BuiltIn(
         "loose-22 with scale factors and g-sensitivity, 37 states",
-        _import_loose,
-        lambda: _options().FusionOptions,
+        _LOOSE,
+        "FusionOptions",
         FORWARD["loose-mems"],
     ),
     "loose-full": BuiltIn(
         "loose-22 with a state or noise for every error of the IMU that its datasheet names",
-        _import_loose,
-        lambda: _options().FusionOptions,
+        _LOOSE,
+        "FusionOptions",
         FORWARD["loose-full"],
     ),
     "tight": BuiltIn(
         "loose-full by ranges and rates, with states for what wanders in them; goes on with one satellite",
-        _import_tight,
-        lambda: _options().TightOptions,
+        "bench.navigation.models.loose_tight:Tight",
+        "TightOptions",
         FORWARD["tight"],
     ),
     "smoother": BuiltIn(
         "loose-full and a pass back over its record",
-        _import_smoother,
-        lambda: _options().SmootherOptions,
+        "bench.navigation.models.smoother:Smoother",
+        "SmootherOptions",
         {"gnss": True},
     ),
     "baro-inertial": BuiltIn(
-        "IMU and barometer",
-        _import_loose,
-        lambda: _options().FusionOptions,
-        {"gnss": False, "gnss_markov": False},
+        "IMU and barometer", _LOOSE, "FusionOptions", {"gnss": False, "gnss_markov": False}
     ),
     "free-inertial": BuiltIn(
         "IMU alone, with its open-loop covariance",
-        _import_loose,
-        lambda: _options().FusionOptions,
+        _LOOSE,
+        "FusionOptions",
         {"gnss": False, "baro": False, "gnss_markov": False},
     ),
     "gnss-only": BuiltIn(
         "position and velocity from the fixes, without IMU",
-        _import_gnss_only,
-        lambda: _options().GnssOnlyOptions,
-        {},
+        "bench.navigation.models.gnss_only:GnssOnly",
+        "GnssOnlyOptions",
     ),
     "ukf": BuiltIn(
         "the states of loose-15 by sigma points, slow",
-        _import_ukf,
-        lambda: _options().UnscentedOptions,
-        {},
+        "bench.navigation.models.ukf:Unscented",
+        "UnscentedOptions",
     ),
     "classic-22": BuiltIn(
         "the source's 22 states step by step, slow: the oracle of loose-22",
-        _import_classic_22,
-        lambda: _options().ClassicOptions,
-        {},
+        "bench.navigation.models.classic:Classic22",
+        "ClassicOptions",
     ),
     "error-ekf": BuiltIn(
         "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
-        _import_error_ekf,
-        lambda: _options().ClassicOptions,
+        "bench.navigation.register.error_ekf:ErrorEkfEstimator",
+        "ClassicOptions",
         {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
     ),
     "fixed-gain": BuiltIn(
         "classic-22 with the gain of a settled filter throughout, slow",
-        _import_fixed_gain,
-        lambda: _options().ClassicOptions,
+        "bench.navigation.register.given_gains:FixedGain",
+        "ClassicOptions",
         _NO_FORM,
     ),
     "complementary": BuiltIn(
         "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
-        _import_complementary,
-        lambda: _options().ComplementaryOptions,
+        "bench.navigation.register.given_gains:Complementary",
+        "ComplementaryOptions",
         _NO_FORM,
     ),
     "least-squares": BuiltIn(
         "least squares over the past, old measurements with less weight, slow",
-        _import_least_squares,
-        lambda: _options().LeastSquaresOptions,
+        "bench.navigation.register.given_gains:LeastSquares",
+        "LeastSquaresOptions",
         _NO_FORM,
     ),
     "invariant-ekf": BuiltIn(
         "loose-15 as an invariant EKF on SE2(3): errors in body axes; fixes only; slow",
-        _import_invariant_ekf,
-        lambda: _options().InvariantOptions,
-        {},
+        "bench.navigation.models.invariant_ekf:InvariantEkf",
+        "InvariantOptions",
     ),
     "graph-smoother": BuiltIn(
         "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow (extra 'graph')",
-        _import_graph_smoother,
-        lambda: _options().GraphOptions,
-        {},
+        "bench.navigation.models.graph.factor_graph:GraphSmoother",
+        "GraphOptions",
         package="gtsam",
     ),
 }
