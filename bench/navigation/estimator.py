@@ -8,7 +8,8 @@ import traceback
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import Any, Protocol, runtime_checkable
+from itertools import pairwise
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -45,15 +46,6 @@ class Estimator(Protocol):
         ...
 
 
-@runtime_checkable
-class Identified(Protocol):
-    """An estimator that can tell on which records it is the same as another."""
-
-    def identity(self, sensors: SensorData) -> Hashable:
-        """Return what a solution follows from, beside the record and the start."""
-        ...
-
-
 RECORDS: Mapping[str, str] = {
     "fixes": "a gnss",
     "observations": "a gnss at measurement level, one with [sky] such as 'sky-l1'",
@@ -83,6 +75,7 @@ def make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedE
 
 
 _LONGEST = 500  # characters of an exception in a message
+_ENDS = (0.3, 0.31, 0.8)  # of pieces, as parts of the samples
 
 
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
@@ -135,11 +128,9 @@ def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, 
     solutions are the same.
     """
     first: dict[Hashable, str] = {}
-    same = {}
-    for label, one in built.items():
-        if isinstance(one, Identified) and (found := first.setdefault(one.identity(sensors), label)) != label:
-            same[label] = found
-    return same
+    told = {label: one.identity(sensors) for label, one in built.items() if hasattr(one, "identity")}
+    same = {label: first.setdefault(identity, label) for label, identity in told.items()}
+    return {label: found for label, found in same.items() if found != label}
 
 
 def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:
@@ -200,8 +191,6 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
     a given initial state it must also cope with a record without output times, aiding records without rows,
     and rows that are not finite, flagged or not; one that runs in pieces must give the same bits in them.
     """
-    from bench.navigation.piece_check import check_pieces
-
     before = pickle.dumps((sensors, initial))
     try:
         copy = pickle.loads(pickle.dumps(estimator))
@@ -217,12 +206,35 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
             assert same, f"run() is not repeatable: {name} differs from {how}"
     _sound(first, sensors, initial)
     if initial.alignment == "given":
-        check_pieces(estimator, sensors, initial, first)
+        _check_pieces(estimator, sensors, initial, first)
         for what, hard in _hardships(sensors).items():
             try:
                 _sound(estimator.run(hard, initial), hard, initial)
             except Exception as error:
                 raise AssertionError(f"{what}: {error!r}") from error
+
+
+def _check_pieces(estimator: object, sensors: SensorData, initial: InitialState, whole: NavSolution) -> None:
+    """Raise AssertionError if the answers of an estimator in pieces differ from those on the whole record.
+
+    The start is given.
+    """
+    from bench.navigation.engine.piecewise import RunsInPieces
+    from bench.navigation.engine.record_cuts import longest_wait, take_head, take_piece
+
+    if not isinstance(estimator, RunsInPieces):
+        return
+    wait, head = longest_wait(sensors), take_head(sensors)
+    filter_ = estimator.in_pieces(head, initial, [])
+    found = []
+    for begin, end in pairwise([-np.inf, *np.nanquantile(sensors.imu.t, _ENDS), np.inf]):
+        found.append(filter_.feed(take_piece(sensors, begin, end), wait, last=end == np.inf))
+        if end < np.inf:
+            filter_.copy().answer(head)
+    for name in ("t", "lla", "vel_n", "q_nb", "cov"):
+        joined = np.concatenate([getattr(one, name) for one in found])
+        same = np.array_equal(joined, getattr(whole, name), equal_nan=True)
+        assert same, f"in pieces it gives other bits: {name} differs"
 
 
 def _hardships(sensors: SensorData) -> dict[str, SensorData]:

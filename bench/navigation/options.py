@@ -384,10 +384,9 @@ def read_options(model: type[_O], given: Mapping[str, Any]) -> _O:
     ValueError
         One line for each that is wrong.
     """
-    try:
-        return model(**given)
-    except ValidationError as error:
-        raise ValueError("\n".join(_lines(model, error, {}))) from None
+    if wrong := model.list_wrong(given, {}):
+        raise ValueError("\n".join(wrong))
+    return model(**given)
 
 
 def _lines(model: type[Options], error: ValidationError, fixed: Mapping[str, Any]) -> list[str]:
