@@ -7,16 +7,13 @@ prints F). The first system is never touched: its output is corrected by what is
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-
 import numpy as np
 
 from bench.arrays import FloatArray
 from bench.data import InitialState, SensorData
-from bench.navigation.engine.session import Kept, Scratch
+from bench.navigation.engine.session import Scratch
 from bench.navigation.models.classic import Classic22
-from bench.navigation.models.classic.covariance_forms import Form
+from bench.navigation.models.classic.covariance_forms import WholeForm
 from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.classic.navigator import (
     NED_OF_ENU,
@@ -29,85 +26,31 @@ from bench.navigation.models.classic.navigator import (
 from bench.navigation.models.classic.observation_model import Fix, antenna_sweep
 from bench.navigation.models.classic.process_model import SIZE
 
-
-@dataclass(frozen=True, slots=True)
-class ErrorEkf:
-    """A filter of n errors of m1 quantities of one system and m2 of another."""
-
-    M1: FloatArray  # (m1, n) errors in z1
-    M2: FloatArray  # (m2, n) errors in z2
-    steps: FloatArray  # (m1,) over which f is differentiated
-
-    def predict(
-        self, x: FloatArray, P: FloatArray, F: FloatArray, Q: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return x (n,) and P (n, n) a step on (B-20, B-22)."""
-        return F @ x, F @ P @ F.T + Q
-
-    def correct(self, z1: FloatArray, x: FloatArray) -> FloatArray:
-        """Return the quantities of the first system less what is known of their errors (B-21)."""
-        return z1 - self.M1 @ x
-
-    def observe(
-        self,
-        x: FloatArray,
-        P: FloatArray,
-        z1: FloatArray,
-        z2: FloatArray,
-        f: Callable[[FloatArray], FloatArray],
-        R: FloatArray,
-        rows: list[int],
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return x and P after some rows of z2 (m2,), P by Joseph's form (B-19b).
-
-        ``f`` gives all of z2 for quantities z1; R is the noise of the rows.
-        """
-        corrected = self.correct(z1, x)
-        ends = [[f(corrected + sign * step) for step in np.diag(self.steps)] for sign in (1.0, -1.0)]
-        slope = (np.array(ends[0]) - np.array(ends[1])).T / (2.0 * self.steps)
-        H = (self.M2 - slope @ self.M1)[rows]
-        expected = (f(corrected) + self.M2 @ x)[rows]
-        gain = np.asarray(np.linalg.solve(H @ P @ H.T + R, H @ P).T, float)
-        left = np.eye(len(x)) - gain @ H
-        return x + gain @ (z2[rows] - expected), left @ P @ left.T + gain @ R @ gain.T
-
-
-_M1 = np.eye(15, SIZE)
-_M2 = np.zeros((7, SIZE))
+_M1 = np.eye(15, SIZE)  # errors in z1
+_M2 = np.zeros((7, SIZE))  # errors in z2
 _M2[0, 15] = 1.0
 _M2[1:, 16:] = np.eye(6)
-_STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)
+_STEPS = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1.0], 3)  # over which f is differentiated
 
 
-class _ErrorEkfState(Form):
-    """x and P of an :class:`ErrorEkf` on what a loop was given."""
+class _ErrorEkfState(WholeForm):
+    """x and P of the generic filter on what a loop was given; they step by (B-20, B-22)."""
 
-    _P: Kept[FloatArray]
     loop: Scratch[_Loop]  # that gives what has arrived
 
-    def __init__(self, P: FloatArray) -> None:
-        super().__init__(P, np.float64)
-        self.ekf, self._P = ErrorEkf(_M1, _M2, _STEPS), P
-
-    @property
-    def covariance(self) -> FloatArray:
-        """The covariance (n, n)."""
-        return self._P
-
-    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
-        """Step x and P."""
-        self.x, self._P = self.ekf.predict(np.asarray(self.x, float), self._P, Phi, Q)
-
-    def add(self, E: FloatArray) -> None:
-        """Add E E' to P."""
-        self._P = self._P + E @ E.T
-
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
-        """Observe what has arrived; Y and H are the other filter's."""
+        """Observe some rows of z2, P by Joseph's form (B-19b); Y and H are the other filter's."""
         z1 = np.concatenate([np.zeros(3), nav.V, np.zeros(9)])
-        x = np.asarray(self.x, float)
-        z2 = self.loop.measured()
-        self.x, self._P = self.ekf.observe(x, self._P, z1, z2, self.loop.expect, R, rows)
+        x, P, z2, f = self.x, self.P, self.loop.measured(), self.loop.expect
+        corrected = z1 - _M1 @ x  # less what is known of its errors (B-21)
+        ends = [[f(corrected + sign * step) for step in np.diag(_STEPS)] for sign in (1.0, -1.0)]
+        slope = (np.array(ends[0]) - np.array(ends[1])).T / (2.0 * _STEPS)
+        H = (_M2 - slope @ _M1)[rows]
+        expected = (f(corrected) + _M2 @ x)[rows]
+        gain = np.asarray(np.linalg.solve(H @ P @ H.T + R, H @ P).T, float)
+        left = np.eye(len(x)) - gain @ H
+        self.x = x + gain @ (z2[rows] - expected)
+        self.P = left @ P @ left.T + gain @ R @ gain.T
 
 
 class _Loop(FilterLoop):

@@ -16,7 +16,7 @@ from bench.arrays import FloatArray
 from bench.data import InitialState, SensorData
 from bench.navigation.engine.session import Kept
 from bench.navigation.models.classic import Classic22
-from bench.navigation.models.classic.covariance_forms import Form
+from bench.navigation.models.classic.covariance_forms import WholeForm
 from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.classic.navigator import Nav, ellipsoid, reduced
 from bench.navigation.models.classic.observation_model import measurement_matrix, measurement_noise
@@ -31,33 +31,14 @@ _FITTED = 16  # states of the least squares: all but the Markov errors of GNSS
 _BARO, _FIX = [0], [1, 2, 3, 4, 5, 6]  # rows of A-5.4.3
 
 
-class GivenGain(Form):
-    """x and P of a filter with a gain of its own; ``x`` may have a column for each of many flights."""
-
-    _P: Kept[FloatArray]
-
-    def __init__(self, P: FloatArray) -> None:
-        super().__init__(P, np.float64)
-        self._P = P.copy()
-
-    @property
-    def covariance(self) -> FloatArray:
-        """The covariance (n, n) of the errors that this gain leaves."""
-        return self._P
-
-    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
-        """Step x and P."""
-        self.x, self._P = Phi @ self.x, Phi @ self._P @ Phi.T + Q
-
-    def add(self, E: FloatArray) -> None:
-        """Add E E' to P."""
-        self._P = self._P + E @ E.T
+class GivenGain(WholeForm):
+    """x and P of a filter with a gain of its own; P is the covariance of the errors that it leaves."""
 
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
         """Use the measurements with the gain, P by Joseph's form."""
         K = self.find_gain(H, R, rows, nav)
         left = np.eye(len(K)) - K @ H
-        self.x, self._P = self.x + K @ (Y - H @ self.x), left @ self._P @ left.T + K @ R @ K.T
+        self.x, self.P = self.x + K @ (Y - H @ self.x), left @ self.P @ left.T + K @ R @ K.T
 
     @abstractmethod
     def find_gain(self, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> FloatArray:

@@ -33,6 +33,7 @@ from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES, unmo
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
+from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.stepped_filters import SteppedPassage
 from bench.navigation.options import ClassicOptions, read_options
@@ -69,8 +70,8 @@ class Classic22:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, sensor errors and their covariance."""
         for record, name in ((sensors.baro, "baro"), (sensors.fixes, "gnss")):
-            if record is not None and getattr(sensors.specs, name) is None:
-                raise ValueError(f"the record holds {name} data, but sensors.assumed names no {name} unit")
+            if record is not None:
+                assumed(sensors.specs, name)
         initial, events = alignment.complete(sensors, initial)
         return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
 

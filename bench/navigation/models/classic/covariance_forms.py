@@ -52,18 +52,13 @@ class Form(SessionState, ABC):
         """
 
 
-class Joseph(Form):
-    """P as it is, with the step and the update of `filterpy`."""
+class WholeForm(Form):
+    """P as it is; ``x`` may have a column for each of many flights."""
 
-    kf: Scratch[Any]  # a `filterpy.kalman.KalmanFilter`
     P: Kept[Floats]  # (n, n)
 
-    def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
-        from filterpy.kalman import KalmanFilter
-
+    def __init__(self, P: FloatArray, dtype: DTypeLike = np.float64) -> None:
         super().__init__(P, dtype)
-        self.kf = KalmanFilter(dim_x=len(P), dim_z=7)
-        self.kf._I = np.eye(len(P), dtype=dtype)  # the rest keeps the type of what it is given
         self.P = P.astype(dtype)
 
     @property
@@ -73,13 +68,30 @@ class Joseph(Form):
 
     def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
         """Step x and P."""
-        self.kf.x, self.kf.P = self.x[:, None], self.P
-        self.kf.predict(F=Phi.astype(self.x.dtype), Q=Q.astype(self.x.dtype))
-        self.x, self.P = self.kf.x[:, 0], self.kf.P
+        self.x, self.P = Phi @ self.x, Phi @ self.P @ Phi.T + Q
 
     def add(self, E: FloatArray) -> None:
         """Add E E' to P."""
         self.P = (self.P + E @ E.T).astype(self.x.dtype)
+
+
+class Joseph(WholeForm):
+    """The step and the update of `filterpy`."""
+
+    kf: Scratch[Any]  # a `filterpy.kalman.KalmanFilter`
+
+    def __init__(self, P: FloatArray, dtype: DTypeLike) -> None:
+        from filterpy.kalman import KalmanFilter
+
+        super().__init__(P, dtype)
+        self.kf = KalmanFilter(dim_x=len(P), dim_z=7)
+        self.kf._I = np.eye(len(P), dtype=dtype)  # the rest keeps the type of what it is given
+
+    def predict(self, Phi: FloatArray, Q: FloatArray, T: float) -> None:
+        """Step x and P."""
+        self.kf.x, self.kf.P = self.x[:, None], self.P
+        self.kf.predict(F=Phi.astype(self.x.dtype), Q=Q.astype(self.x.dtype))
+        self.x, self.P = self.kf.x[:, 0], self.kf.P
 
     def update(self, Y: FloatArray, H: FloatArray, R: FloatArray, rows: list[int], nav: Nav) -> None:
         """Use all rows at once; eight are singular and take a pseudo-inverse (A-5.4.8R)."""

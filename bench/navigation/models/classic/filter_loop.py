@@ -17,6 +17,7 @@ from bench.navigation.engine import timeline
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import correction_period, nis, tolerance, trace_ratio
 from bench.navigation.engine.session import Kept
+from bench.navigation.error_state_filter.answers import answers as join_answers
 from bench.navigation.error_state_filter.corrections import RATE_NOISE
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
@@ -77,7 +78,7 @@ class FilterLoop(SteppedFilter):
     known: Kept[deque[tuple[float, FloatArray]]]  # errors of the navigator after each fix
     events: Kept[list[EventRow]]
 
-    shapes = (3,), (3,), (4,), (13,), (13,), (9, 9)
+    shapes = (23,), (13,), (9, 9)
     one_antenna = True
 
     def __init__(self, options: ClassicOptions, sensors: SensorData, initial: InitialState) -> None:
@@ -197,7 +198,9 @@ class FilterLoop(SteppedFilter):
         """Use what has arrived: the rows of Y, their tests, the update and the correction."""
         earth = ellipsoid(self.nav.lat, self.nav.h)
         east, north = reduced(self.nav, earth)
-        jump = fix is not None and self._satellites_changed(fix.satellites)
+        jump = fix is not None and self.satellites not in (None, fix.satellites)
+        if fix is not None:
+            self.satellites = fix.satellites
         if jump:
             self._grow(
                 range(16, process_model.SIZE),
@@ -247,11 +250,6 @@ class FilterLoop(SteppedFilter):
         if set(_ROWS["gnss_position"]) <= set(use):
             self._remember(now)
         self._correct(now)
-
-    def _satellites_changed(self, count: int) -> bool:
-        changed = self.satellites is not None and count != self.satellites
-        self.satellites = count
-        return changed
 
     def _measurements(self, earth: Earth, fix: Fix | None, alt_baro: float | None) -> FloatArray:
         """Return Y (8,), INS less measured (A-5.4.3), NaN in the rows of what has not arrived."""
@@ -354,7 +352,7 @@ class FilterLoop(SteppedFilter):
                 self.known.popleft()
 
     def answer(self, now: float) -> tuple[FloatArray, ...]:
-        """Return lla, vel_n, q_nb, states, their sd and the covariance of the corrected output."""
+        """Return the corrected output (23,), the variances of its last 13 states and its covariance."""
         x, P = self.form.x.astype(float), self.form.covariance
         if len(self.known) >= _CURVE and now - self.known[-1][0] > 2.5 * self.fix_interval:
             t, errors = zip(*self.known, strict=True)
@@ -372,12 +370,10 @@ class FilterLoop(SteppedFilter):
         states = x[9:].copy()
         states[:3] += self.eps
         states[3:6] += self.da
+        q_nb = rotation.from_matrix(NED_OF_ENU @ nav.B @ FRD_OF_FUR.T)
         return (
-            np.array([nav.lat, nav.lon, nav.h]),
-            NED_OF_ENU @ nav.V,
-            rotation.from_matrix(NED_OF_ENU @ nav.B @ FRD_OF_FUR.T),
-            to_ned @ states,
-            np.sqrt(np.diag(to_ned @ P[9:, 9:] @ to_ned.T)),
+            np.concatenate([[nav.lat, nav.lon, nav.h], NED_OF_ENU @ nav.V, q_nb, to_ned @ states]),
+            np.diag(to_ned @ P[9:, 9:] @ to_ned.T),
             J @ P[:9, :9] @ J.T,
         )
 
@@ -385,20 +381,7 @@ class FilterLoop(SteppedFilter):
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers at instants (M,) [s], with innovations and events since this was called last."""
-        lla, vel_n, q_nb, states, sd, cov = answers
+        state, variance, cov = answers
         table, refused = self.gate.take(last=last)
         events, self.events = events + self.events + refused, []
-        return NavSolution(
-            t=t,
-            lla=lla,
-            vel_n=vel_n,
-            q_nb=q_nb,
-            gyro_bias_b=states[:, :3],
-            accel_bias_b=states[:, 3:6],
-            cov=cov,
-            extra_names=_LAYOUT.labels(),
-            extra=states,
-            extra_sd=sd,
-            innovations=table,
-            events=Events.from_rows(events),
-        )
+        return join_answers(t, _LAYOUT, state, cov, variance, table, Events.from_rows(events))

@@ -138,44 +138,38 @@ def _quaternion_of(C: FloatArray) -> Quaternion:
 class OneQuaternion:
     """Quaternion to the frame, whose turn is resolved by the attitude before the step (A-2.2.4)."""
 
-    def __init__(self, C: FloatArray, threshold: float = NORM_THRESHOLD) -> None:
-        self.C, self._threshold = C, threshold
-        self.q = _quaternion_of(C)
+    def __init__(self, C: FloatArray) -> None:
+        self.C, self.q = C, _quaternion_of(C)
 
     def step(self, theta: Vector, frame: Vector) -> None:
         """Carry C over a step."""
         x, y, z = (np.array(theta) - self.C.T @ np.array(frame)).tolist()  # A-2.2.13
-        self.q = normalize(compose(self.q, picard_turn((x, y, z))), self._threshold)
+        self.q = normalize(compose(self.q, picard_turn((x, y, z))))
         self.C = matrix(self.q)
 
 
 class TwoQuaternions:
     """Quaternions of the body and of the navigation frame to inertial axes, B = C' A (A-2.2.5b)."""
 
-    def __init__(self, C: FloatArray, threshold: float = NORM_THRESHOLD) -> None:
-        self.C, self._threshold = C, threshold
-        self.body = _quaternion_of(C)
+    def __init__(self, C: FloatArray) -> None:
+        self.C, self.body = C, _quaternion_of(C)
         self.frame: Quaternion = (1.0, 0.0, 0.0, 0.0)
 
     def step(self, theta: Vector, frame: Vector) -> None:
         """Carry C over a step: Picard to the second order for the body, to the first for the frame."""
-        self.body = normalize(compose(self.body, picard_turn(theta)), self._threshold)
-        self.frame = normalize(compose(self.frame, picard_turn(frame, order=1)), self._threshold)
+        self.body = normalize(compose(self.body, picard_turn(theta)))
+        self.frame = normalize(compose(self.frame, picard_turn(frame, order=1)))
         w, x, y, z = self.frame
         self.C = matrix(compose((w, -x, -y, -z), self.body))
 
 
-class RotationVector:
+class RotationVector(OneQuaternion):
     """Quaternion to the navigation frame by exact turns of the body and of the frame."""
-
-    def __init__(self, C: FloatArray, threshold: float = NORM_THRESHOLD) -> None:
-        self.C, self._threshold = C, threshold
-        self.q = _quaternion_of(C)
 
     def step(self, theta: Vector, frame: Vector) -> None:
         """Carry C over a step."""
         turned = compose(self.q, exact_turn(theta))
-        self.q = normalize(compose(exact_turn(scale(frame, -1.0)), turned), self._threshold)
+        self.q = normalize(compose(exact_turn(scale(frame, -1.0)), turned))
         self.C = matrix(self.q)
 
 
