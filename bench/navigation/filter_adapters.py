@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from bench import earth
 from bench.arrays import FloatArray
 from bench.data import InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
+from bench.navigation.engine.record_cuts import nothing_known
 
 
 def fix_steps(
@@ -58,8 +60,5 @@ def track_solution(
     x, cov = np.full((m, 6), np.nan), np.full((m, 9, 9), np.nan)
     for k, (state, P) in enumerate(states):
         x[k], cov[k, :6, :6] = np.ravel(state)[:6], P[:6, :6]
-    none = np.full((m, 4), np.nan)
     lla = earth.displace(initial.lla, x[:, :3])
-    return NavSolution(
-        sensors.output_t, lla, x[:, 3:], none, none[:, :3], none[:, :3], cov, (), none[:, :0], none[:, :0]
-    )
+    return replace(nothing_known(sensors.output_t), lla=lla, vel_n=x[:, 3:], cov=cov)

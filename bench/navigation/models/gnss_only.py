@@ -25,6 +25,7 @@ from bench.data import (
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.piecewise import answer_now, refuse
+from bench.navigation.engine.record_cuts import nothing_known
 from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.error_state_filter.aiding_sensors import (
     LATENCY,
@@ -74,14 +75,7 @@ class GnssOnly:
 class FixPassage(SessionState):
     """The filter on its way through a record that comes in pieces (`piecewise.InPieces`).
 
-    Parameters
-    ----------
-    options : GnssOnlyOptions
-        Of the filter.
-    initial : InitialState
-        Start; without a given one it begins with the first fix.
-    events : list of (t, t_end, kind, text)
-        What went before.
+    Without a given start it begins with the first fix; ``events`` are what went before.
     """
 
     events: Kept[list[EventRow]]
@@ -129,15 +123,11 @@ class FixPassage(SessionState):
         P[:, range(6), range(6)] += arm
         accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
         P[:, 6:], P[:, :, 6:] = np.nan, np.nan
-        none = np.full((len(output_t), 4), np.nan)
         events, self.events = self.events, []
-        return NavSolution(
-            t=output_t,
+        return replace(
+            nothing_known(output_t),
             lla=x[:, :3],
             vel_n=x[:, 3:6],
-            q_nb=none,
-            gyro_bias_b=none[:, :3],
-            accel_bias_b=none[:, :3],
             cov=P,
             extra_names=STATES,
             extra=x[:, 6:],
@@ -215,7 +205,4 @@ def _unknown(count: int) -> tuple[FloatArray, FloatArray]:
 
 def _latest(t: float, *more: FloatArray) -> float:
     """Return the latest finite instant of all [s]."""
-    for one in more:
-        newest = float(np.fmax.reduce(one, initial=t))
-        t = newest if newest < np.inf else float(one[np.isfinite(one)].max(initial=t))
-    return t
+    return max(t, *(float(one[np.isfinite(one)].max(initial=-np.inf)) for one in more))

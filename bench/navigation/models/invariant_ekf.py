@@ -23,20 +23,18 @@ from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.engine.session import Kept
 from bench.navigation.error_state_filter.aiding_sensors import FIXES, unmodelled
+from bench.navigation.error_state_filter.answers import answers as join_answers
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.error_state_filter.rough_heading import motion_share
+from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.models.classic.process_model import bias_and_walk
-from bench.navigation.models.graph.flat_frame import FlatFrame, schedule_fixes
+from bench.navigation.models.graph.flat_frame import FlatFrame
 from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
 from bench.sensor_specs import AssumedSpecs, ImuSpec
-
-BIASES = tuple(
-    f"{name}_bias_{axis}_{unit}" for name, unit in (("gyro", "rad_s"), ("accel", "m_s2")) for axis in "xyz"
-)
 
 
 class InvariantEkf:
@@ -61,7 +59,8 @@ class InvariantEkf:
 
     def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
         flight = InvariantFlight(self.options, first.specs.imu, initial)
-        schedule = schedule_fixes(first, initial, events)
+        schedule = Schedule(initial.t, first.specs.imu, compensate=False, cut=True)
+        schedule.events += events
         used = [] if first.fixes is None else [FIXES]
         return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
 
@@ -157,30 +156,18 @@ class InvariantFlight(SteppedFilter):
         self.P = Phi @ self.P @ Phi.T + np.diag(added)
 
     def answer(self, now: float) -> tuple[FloatArray, ...]:
-        """Return state and biases (16,), the covariance (9, 9) and the sd of the biases (6,)."""
+        """Return state and biases (16,), the covariance (9, 9) and the variances of the biases (6,)."""
         state, cov = self.frame.answer(self.C_tb, self.p_t, self.v_t, self.P[:9, :9])
-        return np.concatenate([state, self.bias]), cov, np.sqrt(np.diag(self.P)[9:])
+        return np.concatenate([state, self.bias]), cov, np.diag(self.P)[9:]
 
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
         """Return answers at instants (M,) [s], with the innovations since this was called last."""
         table, refused = self.gate.take(last=last)
-        state, cov, bias_sd = answers
-        return NavSolution(
-            t=t,
-            lla=state[:, :3],
-            vel_n=state[:, 3:6],
-            q_nb=state[:, 6:10],
-            gyro_bias_b=state[:, 10:13],
-            accel_bias_b=state[:, 13:],
-            cov=cov,
-            extra_names=BIASES,
-            extra=state[:, 10:],
-            extra_sd=bias_sd,
-            innovations=table,
-            events=Events.from_rows(events + refused),
-        )
+        state, cov, variance = answers
+        told = Events.from_rows(events + refused)
+        return join_answers(t, StateLayout(), state, cov, variance, table, told)
 
     def use_fix(self, t: float, fix: FloatArray, r: FloatArray, antenna_b: FloatArray) -> None:
         """Use position and velocity of a fix, each with its own gate; there may be no velocity."""
@@ -242,12 +229,3 @@ class InvariantFlight(SteppedFilter):
         turned[:3, :3] -= 0.5 * rotation.skew(x[:3])
         turned[3:6, 3:6] = turned[6:9, 6:9] = turn.T
         self.P = turned @ self.P @ turned.T
-
-
-def _left_jacobian(phi: FloatArray) -> FloatArray:
-    """Return the matrix (3, 3) by which an error of position moves the position, for a rotation vector."""
-    angle, K = float(np.linalg.norm(phi)), rotation.skew(phi)
-    if angle < 1e-4:
-        return np.eye(3) + 0.5 * K + K @ K / 6.0
-    turned, rest = (1.0 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
-    return np.asarray(np.eye(3) + turned * K + rest * (K @ K))

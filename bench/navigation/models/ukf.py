@@ -26,15 +26,7 @@ from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.engine.session import Kept, Scratch
-from bench.navigation.error_state_filter.aiding_sensors import (
-    AIDING,
-    MAGNETOMETER,
-    SATELLITES,
-    AidingSensor,
-    magnetic_map,
-    records_needed,
-    unmodelled,
-)
+from bench.navigation.error_state_filter.aiding_sensors import MAGNETOMETER, magnetic_map, unmodelled
 from bench.navigation.error_state_filter.answers import solution
 from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel
 from bench.navigation.error_state_filter.error_state import (
@@ -61,16 +53,11 @@ from bench.navigation.error_state_filter.propagation import (
 from bench.navigation.error_state_filter.ranges.ranging import empty_sky, place_fillers
 from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.error_state_filter.schedule import Schedule
-from bench.navigation.error_state_filter.state_blocks import (
-    StateModel,
-    chosen_blocks,
-    state_model,
-    used_blocks,
-)
-from bench.navigation.error_state_filter.state_processes import Block
+from bench.navigation.error_state_filter.state_blocks import StateModel, state_model
 from bench.navigation.mechanization import body_step_kernel, step_kernel
+from bench.navigation.models.loose_tight import Loose
 from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
-from bench.navigation.options import AidingOptions, FusionOptions, UnscentedOptions, read_options
+from bench.navigation.options import AidingOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
 from bench.sensor_specs import AssumedSpecs
@@ -135,6 +122,7 @@ class Unscented:
 
     def __init__(self, **options: Any) -> None:
         self.options = read_options(UnscentedOptions, options)
+        self.loose = Loose(**self.options.model_dump(include=set(AidingOptions.model_fields)))
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
@@ -152,9 +140,8 @@ class Unscented:
         return self._passage(first, initial, events)
 
     def _passage(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> SteppedPassage:
-        used = [sensor for sensor in self._aiding() if getattr(first, sensor.record) is not None]
-        blocks = used_blocks(self._blocks(), first, [sensor.record for sensor in used])
-        model = state_model(initial, first.specs, blocks)
+        used = [sensor for sensor in self.loose.aiding() if getattr(first, sensor.record) is not None]
+        model = state_model(initial, first.specs, self.loose.blocks_for(first))
         field = magnetic_map(initial.lla, first.date) if MAGNETOMETER in used else np.zeros((5, 3))
         schedule = Schedule(
             initial.t, first.specs.imu, compensate=False, accuracy=self.options.fix_accuracy, cut=True
@@ -166,21 +153,12 @@ class Unscented:
     @property
     def needs(self) -> tuple[str, ...]:
         """The records it cannot work without; a barometer beside GNSS is used if there is one."""
-        return records_needed(self._aiding())
+        return self.loose.needs
 
     def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
         """Return the errors of these sensors that the estimator has no state for, in words."""
-        taken = {words for block in self._blocks() for words in block.takes}
-        return unmodelled(specs, self._aiding(), taken)
-
-    def _blocks(self) -> list[Block]:
-        """Return the states of the aiding sensors that the options ask for."""
-        asked = self.options.model_dump(include=set(AidingOptions.model_fields))
-        return chosen_blocks(FusionOptions(**asked))
-
-    def _aiding(self) -> list[AidingSensor]:
-        every = (sensor for sensor in AIDING if sensor is not SATELLITES)
-        return [sensor for sensor in every if getattr(self.options, sensor.option)]
+        taken = {words for block in self.loose.blocks() for words in block.takes}
+        return unmodelled(specs, self.loose.aiding(), taken)
 
 
 @dataclass

@@ -21,14 +21,17 @@ from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
+from bench.navigation.error_state_filter.aiding_sensors import FIXES
 from bench.navigation.error_state_filter.answers import answers
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.imu_states import core_states
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
+from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.step_entries import OUTPUT
-from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam, plan_fixes
+from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GraphOptions, read_options
+from bench.navigation.start import alignment
 from bench.navigation.start.whole_records import run_between_gaps
 from bench.sensor_specs import AssumedSpecs, ImuSpec
 
@@ -65,8 +68,15 @@ class GraphSmoother:
 
     def _run(self, sensors: SensorData, initial: InitialState, _: float | None) -> NavSolution:
         gtsam = load_gtsam()
-        initial, plan, dtheta, dvel, events = plan_fixes(sensors, initial)
+        initial, events = alignment.complete(sensors, initial)
+        schedule = Schedule(initial.t, sensors.specs.imu, compensate=False, cut=True)
+        schedule.events += events
+        schedule.take(sensors, last=True)
+        if sensors.fixes is not None:
+            schedule.add(FIXES, sensors, initial, StateLayout())
+        plan, events = schedule.plan(), schedule.events
         steps = plan.steps
+        dtheta, dvel = (one[steps.row] * steps.share[:, None] for one in (steps.dtheta_b, steps.dvel_b))
         dvel = dvel + 0.5 * np.cross(dtheta, dvel)  # along the axes at the start of the step
         chain = _Chain(gtsam, self.options, sensors, initial)
         done, outputs, waiting = -1, [], iter(plan.outputs.tolist())

@@ -9,19 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from bench import earth, rotation
 from bench.arrays import FloatArray
-from bench.data import EventRow, InitialState, SensorData
+from bench.data import InitialState
 from bench.earth import EARTH_RATE
 from bench.errors import EstimatorError
-from bench.navigation.error_state_filter.aiding_sensors import FIXES
-from bench.navigation.error_state_filter.error_state import StateLayout
-from bench.navigation.error_state_filter.schedule import Schedule, StepPlan
-from bench.navigation.start import alignment
 
 
 def load_gtsam() -> Any:
@@ -97,50 +93,3 @@ class FlatFrame:
         J = np.zeros((9, 9))
         J[3:6, 0:3] = J[6:9, 3:6] = J[0:3, 6:9] = -rotation.matrix(initial.q_nb).T
         return J
-
-
-def schedule_fixes(first: SensorData, initial: InitialState, events: list[EventRow]) -> Schedule:
-    """Return a schedule from a complete start, with what went before; a step ends at every answer.
-
-    Raises
-    ------
-    ValueError
-        If there are fixes and no datasheet of a receiver.
-    """
-    if first.fixes is not None and first.specs.gnss is None:
-        raise ValueError("the record holds gnss data, but sensors.assumed names no gnss unit")
-    schedule = Schedule(initial.t, first.specs.imu, compensate=False, cut=True)
-    schedule.events += events
-    return schedule
-
-
-class GraphTasks(NamedTuple):
-    """What there is to do in a record."""
-
-    initial: InitialState  # complete
-    plan: StepPlan  # steps, fixes and answers in order
-    dtheta: FloatArray  # (K, 3) rotation over each step [rad], b
-    dvel: FloatArray  # (K, 3) integral of the specific force over each step [m/s], b
-    events: list[EventRow]
-
-
-def plan_fixes(sensors: SensorData, initial: InitialState) -> GraphTasks:
-    """Return steps, fixes and answers of a record in order; the barometer is not used.
-
-    Raises
-    ------
-    EstimatorError
-        If the record does not allow the alignment.
-    ValueError
-        If there are fixes and no datasheet of a receiver.
-    """
-    initial, aligned = alignment.complete(sensors, initial)
-    schedule = schedule_fixes(sensors, initial, aligned)
-    schedule.take(sensors, last=True)
-    if sensors.fixes is not None:
-        schedule.add(FIXES, sensors, initial, StateLayout())
-    plan = schedule.plan()
-    row, share = plan.steps.row, plan.steps.share[:, None]
-    return GraphTasks(
-        initial, plan, plan.steps.dtheta_b[row] * share, plan.steps.dvel_b[row] * share, schedule.events
-    )
