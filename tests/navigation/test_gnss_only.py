@@ -24,10 +24,17 @@ from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.models.gnss_only import GnssOnly
 from bench.navigation.models.loose_tight import Loose
-from bench.navigation.start.singer import singer
+from bench.navigation.start.singer import singer_kernel, track_work
 from bench.specs import EvaluationWindow
 from tests.builders import band, student
 from tests.weaving import GNSS, units, weaving
+
+
+def singer(T, sd, tau):
+    """Phi and Q (3, 3) of one axis."""
+    work = track_work()
+    singer_kernel(T, sd, tau, work)
+    return work.Phi, work.Q
 
 
 @pytest.mark.parametrize("T", [1e-6, 1e-3, 0.1, 1.0, 9.0, 60.0, 600.0])

@@ -66,13 +66,7 @@ def complete(sensors: SensorData, initial: InitialState) -> tuple[InitialState, 
 
 
 class StartSearch(SessionState):
-    """Search for an initial alignment in a record that still grows.
-
-    Parameters
-    ----------
-    initial : InitialState
-        As for :func:`complete`.
-    """
+    """Search for an initial alignment in a record that still grows; ``initial`` is as in :func:`complete`."""
 
     initial: Kept[InitialState]
     tried: Kept[float]  # last sample when it was looked for last [s]

@@ -54,9 +54,8 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     stop = min(int(arrival[last]) + 2, len(t) - 1)  # after it has arrived, so that nobody uses it again
     scale = (span / sensors.imu.dt[rows])[:, None]
     dtheta, dvel = sensors.imu.dtheta_b[rows] * scale, sensors.imu.dvel_b[rows] * scale
-    match = _matched if by_velocity else _followed
     for roll in _ROLLS:
-        path = match(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b], roll)
+        path = _find_path(sensors, ends, [k - a for k in samples], span[a:b], dtheta[a:b], dvel[a:b], roll)
         if path is not None:
             break
     else:
@@ -183,7 +182,7 @@ def _quartet(fixes: GnssFixes, rows: IntArray) -> tuple[int, int, int, int]:
     return int(rows[0]), int(rows[after]), int(rows[before]), int(rows[-1])
 
 
-def _followed(
+def _find_path(
     sensors: SensorData,
     ends: tuple[int, ...],
     samples: Sequence[int],
@@ -192,73 +191,47 @@ def _followed(
     dvel: FloatArray,
     roll: float,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Return what :func:`_matched` returns, from four fixes without velocity.
+    """Return the strapdown along some fixes that gains their velocity and ends along their course, and F.
 
-    The strapdown gains the velocity by which the mean between the last two exceeds that between the first.
+    Of two fixes the velocities are measured; of four without velocity, next to the IMU ``samples``, it gains
+    that by which the mean between the last two exceeds that between the first. Newton's iteration on the
+    attitude at the start, from a ``roll`` [rad] on; the lever arm is taken off the fixes. It looks at the
+    horizontal velocity. None if that leads nowhere, or to an attitude with which the aircraft would gain
+    another vertical one: upside down.
     """
     assert sensors.fixes is not None
-    lla, arm_b = sensors.fixes.lla[list(ends)], sensors.antenna_b
+    lla, arm_b, moving = sensors.fixes.lla[list(ends)], sensors.antenna_b, len(ends) == 2
     span = np.concatenate([[0.0], np.cumsum(dt)])[list(samples)]
-    early, late = span[1], span[3] - span[2]
-    gain_time = span[3] - 0.5 * (early + late)
-    vel = earth.difference_n(lla[1], lla[0]) / early
-    q = rotation.from_euler(roll, 0.0, np.arctan2(vel[1], vel[0]))
+    if moving:
+        (vel, last_vel), T = sensors.fixes.vel_n[list(ends)], float(dt.sum())
+    else:
+        early, late, T = span[1], span[3] - span[2], span[3]
+        vel, gain_time = earth.difference_n(lla[1], lla[0]) / early, T - 0.5 * (early + late)
+    q, swept = rotation.from_euler(roll, 0.0, np.arctan2(vel[1], vel[0])), np.zeros(3)
     for _ in range(30):
-        states = propagate(earth.displace(lla[0], -rotation.rotate(q, arm_b)), vel, q, dt, dtheta, dvel)
-        at = states[list(samples)]
-        off = earth.difference_n(earth.displace(at[:, :3], rotation.rotate(at[:, 6:], arm_b)), lla)
-        first, last = (off[1] - off[0]) / early, (off[3] - off[2]) / late  # of the mean velocities
-        end = at[3]
-        wanted = end[3:6] - last - (last - first) / gain_time * (0.5 * late)
-        F = (end[3:6] - vel) / span[3] - earth.gravity_n(end[0], end[2])
-        e = (last - first) / gain_time
-        turn = rotation.to_euler(end[6:])[2] - np.arctan2(wanted[1], wanted[0])
-        down = np.pi - np.mod(np.pi - turn, 2 * np.pi)
-        phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
-        q = rotation.multiply(rotation.from_rotvec(-phi), q)
-        vel = vel - first + 0.5 * early * e
-        if np.abs(phi).max() < 1e-9:
-            states[-1, :3] = earth.displace(lla[3], -rotation.rotate(end[6:], arm_b))
-            states[-1, 3:6] = wanted
-            return (states, F) if abs(e[2]) < _FALLS else None
-    return None
-
-
-def _matched(
-    sensors: SensorData,
-    ends: tuple[int, ...],
-    _samples: Sequence[int],
-    dt: FloatArray,
-    dtheta: FloatArray,
-    dvel: FloatArray,
-    roll: float,
-) -> tuple[FloatArray, FloatArray] | None:
-    """Return the strapdown between two fixes that gains their velocity and ends along their course, and F.
-
-    Newton's iteration on the attitude at the start, from a ``roll`` [rad] on; the lever arm is taken
-    off both fixes. It looks at the horizontal velocity. None if that leads nowhere, or to an attitude with
-    which the aircraft would gain another vertical one: upside down.
-    """
-    assert sensors.fixes is not None
-    v_1, v_2 = sensors.fixes.vel_n[list(ends)]
-    T = float(dt.sum())
-    q = rotation.from_euler(roll, 0.0, np.arctan2(v_1[1], v_1[0]))
-    lla = sensors.fixes.lla[ends[0]]
-    for _ in range(30):
-        swept = _swept(sensors.antenna_b, q, dtheta[0] / dt[0], lla[0])
-        place = earth.displace(lla, -rotation.rotate(q, sensors.antenna_b))
-        states = propagate(place, v_1 - swept, q, dt, dtheta, dvel)
+        if moving:
+            swept = _swept(arm_b, q, dtheta[0] / dt[0], lla[0, 0])
+        place = earth.displace(lla[0], -rotation.rotate(q, arm_b))
+        states = propagate(place, vel - swept, q, dt, dtheta, dvel)
         end = states[-1]
-        wanted = v_2 - _swept(sensors.antenna_b, end[6:], dtheta[-1] / dt[-1], end[0])
+        if moving:
+            wanted = last_vel - _swept(arm_b, end[6:], dtheta[-1] / dt[-1], end[0])
+            e = (end[3:6] - wanted) / T
+        else:
+            at = states[list(samples)]
+            off = earth.difference_n(earth.displace(at[:, :3], rotation.rotate(at[:, 6:], arm_b)), lla)
+            first, last = (off[1] - off[0]) / early, (off[3] - off[2]) / late  # of the mean velocities
+            e = (last - first) / gain_time
+            wanted = end[3:6] - last - e * (0.5 * late)
+            vel = vel - first + 0.5 * early * e
         F = (end[3:6] - states[0, 3:6]) / T - earth.gravity_n(end[0], end[2])
-        e = (end[3:6] - wanted) / T
         turn = rotation.to_euler(end[6:])[2] - np.arctan2(wanted[1], wanted[0])
         down = np.pi - np.mod(np.pi - turn, 2 * np.pi)
         phi = np.array([(down * F[0] - e[1]) / F[2], (e[0] + down * F[1]) / F[2], down])
         q = rotation.multiply(rotation.from_rotvec(-phi), q)
         if np.abs(phi).max() < 1e-9:
-            last = earth.displace(sensors.fixes.lla[ends[1]], -rotation.rotate(end[6:], sensors.antenna_b))
-            states[-1, :3], states[-1, 3:6] = last, wanted
+            states[-1, :3] = earth.displace(lla[-1], -rotation.rotate(end[6:], arm_b))
+            states[-1, 3:6] = wanted
             return (states, F) if abs(e[2]) < _FALLS else None
     return None
 

@@ -30,16 +30,7 @@ def unknown_arm(antenna_b: FloatArray, swing: float = SWING) -> FloatArray:
 class FixTrack(SessionState):
     """The filter at the instant of its last fix.
 
-    Parameters
-    ----------
-    options : GnssOnlyOptions
-        How it manoeuvres, and the gate.
-    t : float
-        Start [s].
-    lla, vel_n : (3,) arrays
-        Position and velocity there.
-    cov : (6, 6) array
-        Their covariance [m, m/s], n.
+    It starts at ``t`` [s] with position ``lla`` (3,), velocity ``vel_n`` (3,) and their ``cov`` (6, 6), n.
     """
 
     _now: Kept[SingerTrack]

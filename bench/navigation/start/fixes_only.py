@@ -51,16 +51,8 @@ def lost_at(t: float, end: End) -> End:
 class Coast(SessionState):
     """Continues the answers of a filter from fixes alone, in order of time.
 
-    Parameters
-    ----------
-    head : SensorData
-        Datasheets and antenna.
-    end : End
-        From where.
-    names : tuple of str
-        Of the further states of the filter; they are held.
-    accuracy : str
-        How the filter weighs fixes.
+    ``head`` has datasheets and antenna, ``names`` are those of the further states of the filter, which are
+    held, and ``accuracy`` is how it weighs fixes.
     """
 
     end: Kept[End]

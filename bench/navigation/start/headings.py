@@ -72,17 +72,8 @@ class ManyHeadings(SessionState):
     """A filter from headings around the circle, until one of them stands for all (`InPieces`).
 
     Innovations are those of the hypothesis that is the estimate, events those of the one that is left.
-
-    Parameters
-    ----------
-    begin : callable
-        Returns the filter before its first piece, from a start whose heading is known.
-    first : SensorData
-        Its records say which sensors there are.
-    initial : InitialState
-        Complete, with a heading for which :func:`heading_is_unknown`.
-    events : list of (t, t_end, kind, text)
-        What went before.
+    ``begin`` is `piecewise.RunsInPieces.in_pieces` of the filter, from a start whose heading is known; the
+    other parameters are what that takes.
     """
 
     log: Kept[FloatArray]  # (COUNT,) logarithms of the weights
@@ -188,8 +179,7 @@ class ManyHeadings(SessionState):
             for k, table in enumerate(self.tables):
                 count = int(np.searchsorted(table.t, t[-1] + TIME_TOLERANCE, side="right"))
                 used, self.tables[k] = (
-                    _take_table(table, slice(count)),
-                    _take_table(table, slice(count, None)),
+                    _take_table(table, part) for part in (slice(count), slice(count, None))
                 )
                 of = np.searchsorted(t, used.t - TIME_TOLERANCE)
                 total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))

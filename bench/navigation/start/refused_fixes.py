@@ -30,14 +30,8 @@ _FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
 class RefusedFixes(SessionState):
     """Tells when a filter has refused sound fixes for long, from its innovations and the fixes.
 
-    Parameters
-    ----------
-    gnss : GnssSpec
-        Assumed datasheet.
-    accuracy : str
-        How the filter weighs fixes.
-    readmit_after_s : float
-        Of its gate. A window is twice as long, and no shorter than the fixes are compared over.
+    A window is twice as long as ``readmit_after_s`` of its gate [s], and no shorter than the fixes are
+    compared over.
     """
 
     _fixes: Replaced[GnssFixes | None]  # of the last window

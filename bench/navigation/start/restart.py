@@ -88,14 +88,10 @@ class BetweenGaps(SessionState):
     Parameters
     ----------
     begin : callable
-        Returns the filter before its first piece (`piecewise.RunsInPieces.in_pieces`). It
-        need not go over a gap longer than `timeline.LONGEST_BRIDGE`.
-    first : SensorData
-        Its records say which sensors there are; fixes among them.
-    start : InitialState
-        Start.
-    events : list of (t, t_end, kind, text)
-        What went before.
+        `piecewise.RunsInPieces.in_pieces` of the filter, which need not go over a gap longer than
+        `timeline.LONGEST_BRIDGE`.
+    first, start, events
+        What that takes; there are fixes.
     accuracy : str or None
         How the filter weighs fixes; None: it has none, and ends at a gap.
     whole : bool

@@ -14,7 +14,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.compiled import inner, kernel
@@ -70,51 +69,42 @@ class Fixes(NamedTuple):
 class TrackWork(NamedTuple):
     """Memory of the kernels."""
 
-    Phi: FloatArray  # (3, 3)
+    Phi: FloatArray  # (3, 3) of one axis
     Q: FloatArray  # (3, 3)
-    response: FloatArray  # (3,)
     block: FloatArray  # (3, 3)
     product: FloatArray  # (3, 3)
+    response: FloatArray  # (3,)
     way: FloatArray  # (3,)
-    H: FloatArray  # (6, 9) of a position and a velocity
-    opens: BoolArray  # (2, 9) states that may have made a step
     z: FloatArray  # (6,)
     e: FloatArray  # (6,)
     innovation: FloatArray  # (6,)
-    dx: FloatArray  # (9,)
     var: FloatArray  # (6,)
+    dx: FloatArray  # (9,)
+    row: FloatArray  # (9,)
+    other_row: FloatArray  # (9,)
+    H: FloatArray  # (6, 9) of a position and a velocity
+    opens: BoolArray  # (2, 9) states that may have made a step
     square: FloatArray  # (6, 7)
     rows: FloatArray  # (6, 9)
     columns: IntArray  # (6, 10)
-    row: FloatArray  # (9,)
-    other_row: FloatArray  # (9,)
     unused: FloatArray  # (9, 9)
 
 
 def track_work() -> TrackWork:
     """Return the memory of :func:`track_kernel`."""
-    matrix, vector, states = np.zeros((3, 3)), np.zeros(3), np.zeros(9)
-    return TrackWork(
-        Phi=matrix.copy(),
-        Q=matrix.copy(),
-        response=vector.copy(),
-        block=matrix.copy(),
-        product=matrix.copy(),
-        way=vector.copy(),
-        H=np.eye(9)[:6],
-        opens=np.repeat(np.eye(3, dtype=np.bool_)[:2], 3, axis=1),
-        z=np.zeros(6),
-        e=np.zeros(6),
-        innovation=np.zeros(6),
-        dx=states.copy(),
-        var=np.zeros(6),
-        square=np.zeros((6, 7)),
-        rows=np.zeros((6, 9)),
-        columns=np.zeros((6, 10), np.int64),
-        row=states.copy(),
-        other_row=states.copy(),
-        unused=np.zeros((9, 9)),
-    )
+    arrays = [
+        *np.zeros((4, 3, 3)),
+        *np.zeros((2, 3)),
+        *np.zeros((4, 6)),
+        *np.zeros((3, 9)),
+        np.eye(9)[:6],
+        np.repeat(np.eye(3, dtype=np.bool_)[:2], 3, axis=1),
+        np.zeros((6, 7)),
+        np.zeros((6, 9)),
+        np.zeros((6, 10), np.int64),
+        np.zeros((9, 9)),
+    ]
+    return TrackWork._make(arrays)
 
 
 @inner
@@ -128,22 +118,14 @@ def _turn_kernel(Phi: FloatArray, block: FloatArray, product: FloatArray) -> Non
             block[i, j] = product[i, 0] * Phi[j, 0] + product[i, 1] * Phi[j, 1] + product[i, 2] * Phi[j, 2]
 
 
-@inner
-def _singer_kernel(
-    T: float,
-    sd: float,
-    tau: float,
-    Phi: FloatArray,
-    Q: FloatArray,
-    response: FloatArray,
-    block: FloatArray,
-    product: FloatArray,
-) -> None:
-    """Fill Phi and Q (3, 3) of one axis over T seconds; the rest is work memory.
+@kernel
+def singer_kernel(T: float, sd: float, tau: float, work: TrackWork) -> None:
+    """Fill Phi and Q of position, velocity and acceleration along one axis over T seconds.
 
     Q by Gauss-Legendre quadrature of the impulse response, exact to rounding for T below tau; longer ways
-    are made of halves.
+    are made of halves. ``sd`` [m/s^2] and ``tau`` [s] are those of the acceleration.
     """
+    Phi, Q, block, product, response = work.Phi, work.Q, work.block, work.product, work.response
     halvings = 0
     while tau < T:
         T *= 0.5
@@ -178,39 +160,13 @@ def _singer_kernel(
                 Phi[i, j] = product[i, j]
 
 
-@kernel
-def _every_singer_kernel(
-    T: FloatArray, sd: float, tau: float, Phi: FloatArray, Q: FloatArray, work: TrackWork
-) -> None:
-    for k in range(T.shape[0]):
-        _singer_kernel(T[k], sd, tau, Phi[k], Q[k], work.response, work.block, work.product)
-
-
-def singer(T: ArrayLike, sd: float, tau: float) -> tuple[FloatArray, FloatArray]:
-    """Return Phi and Q (..., 3, 3) of position, velocity and acceleration along one axis over T seconds.
-
-    Parameters
-    ----------
-    T : float or (...) array
-        [s]
-    sd : float
-        Standard deviation of the acceleration [m/s^2].
-    tau : float
-        Its correlation time [s].
-    """
-    T = np.asarray(T, float)
-    Phi, Q = np.empty((2, T.size, 3, 3))
-    _every_singer_kernel(T.reshape(-1), float(sd), float(tau), Phi, Q, track_work())
-    return Phi.reshape(*T.shape, 3, 3), Q.reshape(*T.shape, 3, 3)
-
-
 @inner
 def _carry_kernel(
     T: float, now: SingerTrack, model: Manoeuvres, x: FloatArray, P: FloatArray, work: TrackWork
 ) -> None:
     """Fill x (9,) and P (9, 9) with a track carried on for T seconds; they may be its own."""
     Phi, Q, block = work.Phi, work.Q, work.block
-    _singer_kernel(T, model.sd, model.tau, Phi, Q, work.response, block, work.product)
+    singer_kernel(T, model.sd, model.tau, work)
     for i in range(3):
         velocity, acceleration = now.x[3 + i], now.x[6 + i]
         work.way[i] = velocity * Phi[0, 1] + acceleration * Phi[0, 2]

@@ -51,12 +51,7 @@ def has_large_bias(sensors: SensorData) -> bool:
 class SteadyCourse(SessionState):
     """Measures the course over ground from fixes, once per interval, until it changes.
 
-    Parameters
-    ----------
-    initial : InitialState
-        Start.
-    steady : bool
-        The gyros lose the heading; else there is nothing to measure.
+    ``steady``: the gyros lose the heading; else there is nothing to measure.
     """
 
     newest: Kept[float]  # arrival of the newest fix taken [s]

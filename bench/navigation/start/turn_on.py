@@ -29,13 +29,13 @@ from bench.navigation.engine.piecewise import (
     take_after,
 )
 from bench.navigation.engine.record_cuts import (
-    aiding_records,
     cut_piece,
     join_pieces,
+    longest_wait,
     newest_sample,
     take_head,
 )
-from bench.navigation.engine.session import Kept, SessionState
+from bench.navigation.engine.session import Kept, Replaced, SessionState
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.standstill import StandstillDetector
@@ -77,20 +77,11 @@ class FromTurnOn(SessionState):
     better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn. Where the course
     leaves it begins near the bias that :mod:`turning_start` finds.
 
-    Parameters
-    ----------
-    begin : callable
-        Returns the filter before its first piece, from the first piece, a start, events and the sd of what is
-        left of the bias [rad/s]; None: that of the datasheet.
-    first : SensorData
-        Its records say which sensors there are.
-    initial : InitialState
-        Start; the attitude is given.
-    events : list of (t, t_end, kind, text)
-        What went before.
+    ``begin`` returns the filter of `piecewise.RunsInPieces.in_pieces`, from what that takes and the sd of
+    what is left of the bias [rad/s]; None: that of the datasheet. The attitude at the start is given.
     """
 
-    pieces: Kept[list[SensorData]]  # the record until the stretch has ended, each longer than the next
+    record: Replaced[SensorData]  # from the start on, until the stretch has ended
     step: Kept[int]  # of `STEPS`, that is to come
     found: Kept[TurnOn | None]
     told: Kept[float]  # until then the filter before has told its innovations [s]
@@ -100,7 +91,7 @@ class FromTurnOn(SessionState):
         self, begin: Begin, first: SensorData, initial: InitialState, events: list[EventRow]
     ) -> None:
         self._begin, self.head, self.initial = begin, take_head(first), initial
-        self.pieces, self.step, self.found, self.told = [self.head], 0, None, -np.inf
+        self.record, self.step, self.found, self.told = self.head, 0, None, -np.inf
         self.filter = begin(self.head, initial, events, None)
 
     @property
@@ -119,14 +110,15 @@ class FromTurnOn(SessionState):
             self.step = len(STEPS)  # the record from the start is of another antenna
         parts: list[NavSolution] = []
         if self.step < len(STEPS):
-            _append(self.pieces, piece)
+            self.record = join_pieces(self.record, piece)
         while self.step < len(STEPS):
             due = self.initial.t + STEPS[self.step]
-            if max(newest_sample(one) for one in self.pieces) < due:
+            if newest_sample(self.record) < due:
                 break
             self.step += 1
-            record = self._join_pieces()
-            found = find_turn_on(record, self.initial, due) or self._find_turning(record, due)
+            near = np.zeros(3) if self.found is None else self.found.bias_b
+            found = find_turn_on(self.record, self.initial, due)
+            found = found or find_turning(self.record, self.initial, due, near)
             if self._is_other(found):
                 before, piece = _until(piece, due), _after(piece, due)
                 solution = self._take(before, 0.0, last=True)
@@ -134,33 +126,20 @@ class FromTurnOn(SessionState):
                 parts.append(replace(solution, events=Events.from_rows(events)))
                 self.found, self.told = found, due
                 self.make_parts()
-                again = replace(_until(record, due), output_t=np.empty(0))
-                self._take(again, max(look_back, _reach_back(piece, due)), last=False)  # all of it is told
+                again = replace(_until(self.record, due), output_t=np.empty(0))
+                self._take(again, max(look_back, longest_wait(piece)), last=False)  # all of it is told
         if self.step == len(STEPS):
-            self.pieces = []
+            self.record = self.head
         return join_solutions([*parts, self._take(piece, look_back, last=last)])
 
     def _take(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         return self._own(self.filter.feed(self._less(piece), look_back, last=last))
-
-    def _find_turning(self, record: SensorData, due: float) -> TurnOn | None:
-        """Return the bias by the turn that the start is in; None if it is in none."""
-        near = np.zeros(3) if self.found is None else self.found.bias_b
-        return find_turning(record, self.initial, due, near)
 
     def _is_other(self, found: TurnOn | None) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
         if found is None or self.found is None:
             return found is not self.found
         return found.turning != self.found.turning or found.sd < self.found.sd
-
-    def _join_pieces(self) -> SensorData:
-        """Return the record so far."""
-        record = self.pieces[-1]
-        for piece in self.pieces[-2::-1]:
-            record = join_pieces(piece, record)
-        self.pieces = [record]
-        return record
 
     def _less(self, piece: SensorData) -> SensorData:
         return piece if self.found is None else _take_off(self.found, piece)
@@ -191,19 +170,6 @@ def _after(record: SensorData, t: float) -> SensorData:
     return cut_piece(record, np.flatnonzero(record.imu.t > t), t, np.inf)
 
 
-def _reach_back(rest: SensorData, t: float) -> float:
-    """Return how long before an instant [s] that is valid which arrives after it [s]."""
-    valid = [np.fmin.reduce(one.t[one.t_arrival > t], initial=t) for one in aiding_records(rest).values()]
-    return t - float(min(valid, default=t))
-
-
-def _append(pieces: list[SensorData], piece: SensorData) -> None:
-    """Append a piece; pieces that are not twice as long as what follows are joined, so that few are left."""
-    while pieces and len(pieces[-1].imu) < 2 * len(piece.imu):
-        piece = join_pieces(pieces.pop(), piece)
-    pieces.append(piece)
-
-
 def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
     """Tell whether a turn-on bias is large enough and the attitude at the start is given, not aligned."""
     large = first.specs.imu.gyro.turn_on_bias_sd >= LARGE
@@ -224,13 +190,9 @@ def smooth_from_turn_on(
             found, near = turning, turning.bias_b
     if found is None:
         return run(sensors, initial, None), near
-    return _run_without(found, run, sensors, initial), found.bias_b
-
-
-def _run_without(found: TurnOn, run: Run, sensors: SensorData, initial: InitialState) -> NavSolution:
-    """Return the solution of a filter that gets a bias taken off its increments, the event first."""
     solution = _give_back(found, run(_take_off(found, sensors), initial, found.sd))
-    return replace(solution, events=Events.from_rows([_event(initial, found), *solution.events.rows()]))
+    events = Events.from_rows([_event(initial, found), *solution.events.rows()])
+    return replace(solution, events=events), found.bias_b
 
 
 def _event(initial: InitialState, found: TurnOn | None, due: float = math.inf) -> EventRow:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench import disk_arrays
@@ -78,26 +78,17 @@ def _has_long_gap(sensors: SensorData, start: float) -> bool:
     return False
 
 
+@dataclass
 class _WholeRun:
     """A filter that takes a record only as a whole, as one that takes pieces."""
 
-    def __init__(
-        self,
-        run: Run,
-        start: InitialState,
-        events: list[EventRow],
-        gyro_sd: float | None,
-        steady_errors: Errors | None,
-    ) -> None:
-        self._run, self._start, self._events, self._gyro_sd = run, start, events, gyro_sd
-        if steady_errors is not None:
-            self.steady_errors = steady_errors
-
-    @property
-    def end(self) -> float:
-        return self._start.t
+    run: Run
+    start: InitialState
+    events: list[EventRow]
+    gyro_sd: float | None
+    steady_errors: Errors | None
 
     def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         assert last
-        solution = self._run(piece, self._start, self._gyro_sd)
-        return replace(solution, events=Events.from_rows([*self._events, *solution.events.rows()]))
+        solution = self.run(piece, self.start, self.gyro_sd)
+        return replace(solution, events=Events.from_rows([*self.events, *solution.events.rows()]))
