@@ -255,7 +255,7 @@ def make_card(
     plan, (own, other, yardstick) = _plan(suite, estimator, against, guard, label, options)
     there = runs is not None and runs.is_dir()
     result = run_campaign(
-        plan, jobs=jobs, folder=runs, resume=there and resume, force=there and not resume, progress=progress
+        plan, jobs=jobs, folder=runs, resume=resume, force=there and not resume, progress=progress
     )
     if result.interrupted:
         raise KeyboardInterrupt

@@ -31,13 +31,13 @@ from bench.campaigns import running
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.merging import merge_campaigns
-from bench.campaigns.outcome import Outcome, _pool_nis
+from bench.campaigns.outcome import Outcome, Pair, _pool_nis, compare
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.errors import INTERRUPTED, MACHINE, ConfigError
 from bench.evaluation.consistency import NIS_PROBABILITY, mean_band
-from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensemble import Estimate, compare_rmse
 from bench.evaluation.error_series import heading_sd, select_epochs
 from bench.recording import drawing
 from bench.report import campaign_page
@@ -549,6 +549,17 @@ def test_an_outcome_tells_what_did_not_converge_and_whether_the_claims_hold(rate
     assert outcome.sentences == (told,)
     more = ("x is overconfident by 2", "x: one", "x: two")
     assert replace(outcome, consistency=claim).sentences == (told, *more)
+
+
+def test_several_comparisons_share_one_chance_of_a_false_better():
+    """The clearest of three has a third of the 5 % (Holm); one alone has all of it."""
+    rng = np.random.default_rng(8)
+    base = rng.uniform(1.0, 2.0, (3, 12))
+    other = base * rng.uniform(0.8, 1.2, (3, 12))
+    other[0] *= 3.0
+    pairs = [Pair(("a", "b"), *rows) for rows in zip(base, other, strict=True)]
+    for asked, confidence in ((pairs[:1], 0.95), (pairs, 1.0 - 0.05 / 3)):
+        assert compare(asked)[0] == compare_rmse(("a", "b"), base[0], other[0], "m", confidence)
 
 
 def test_the_nis_of_the_runs_that_converged_is_weighted_by_their_updates():
