@@ -290,7 +290,7 @@ def test_what_is_no_error_is_compared_in_words(made):
 
 
 def test_a_time_to_the_heading_is_compared_in_words(made):
-    base = find(bench.read_card(made / "a.json"), "heading", "convergence")
+    base = find(bench.read_card(made / "a.json"), "short", "convergence")
     line = base.model_copy(update={"figure": "median time to the heading [s]", "value": 12.5})
     told = card_comparison._tell_values(line, line.model_copy(update={"value": None}))
     assert told == "heading found after 12.5 s and never"
