@@ -136,9 +136,9 @@ class _Pace:
         self._seconds += seconds
 
     def choose_size(self, waiting: int, workers: int) -> int:
-        if not self._items:
+        if not self._seconds:
             return 1
-        fits = int(BATCH * self._items / max(self._seconds, 1e-6))
+        fits = int(BATCH * self._items / self._seconds)
         fair = -(-waiting // (_AHEAD * workers))  # the last batches end together
         return max(1, min(fits, fair))
 

@@ -19,6 +19,7 @@ from bench.campaigns.card_conventions import judge_conventions
 from bench.campaigns.card_lines import (
     COUNT,
     IMPOSSIBLE,
+    SAME,
     SHARE,
     UNPROVEN,
     Line,
@@ -44,8 +45,6 @@ from bench.wording import one_line
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
-
-_SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
 
 YARDSTICK = "free-inertial"
 """The estimator whose CPU time is the unit of speed: the bare integration of the same IMU samples."""
@@ -253,10 +252,7 @@ def make_card(
     names = [flight.name for flight in suite.members]
     required = () if requirements is None else read_requirements(requirements, names)
     plan, (own, other, yardstick) = _plan(suite, estimator, against, guard, label, options)
-    there = runs is not None and runs.is_dir()
-    result = run_campaign(
-        plan, jobs=jobs, folder=runs, resume=resume, force=there and not resume, progress=progress
-    )
+    result = run_campaign(plan, jobs=jobs, folder=runs, resume=resume, force=not resume, progress=progress)
     if result.interrupted:
         raise KeyboardInterrupt
     rows, cpu = result.runs.to_pylist(), result.estimator_cpu_s
@@ -325,8 +321,7 @@ def _plan(
         plan = plan_campaign(replace(suite, fixed={"estimator": given}), allow_code=True, guard=guard)
         own, uses = 0, [name, *others]
     labels = [choice.label for choice in plan.cells[0].profile.estimators]
-    last = len(uses) - 1 - uses[::-1].index(against)
-    return plan, (labels[own], labels[last], labels[uses.index(YARDSTICK)])
+    return plan, (labels[own], labels[uses.index(against)], labels[uses.index(YARDSTICK)])
 
 
 def verify_card(
@@ -380,7 +375,7 @@ def verify_card(
 def _same_value(one: float | None, other: float | None) -> bool:
     if one is None or other is None:
         return one is other
-    return bool(np.isclose(one, other, rtol=_SAME, atol=0.0))
+    return bool(np.isclose(one, other, rtol=SAME, atol=0.0))
 
 
 def describe_suite(card: Card) -> str:

@@ -9,12 +9,11 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.campaigns.card import Card
-from bench.campaigns.card_lines import CONVENTIONS, COUNT, SHARE, Line, write_figure
+from bench.campaigns.card_lines import CONVENTIONS, COUNT, SAME, SHARE, Line, write_figure
 from bench.errors import ConfigError
 from bench.evaluation import ensemble
 from bench.evaluation.regression import Change, average_changes, decide
 
-_SAME = 1e-6  # relative difference of a value that is the same, on another processor for example
 _ERROR = 1.0 - ensemble.CONFIDENCE  # probability of any false word over the quantities
 _POWER = 0.8
 
@@ -94,7 +93,7 @@ def list_differences(first: Card, second: Card) -> list[str]:
 def _are_same(one: Line, other: Line) -> bool:
     """Tell whether every draw has the same value, but for the processor."""
     a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
-    return a.shape == b.shape and bool(np.isclose(a, b, rtol=_SAME, atol=0.0, equal_nan=True).all())
+    return a.shape == b.shape and bool(np.isclose(a, b, rtol=SAME, atol=0.0, equal_nan=True).all())
 
 
 def _tell_values(one: Line, other: Line) -> str | None:

@@ -33,6 +33,9 @@ _UNLIKELY = 0.001  # that a causal filter is below the bound by chance
 _BELOW = 0.9  # of the bound; nearer to it a filter that is not linear may come
 _RIGHT = "heading_right_s_all"
 
+SAME = 1e-6
+"""Relative difference of a value that is the same, on another processor for example."""
+
 COUNT = "count"
 """Word of a line that counts."""
 

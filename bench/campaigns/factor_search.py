@@ -66,9 +66,13 @@ class _Tried:
 
     def mean(self, x: FloatArray) -> float:
         """Return the mean cost, with a weak pull of each factor to 1."""
-        if len(self.rows) >= self._most and tuple(x.tolist()) not in self.rows:
-            raise _SpentError
         return float(self.draws(x).mean()) + _PULL * float(x @ x)
+
+    def search(self, x: FloatArray) -> float:
+        """Return the mean cost as long as more sets may be tried."""
+        if len(self.rows) >= self._most:
+            raise _SpentError
+        return self.mean(x)
 
     def best(self) -> FloatArray:
         return np.array(min(self.rows, key=lambda key: self.mean(np.array(key))))
@@ -108,7 +112,7 @@ def _descend(tried: _Tried, start: FloatArray, last: float) -> FloatArray:
     from scipy.optimize import minimize
 
     found = minimize(
-        tried.mean,
+        tried.search,
         start,
         method="COBYQA",
         bounds=[(-REACH, REACH)] * len(start),
@@ -147,11 +151,7 @@ def _find_ends(
 
 def _step_to_valley(tried: _Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Take Newton's step if it lowers the mean; return where it ends, and the second derivatives (n, n)."""
-    n, unit = len(x), _STEP * np.eye(len(x))
-
-    def mean(at: FloatArray) -> float:
-        return float(tried.draws(at).mean()) + _PULL * float(at @ at)
-
+    n, unit, mean = len(x), _STEP * np.eye(len(x)), tried.mean
     here = mean(x)
     ahead, back = [mean(x + one) for one in unit], [mean(x - one) for one in unit]
     H = np.diag([(a - 2.0 * here + b) / _STEP**2 for a, b in zip(ahead, back, strict=True)])

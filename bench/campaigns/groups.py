@@ -70,7 +70,7 @@ def _gather_condition(
     plan: Plan, number: int, cells: Sequence[Cell], keys: Sequence[str], journal: Journal
 ) -> Iterator[Group]:
     labels = cells[0].profile.labels
-    stride = -(-len(keys) // MOST_EXACT) or 1
+    stride = -(-len(keys) // MOST_EXACT)
     binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
     rows = {label: list[dict[str, Any]]() for label in labels}
     kept = {label: list[FloatArray]() for label in labels}

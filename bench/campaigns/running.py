@@ -101,7 +101,7 @@ class Campaign:
                 rows = list_requirements(condition["as_flown"], label)
                 runs = [row for row in own if row["estimator"] == label]
                 shown = f"{varied}: {label}" if varied else label
-                found += judge_runs(shown, runs, rows) if rows else []
+                found += judge_runs(shown, runs, rows)
         return tuple(found)
 
     def __repr__(self) -> str:

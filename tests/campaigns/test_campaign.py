@@ -362,6 +362,22 @@ def test_campaigns_are_merged_by_their_conditions(here):
     assert {one.condition for one in merged.outcomes} == {"short.toml, seed_value = 2.0"}
     assert set(merged.epochs.to_pydict()["condition"]) == {0}
     assert merged.runs.num_rows == 2 * read.runs.num_rows
+    assert [(one.first, one.second) for one in merged.comparisons] == [
+        (f"loose-15, {name}", f"loose-22, {name}") for name in "ab"
+    ]
+    assert (merged.planned, merged.finished, merged.interrupted) == (8, 8, False)
+    assert merged.provenance["b: versions"] == read.provenance["versions"]
+    wide = sweep(1.0, 2.0)
+    wide = replace(
+        wide, runs=wide.runs.append_column("more", [list(range(16))]), failed={"x": "why"}, interrupted=True
+    )
+    joined = merge_campaigns({"a": sweep(2.0), "b": wide})
+    assert joined.runs["more"].to_pylist() == [None] * 8 + list(range(8, 16))
+    assert joined.runs["run"].to_pylist() == read.runs["run"].to_pylist() * 2
+    assert (joined.failed, joined.interrupted) == ({"x": "why"}, True)
+    alone = merge_campaigns({"a": sweep(2.0), "b": sweep(3.0)})  # of one condition each: whatever it is
+    assert {one.condition for one in alone.outcomes} == {"short.toml, seed_value = 2.0"}
+    assert alone.runs.num_rows == 16
     with pytest.raises(ConfigError, match="no condition is in all"):
         merge_campaigns({"a": sweep(1.0, 2.0), "b": sweep(3.0, 4.0)})
 
@@ -527,6 +543,22 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
     assert result.finished == 4
     campaign("mortal", resume=True)  # it is tried again
     assert same(here / "two", here / "mortal")
+
+
+def test_what_filters_print_is_kept_with_the_command_of_the_run(here, monkeypatch):
+    real = running.measure
+    monkeypatch.setattr(
+        running, "measure", lambda task: {**real(task), "printed": {"loose-22": f"of {task.run}\n\n"}}
+    )
+    first = campaign("printed", 1)
+    campaign("printed", 2, resume=True)
+    commands = bench.load_campaign("printed").runs["command"].to_pylist()[::2]
+    told = [f"--- loose-22: {command}\nof {k}\n" for k, command in enumerate(commands)]
+    assert (here / "printed" / running.PRINTED).read_text() == "".join(told)
+    assert not (here / "two" / running.PRINTED).exists()
+    assert 0.0 < first.timing["run_cpu_s"] < 100.0
+    assert 0.0 < first.timing["wall_s"] < 1000.0
+    assert sum(map(sum, first.estimator_cpu_s.values())) < first.timing["run_cpu_s"]
 
 
 def test_progress_tells_how_fast_it_is_and_how_long_it_lasts():

@@ -15,6 +15,7 @@ from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import hash_answers
 from bench.cli import main
 from bench.config import load_profile
+from bench.errors import ConfigError
 from bench.specs import Guard
 from bench.workbench import guide
 from tests.campaigns.cheat_table import CHEATS
@@ -239,6 +240,25 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     Path("need.toml").write_text("[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 1.0\nflight = 'moon'\n")
     assert main([*own, "--require", "need.toml"]) == 2
     assert "need.toml: [[requirement]] 1: no flight 'moon'; there are plain" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("uses", "label", "options", "labels"),
+    [
+        (("loose-15", "loose-22"), None, None, ("loose-15", "loose-22")),
+        (("loose-15", "loose-15"), None, None, ("loose-15", "loose-15")),
+        (("free-inertial", "loose-22"), None, None, ("free-inertial", "loose-22")),
+        (("loose-15", "free-inertial"), "wide", None, ("wide", "free-inertial")),
+        (("loose-15", "loose-22"), "wide", {}, ("wide", "loose-22")),
+        (("tests.campaigns.cheats:Gain", "loose-22"), None, {"gain": 2.0}, ("Gain", "loose-22")),
+    ],
+)
+def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels):
+    plan, found = card._plan(card.QUICK, *uses, HERE, label, options)
+    assert found == (*labels, "free-inertial")
+    assert set(found) == set(plan.cells[0].profile.labels)
+    with pytest.raises(ConfigError, match="is taken by an entry above"):
+        card._plan(card.QUICK, "loose-22", "loose-15", HERE, "loose-15")
 
 
 def test_the_guide_has_a_row_for_each_cheat_of_its_table():

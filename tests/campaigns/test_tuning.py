@@ -116,6 +116,8 @@ def test_a_state_that_is_missing_is_told_by_innovations_that_repeat(here):
         (1.0, (None, 2.0), "cannot tell: at most 2 times"),
         (1.0, (0.5, None), "cannot tell: at least 0.5 times"),
         (1.0, (None, None), "cannot tell: any factor does"),
+        (90.0, (40.0, 95.0), "90 times the datasheet (40 to 95)"),  # 0.977 of the log of the bound
+        (92.0, (40.0, 95.0), "92 times the datasheet: the bound"),
     ],
 )
 def test_what_is_known_of_a_factor_is_told(factor, ends, told):
@@ -139,12 +141,22 @@ def test_draws_that_are_lost_are_told(here):
 
 
 def test_the_draws_that_judge_count_those_they_lose(here, monkeypatch):
-    good = {"converged": True, "pos_rmse_h_m": 1.0, "nees_mean": 9.0, "nees_states": 9.0}
+    good = {"converged": True, "pos_rmse_h_m": 3.0, "nees_mean": 4.5, "nees_states": 9.0}
     rows = [{"metrics": {**good, "converged": k not in (1, 4)}, "repetition": {}} for k in range(6)]
     trial = object.__new__(ProfileTrial)
     trial.label, trial._runs = "x", 6
-    monkeypatch.setattr(trial, "_compute", lambda *_: [{"estimators": {"x": row}} for row in rows])
-    assert trial.judge({}).lost == 2
+    asked = []
+    monkeypatch.setattr(
+        trial,
+        "_compute",
+        lambda *given: asked.append(given[2]) or [{"estimators": {"x": row}} for row in rows],
+    )
+    found = trial.judge({})
+    assert (found.lost, asked) == (2, [range(6, 12)])
+    assert (found.rmse_h_m.value, found.nees_ratio.value) == pytest.approx((3.0, 0.5))
+    monkeypatch.setattr(trial, "_compute", lambda *_: [{"estimators": {"x": row}} for row in rows[:2]])
+    with pytest.raises(ConfigError, match="too few draws converged"):
+        trial.judge({})
 
 
 def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
@@ -297,3 +309,84 @@ def test_intervals_hold_the_right_noises_on_flights():
 def test_a_wrong_request_is_refused(here, options, message):
     with pytest.raises(ConfigError, match=message):
         bench.tune("short.toml", "loose-15", **options)
+
+
+@pytest.mark.parametrize(
+    ("value", "cost"),
+    [(2.5, 2.5), (-3.0, -3.0), (0.9e6, 0.9e6), (1.5e6, 1e6), (np.nan, 1e6), (np.inf, 1e6), (-np.inf, 1e6)],
+)
+def test_what_is_lost_costs_most(value, cost):
+    assert trials._limit_cost(value) == cost
+
+
+def make_tuning(**changes: Any) -> tuning.Tuning:
+    one, other = Estimate(2.0, 1.5, 2.5), Estimate(1.0, 0.9, 1.1)
+    given: dict[str, Any] = {
+        "label": "x", "goal": "consistency", "factors": {}, "intervals": {}, "converged": True, "starts": 3,
+        "agreed": 3, "before": HeldOutScore(one, one, {}), "after": HeldOutScore(other, other, {}),
+        "evaluations": 9, "datasheets": {},
+    }  # fmt: skip
+    return tuning.Tuning(**{**given, **changes})
+
+
+def test_a_search_and_what_it_changes_are_told():
+    told = make_tuning().sentences
+    assert told == (
+        "converged after 9 sets of factors; 3 of 3 starts came to the same cost",
+        "NEES over its expectation, on data not used for tuning: 2 (1.5 to 2.5) before, 1 (0.9 to 1.1) after",
+        "horizontal RMSE [m], on data not used for tuning: 2 (1.5 to 2.5) before, 1 (0.9 to 1.1) after",
+    )
+    assert (
+        make_tuning(agreed=2)
+        .sentences[0]
+        .endswith("2 of 3 starts came to the same cost, the best of them is given")
+    )
+    lost = make_tuning()
+    lost = make_tuning(before=HeldOutScore(lost.before.rmse_h_m, lost.before.nees_ratio, {}, lost=2))
+    assert lost.sentences[-1] == "draws that did not converge, which are in neither figure: 2 before, 0 after"
+
+
+@pytest.mark.parametrize(
+    ("value", "band", "told"),
+    [(0.15, 0.05, True), (-0.15, 0.05, True), (0.08, 0.05, False), (0.15, 0.2, False)],
+)
+def test_innovations_that_repeat_by_more_than_a_tenth_are_told(value, band, told):
+    one = Estimate(1.0, 0.9, 1.1)
+    last = make_tuning(after=HeldOutScore(one, one, {"baro": (value, band)})).sentences[-1]
+    text = "innovations of baro still repeat from one update to the next: correlation"
+    assert last.startswith(f"{text} {value:.2f}, within {band:.2f} is right; ") == told
+
+
+def test_figures_are_grouped_by_how_they_begin():
+    known = {
+        "imu.gyro.noise_x": 1.0,
+        "imu.accel.noise_x": 2.0,
+        "gnss.gnss.pos_h_white_sd": 3.0,
+        "baro.baro.noise": 4.0,
+    }
+    found = tuning._group_figures(known, None)
+    assert found == {
+        "imu.gyro.noise": ["imu.gyro.noise_x"],
+        "imu.accel.noise": ["imu.accel.noise_x"],
+        "gnss.gnss.pos_h_white,gnss.gnss.pos_v_white": ["gnss.gnss.pos_h_white_sd"],
+    }
+    two = tuning._group_figures(known, ["imu.gyro,baro"])
+    assert two == {"imu.gyro,baro": ["imu.gyro.noise_x", "baro.baro.noise"]}
+    assert tuning._scale(two, known, np.array([3.0])) == {"imu.gyro.noise_x": 3.0, "baro.baro.noise": 12.0}
+    with pytest.raises(ConfigError, match=r"no assumed figure begins with 'imu\.gyra'"):
+        tuning._group_figures(known, ["imu.gyro", "imu.gyra"])
+    with pytest.raises(ConfigError, match="have no figure to tune"):
+        tuning._group_figures({"baro.baro.noise": 4.0}, None)
+
+
+def test_figures_above_zero_of_the_assumed_datasheets_are_known(tmp_path):
+    (tmp_path / "own.toml").write_text(
+        "name = 'x'\nlevel = 3.0\n[gnss]\na = 2\nb = 0.0\nc = -1.0\nd = 'text'\n"
+    )
+    trial: Any = SimpleNamespace(assumed={"gnss": "own.toml"}, beside=tmp_path, label="x")
+    assert tuning._read_figures(trial) == {"gnss.gnss.a": 2.0}
+    texts = tuning._write_datasheets(trial, {"gnss.gnss.a": 2.5})
+    assert texts["gnss"].splitlines() == [
+        "# own.toml, its noise tuned for x by bench tune.", "name = 'x'", "level = 3.0", "[gnss]", "a = 2.5",
+        "b = 0.0", "c = -1.0", "d = 'text'",
+    ]  # fmt: skip
