@@ -545,6 +545,16 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
     assert same(here / "two", here / "mortal")
 
 
+@pytest.mark.parametrize("jobs", [3, None])
+def test_a_campaign_has_the_processes_that_are_asked_for(here, monkeypatch, jobs):
+    def stop(plan: Any, count: int, executor: Any, scheduler: Any) -> Any:
+        raise ConfigError(f"{count} processes")
+
+    monkeypatch.setattr(running, "_open_pool", stop)
+    with pytest.raises(ConfigError, match=f"^{jobs or running.count_processors()} processes"):
+        bench.campaign("short.toml", 1, jobs=jobs)
+
+
 def test_what_filters_print_is_kept_with_the_command_of_the_run(here, monkeypatch):
     real = running.measure
     monkeypatch.setattr(

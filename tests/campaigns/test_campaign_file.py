@@ -63,13 +63,25 @@ def test_a_campaign_is_every_combination(here):
     assert len(plan.runs) == 8
     assert len({cell.truth_key for cell in plan.cells}) == 2  # turbulence of each seed, whatever the sensors
     assert len({plan.run_key(one) for one in plan.runs}) == 8
+    assert {len(cell.key) for cell in plan.cells} == {32}
     assert all(cell.profile.document["start"]["alt_m"] == 1002.5 for cell in plan.cells)
     assert plan_runs("files/units.toml", 5, flights=1, seed=9).cells[-1].profile.seed == 9
 
 
-def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
+def test_its_rows_are_repeated_and_its_tables_name_the_values(here, monkeypatch):
+    """Of the flights of a wave; kernels of the one filter are compiled by the first run of all."""
+    firsts, real = [], running.compute
+
+    def compute(function, items, pool, first=()):
+        firsts.extend([list(first)] if function is running.measure else [])
+        return real(function, items, pool, first)
+
+    monkeypatch.setattr(running, "_WAVE", 3)
+    monkeypatch.setattr(running, "compute", compute)
     result = bench.campaign("files/units.toml", executor=SerialExecutor(), out="done")
+    assert firsts == [[0], [], []]
     rows = pq.read_table("done/runs.parquet").to_pylist()
+    assert all(len(row["answers"]) == 16 for row in rows)
     assert [row["condition"] for row in rows] == [k for k in range(4) for _ in range(2)]
     row = rows[-1]
     varied = [row[name] for name in ("sensors.imu", "sensors.gnss.pos_h_white_sd_m", "seed", "run")]
@@ -90,6 +102,13 @@ def test_its_rows_are_repeated_and_its_tables_name_the_values(here):
     assert epochs.schema.field("sensors.gnss.pos_h_white_sd_m").metadata[b"unit"] == b"m"
     assert [one.runs for one in result.outcomes] == [2] * 4
     assert len({row["vel_rmse_h_mps"] for row in rows}) == 8
+
+
+@pytest.mark.parametrize("profile", ["static", "short.toml"])
+def test_flights_that_would_be_the_same_are_refused(here, profile):
+    Path("short.toml").write_text(PROFILE.replace('"light"', '"none"'))
+    with pytest.raises(ConfigError, match="has no turbulence, so all its flights are the same"):
+        plan_runs(profile, 1, flights=2)
 
 
 def test_percentiles_of_very_many_runs_come_from_bins(here, monkeypatch):

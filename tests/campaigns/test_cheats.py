@@ -223,6 +223,7 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     assert main([*own, *more, "--junit", "need.xml", "--force"]) == 1
     found = bench.read_card(Path("wide.json"))
     assert (found.estimator, found.options) == ("wide", {"gain": 100.0})
+    assert " --in-process --seed 5 " in found.commands["plain"]
     once = bench.make_card("loose-15", against="loose-22", quick=True)
     ratio = find(found, "honesty").value / find(once, "honesty").value
     assert ratio == pytest.approx(1e-4, rel=1e-6)

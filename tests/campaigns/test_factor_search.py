@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -128,6 +129,29 @@ def test_the_ends_of_a_quadratic_are_where_students_t_is_at_its_edge():
     assert low == pytest.approx(-high, rel=1e-9)
 
 
+def test_second_derivatives_are_of_a_tenth():
+    """Of x^4 at 0: 2 h^2, and twice the pull."""
+    _, hessian = _step_to_valley(_Tried(lambda x: np.full(2, x[0] ** 4), 9), np.zeros(1))
+    assert hessian[0, 0] == pytest.approx(2 * 0.1**2 + 2e-3)
+
+
+def test_the_search_begins_at_1_and_at_5_and_a_fifth_of_each(monkeypatch):
+    """Far at first; to 5 % from the first start and at the end, to 20 % where starts are only compared."""
+    asked = []
+
+    def minimize(function, start, bounds, options, **_):
+        asked.append((start.tolist(), options["initial_tr_radius"], options["final_tr_radius"]))
+        assert bounds == [(-REACH, REACH)] * 2
+        function(np.array([0.1, 0.2]) + len(asked))
+        return SimpleNamespace(x=np.array([0.1, 0.2]) + len(asked))
+
+    monkeypatch.setattr("scipy.optimize.minimize", minimize)
+    search_factors(lambda x: np.array([1.0, 1.1]) * np.square(x - 2.1).sum(), 2, 300)
+    log2, log5 = np.log(2.0), np.log(5.0)
+    starts = [([0.0] * 2, 0.05), ([log5] * 2, 0.2), ([-log5] * 2, 0.2), ([2.1, 2.2], 0.05)]
+    assert asked == [(start, pytest.approx(log2), last) for start, last in starts]
+
+
 def test_the_way_to_an_end_grows_by_half_until_the_largest_factor():
     """From 0.05 on; a factor without effect has no end, one that all draws tell alike ends at once."""
     tried = _Tried(lambda x: np.zeros(3), 0)
@@ -136,6 +160,9 @@ def test_the_way_to_an_end_grows_by_half_until_the_largest_factor():
     places = 0.05 * np.cumsum(1.5 ** np.arange(9))  # the next is beyond log 100
     assert sorted(abs(x) for (x,) in tried.rows) == pytest.approx([0.0, *np.repeat(places, 2)])
     assert places[-1] < np.log(100.0) < places[-1] + 0.05 * 1.5**9
+    further = _Tried(lambda x: np.zeros(3), 0)
+    assert _walk(further, np.array([2.0]), np.array([1.0]), 0, 4.3) == np.inf
+    assert max(further.rows) == pytest.approx((2.0 + places[7],))
     steep = _Tried(lambda x: np.full(3, x[0] ** 2), 0)
     assert _walk(steep, np.array([0.2]), np.array([1.0]), 0, 4.3) == pytest.approx(0.2 + 0.025)
 

@@ -86,6 +86,46 @@ def test_what_was_lost_runs_alone_and_an_item_that_ends_its_worker_twice_is_give
     )  # with others, a batch alone, twice an item
 
 
+class Slow(Fragile):
+    """The same, but that nothing finishes until nothing is left to be given."""
+
+    def __init__(self, bad: int) -> None:
+        super().__init__(bad)
+        self.pending: list[tuple[Future[Any], Any]] = []
+        self.before = list[int]()
+
+    def submit(self, function: Any, work: Any, items: list[int]) -> Future[Any]:
+        done = super().submit(function, work, items)
+        if done.exception() is not None:
+            return done
+        self.before.append(len(self.pending))
+        self.pending.append((Future(), done.result()))
+        return self.pending[-1][0]
+
+    def check(self) -> None:
+        future, value = self.pending.pop(0)
+        future.set_result(value)
+
+    def recover(self) -> tuple[str, bool]:
+        for future, _ in self.pending:
+            future.set_exception(BrokenProcessPool())
+        self.pending.clear()
+        return super().recover()
+
+
+def test_workers_never_wait_and_what_ends_with_a_worker_runs_again(monkeypatch):
+    """Two batches for each of the two workers, and a new one as soon as one has finished."""
+    monkeypatch.setattr(batches, "_LOOK", 0.001)
+    pool = Slow(-1)
+    assert len(dict(compute(double, range(30), pool))) == 30
+    assert pool.before == [0, 1, 2, *[3] * (len(pool.given) - 3)]
+    pool = Slow(3)
+    found = dict(compute(double, range(8), pool))
+    assert found.pop(3) == Lost("reason 3")
+    assert found == {k: 2 * k for k in range(8) if k != 3}
+    assert pool.recovered == 3  # of all that were under way at once, then of the one twice
+
+
 def test_what_is_to_be_first_is_alone():
     """Nothing else is given to the workers until it has finished."""
     pool, given = Fragile(-1), []
@@ -125,6 +165,32 @@ def test_of_workers_that_ended_the_first_that_was_not_asked_to_is_named(monkeypa
     assert pool.recover() == (told, True)
     assert time.monotonic() - begun < 2.0
     assert ended == [True]
+
+
+def test_a_worker_that_does_not_end_is_not_waited_for(monkeypatch):
+    pool = pools.ProcessPool(2)
+    pool._own = {1: SimpleNamespace(exitcode=None)}  # type: ignore[dict-item]
+    monkeypatch.setattr(pool, "_end", lambda at_once: None)
+    monkeypatch.setattr(pools, "_PATIENCE", 0.02)
+    assert pool.recover() == ("its worker process ended", True)
+
+
+def test_workers_are_asked_to_end_before_they_are_ended(monkeypatch):
+    """Only those that run; 3 s for all of them together."""
+    sent, waited = [], []
+
+    def make(pid: int | None, code: int | None) -> Any:
+        return SimpleNamespace(pid=pid, exitcode=code, join=lambda seconds: waited.append((pid, seconds)))
+
+    now = iter([10.0, 10.0, 11.0, 12.0, 20.0, 20.0, 24.0, 24.0])
+    monkeypatch.setattr(pools, "time", SimpleNamespace(monotonic=lambda: next(now)))
+    monkeypatch.setattr(os, "kill", lambda pid, number: sent.append((pid, number)))
+    pool = pools.ProcessPool(2)
+    pool._own = {k: make(*each) for k, each in enumerate(((7, None), (8, 0), (None, None)))}
+    pool._end(at_once=True)
+    assert sent == [(7, signal.SIGTERM), (7, signal.SIGKILL)]
+    assert waited == [(7, 3.0), (8, 2.0), (None, 1.0), (7, 3.0), (8, 0.0), (None, 0.0)]
+    assert pool._own == {}
 
 
 def test_one_job_is_this_process_and_several_are_processes(monkeypatch):
@@ -209,7 +275,7 @@ def test_limits_are_named_as_the_command_line_has_them(guard, words):
 def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
     texts = {
         "wrapper.sh": 'exec "$(dirname "$0")/build/inner.sh"',
-        "inner.sh": "./program data.bin missing.bin",
+        "inner.sh": "./program data.bin missing.bin wrapper.sh inner.sh",
         "program": "\x00",
         "data.bin": "x",
         "other.bin": "x",
@@ -221,7 +287,6 @@ def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
     assert plan.find_named_files([tmp_path / "wrapper.sh"]) == [tmp_path / name for name in names]
     (tmp_path / "inner.sh").write_text("program " + " " * (1 << 20))  # too large to be a wrapper
     assert plan.find_named_files([tmp_path / "wrapper.sh"]) == [tmp_path / "inner.sh"]
-    (tmp_path / "own_sources").mkdir()
     choice = EstimatorChoice("command:./wrapper.sh {here}/data.bin {sensors}", "x", beside=tmp_path)
     found = plan._find_sources(choice)
     assert found == [tmp_path / "./wrapper.sh", tmp_path / "data.bin", tmp_path / "inner.sh"]
@@ -229,6 +294,12 @@ def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
     assert [path.name for path in shell] == ["sh", "wrapper.sh", "inner.sh"]
     for use in ("command:", "command:'"):
         assert plan._find_sources(EstimatorChoice(use, "x", beside=tmp_path)) == []
+    (tmp_path / "many.sh").write_text(" ".join(f"a{k}" for k in range(250)))
+    for k in range(250):
+        (tmp_path / f"a{k}").write_text("data.bin")
+    assert len(plan.find_named_files([tmp_path / "many.sh"])) == 250  # what these name is too much
+    for path in (*tmp_path.glob("a*"), tmp_path / "many.sh"):
+        path.unlink()
     everything = plan._find_sources(EstimatorChoice("file:.", "x", beside=tmp_path))
     assert [path.name for path in everything] == sorted(texts)
 
@@ -242,7 +313,7 @@ def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
         ("own_missing:X", []),
         (".:X", []),
         ("bench.navigation:X", []),
-        ("loose-15", []),
+        ("own_alone", []),
         ("command:own_alone", []),
         ("file:own_alone", []),
     ],
@@ -250,7 +321,7 @@ def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
 def test_the_sources_of_a_class_are_its_module_or_its_whole_package(tmp_path, monkeypatch, use, names):
     for name in ("own_package", "own_space"):
         (tmp_path / name).mkdir()
-    for name in ("own_alone.py", "own_package/__init__.py", "own_package/deep.py"):
+    for name in ("own_alone.py", "own_package/__init__.py", "own_package/deep.py", "command.py", "file.py"):
         (tmp_path / name).write_text("")
     monkeypatch.syspath_prepend(tmp_path)
     assert [path.name for path in plan.find_module_files(use)] == names
@@ -476,7 +547,7 @@ def test_bins_are_as_wide_as_they_say():
 
 @pytest.mark.parametrize(
     ("duration", "rate", "step"),
-    [(60.0, 10.0, 0.1), (60.1, 10.0, 0.2), (20.0, 10.0, 0.1), (7200.0, 4.0, 12.0)],
+    [(60.0, 10.0, 0.1), (60.0 + 1e-9, 10.0, 0.1), (60.1, 10.0, 0.2), (20.0, 10.0, 0.1), (7200.0, 4.0, 12.0)],
 )
 def test_the_step_of_the_instants_that_are_kept(duration, rate, step):
     assert choose_step(duration, rate) == pytest.approx(step)

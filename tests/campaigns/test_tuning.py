@@ -253,6 +253,14 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
         "short.toml", "x", goal="rmse", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c)
     )
     assert seen[:2] == pytest.approx([50.0, 1.0])
+    seen.clear()
+    bench.tune("short.toml", "x", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c))
+    assert seen[0] == pytest.approx(50.0)
+    workers: list[int] = []
+    monkeypatch.setattr(tuning, "ProcessPool", lambda count: workers.append(count) or HerePool(count))
+    for jobs in (3, None):
+        bench.tune("short.toml", "x", factors=names, evaluations=1, jobs=jobs)
+    assert workers == [3, tuning.count_processors()]
 
 
 @pytest.mark.slow
