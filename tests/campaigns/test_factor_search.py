@@ -133,6 +133,9 @@ def test_second_derivatives_are_of_a_tenth():
     """Of x^4 at 0: 2 h^2, and twice the pull."""
     _, hessian = _step_to_valley(_Tried(lambda x: np.full(2, x[0] ** 4), 9), np.zeros(1))
     assert hessian[0, 0] == pytest.approx(2 * 0.1**2 + 2e-3)
+    for curved in (0.0, -1.0):  # never less than the pull: a step leads down
+        _, hessian = _step_to_valley(_Tried(lambda x, c=curved: np.full(2, c * x[0] ** 2), 9), np.zeros(1))
+        assert hessian[0, 0] == pytest.approx(2e-3)
 
 
 def test_the_search_begins_at_1_and_at_5_and_a_fifth_of_each(monkeypatch):
