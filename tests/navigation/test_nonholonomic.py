@@ -13,7 +13,7 @@ from bench import rotation, sensors
 from bench.evaluation import consistency
 from bench.evaluation.error_series import error_series
 from bench.instruments import AirspeedSpec, OdometerSpec
-from bench.navigation.error_state_filter import measurement_rows, propagation, vehicle_motion
+from bench.navigation.error_state_filter import measurement_rows, propagation
 from bench.navigation.error_state_filter.error_state import feedback_kernel
 from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model
 from bench.navigation.models.loose_tight import Loose
@@ -85,18 +85,6 @@ def test_the_rows_of_h_are_the_derivatives_of_the_prediction(kind):
     differences = [(measure(step * e)[0] - measure(-step * e)[0]) / (2 * step) for e in np.eye(n)]
     assert_allclose(H, np.transpose(differences), rtol=1e-6, atol=1e-6)
     assert (np.count_nonzero(H, axis=1) >= 8).all()
-
-
-def test_samples_hold_the_mean_motion_before_them():
-    sensed = sensors.sense(rolling(0, 3.0), replace(units(), gnss=None, baro=None), 1, 0)
-    imu = sensed.data.imu
-    ends, motion_b, _ = vehicle_motion.VehicleSampler(0.0, flying=False).take(imu)
-    assert_allclose(ends, vehicle_motion.INTERVAL * np.arange(1, 1 + len(ends)))
-    k = int(np.searchsorted(imu.t, ends[-1]))
-    rate = imu.dtheta_b[k - 9 : k + 1].sum(axis=0) / 0.1
-    force = imu.dvel_b[k - 9 : k + 1].sum(axis=0) / 0.1
-    lean = imu.dvel_b[k - 49 : k + 1].sum(axis=0) / vehicle_motion.LEAN
-    assert_allclose(motion_b[-1], [*rate, *force, lean[0], lean[1] / vehicle_motion.SLIP_FORCE])
 
 
 def drive(slip: float, **options):
