@@ -1,16 +1,39 @@
-"""Where each state of the compiled filters begins and how it moves, by the datasheets: worked out by hand."""
+"""What the compiled filters take from the datasheets, by hand: states and the noise of measurements."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation
+from bench.config import load_profile
 from bench.data import InitialState
-from bench.instruments import BaroSpec, HeadingSpec, MagSpec, OdometerSpec, RadarSpec
+from bench.instruments import (
+    AirspeedData,
+    AirspeedSpec,
+    BaroSpec,
+    HeadingSpec,
+    MagSpec,
+    OdometerSpec,
+    RadarData,
+    RadarSpec,
+)
+from bench.navigation.error_state_filter.aiding_sensors import (
+    AIRSPEED,
+    BARO,
+    FIXES,
+    HEADING,
+    ODOMETER,
+    RADAR,
+    SATELLITES,
+    fix_variance,
+    magnetic_map,
+)
+from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE_ERRORS
 from bench.navigation.error_state_filter.state_blocks import (
     StateModel,
     chosen_blocks,
@@ -20,6 +43,7 @@ from bench.navigation.error_state_filter.state_blocks import (
 from bench.navigation.options import FusionOptions
 from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, ThermalSpec, TriadSpec
 from bench.signals.allan import gauss_markov_deviation
+from bench.signals.magnetic import field_n
 
 DEG = np.pi / 180.0
 GYRO = TriadSpec(
@@ -229,3 +253,148 @@ def test_a_heading_that_knows_the_gyros_knows_them_with_all_that_adds_to_them():
     acceleration = steady_rows(drives, f_b, warmth, len(free.P))[3:]
     for name, factor in (("accel_scale", f_b), ("accel_quadratic", f_b**2)):
         assert_allclose(acceleration[:, free.layout.slice(name)], np.diag(factor))
+
+
+def test_errors_are_corrected_forces_first_and_small_ones_of_a_motion_before_those_that_need_it():
+    """What no motion changes, what goes by the force on a gyro, by the axis itself, by those across."""
+    both = replace(IMU, accel=replace(ACCEL, misalignment_sd=1e-3, temperature_sd=1e-4))
+    model = model_of(replace(SPECS, imu=both), every_error=True)
+    names = [block for block, _, size in model.layout.blocks for _ in range(size)]
+    order, found = [], set()
+    for state, error, _ in model.process.drives.tolist():
+        name, own = names[state], (error - 9) % 3
+        triad = int(error < 12)
+        assert name.startswith("accel") != triad
+        if "matrix" in name:
+            kind = 2 if state - model.layout.slice(name).start == own else 3
+        else:
+            kind = 0 if "flicker" in name or "temperature" in name else 1 if "sensitivity" in name else 2
+        order.append((triad, kind))
+        found.add((triad, kind))
+    assert order == sorted(order)
+    assert found == {(0, 0), (0, 2), (0, 3), (1, 0), (1, 1), (1, 2), (1, 3)}
+
+
+# --- satellites -----------------------------------------------------------------------------------------
+
+SKY = replace(
+    load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss.sky, systems="all", bands=1,
+    gps_space_sd=1.0, glonass_space_sd=2.0, galileo_space_sd=0.5, beidou_space_sd=1.5,
+    space_correlation=3600.0, ionosphere_sd=3.0, ionosphere_share=1.0, ionosphere_correlation=1800.0,
+    troposphere_sd=0.1, troposphere_correlation=600.0, multipath_zenith_sd=0.5, multipath_horizon_sd=1.0,
+    multipath_correlation=60.0, clock_offset_sd=100.0, clock_drift_sd=50.0, glonass_offset_sd=7.0,
+    galileo_offset_sd=8.0, beidou_offset_sd=9.0, integration=0.02, clock_h_0=1e-20, clock_h_m1=1e-21,
+    clock_h_m2=1e-22,
+)  # fmt: skip
+LIGHT = 299792458.0
+
+
+def sky_model(rate: float = 2.0, **changes: object) -> StateModel:
+    specs = replace(SPECS, gnss=replace(GNSS, rate=rate, sky=replace(SKY, **changes)))
+    return state_model(START, specs, [CLOCK, RANGE_ERRORS])
+
+
+def test_the_clock_walks_and_each_system_has_its_own_offset():
+    """White frequency noise and random walk of the frequency in closed form (Brown and Hwang); flicker by the
+    integral of what it moves the frequency between two epochs, up to that of the integration."""
+    model = sky_model()
+    assert_allclose(figures(model, "clock_offset"), [0, 1e4, 0.5e-20 * LIGHT**2, 0, 0, 0])
+    value, variance, walk, *rest = figures(model, "clock_drift")
+    assert [value, variance, *rest] == [0.0, 2500.0, 0.0, 0.0, 0.0]
+    f = np.linspace(0.0, 0.5 / 0.02, 200_001)[1:]
+    changed = np.trapezoid(2.0 * (1.0 - np.cos(np.pi * f)) / f, f)
+    assert walk / LIGHT**2 == pytest.approx(2.0 * np.pi**2 * 1e-22 + 2.0 * changed * 1e-21, rel=2e-3)
+    for name, sd in (("glonass", 7.0), ("galileo", 8.0), ("beidou", 9.0)):
+        assert figures(model, f"{name}_offset") == [0.0, sd**2, 0.0, 0.0, 0.0, 0.0]
+    assert not model.layout.has("gps_offset")
+
+
+def test_what_wanders_in_a_range_decays_by_the_mean_of_its_times():
+    """Unit states. The ionosphere is 3 m and 4 m under the broadcast 4 m, at 35 deg 1.6 times as much, of
+    which 15 % in variance are a satellite's own; with two carriers it is gone, and multipath 2.98 times."""
+    own, near = 0.15 * 1.6**2 * 25.0, 0.25
+    model = sky_model()
+    for name, space, count in (
+        ("gps", 1.0, 16),
+        ("glonass", 4.0, 12),
+        ("galileo", 0.25, 12),
+        ("beidou", 2.25, 16),
+    ):
+        rate = (space + own + near) / (3600.0 * space + 1800.0 * own + 60.0 * near)
+        assert_allclose(figures(model, f"{name}_range_{count}"), [0, 1, 0, rate, 0, 1])
+        assert not model.layout.has(f"{name}_range_{count + 1}")
+    assert_allclose(figures(model, "ionosphere_5"), [0, 1, 0, 1 / 1800, 0, 1])
+    assert not model.layout.has("ionosphere_6")
+    assert_allclose(figures(model, "troposphere"), [0, 1, 0, 1 / 600, 0, 1])
+    both = sky_model(bands=2)
+    near *= 2.98**2
+    assert_allclose(figures(both, "gps_range_1")[3], (1.0 + near) / (3600.0 + 60.0 * near))
+    assert not both.layout.has("ionosphere_1")
+    white = sky_model(multipath_correlation=1.0)
+    assert_allclose(figures(white, "gps_range_1")[3], (1.0 + own) / (3600.0 + 1800.0 * own))
+    brief = sky_model(ionosphere_correlation=0.5, troposphere_correlation=0.5, multipath_correlation=0.5)
+    assert [figures(brief, name)[3] for name in ("ionosphere_1", "troposphere")] == [1.0, 1.0]
+    none = sky_model(
+        **dict.fromkeys(("ionosphere_sd", "ionosphere_share", "troposphere_sd", "multipath_zenith_sd"), 0.0),
+        gps_space_sd=0.0,
+    )
+    names = [name for name, *_ in none.layout.blocks]
+    assert "glonass_range_1" in names
+    assert not {"gps_range_1", "ionosphere_1", "troposphere"} & set(names)
+
+
+# --- measurements ---------------------------------------------------------------------------------------
+
+
+def test_a_fix_is_as_noisy_as_its_datasheet_says_and_what_has_states_is_no_noise():
+    white, wandering = [2.25, 2.25, 6.25, 0.0025, 0.0025, 0.0025], [9, 9, 16, 0.04, 0.04, 0.04]
+    assert_allclose(fix_variance(GNSS, gnss_markov=True), white)
+    assert_allclose(fix_variance(GNSS, gnss_markov=False), np.add(white, wandering))
+    jumping = replace(GNSS, rate=2.0, pos_h_jump_sd=3.0, pos_v_jump_sd=4.0, vel_jump_sd=0.5)
+    share = 100 / 86400 / 2.0  # of the epochs
+    assert_allclose(FIXES.short(jumping), share * np.array([9, 9, 16, 0.25, 0.25, 0.25]))
+    assert_allclose(FIXES.short(replace(jumping, rate=1e-3)), [9, 9, 16, 0.25, 0.25, 0.25])
+
+
+@pytest.mark.parametrize("sensor", [BARO, RADAR, ODOMETER, HEADING], ids=lambda one: one.option)
+def test_rounding_adds_a_twelfth_of_the_square_of_a_step(sensor):
+    assert_allclose(sensor.short(replace(getattr(SPECS, sensor.spec), quantization=0.6)), [0.03])
+
+
+def test_an_airspeed_is_as_noisy_as_its_record_bias_zero_and_scale_factor_say():
+    """At 25 m/s: 0.3, 0.4 and 2 % of it; and 5 Pa of the zero over rho V, at the height of the start."""
+    spec = AirspeedSpec("pitot", 10.0, bias_sd=0.4, scale_factor_sd=0.02)
+    one = np.array([1.0])
+    record = AirspeedData(one, one, one > 0, 25.0 * one, 0.3 * one)
+    values, variance = AIRSPEED.read(record, spec, None, START, None)
+    assert_allclose([values, variance], [[[25.0]], [[0.09 + 0.16 + 0.25]]])
+    rho = 1.225 * (1 - 2.25577e-5 * 1000.0) ** 4.2559  # ISA troposphere
+    _, more = AIRSPEED.read(record, replace(spec, pressure_bias_sd=5.0), None, START, None)
+    assert_allclose(more - variance, [[(5.0 / (rho * 25.0)) ** 2]], rtol=0.01)
+
+
+def test_a_radar_altimeter_gives_the_height_above_the_ellipsoid():
+    one = np.array([1.0])
+    record = RadarData(one, one, one > 0, 120.0 * one, 0.4 * one)
+    values, variance = RADAR.read(record, SPECS.radar, SimpleNamespace(ground_alt=700.0), START, None)
+    assert_allclose([values[0, 0], variance[0]], [820.0, 0.09])
+
+
+def test_the_map_of_the_magnetic_field_is_its_value_and_its_slope():
+    """Against the field 2 km away on either side, along each axis."""
+    found = magnetic_map(START.lla, 2026.0)
+    assert_allclose(found[0], field_n(START.lla[None], 2026.0)[0])
+    for axis, row in enumerate(2e3 * np.eye(3)):
+        there, back = field_n(earth.displace(START.lla, np.array([row, -row])), 2026.0)
+        assert_allclose(found[1 + axis], (there - back) / 4e3, atol=0.02 * np.abs(found[1:]).max())
+
+
+def test_the_errors_of_satellites_are_those_of_their_carriers():
+    def told(**changes):
+        return {
+            words for words, size in SATELLITES.errors(replace(GNSS, sky=replace(SKY, **changes))) if size
+        }
+
+    ionosphere = "ionosphere beyond the broadcast model"
+    assert ionosphere in told()
+    assert ionosphere not in told(bands=2) | told(ionosphere_sd=0.0, ionosphere_share=0.0)
