@@ -121,9 +121,10 @@ def _rest(
             k = int(np.argmax(moving))
             until, why = min(last, float(sensors.fixes.t[k])), f"GNSS reports {speed[k]:.2g} m/s"
     ends = np.searchsorted(t, np.arange(initial.t + WINDOW, until, WINDOW) - timeline.TIME_TOLERANCE) + 1
-    ends = ends[ends <= len(t)]
+    if (ends > len(t)).any():
+        ends, why = ends[ends <= len(t)], "the record of the imu ends"
     if not len(ends):
-        return 0, why if until < last else "the record of the imu ends"
+        return 0, why
     means = [
         np.add.reduceat(column[rows[: ends[-1]]] * stretch[: ends[-1]], np.append(0, ends[:-1]))
         / np.add.reduceat(span[: ends[-1]], np.append(0, ends[:-1]))[:, None]
@@ -144,9 +145,7 @@ def _rest(
     for text, rows_moving in moves.items():
         if rows_moving.any() and rows_moving.argmax() < len(ends):
             ends, why = ends[: int(rows_moving.argmax())], text
-    if not len(ends):
-        return 0, why
-    return int(ends[-1]), why if until < last or len(t) > ends[-1] else "the record of the imu ends"
+    return int(ends[-1]) if len(ends) else 0, why
 
 
 def mean_sd(sensors: SensorData, T: float, g: float, warmth: float) -> tuple[float, float]:
