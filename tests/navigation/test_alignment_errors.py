@@ -241,7 +241,7 @@ def test_gyros_tell_a_heading_better_than_what_is_given():
 
 
 def test_what_adds_to_a_mean_at_rest():
-    """By hand, every part another: turn-on 2, instability 3, three misalignments 4, 5, 6, warming 7 and noise."""
+    """By hand, every part another: biases, three misalignments, what warms, what gravity does, and noise."""
     accel = TriadSpec(
         turn_on_bias_sd=0.2, bias_instability=0.3, misalignment_sd=0.04, nonorthogonality_sd=0.05,
         alignment_sd=0.06, temperature_sd=0.07, random_walk=0.8, bias_model="flicker",
@@ -310,7 +310,7 @@ def test_a_standstill_feels_gravity_alone():
         if stands:
             alignment.complete(data_, initial)
         else:
-            with pytest.raises(EstimatorError, match="at 0 s it does not feel gravity alone$"):
+            with pytest.raises(EstimatorError, match=r"at 0 s it does not feel gravity alone$"):
                 alignment.complete(data_, initial)
 
 

@@ -17,13 +17,16 @@ from scipy import stats
 
 import bench
 from bench import earth, sensors
-from bench.data import Trajectory, no_air, no_controls, no_events
+from bench.data import GnssFixes, Trajectory, no_air, no_controls, no_events
 from bench.errors import EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.navigation.engine.gate import DRIFTED, LOST, REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.models.gnss_only import GnssOnly
 from bench.navigation.models.loose_tight import Loose
+from bench.navigation.options import GnssOnlyOptions
+from bench.navigation.start.fix_track import FixTrack
 from bench.navigation.start.singer import singer_kernel, track_work
 from bench.specs import EvaluationWindow
 from tests.builders import band, student
@@ -60,6 +63,90 @@ def test_singers_transition_and_noise_are_those_of_van_loan(T):
     bound = 2**doublings * (32 * np.finfo(float).eps * (1.0 + lost) + 1e-12 / 60)
     for found, exact in zip(singer(T, sd, tau), (Phi, Q), strict=True):
         assert_allclose(found, np.array(exact.tolist(), float), rtol=bound, atol=0)
+
+
+def plain_track(options, t, x, P, fixes, r, output):
+    """A Kalman filter of whole matrices over a plane: x and P at the outputs, innovations and verdicts."""
+    gate = InnovationGate(("gnss_position", "gnss_velocity"), t, options.gate_probability, 3.0)
+    found, now, verdicts = {}, t, []
+
+    def carry(T):
+        Phi, Q = (np.kron(one, np.eye(3)) for one in singer(T, options.acceleration, options.correlation_s))
+        return Phi @ x, Phi @ P @ Phi.T + Q
+
+    for k, at in sorted([*enumerate(fixes[0]), *((None, one) for one in output)], key=lambda one: one[1]):
+        if k is None:
+            found[at] = carry(at - now)
+            continue
+        (x, P), now = carry(at - now), at
+        H, y = np.eye(6, 9), fixes[1][k] - x[:6]
+        if np.isfinite(y).all():
+            gate.see_fix(at, y, H @ P @ H.T + np.diag(r[k]), r[k, :3])
+        else:
+            gate.see_position()
+        for code in range(2):
+            part = slice(3 * code, 3 * code + 3)
+            e, Hc, R = fixes[1][k][part] - x[part], H[part], np.diag(r[k, part])
+            if not np.isfinite(e).all():
+                continue
+            S = Hc @ P @ Hc.T + R
+            nis = e @ np.linalg.solve(S, e)
+            verdict = gate.decide(at, code, e, np.diag(S), nis, sound=nis <= gate.limits[3])
+            verdicts.append(verdict)
+            if verdict == REFUSED:
+                continue
+            if verdict != SOUND:
+                E = growth(verdict, P @ Hc.T @ np.linalg.solve(S, e), Hc, e, np.arange(9) // 3 == code)
+                P = P + E @ E.T
+            K = P @ Hc.T @ np.linalg.inv(Hc @ P @ Hc.T + R)
+            x, P = x + K @ e, (np.eye(9) - K @ Hc) @ P @ (np.eye(9) - K @ Hc).T + K @ R @ K.T
+    return found, gate.take(last=True)[0], verdicts
+
+
+def test_a_track_of_fixes_is_a_kalman_filter_of_whole_matrices():
+    """Without velocity, refused, believed again after 3 s, and after an outage; one comes twice."""
+    options, rng = (
+        GnssOnlyOptions(acceleration=2.0, correlation_s=5.0, readmit_after_s=3.0),
+        np.random.default_rng(4),
+    )
+    t = np.array([1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.5, 25.0, 26.0])
+    rows = np.column_stack([7.0 * t, -4.0 * t, 2.0 * t, *np.tile([[7.0], [-4.0], [2.0]], len(t))])
+    rows += rng.normal(size=rows.shape) * [3, 3, 5, 0.3, 0.3, 0.4]
+    rows[4:, :3] += [300.0, -200.0, 50.0]  # the receiver steps
+    rows[9:, :3] += [2500.0, 0.0, 0.0]  # the aircraft has gone another way
+    rows[9:, 3:] += [150.0, 0.0, 0.0]
+    rows[2, 3:] = np.nan
+    r = rng.uniform(0.5, 2.0, (len(t), 6)) * np.square([3, 3, 5, 0.3, 0.3, 0.4])
+    origin, root = np.array([0.8, 0.2, 500.0]), rng.normal(size=(6, 6))
+    x, cov = np.concatenate([[5.0, -6.0, 7.0, 7.3, -4.2, 1.7, 0, 0, 0]]), root @ root.T + np.eye(6)
+    output = np.array([0.5, 1.5, 3.0, 5.5, 8.5, 9.0, 9.75, 25.5, 27.0])
+    lla = earth.displace(np.tile(origin, (len(t), 1)), rows[:, :3])
+    track = FixTrack(options, 0.5, earth.displace(origin, x[:3]), x[3:6], cov)
+    late = np.array([*range(3), 1, *range(3, len(t))])  # one comes once more, and changes nothing
+    sound = np.ones(len(t), np.bool_)
+    fixes = GnssFixes(
+        t, t, sound, lla, rows[:, 3:], np.zeros((len(t), 3, 3)), np.zeros((len(t), 3, 3)), 10 * sound
+    )
+    found, P = track.run(fixes, late, r, np.searchsorted(output, t[late]), output)
+    start = np.zeros((9, 9))
+    start[:6, :6], start[6:, 6:] = cov, 4.0 * np.eye(3)
+    wanted, table, verdicts = plain_track(options, 0.5, x, start, (t, rows), r, output.tolist())
+    assert set(verdicts) == {REFUSED, SOUND, DRIFTED, LOST}
+    for k, at in enumerate(output.tolist()):
+        plane = np.concatenate([earth.difference_n(found[k, :3], origin), found[k, 3:]])
+        assert_allclose(plane, wanted[at][0], rtol=1e-4, atol=0.02)
+        sd = np.sqrt(np.diag(wanted[at][1]))
+        assert_allclose(P[k] / np.outer(sd, sd), wanted[at][1] / np.outer(sd, sd), rtol=0, atol=2e-3)
+    innovations = track.take_innovations()
+    for name in ("t", "code", "component", "accepted"):
+        np.testing.assert_array_equal(getattr(innovations, name), getattr(table, name))
+    assert_allclose(innovations.S, table.S, rtol=2e-3)
+    assert_allclose(innovations.z, table.z, atol=0.05)
+    assert_allclose(innovations.nis, table.nis, rtol=1e-2, atol=1e-2)
+    assert len(track.take_innovations()) == 0
+    assert track.t == 26.0
+    assert np.isnan(track.at([25.9])[0]).all()
+    assert np.isfinite(track.at([26.0])[0]).all()
 
 
 @cache

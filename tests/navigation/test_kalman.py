@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.navigation.engine.gate import DRIFTED, LOST, STEPPED, growth
-from bench.navigation.engine.kalman import nis_kernel, open_kernel, update_kernel
+from bench.navigation.engine.kalman import nis_kernel, open_all_kernel, open_kernel, update_kernel
 from bench.navigation.engine.late_updates import (
     DEPTH,
     late_rows_kernel,
@@ -207,7 +207,7 @@ def test_two_states_seen_together_open_by_the_least_step_that_explains():
     """Along their row of H: the innovation is one to be expected, and what the row does not see stays."""
     P, dx, H, _, r = problem(1, 1)
     H[:] = 0.0
-    H[0, 2:4] = -0.6, 0.8
+    H[0, 2:4] = -1.2, 1.6
     e = np.array([50.0])
     work = np.zeros((1, 2))
     nis_kernel(P, dx, H, H @ dx + e, r, np.empty(1), work, np.empty_like(H), columns())
@@ -216,8 +216,25 @@ def test_two_states_seen_together_open_by_the_least_step_that_explains():
     open_kernel(opened, P.copy(), H, e, own, True, work, np.empty(N))
     x = P @ H[0] * (e[0] / (H[0] @ P @ H[0] + r[0]))
     step = opened - P - np.outer(x, x)
-    assert_allclose(step[2:4, 2:4], 2500.0 * np.outer([-0.6, 0.8], [-0.6, 0.8]), rtol=1e-9, atol=1e-6)
+    assert_allclose(step[2:4, 2:4], 625.0 * np.outer([-0.6, 0.8], [-0.6, 0.8]), rtol=1e-9, atol=1e-6)
     assert_allclose(np.array([0.8, 0.6]) @ step[2:4, 2:4], 0.0, atol=1e-6)
+    E = growth(STEPPED, x, H, e, own)
+    assert_allclose(E @ E.T, step, rtol=1e-9, atol=1e-6)
+
+
+def test_a_step_of_some_size_opens_its_states_alone_and_rows_may_be_longer_than_the_states():
+    """A covariance of wide rows: what lies behind its columns belongs to nothing."""
+    P, dx, H, z, r = problem(2, 1, 5)
+    wide_P, wide_before = widened(P), widened(2.0 * P)
+    wide_P[:, 5:] = wide_before[:, 5:] = 1e9
+    opens = np.array([False, True, False, False, True])
+    open_all_kernel(wide_P, wide_before, 3.0, opens)
+    assert_allclose(wide_P[:, :5] - P, 9.0 * np.diag(opens), atol=1e-9 * P.max())
+    assert_allclose(wide_before[:, :5] - 2.0 * P, 9.0 * np.diag(opens), atol=1e-9 * P.max())
+    P = wide_P[:, :5].copy()
+    update_kernel(wide_P, dx.copy(), H[0], z[0], r[0], np.empty(5), np.empty(5))
+    assert_allclose(wide_P[:, :5], sequential(P, dx, H, z, r)[0], rtol=1e-12)
+    assert (wide_P[:, 5:] == 1e9).all()
 
 
 # --- updates whose change of P waits ------------------------------------------------------------------------

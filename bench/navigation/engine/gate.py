@@ -275,7 +275,7 @@ def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: Boo
     """
     along = np.where(opens, H, 0.0)
     size2 = np.sum(along**2, axis=1)
-    steps = along * (e / np.where(size2 > 0, size2, 1.0))[:, None]
+    steps = along * np.divide(e, size2, out=np.zeros_like(e), where=size2 > 0)[:, None]
     return np.column_stack([x * (verdict != STEPPED), steps.T * (verdict != DRIFTED)])
 
 

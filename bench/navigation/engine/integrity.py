@@ -92,5 +92,5 @@ def correction_period(admissible: float, start: float, gyro: float, accel: float
         return 0.0
     g, R = STANDARD_GRAVITY, SCHULER_RADIUS
     roots = np.roots([g * gyro / (6.0 * R), (start * g + accel) / (2.0 * R), gyro, start - admissible])
-    positive = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0)]
-    return float(positive.min()) if len(positive) else np.inf
+    positive = roots.real[roots.real > 0]  # one: the factors of all powers are positive, so others have none
+    return float(positive[0]) if len(positive) else np.inf

@@ -55,7 +55,7 @@ def take_rows(record: _Record, rows: Any) -> _Record:
     """Return rows of a record of columns; of satellites in the epochs that have any."""
     if not isinstance(record, GnssObservations):
         return type(record)(*(getattr(record, name)[rows] for name in _names(type(record))))
-    counts = np.bincount(record.epoch[rows], minlength=len(record.epoch_start) - 1)
+    counts = np.bincount(record.epoch[rows])
     taken: Any = {name: column[rows] for name, column in columns(record).items() if name not in _WHOLE}
     taken["epoch_start"] = np.concatenate([[0], np.cumsum(counts[counts > 0])])
     return replace(record, **taken)
