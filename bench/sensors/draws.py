@@ -58,7 +58,7 @@ class SensorDraws:
 
     def constant(self, name: str, *shape: int) -> Any:
         """Return standard normal numbers that are drawn once; without a shape a single one."""
-        return self.keep(name, lambda: self.stream(name).standard_normal(shape or None), "constant")
+        return self.keep(name, lambda: self.stream(name).standard_normal(shape), "constant")
 
     def accumulate(self, name: str, steps: FloatArray) -> FloatArray:
         """Return the sum (K, ...) of all steps until each of the steps (K, ...) of this piece."""

@@ -85,8 +85,8 @@ def find_reported_rows(
             continue
         if fault.kind == "frozen":
             begins = number not in held.slots
-            before = first - 1 if first or not held.rows else -len(held.rows)
-            frozen[number] = max(before, 0) if not held.rows else before if begins else held.find(number)
+            before = first - 1 if first else -len(held.rows)
+            frozen[number] = before if begins else held.find(number)
             content[first:stop] = frozen[number]
         elif fault.kind == "latency":
             late[first:stop] += fault.delay

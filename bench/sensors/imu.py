@@ -125,7 +125,8 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
         increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, draws.part(part), valid)
         measured.append(increment)
         biases.append(bias)
-    if N is not None and spec.accel_cone > 0:
+    if spec.accel_cone > 0:
+        assert N is not None  # by the line that made it
         back: FloatArray = np.linalg.inv(N).astype(float)
         measured[1], biases[1] = (imu_terms.rotate_rows(back, rows) for rows in (measured[1], biases[1]))
     imu = ImuData(t=t[1:], dt=dt, valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
@@ -146,7 +147,7 @@ def _measure_triad(
     memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))
     random_walk = spec.by_axis("random_walk")
     for rows in disk_arrays.blocks(len(out)):
-        white = memory[: rows.stop - rows.start]
+        white = memory[: len(out[rows])]
         if noise is not None:
             noise.standard_normal(out=white)
         _measure_kernel(

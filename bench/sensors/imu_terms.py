@@ -234,14 +234,13 @@ def _response_kernel(
     """
     whole = int(delay)
     part = delay - whole
-    before = held.shape[0]
     for axis in range(3):
         y, dy = state[0, axis], state[1, axis]
         for k in range(increment.shape[0]):
             new, old = k - whole, k - whole - 1
-            x = increment[new, axis] if new >= 0 else held[before + new, axis]
+            x = increment[new, axis] if new >= 0 else held[new, axis]
             if part > 0.0:
-                late = increment[old, axis] if old >= 0 else held[before + old, axis]
+                late = increment[old, axis] if old >= 0 else held[old, axis]
                 x = (1.0 - part) * x + part * late
             if cutoff > 0.0:
                 u = x / interval

@@ -17,7 +17,7 @@ from bench.signals.least_squares import SHELL, find_pierce_points
 from bench.signals.look import Look
 
 WAVES = 64
-_TABLE = np.concatenate([np.linspace(0.0, 5.0, 2000), np.geomspace(5.0, 1e5, 2000)[1:]])
+_TABLE = np.concatenate([np.linspace(0.0, 5.0, 2000), np.geomspace(5.0, 1e5, 2000)])
 """Lengths of wave vectors, in units of 1 / decay, of the table of their distribution."""
 
 

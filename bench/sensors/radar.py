@@ -44,7 +44,7 @@ def measure(
     samples = Sampler("radar", truth, spec, draws)
     lat, lon, alt = truth.lla[samples.rows].T
     height = alt - (ground_alt if terrain is None else ground_at(terrain, lat, lon))
-    bias = samples.draw("bias", spec.bias_sd) + np.zeros(len(height))
+    bias = np.full(len(height), samples.draw("bias", spec.bias_sd))
     down_n = rotation.rotate(truth.q_nb[samples.rows], np.array([0.0, 0.0, 1.0]))
     seen: BoolArray = (height >= spec.min_height) & (height <= spec.range)
     return samples.report(np.nan_to_num(height) + bias, seen & (down_n[:, 2] >= np.cos(spec.max_tilt))), bias

@@ -187,7 +187,7 @@ def measure(
         before = len(held.rows) if (content < 0).any() else 0
         joined = _join_epochs([*held.rows[:before], own])
         observations, seen = _select_epochs(*joined, content + before, t[tag], t[tag] + spec.latency + late)
-    if frozen or any(faults.select_faults(scripted, "gnss", "frozen")):
+    if any(faults.select_faults(scripted, "gnss", "frozen")):
         held.go_on(frozen, len(t), take)
     # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
     solution = receiver.solve_fixes(observations, make_processing(sky), near=seen)
@@ -324,7 +324,7 @@ def _make_observations(
         ionosphere = ionosphere + residual * share_errors(seen, frequency[:, 0], modelled).ionosphere
     common = geometric + troposphere + clock[epoch] - v.clock
     for system, sd in enumerate(sky.offset_sd):
-        if sd > 0 and system in sky.constellations:
+        if sd > 0:
             name = f"{SYSTEM_NAMES[system].lower()}_offset"
             common += sd * errors.draw_constant(name) * (row_system == system)
     if sky.troposphere_sd > 0:
@@ -348,7 +348,7 @@ def _make_observations(
         burst = errors.draw_bursts(scripted, f"code.{band + 1}")
         if burst is not None:
             pseudorange[:, band] += noise * burst
-        if sky.multipath_zenith_sd > 0 or sky.multipath_horizon_sd > 0:
+        if max(sky.multipath_zenith_sd, sky.multipath_horizon_sd) > 0:
             slow = errors.draw_markov(f"multipath.{band + 1}", sky.multipath_correlation)
             pseudorange[:, band] += shadow * slow
         range_rate[:, band] = rate + drift[epoch] - v.clock_rate
@@ -399,8 +399,6 @@ def _join_epochs(
     parts: Sequence[tuple[GnssObservations, Look]],
 ) -> tuple[GnssObservations, Look]:
     """Return the observations and looks of several parts as one."""
-    if len(parts) == 1:
-        return parts[0]
     observations, looks = zip(*parts, strict=True)
     whole = ("epoch_start", "klobuchar", "gps_t0")
     columns: dict[str, Any] = {name: getattr(observations[-1], name) for name in GnssObservations.__slots__}

@@ -11,7 +11,7 @@ from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
-from bench.units import STANDARD_GRAVITY
+from bench.units import SAME_INSTANT, STANDARD_GRAVITY
 
 _REFERENCE = 298.15  # temperature of the calibration [K]
 
@@ -86,7 +86,7 @@ def compute_port_pressure(
     (3,) [m] is relative to the point of the air data, b.
     """
     around = truth.air
-    nearest = np.clip(np.searchsorted(truth.t, around.t - 1e-6), 0, len(truth.t) - 1)
+    nearest = np.minimum(np.searchsorted(truth.t, around.t - SAME_INSTANT), len(truth.t) - 1)
     pressure, temperature = around.pressure, around.temperature + warmer
     if warmer:
         height = air.to_geopotential(truth.lla[nearest, 2])

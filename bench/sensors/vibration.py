@@ -61,7 +61,7 @@ def shake(truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> tuple[F
     shaken = disk_arrays.empty(truth.dtheta_b.shape), disk_arrays.empty(truth.dvel_b.shape)
     for triad, (true, out) in enumerate(zip((truth.dtheta_b, truth.dvel_b), shaken, strict=True)):
         for rows in disk_arrays.blocks(len(out)):
-            at = slice(rows.start, rows.stop + 1)
+            at = slice(rows.start, None)  # instants at both ends of the samples
             _shake_kernel(
                 t[at], true[rows], angle[at], c[at], s[at], cosines[triad], sines[triad],
                 displacement[at], strength[at], shape[triad], out[rows],

@@ -19,7 +19,6 @@ from bench.signals import orbits
 from bench.signals.delays import range_kernel, range_rate_kernel
 from bench.signals.orbits import GPS_EARTH_RATE, C
 
-_GEOMETRIC = 1e-3  # lowest elevation for which delays are computed [rad]
 _RISE = 4e-4  # upper limit of the rate of elevation [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
 _SETTLED = 5e-3  # a range that changes by less between two iterations is accurate to 1e-8 m [m]
 _AHEAD = 14_400.0  # orbits are fitted for so long at a time [s]
@@ -91,7 +90,6 @@ def geometry_kernel(
         for s in range(coefficients.shape[0]):
             if t[m] < asleep[s]:
                 continue
-            above = True
             distance, ex, ey, ez = C * travel[s], 0.0, 0.0, 0.0
             for _ in range(4):
                 before = distance
@@ -100,17 +98,16 @@ def geometry_kernel(
                 below = sin_mask - (ex * ux + ey * uy + ez * uz)
                 if below > 1e-3:
                     asleep[s] = t[m] + below / _RISE
-                    above = False
                     break
                 if abs(distance - before) < _SETTLED:
                     break
             travel[s] = distance / C
             sin_el = ex * ux + ey * uy + ez * uz
-            if not (above and sin_el >= sin_mask):
+            if sin_el < sin_mask:
                 since[s] = np.nan
                 continue
             n = C_en[m, 0, 0] * ex + C_en[m, 1, 0] * ey + C_en[m, 2, 0] * ez
-            e = C_en[m, 0, 1] * ex + C_en[m, 1, 1] * ey + C_en[m, 2, 1] * ez
+            e = C_en[m, 0, 1] * ex + C_en[m, 1, 1] * ey  # east is level: it has no z
             sin_body = -(n * down_n[m, 0] + e * down_n[m, 1] - sin_el * down_n[m, 2])
             cn0 = horizon + (zenith - horizon) * sin_body
             if loss.shape[0] > 0:
@@ -177,7 +174,7 @@ def compute_view(
     size = len(t) * S
     epoch, which, received = np.empty(size, np.int64), np.empty(size, np.int64), np.empty(size, np.bool_)
     columns = np.empty((size, _COLUMNS))
-    sines = float(np.sin(max(sky.elevation_mask, _GEOMETRIC))), float(np.sin(sky.antenna_mask))
+    sines = float(np.sin(sky.elevation_mask)), float(np.sin(sky.antenna_mask))
     states = draws.keep("satellites", lambda: (np.full(S, np.nan), np.full(S, -np.inf), np.full(S, 0.075)))
     begun = bool(draws.keep("begun", list[bool]))
     if len(t):

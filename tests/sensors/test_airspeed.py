@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.data import no_air
 from bench.instruments import AirspeedSpec
+from bench.random_streams import stream
 from bench.sensors import airspeed
 from bench.sensors.draws import SensorDraws
 from bench.signals import air
@@ -94,6 +95,8 @@ def test_constant_errors_have_the_sd_of_their_figure(figure, expected):
     assert 0.98 * low < np.mean(found**2) / expected**2 < 1.02 * high
     assert not low < np.mean(found**2) / (2 * expected) ** 2 < high
     assert_allclose(airspeed.measure(truth, spec, SensorDraws(1, 3))[1], found[3], atol=1e-9)
+    drawn = stream(1, 3, f"airspeed.{figure.removesuffix('_sd')}").standard_normal()
+    assert found[3] == pytest.approx(expected * drawn, rel=0.02)
 
 
 def test_a_lag_follows_a_ramp_of_pressure_behind_by_its_time():

@@ -322,6 +322,9 @@ def test_beyond_its_range_a_sample_is_clipped_and_flagged(turn):
     assert not faulty.valid[rows].any()
     assert faulty.valid[~rows].all()
     assert_allclose(faulty.dtheta_b[rows, 0], 0.01, rtol=1e-9)
+    assert_array_equal(faulty.dtheta_b[:, 1:], record.dtheta_b[:, 1:])
+    small = [script("gyro-step", step_deg_h=[5e3, 0.0, 0.0])]
+    assert faults.apply_to_imu(record, imu, small, SensorDraws(1, 0)).valid.all()
 
 
 def test_a_baro_step(turn, plain):
@@ -329,6 +332,8 @@ def test_a_baro_step(turn, plain):
     before, after = plain["position"].data.baro, faulty.data.baro
     assert_allclose(after.alt_baro - before.alt_baro, 12.0 * inside(before), rtol=0, atol=1e-9)
     assert np.nanmax(faulty.truth.bias["baro"] - plain["position"].truth.bias["baro"]) == pytest.approx(12.0)
+    noisy = sensed(turn, POSITION, script("noise-burst", sensor="baro", times=5.0)).data.baro.alt_baro
+    assert_allclose(noisy / 0.01, np.rint(noisy / 0.01), rtol=0, atol=1e-6)
 
 
 def test_a_frozen_output_repeats_the_row_before_and_its_time_goes_on(turn, plain):

@@ -351,6 +351,17 @@ def test_each_jump_has_its_own_share_and_its_own_stream(day, figure):
     added = [quantity(f) - quantity(base) for f in (one, two)]
     assert np.abs(added[0]).max() > 0.5 * JUMPS[figure]
     assert_allclose(added[1], 2 * added[0], rtol=0, atol=1e-3 * JUMPS[figure])
+    alone = errors(
+        day,
+        replace(
+            silence(noisy),
+            pos_decay_distance=4e-6,
+            pos_decay_time=5e-4,
+            vel_decay_time=0.01,
+            **{figure: JUMPS[figure]},
+        ),
+    )
+    assert_allclose(alone[figure.startswith("vel")], added[0], rtol=0, atol=1e-3 * JUMPS[figure])
     other = [f.lla if figure.startswith("vel") else f.vel_n for f in (base, one)]
     assert_array_equal(*other)
 

@@ -21,6 +21,7 @@ from bench.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, Vib
 from bench.sensors import imu, imu_terms, processes, vibration
 from bench.sensors.draws import SensorDraws
 from tests.builders import band
+from tests.sensors.given_numbers import respond
 from tests.synthetic import still, turning
 
 G = 9.80665
@@ -510,6 +511,57 @@ def test_gusts_shake_the_structure_at_its_mode_in_proportion():
     assert_array_equal(double.dtheta_b, record.dtheta_b)
     calm = made(zero[:4000], zero[:4000], 1000.0, weather(4.0, wind=np.full((81, 3), 5.0)))
     assert np.abs(run(calm, vibration=spec)[0].dvel_b).max() < 1e-9
+
+
+def test_the_engine_shakes_from_a_drawn_phase_and_gusts_along_a_drawn_direction():
+    """Sample by sample: the integral of a sine, and the change of a displacement times the gusts."""
+    rng, n = np.random.default_rng(8), 400
+    wind = rng.normal(size=(41, 3)) * np.linspace(0.5, 3.0, 41)[:, None]
+    air = weather(2.0, engine=lambda t: 150.0 + 0 * t, wind=wind)
+    truth = made(rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), 200.0, air)
+    engine = VibrationSpec(engine_gyro=0.02, engine_accel=3.0, engine_reference=200.0, engine_order=1.5)
+    gusts = VibrationSpec(gust_gyro=0.01, gust_accel=0.5, mode_frequency=12.0, mode_damping=0.1)
+    w, phases = 1.5 * 150.0, stream(1, 0, "engine").uniform(0.0, 2 * np.pi, (2, 3))
+    cosine = np.cos(w * truth.t[:, None, None] + phases)
+    drawn = stream(1, 0, "shape").standard_normal((2, 3))
+    displacement, draws = np.empty(n + 1), SensorDraws(1, 0)
+    vibration._simulate_mode(truth.t, gusts, draws, displacement)
+    gust = np.interp(truth.t, air.t, vibration.compute_gust_rms(air, draws))
+    for spec, figures in ((engine, (0.02, 3.0)), (gusts, (0.01, 0.5))):
+        shaken = vibration.shake(truth, spec, SensorDraws(1, 0))
+        for k, (found, true) in enumerate(zip(shaken, (truth.dtheta_b, truth.dvel_b), strict=True)):
+            amplitude = np.sqrt(2.0) * figures[k] * (150.0 / 200.0) ** 2
+            expected = -amplitude / w * np.diff(cosine[:, k], axis=0)
+            if spec is gusts:
+                along = np.sqrt(3.0) * figures[k] * drawn[k] / np.linalg.norm(drawn[k])
+                expected = np.outer(0.5 * (gust[1:] + gust[:-1]) * np.diff(displacement), along)
+            assert_allclose(found - true, expected, rtol=0, atol=1e-12)
+
+
+def test_gusts_are_the_spread_of_the_wind_in_the_last_ten_seconds():
+    """About its own mean, at every instant; a steady wind is no gust."""
+    air = weather(25.0, wind=50.0 + np.random.default_rng(9).normal(size=(501, 3)) * [1.0, 3.0, 0.2])
+    found = vibration.compute_gust_rms(replace(air, t=air.t + 100.0), SensorDraws(1, 0))
+    for k, rms in enumerate(found):
+        spread = air.wind_n[max(0, k - 199) : k + 1].std(axis=0)
+        assert rms == pytest.approx(np.sqrt(np.mean(spread**2)), abs=1e-7)
+
+
+def test_the_mode_has_the_covariance_of_a_stationary_oscillator():
+    """Closed form of a damped oscillator on white noise whose rate has an rms of 1."""
+    spec, t = VibrationSpec(mode_frequency=3.0, mode_damping=0.1), 7.0 + np.arange(7) * 0.05
+
+    def displace(draws):
+        out = np.empty(len(t))
+        vibration._simulate_mode(t, spec, draws, out)
+        return out
+
+    response, w = respond("gust", 14, displace), 2 * np.pi * 3.0
+    lag, swing = np.abs(np.subtract.outer(t, t)), w * np.sqrt(1 - 0.1**2)
+    fade = np.exp(-0.1 * w * lag) / w**2
+    expected = fade * (np.cos(swing * lag) + 0.1 * w / swing * np.sin(swing * lag))
+    assert_allclose(response @ response.T, expected, rtol=0, atol=1e-15)
+    assert (response[[0, 1, 1, 2], [0, 1, 2, 3]] > 0).all()
 
 
 def test_vibration_reaches_the_gyro_through_the_square_of_the_force():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.special import ndtr
 
 from bench import earth
 from bench.navigation.error_state_filter.ranges import ionosphere_anchors
@@ -82,6 +83,30 @@ def test_one_draw_is_near_the_correlation():
         off.append(np.cos(apart @ waves.T).mean(axis=2) - expected)
     assert np.abs(off).max() < 0.3
     assert np.sqrt(np.mean(np.square(off))) < 0.12
+
+
+def test_lengths_of_waves_are_those_of_their_chances():
+    """The distribution of the length of a Cauchy vector, inverted; one length in each stratum, each way."""
+    normal, decay = np.random.default_rng(5).standard_normal((field.WAVES, 4)), 2e6
+    waves = field.draw_waves(normal, decay)
+    r = np.linalg.norm(waves, axis=1) * decay
+    chance = 2.0 / np.pi * (np.arctan(r) - r / (1.0 + r**2))
+    assert_allclose(chance * field.WAVES, np.arange(field.WAVES) + ndtr(normal[:, 3]), rtol=0, atol=1e-3)
+    assert_allclose(np.cross(waves, normal[:, :3]), 0.0, atol=1e-12)
+    assert (np.einsum("wi,wi->w", waves, normal[:, :3]) > 0).all()
+
+
+def test_between_its_steps_the_field_is_a_line():
+    """Of cosines and sines of the phase of each wave; the steps begin an epoch before the first."""
+    rng, count = np.random.default_rng(6), 5
+    amplitudes, waves = rng.normal(size=(3, 2 * count)), rng.normal(size=(count, 3)) * 1e-6
+    points, epoch = rng.normal(size=(7, 3)) * 6e6, np.arange(7)
+    found = np.empty(7)
+    field.field_kernel(1, 4, amplitudes, waves, points, epoch, found)
+    phase = points @ waves.T
+    whole = (np.hstack([np.cos(phase), np.sin(phase)]) @ amplitudes.T) / np.sqrt(count)
+    expected = [np.interp((k + 1) / 4, np.arange(3), whole[k]) for k in range(7)]
+    assert_allclose(found, expected, rtol=0, atol=1e-12)
 
 
 def columns(anchors, whiten, decay):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import disk_arrays, earth, rotation
 from bench.data import AirData
-from bench.instruments import AirspeedSpec, BaroSpec, MagSpec, StaticPressureSpec
+from bench.instruments import AirspeedSpec, BaroSpec, HeadingSpec, MagSpec, StaticPressureSpec
 from bench.random_streams import stream
 from bench.sensor_specs import (
     AssumedSpecs,
@@ -23,7 +23,7 @@ from bench.sensor_specs import (
     TriadSpec,
     VibrationSpec,
 )
-from bench.sensors import initial, sense
+from bench.sensors import initial, sense, timing
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import select_output_times
 from tests.builders import band
@@ -198,6 +198,45 @@ def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
     assert coarse[0] == turn.t[0]
     assert coarse[-1] == turn.t[-1]
     assert_allclose(coarse[1:-1], np.arange(1, 43) / 0.71, atol=0.005 + 1e-9)
+
+
+def test_a_flight_that_begins_at_another_instant_is_sensed_alike(turn):
+    """Later by 128 s, with faults and outages as much later: the same draws at the same epochs."""
+    step = Fault("baro-step", "baro", 40.0, 45.0, "", step=(9.0,), ramp=(1.0,))
+    gnss = replace(GNSS, pos_h_markov_sd=2.0, pos_decay_time=0.01, tracking_bandwidth=2.0)
+    imu = ImuSpec(
+        "moved", replace(TRIAD, rate_random_walk=1e-6, bandwidth=20.0, delay=0.012), TRIAD,
+        vibration=VibrationSpec(0.01, 0.3, 500.0, 1.0, 0.01, 0.3, 12.0, 0.1),
+    )  # fmt: skip
+    heading = HeadingSpec("two", 5.0, 0.01, wander_sd=0.02, wander_time=30.0)
+    spec = replace(SPEC, imu=imu, gnss=gnss, heading=heading, airspeed=AirspeedSpec("pitot", 20.0, lag=0.5))
+    later = replace(turn, t=turn.t + 128.0, air=replace(turn.air, t=turn.air.t + 128.0))
+    moved = replace(spec, faults=(replace(step, start=168.0, end=173.0),), gnss_outages=((148.0, 158.0),))
+    first, other = sense(turn, replace(spec, faults=(step,)), 1, 0), sense(later, moved, 1, 0)
+    assert_allclose(other.data.output_t - 128.0, first.data.output_t, rtol=0, atol=1e-9)
+    for name in ("imu", "fixes", "baro", "heading", "airspeed"):
+        here, there = getattr(first.data, name), getattr(other.data, name)
+        for f in fields(here):
+            begin = 128.0 * (f.name in ("t", "t_arrival"))
+            found = getattr(there, f.name) - begin if begin else getattr(there, f.name)
+            assert_allclose(found, getattr(here, f.name), rtol=0, atol=2e-7, err_msg=f"{name}.{f.name}")
+    assert_allclose(other.truth.gyro_bias_b, first.truth.gyro_bias_b, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("off", [-1e-9, 0.0, 1e-9])
+def test_instants_that_rounding_moves_are_the_same(off):
+    """Of epochs, of both ends of an outage, and of the end of a flight."""
+    t = 128.0 + np.arange(101) * 0.1 + off * (np.arange(101) > 0)
+    assert timing.find_interval_rows(t, 130.0, 133.0) == (20, 50)
+    assert_array_equal(timing.find_rows("x", t, np.array([129.0, 130.0])), [10, 20])
+    assert_array_equal(timing.find_epoch_rows("x", t, 1.0), np.arange(10, 101, 10))
+    rows, steps = SensorDraws(1, 0).epochs("x", t, 1.0)
+    assert_array_equal(rows, np.arange(10, 101, 10))
+    assert_allclose(steps, 1.0, rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match=r"^x: no epoch at 0\.09 Hz within 10 s of truth$"):
+        timing.check_duration("x", t, 0.09)
+    with pytest.raises(ValueError, match=r"^x: rate 25 Hz is above the 10 Hz of the truth$"):
+        timing.find_epoch_rows("x", t, 25.0)
 
 
 def test_the_initial_error_follows_the_conventions(turn):

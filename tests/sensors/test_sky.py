@@ -20,7 +20,7 @@ from bench.errors import ConfigError
 from bench.orbit_sets import GLONASS, GPS
 from bench.random_streams import stream
 from bench.sensor_specs import SkySpec
-from bench.sensors import clock, gnss, sky
+from bench.sensors import clock, gnss, sky, view
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
@@ -28,6 +28,7 @@ from bench.signals.processing import Processing
 from bench.specs import EvaluationWindow
 from tests.builders import band
 from tests.data import gnss_file
+from tests.sensors.given_numbers import respond
 from tests.synthetic import ORIGIN, still, turning
 
 CATALOG = Path(bench.__file__).parent / "catalog" / "gnss"
@@ -126,6 +127,9 @@ def test_the_pseudorange_is_the_sum_of_its_parts(turn, hours):
         troposphere = delays.zenith_troposphere(lla[k, 0], lla[k, 2]) * delays.mapping_kernel(np.sin(el))
         expected = orbits.C * travel[0] + ionosphere + troposphere
         assert abs(o.pseudorange[k, 0] - expected) < 1e-6
+        late = o.t[k] + o.gps_t0 - o.pseudorange[k] / orbits.C  # by the delays, as the receiver takes it
+        then = orbits.compute_states(sets[o.system[k]], np.array([o.sat[k] - 1]), late).pos_e[0]
+        assert_allclose(o.sat_pos_e[k], then, rtol=0, atol=1e-5)
         assert abs(o.cn0[k, 0] - by_antenna(truth, rows[k], [n, e, d])) < 1e-6
 
 
@@ -144,6 +148,23 @@ def test_two_carriers_see_the_ionosphere(turn):
     assert (
         np.abs(receiver.correct_pseudoranges(o, free) - receiver.correct_pseudoranges(no, free)).max() < 1e-6
     )
+
+
+def test_what_is_above_the_mask_is_what_the_orbits_say():
+    """Every satellite each 100 s of four hours, with the Earth turned by 0.075 s; none is below the mask."""
+    truth, mask = still(15000.0, 0.01), np.deg2rad(15.0)
+    seen = measure(truth, replace(QUIET, elevation_mask=mask), (0.0, 0.0, 0.0), rate=0.01).above
+    assert seen.elevation.min() >= mask
+    t, here, up_e = truth.t[1:], earth.to_ecef(ORIGIN), -earth.matrix_en(*ORIGIN[:2])[:, 2]
+    sets = {system: orbits.make_nominal(system) for system in (GPS, GLONASS)}
+    for system, k in ((system, k) for system, one in sets.items() for k in range(len(one))):
+        then = t + QUIET.gps_t0 - 0.075
+        away = orbits.compute_states(sets[system], np.full(len(t), k), then).pos_e - here
+        turned = away + np.cross([0.0, 0.0, -orbits.GPS_EARTH_RATE * 0.075], away + here)
+        elevation = np.arcsin(turned @ up_e / np.linalg.norm(turned, axis=1))
+        sure = np.abs(elevation - mask) > 2e-6
+        found = np.isin(t, seen.t[(seen.system == system) & (seen.sat == k + 1)])
+        assert_array_equal(found[sure], (elevation > mask)[sure])
 
 
 def test_a_bank_loses_the_satellites_geometry_says():
@@ -251,6 +272,21 @@ def test_each_range_error_has_its_size(rest, term):
     assert not low < 1.3**2 < high
 
 
+def test_the_assumed_size_of_an_error_is_the_root_of_the_sum_of_its_parts():
+    """Of a range those of the sources; without any error a centimetre, and 0.1 mm/s of a range rate."""
+    short = still(2.0, 1.0, attitude=(0.0, 0.0, 0.3))
+    figures = {name: value for term in TERMS.values() for name, value in term.items()}
+    o = measure(short, replace(QUIET, **figures), (0.0, 0.0, 0.0)).observations
+    total = np.sqrt(sum(claimed(o, term) ** 2 for term in TERMS))
+    assert_allclose(o.sd_pseudorange, total, rtol=1e-4)
+    for term in TERMS:
+        assert np.abs(np.sqrt(total**2 - claimed(o, term) ** 2) / total - 1).max() > 1e-3
+    exact = measure(short, QUIET).observations
+    assert (exact.sd_pseudorange == 0.01).all()
+    assert (exact.sd_range_rate == 1e-4).all()
+    assert sky.make_processing(replace(FULL, second_band_loss=40.0)).budget.second_band == pytest.approx(100)
+
+
 def test_doppler_noise_has_its_size(rest):
     clean, noisy = (
         measure(rest, QUIET).observations,
@@ -339,7 +375,7 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
     taus = np.geomspace(0.1, 1e4, 41)
     stages = zip(fit_flat_deviation(clock._STAGES, *clock._FLAT), clock._STAGES, strict=True)
     flat = np.sqrt(sum(allan.gauss_markov_deviation(taus, sd, c) ** 2 for sd, c in stages))
-    assert np.abs(flat - 1).max() < 0.02
+    assert np.abs(flat - 1).max() < 0.016
     for tau in 2 ** np.arange(11):
         variances = []
         for offset, _ in runs:
@@ -365,6 +401,95 @@ def test_the_flicker_does_not_depend_on_the_step():
         x = offset[:: int(rate)] / orbits.C
         variance = np.mean(np.diff(x, n=2) ** 2) / 2
         assert abs(variance / (2 * np.log(2) * h_m1) - 1) < 3.29 * np.sqrt(3.0 / len(x)) + 0.04
+
+
+def test_offset_and_drift_of_the_clock_have_the_covariance_of_their_densities():
+    """Brown and Hwang, 10.3: exact at unequal epochs, of white noise and random walk of frequency at once."""
+    truth, rows = still(8.0, 1.0), np.array([1, 2, 4, 7])
+    steps, noisy = np.diff(rows, prepend=0).astype(float), replace(QUIET, clock_h_0=4e-19, clock_h_m2=2e-20)
+    response = respond(
+        "noise", 6, lambda draws: np.array(clock.simulate_receiver_clock(truth, rows, steps, noisy, draws))
+    )
+    since = rows - 1.0  # from the first epoch
+    a, b = np.meshgrid(since, since, indexing="ij")
+    early, late = np.minimum(a, b), np.maximum(a, b)
+    white, walk = 0.5 * orbits.C**2 * 4e-19, 2 * np.pi**2 * orbits.C**2 * 2e-20
+    offsets = white * early + walk * early**2 * (late / 2 - early / 6)
+    both = walk * np.where(b >= a, a**2 / 2, a * b - b**2 / 2)  # of the offset at a and the drift at b
+    expected = np.block([[offsets, both], [both.T, walk * early]])
+    assert_allclose(response @ response.T, expected, rtol=1e-12, atol=1e-18)
+    assert (response >= 0).all()
+
+
+def test_a_stage_of_flicker_and_its_integral_have_the_covariance_of_a_stationary_process():
+    """By integrals of exp(-|lag| / T), given the stage at the start; steps from 1e-3 to 20 times T."""
+    T, sd, dt = np.array([1.0, 7.0]), np.array([1.0, 3.0]), np.array([0.0, 9e-4, 2e-3, 0.5, 20.0])
+    columns = []
+    for number in np.eye(20):
+        out = np.zeros((5, 2))
+        clock._flicker_kernel(dt, T, sd, number.reshape(5, 2, 2), False, np.zeros((2, 2)), out)
+        columns.append(out.T.ravel())
+    response = np.array(columns).T
+    t = np.cumsum(dt).astype(np.longdouble)
+    a, b = np.meshgrid(t, t, indexing="ij")
+    early, late, total = np.minimum(a, b), np.maximum(a, b), 0.0
+    for one, size in zip(T, sd, strict=True):
+
+        def fade(lag, one=one):
+            return np.exp(-lag / one)
+
+        sums = 2 * early * one + one**2 * (fade(a) + fade(b) - fade(late - early) - 1)
+        both = one * np.where(b >= a, fade(b - a) - fade(b), 2 - fade(b) - fade(a - b))
+        first = np.concatenate([one * (1 - fade(t)), fade(t)])  # with the stage at the start
+        known = np.block([[sums, both], [both.T, fade(late - early)]])
+        total = total + size**2 * (known - np.outer(first, first))
+    later = response[:, 4:]
+    assert_allclose(later @ later.T, total.astype(float), rtol=1e-5, atol=1e-16)
+    start = [*(3.0 * 7.0 * -np.expm1(-np.cumsum(dt) / 7.0)), *(3.0 * np.exp(-np.cumsum(dt) / 7.0))]
+    assert_allclose(response[:, 2], start, rtol=1e-12)  # of the second stage alone
+    assert not response[:, [1, 3]].any()
+    assert (response >= 0).all()
+
+
+def test_a_slow_error_is_a_line_between_gauss_markov_values():
+    """At 1 Hz and a correlation time of 80 s one value every 2 s, of each satellite alone."""
+    epochs, which = np.arange(9).repeat(2), np.tile([0, 1], 9)
+
+    def drawn(draws):
+        return sky._Errors(np.arange(9.0), epochs, which, 2, 1.0, draws).draw_markov("slow", 80.0)
+
+    response = respond("gnss.sky.slow", 12, drawn).reshape(9, 2, 12)
+    at = response[::2]
+    covariance = np.einsum("ikn,jln->ijkl", at, at)
+    lag = 2.0 * np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
+    assert_allclose(covariance, np.exp(-lag / 80.0)[:, :, None, None] * np.eye(2), atol=1e-14)
+    assert_allclose(response[1::2], 0.5 * (at[:-1] + at[1:]), atol=1e-15)
+    assert (response >= 0).all()
+
+
+def test_orbits_are_fitted_again_where_a_flight_goes_beyond_them(monkeypatch):
+    """Both fits have the bits of each other where both hold, and reach to the end of the piece."""
+    monkeypatch.setattr(view, "_AHEAD", 1000.0)
+    draws, state, found = SensorDraws(1, 0), np.empty((2, 8)), []
+    for t in (np.array([20.0, 30.0]), np.array([30.0, 1010.0]), np.array([1010.0, 2990.0])):
+        *_, track = view.find_track(QUIET, t, draws)
+        found.append(track)
+        exact = orbits.compute_states(orbits.make_nominal(GPS), np.array([3]), t[-1:] + QUIET.gps_t0)
+        orbits.track_kernel(*track, 3, t[-1] + QUIET.gps_t0, True, state[0])
+        assert_allclose(state[0, :3], exact.pos_e[0], rtol=0, atol=1e-4)
+        assert_allclose(state[0, 4:7], exact.vel_e[0], rtol=0, atol=1e-6)
+        assert track.t_0 < t[0] + QUIET.gps_t0
+    assert found[0] is found[1]
+    for track, row in zip(found[1:], state, strict=True):
+        orbits.track_kernel(*track, 30, 25.0 + QUIET.gps_t0, True, row)
+    assert_array_equal(state[0], state[1])
+
+
+def test_antipodal_glonass_satellites_share_a_channel():
+    """Nominal orbits: the channels of the ICD, four to a plane of eight."""
+    number = np.arange(1, 25)
+    found = view._find_channels(orbits.make_nominal(GLONASS), number)
+    assert_array_equal(found, [*[-7, -6, -5, -4] * 2, *[-3, -2, -1, 0] * 2, *[1, 2, 3, 4] * 2])
 
 
 def test_specific_force_bends_the_clock(turn):

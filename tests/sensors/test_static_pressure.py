@@ -9,15 +9,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import rotation
 from bench.data import no_air
 from bench.instruments import BaroSpec, StaticPressureSpec
+from bench.random_streams import stream
 from bench.sensors import static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.signals import air
-from tests.builders import band
+from tests.builders import band, first_rows
 from tests.synthetic import still
 
 STANDARD = 101325.0
@@ -79,6 +80,9 @@ def test_air_off_standard_makes_the_scale_wrong_by_four_percent_per_ten_kelvin(w
         found = read(level(height), replace(NONE, isa_deviation=warmer)).alt_baro
         assert_allclose(found, H * 288.15 / (288.15 + warmer), rtol=0, atol=1e-3)
     assert 0.03 < (1 - found[0] / H) / (warmer / 10) < 0.04
+    climb = read(flown(lambda t: 1000.0 + 50.0 * t), replace(NONE, isa_deviation=warmer))
+    H = air.to_geopotential(1000.0 + 50.0 * climb.t)
+    assert_allclose(climb.alt_baro, H * 288.15 / (288.15 + warmer), rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -108,6 +112,11 @@ def test_a_port_away_from_the_centre_of_gravity_reads_its_own_height():
         turned = np.tile(rotation.from_euler(0.2, pitch, 1.0), (len(truth.t), 1))
         moved = read(replace(truth, q_nb=turned), port=(-5.0, 0.0, 0.0)).alt_baro - read(truth).alt_baro
         assert_allclose(moved, -5.0 * np.sin(pitch), rtol=0, atol=2e-3)
+    warm = replace(NONE, isa_deviation=20.0)  # a step in height is one of less pressure
+    moved = (
+        read(replace(truth, q_nb=turned), warm, port=(-5.0, 0.0, 0.0)).alt_baro - read(truth, warm).alt_baro
+    )
+    assert_allclose(moved, -5.0 * np.sin(0.3) * 288.15 / 308.15, rtol=0, atol=2e-3)
 
 
 def test_a_lag_reads_a_climb_behind_by_its_time():
@@ -135,7 +144,7 @@ def test_pressure_noise_and_its_least_bit_become_altitude():
 
 @pytest.mark.parametrize(
     ("figure", "pascals"),
-    [("pressure_bias_sd", 50.0), ("qnh_sd", 50.0 * 0.887), ("temperature_sd", 0.75 * 16.5)],
+    [("pressure_bias_sd", 50.0), ("qnh_sd", 50.0 * 0.887), ("temperature_sd", -0.75 * 16.5)],
 )
 def test_constant_errors_of_the_pressure_have_their_sd(figure, pascals):
     """Over 2000 units at 1000 m, 8.5 degC; a pressure at sea level weighs 0.887 of itself there."""
@@ -146,6 +155,24 @@ def test_constant_errors_of_the_pressure_have_their_sd(figure, pascals):
     expected = pascals / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
     low, high = band(len(found))
     assert 0.99 * low < np.mean(found**2) / expected**2 < 1.01 * high
+    drawn = stream(1, 3, f"baro.{figure.removesuffix('_sd')}").standard_normal()
+    assert found[3] == pytest.approx(-expected * drawn, rel=0.01)  # a higher pressure is a lower altitude
+
+
+def test_the_error_of_the_temperature_knows_the_air_of_the_day():
+    """Of the sensor, in proportion to its distance from 25 degC: 8.5 degC, or 18.5 degC on a warm day."""
+    errors = [
+        read(level(), replace(day, temperature_sd=0.75)).alt_baro[0] - read(level(), day).alt_baro[0]
+        for day in (NONE, replace(NONE, isa_deviation=10.0))
+    ]
+    warm, usual = (281.65 + 10.0) - 298.15, 281.65 - 298.15
+    assert errors[1] / errors[0] == pytest.approx(warm / usual, rel=0.05)
+
+
+def test_air_data_may_go_on_after_the_last_instant():
+    truth = flown(lambda t: 1000.0 + 5.0 * t)
+    cut = read(first_rows(truth, 57), port=(-5.0, 0.0, 0.0)).alt_baro
+    assert_array_equal(cut, read(truth, port=(-5.0, 0.0, 0.0)).alt_baro[: len(cut)])
 
 
 def test_the_deviation_of_the_day_is_drawn_for_each_run():
