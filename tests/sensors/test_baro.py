@@ -15,6 +15,7 @@ from bench.instruments import BaroSpec
 from bench.sensors import baro
 from bench.sensors.draws import SensorDraws
 from tests.builders import band
+from tests.sensors.given_numbers import respond
 from tests.synthetic import ORIGIN, still
 
 OFF = BaroSpec("off", rate=5.0, white_sd=0.0, bias_sd=0.0, bias_walk=0.0)
@@ -61,17 +62,14 @@ def test_the_bias_reported_is_the_bias_applied(rest):
 
 @pytest.mark.parametrize("rate", [1 / 60, 1 / 600])
 def test_bias_after_an_hour(rate):
-    """Equations #24: sd(1 h) = sqrt(sd_0^2 + 3600 walk^2) within 5 %, whatever the step.
-
-    6000 runs: the band of the sd is 3 % wide. A walk given per step instead of per sqrt(s) fails.
-    """
-    truth = still(3600.0, rate)
-    spec = BaroSpec("hour", rate=rate, white_sd=0.0, bias_sd=3.0, bias_walk=0.05)
-    final = np.array([baro.measure(truth, spec, SensorDraws(1, run))[1][-1] for run in range(6000)])
-    variance = 3.0**2 + 3600 * 0.05**2
-    low, high = band(len(final))
-    assert 0.95**2 < low < np.mean(final**2) / variance < high < 1.05**2
-    assert not low < (3.0**2 + 3600 * rate * 0.05**2) / variance < high
+    """Equations #24: sd(1 h) = sqrt(sd_0^2 + 3600 walk^2), by each of its numbers alone."""
+    truth, walks = still(3600.0, rate), replace(OFF, rate=rate, bias_walk=0.05)
+    walked = respond("baro.walk", round(3600 * rate), lambda draws: baro.measure(truth, walks, draws)[1])
+    t = truth.t[1:]
+    assert_allclose(walked @ walked.T, 0.05**2 * np.minimum.outer(t, t), rtol=1e-12)
+    assert (walked >= 0).all()
+    stays = replace(OFF, rate=rate, bias_sd=3.0)
+    assert_allclose(respond("baro.bias", 1, lambda draws: baro.measure(truth, stays, draws)[1]), 3.0)
 
 
 def test_the_bias_walks_from_the_start_of_the_truth(rest):

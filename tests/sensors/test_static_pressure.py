@@ -19,6 +19,7 @@ from bench.sensors import static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.signals import air
 from tests.builders import band, first_rows
+from tests.sensors.given_numbers import respond
 from tests.synthetic import still
 
 STANDARD = 101325.0
@@ -146,17 +147,16 @@ def test_pressure_noise_and_its_least_bit_become_altitude():
     ("figure", "pascals"),
     [("pressure_bias_sd", 50.0), ("qnh_sd", 50.0 * 0.887), ("temperature_sd", -0.75 * 16.5)],
 )
-def test_constant_errors_of_the_pressure_have_their_sd(figure, pascals):
-    """Over 2000 units at 1000 m, 8.5 degC; a pressure at sea level weighs 0.887 of itself there."""
+def test_constant_errors_of_the_pressure_are_the_figure_times_what_was_drawn(figure, pascals):
+    """At 1000 m and 8.5 degC; a pressure at sea level weighs 0.887 of itself there. Higher reads lower."""
     truth = flown(lambda t: 1000.0 + 0 * t, 0.2)
     exact = read(truth).alt_baro[0]
     unit = replace(NONE, **{figure: getattr(FULL, figure)})
-    found = np.array([read(truth, unit, run=run).alt_baro[0] for run in range(2000)]) - exact
-    expected = pascals / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
-    low, high = band(len(found))
-    assert 0.99 * low < np.mean(found**2) / expected**2 < 1.01 * high
-    drawn = stream(1, 3, f"baro.{figure.removesuffix('_sd')}").standard_normal()
-    assert found[3] == pytest.approx(-expected * drawn, rel=0.01)  # a higher pressure is a lower altitude
+    density = air.standard_atmosphere(air.to_geopotential(1000.0))[2]
+    for run in range(4):
+        drawn = stream(1, run, f"baro.{figure.removesuffix('_sd')}").standard_normal()
+        found = read(truth, unit, run=run).alt_baro[0] - exact
+        assert found == pytest.approx(-pascals * drawn / (density * 9.80665), rel=0.01)
 
 
 def test_the_error_of_the_temperature_knows_the_air_of_the_day():
@@ -176,26 +176,26 @@ def test_air_data_may_go_on_after_the_last_instant():
 
 
 def test_the_deviation_of_the_day_is_drawn_for_each_run():
-    """sd of the altitude at 1000 m is 1000 m x 5 K / 288 K, to first order."""
-    truth = flown(lambda t: 1000.0 + 0 * t, 0.2)
-    found = np.array(
-        [read(truth, replace(NONE, isa_deviation_sd=5.0), run=k).alt_baro[0] for k in range(2000)]
-    )
-    low, high = band(len(found))
-    assert 0.98 * low < np.mean((found - read(truth).alt_baro[0]) ** 2) / 17.35**2 < 1.02 * high
+    """It is that of air so much warmer: H T0 / (T0 + 5 K times the number)."""
+    truth, H = flown(lambda t: 1000.0 + 0 * t, 0.2), air.to_geopotential(1000.0)
+    for run in range(4):
+        warmer = 5.0 * stream(1, run, "baro.isa_deviation").standard_normal()
+        found = read(truth, replace(NONE, isa_deviation_sd=5.0), run=run).alt_baro
+        assert_allclose(found, H * 288.15 / (288.15 + warmer), rtol=0, atol=1e-3)
 
 
 def test_the_pressure_at_sea_level_walks_with_the_root_of_time():
-    """After an hour its sd is 60 qnh_walk, +-5 %; a walk per step instead of per sqrt(s) fails."""
+    """After an hour its sd is 60 qnh_walk, by each of its numbers alone."""
     rest = still(3600.0, 1 / 60)
     truth = replace(rest, lla=np.column_stack([rest.lla[:, :2], 0 * rest.t]))
     pressure, temperature, _ = air.standard_atmosphere(0 * rest.air.t)
     truth = replace(truth, air=replace(rest.air, pressure=pressure, temperature=temperature))
-    unit = replace(NONE, qnh_walk=0.4)
-    found = np.array([read(truth, unit, run=run, rate=1 / 60).alt_baro[-1] for run in range(6000)])
-    variance = (60 * 0.4 / (1.225 * 9.80665)) ** 2
-    low, high = band(len(found))
-    assert 0.95**2 < low < np.mean(found**2) / variance < high < 1.05**2
+    spec = BaroSpec("physical", 1 / 60, 0.1, 5.0, 0.03, physical=replace(NONE, qnh_walk=0.4))
+    found = respond(
+        "baro.qnh_walk", 60, lambda draws: static_pressure.measure(truth, spec, STANDARD, (0, 0, 0), draws)[1]
+    )
+    assert np.sqrt((found[-1] ** 2).sum()) == pytest.approx(60 * 0.4 / (1.225 * 9.80665), rel=1e-3)
+    assert (found <= 1e-9).all()
 
 
 def test_what_it_claims_of_itself_and_when():

@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from bench.navigation.models.classic import process_model
+from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.studies.linear_flight import GRADES, LOST, Grade, LinearFlight, make_sigmas, update
 from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
@@ -66,6 +68,62 @@ def test_47_71_the_covariance_table(flown, grade):
     grown = np.sqrt(np.maximum(sd[LOST:, 0] ** 2 - at[0] ** 2, 0.0))
     check(grade, grown[[60, 300]].tolist(), growth)
     assert np.argmax(grown > 5.0) == pytest.approx(reached, rel=0.10)
+
+
+def test_71_the_flight_is_as_it_is_written_down():
+    """Figures of a grade with those of receiver and barometer, what is known at the start, and the course."""
+    rate, bias = np.deg2rad(0.01), 1e-3 * STANDARD_GRAVITY
+    sigmas = {
+        "gyro": rate, "accel": 0.02, "eps_walk": 1e-3 * rate, "da_walk": 1e-3 * bias, "eps": rate, "da": bias,
+        "h": 0.75, "xi": 0.03, "bb": 4.0, "white": (2.0, 2.75, 0.03), "markov": (6.0, 8.5, 0.1),
+        "lambda_s": 4e-6, "lambda_st": 5e-4, "lambda_v": 0.01, "jump_markov": (3.5, 5.0, 0.015),
+    }  # fmt: skip
+    made = Grade(make_sigmas(0.6, 1.2, 36.0, 1000.0), 0.02, 0.03)
+    for name, value in sigmas.items():
+        assert getattr(made.sigmas, name) == pytest.approx(value, rel=1e-12), name
+    flight = LinearFlight()
+    assert (flight.lat, flight.height, flight.speed) == (pytest.approx(np.deg2rad(50.0)), 9000.0, 200.0)
+    known = [*[30.0] * 3, *[0.1] * 3, 0.02, 0.02, 0.03, *[rate] * 3, *[bias] * 3, 4.0]
+    sd = flight.take_sd([flight.start(made)])[0]
+    np.testing.assert_allclose(sd[:16], known)
+    east, north = flight.reduced
+    np.testing.assert_allclose(sd[16:], [6.0 * east, 6.0 * north, 8.5, 0.1, 0.1, 0.1])
+
+
+def test_71_a_turn_turns_as_a_sine_and_is_felt_as_it_moves():
+    """The course by quadrature of its rate, and the force by differences of the velocity."""
+    for flight in (LinearFlight(), LinearFlight(turns=False)):
+        for begin, end in (
+            (0.0, 239.0),
+            (0.0, 270.0),
+            (0.0, 300.0),
+            (0.0, 359.0),
+            (0.0, 700.0),
+            (840.0, 880.0),
+        ):
+            t = np.linspace(begin, end, 8001)
+            since = t % 600.0 - 240.0
+            turns = flight.turns & (since >= 0.0) & (since < 120.0)
+            rate = np.deg2rad(3.0) * np.sin(2.0 * np.pi * since / 120.0) * turns
+            course = 0.8 + np.trapezoid(rate, t)
+            nav, force = flight.place(end)
+            np.testing.assert_allclose(
+                nav.V, [200.0 * np.sin(course), 200.0 * np.cos(course), 0.0], atol=1e-2
+            )
+            near = [flight.place(end + h)[0].V for h in (-1e-3, 1e-3)]
+            np.testing.assert_allclose(force[:2], (near[1] - near[0])[:2] / 2e-3, atol=1e-4)
+            assert force[2] == flight.earth.g
+
+
+def test_71_a_step_is_taken_in_its_middle():
+    """Against a hundred steps of the exponential, in the second before an S-turn is half done."""
+    flight, grade, fine = LinearFlight(), GRADES["MEMS"], np.eye(15)
+    for k in range(100):
+        nav, a = flight.place(274.0 + (k + 0.5) / 100.0)
+        fine = expm(dynamics_matrix(nav, a, flight.earth) / 100.0) @ fine
+    Phi, _ = flight.move(grade.sigmas, 275)
+    np.testing.assert_allclose(Phi[3:6, 6:9], fine[3:6, 6:9], rtol=0, atol=5e-3)
+    np.testing.assert_allclose(Phi[:2, 6:9], fine[:2, 6:9], rtol=0.02, atol=1e-3)
 
 
 def test_71_each_assumption_is_needed():

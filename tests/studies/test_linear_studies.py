@@ -442,7 +442,8 @@ def test_draws_are_split_over_workers_without_a_gap():
 
 
 def test_a_place_of_the_linear_course_is_that_of_its_phase():
-    """By hand: a turn of 10 deg/min from the course at the loss of GNSS, a climb, and straight flight."""
+    """By hand: a circle in 240 s from the course at the loss of GNSS, a climb of 10 m/s, straight flight."""
+    assert (2.0 * np.pi / STEADY, CLIMB) == (pytest.approx(240.0), 10.0)
     for phase, rate, climb in (("turn", STEADY, 0.0), ("climb", 0.0, CLIMB), ("straight", 0.0, 0.0)):
         flight = LinearFlight(phase)
         nav, force = flight.place(LOST + 90.0)
