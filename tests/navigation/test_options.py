@@ -8,7 +8,13 @@ from rich.console import Console
 from bench.config import load_profile
 from bench.errors import ConfigError
 from bench.navigation.built_in import BUILT_IN, load
-from bench.navigation.options import described
+from bench.navigation.options import (
+    ClassicOptions,
+    FusionOptions,
+    SmootherOptions,
+    TightOptions,
+    described,
+)
 from bench.workbench import show
 
 
@@ -37,6 +43,104 @@ def test_all_mistakes_of_a_file_are_told_at_once():
     assert fixed == f"{place} 1 (loose-15): options: option 'gnss_markov' is fixed to false; leave it out"
     assert gate == f"{place} 1 (loose-15): options: gate_probability = 2 must be between 0 and 1"
     assert points.startswith(f"{place} 2 (points): options: unknown option 'spred'. Did you mean 'spread'?")
+
+
+VELOCITY = "integrity = 'velocity' needs fixes: it compares their positions with velocities"
+OFFSET = "time_offset_sd = 0.5 needs fixes: the offset is of their clock"
+PERIOD = "must be 0 or more, or 'auto'"
+
+
+@pytest.mark.parametrize(
+    ("model", "given", "told"),
+    [
+        (
+            FusionOptions,
+            {"mems": True, "every_error": True},
+            "mems = true and every_error = true: the second holds the states of the first",
+        ),
+        (
+            FusionOptions,
+            {"nonholonomic": True, "coordinated": True},
+            "nonholonomic = true and coordinated = true: a vehicle has wheels on the road or flies",
+        ),
+        (FusionOptions, {"integrity": ["velocity"], "gnss": False}, VELOCITY),
+        (TightOptions, {"integrity": ["velocity"]}, VELOCITY),
+        (
+            FusionOptions,
+            {"gnss_markov": True, "gnss": False},
+            "gnss_markov = true needs gnss = true: the states are errors of its fixes",
+        ),
+        (TightOptions, {"gnss_markov": True}, "gnss_markov = true needs fixes: tight coupling uses none"),
+        (FusionOptions, {"time_offset_sd": 0.5, "gnss": False}, OFFSET),
+        (TightOptions, {"time_offset_sd": 0.5}, OFFSET),
+        (
+            FusionOptions,
+            {"lever_arm_sd": 0.5, "gnss": False},
+            "lever_arm_sd = 0.5 needs gnss = true: only its antenna has an arm",
+        ),
+        (SmootherOptions, {"over": "tight", "time_offset_sd": 0.5}, OFFSET),
+        (
+            SmootherOptions,
+            {"over": "loose-15", "gnss_markov": True},
+            "option 'gnss_markov' is false in over = 'loose-15'; leave it out",
+        ),
+        (
+            ClassicOptions,
+            {"integrity": ["velocity"]},
+            "integrity = 'velocity' is a test of the compiled filters",
+        ),
+        (
+            ClassicOptions,
+            {"form": "ud", "rows": 8},
+            "form = 'ud' needs rows = 7: the noise of eight rows is not independent",
+        ),
+        (
+            ClassicOptions,
+            {"feedback": False, "correction_period": 5.0},
+            "correction_period needs feedback = true: without it there is no correction",
+        ),
+        (
+            ClassicOptions,
+            {"outage": "line"},
+            "outage = 'line' needs feedback = false: what is fed back is no curve",
+        ),
+        (ClassicOptions, {"correction_period": True}, f"correction_period = true {PERIOD}"),
+        (ClassicOptions, {"correction_period": float("inf")}, f"correction_period = inf {PERIOD}"),
+    ],
+)
+def test_options_that_do_not_go_together_are_told(model, given, told):
+    assert model.list_wrong(given, {}) == [told]
+
+
+@pytest.mark.parametrize(
+    ("model", "given"),
+    [
+        *((FusionOptions, {"gnss": gnss}) for gnss in (True, False)),
+        *((FusionOptions, {name: True}) for name in ("mems", "every_error", "nonholonomic", "coordinated")),
+        (FusionOptions, {"integrity": ["velocity"], "gnss_markov": True, "time_offset_sd": 0.5}),
+        (TightOptions, {"lever_arm_sd": 0.5}),
+        (SmootherOptions, {"over": "loose-15", "gnss_markov": False}),
+        (ClassicOptions, {"form": "conventional", "rows": 8}),
+        (ClassicOptions, {"form": "ud", "correction_period": "auto"}),
+        (ClassicOptions, {"feedback": False, "outage": "line"}),
+    ],
+)
+def test_each_of_them_alone_is_right(model, given):
+    assert model.list_wrong(given, {}) == []
+
+
+def test_the_smoother_has_the_states_of_its_forward_filter():
+    """What makes the filter it runs over, and no more: every error only where that has it."""
+    for over, states in {
+        "loose-15": {"gnss_markov": False, "mems": False, "every_error": False},
+        "loose-22": {"gnss_markov": True, "mems": False, "every_error": False},
+        "loose-mems": {"gnss_markov": True, "mems": True, "every_error": False},
+        "loose-full": {"gnss_markov": True, "mems": False, "every_error": True},
+        "tight": {"gnss_markov": False, "mems": False, "every_error": True},
+    }.items():
+        options = SmootherOptions(over=over)
+        assert {name: getattr(options, name) for name in states} == states
+        assert options.tight == (over == "tight")
 
 
 def test_the_list_of_estimators_shows_their_options():

@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 from bench import rotation, sensors
 from bench.earth import difference_n
-from bench.errors import EstimatorError
 from bench.navigation.built_in import load
 from bench.navigation.models.classic import Classic22, filter_loop
 from bench.navigation.models.classic.extrapolation import extrapolate
@@ -124,11 +123,6 @@ def test_46_what_a_curve_says_is_taken_off_as_an_estimate_is(monkeypatch):
     assert np.linalg.norm((ours.vel_n - plain.vel_n)[k]) < 1.0
     turned = rotation.to_rotvec(rotation.multiply(ours.q_nb, rotation.conjugate(plain.q_nb)))
     assert np.linalg.norm(turned[k]) < 0.01
-
-
-def test_46_the_curve_needs_an_open_loop():
-    with pytest.raises(EstimatorError, match="outage = 'line' needs feedback = false"):
-        load("classic-22", {"outage": "line"})
 
 
 # --- vector matching: #59 -----------------------------------------------------------------------------------
