@@ -167,18 +167,18 @@ def load(use: str, options: Mapping[str, Any]) -> Estimator:
     return construct(use, _import_class(use, find_class(use, BUILT_IN)), options)
 
 
-def _import_class(use: str, place: str) -> type[Estimator]:
+def _import_class(use: str, place: str) -> Any:
     """Return the class "module:Class" of another package."""
     module_name, _, class_name = place.partition(":")
     try:
         with catch_exit(use, "its module"):
             module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+        if not f"{module_name}.".startswith(f"{error.name}."):
             raise
         raise EstimatorError(f"estimator {use!r}: no module {error.name!r} on the Python path") from None
-    found: type[Estimator] | None = getattr(module, class_name, None)
-    if found is None or not callable(getattr(found, "run", None)):
+    found = getattr(module, class_name, None)
+    if not callable(getattr(found, "run", None)):
         raise EstimatorError(
             f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
         )

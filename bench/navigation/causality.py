@@ -88,7 +88,7 @@ def change_later(sensors: SensorData, other: SensorData, after: float) -> Sensor
     changed = {}
     for one in fields(sensors):
         record, source = getattr(sensors, one.name), getattr(other, one.name)
-        if record is None or not hasattr(record, "t"):
+        if not hasattr(record, "t"):
             continue
         arrival = getattr(record, "t_arrival", record.t)
         if source is None or not np.array_equal(source.t, record.t, equal_nan=True):

@@ -248,8 +248,8 @@ def _hardships(sensors: SensorData) -> dict[str, SensorData]:
     for by_name in columns.values():
         for key, column in by_name.items():
             if column.dtype == np.float64 and not key.startswith("t"):
-                column[1::3] = np.nan
-        by_name["valid"][1::6] = False
+                column[::3] = np.nan
+        by_name["valid"][::6] = False
     broken = {name: type(aiding[name])(**columns[name]) for name in aiding}
     imu = {f.name: np.array(getattr(sensors.imu, f.name)) for f in fields(sensors.imu)}
     imu["dvel_b"][10::50], imu["dtheta_b"][20::50] = np.nan, np.inf

@@ -23,23 +23,20 @@ def fix_steps(
     receiver claims. It is that of the antenna, in the order of arrival; what is flagged, not finite,
     repeated, overtaken or without velocity is left out. The start has to be given, not found by an alignment.
     """
-    now, fixes, next_fix = initial.t, sensors.fixes, 0
-    rows, at = np.empty((2, 0), np.int64)
+    now, fixes = initial.t, sensors.fixes
+    new: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
     if fixes is not None:
         rows, at, _ = timeline.fix_rows(fixes, sensors.output_t, initial.t)
         sound = np.isfinite(fixes.vel_n[rows]).all(axis=1)
-        sound &= np.isfinite(fixes.cov_pos_n[rows] + fixes.cov_vel_n[rows]).all(axis=(1, 2))
-        rows, at = rows[sound], at[sound]
-    for k, instant in enumerate(sensors.output_t.tolist()):
-        new = []
-        while fixes is not None and next_fix < len(rows) and at[next_fix] <= k:
-            row = rows[next_fix]
+        for cov in (fixes.cov_pos_n, fixes.cov_vel_n):
+            sound &= np.isfinite(cov[rows]).all(axis=(1, 2))
+        for row, k in zip(rows[sound], np.maximum(at[sound], 0).tolist(), strict=True):
             z, R = np.empty((6, 1)), np.zeros((6, 6))
             z[:3, 0], z[3:, 0] = earth.difference_n(fixes.lla[row], initial.lla), fixes.vel_n[row]
             R[:3, :3], R[3:, 3:] = fixes.cov_pos_n[row], fixes.cov_vel_n[row]
-            new.append((z, R))
-            next_fix += 1
-        yield max(instant - now, 0.0), new
+            new.setdefault(k, []).append((z, R))
+    for k, instant in enumerate(sensors.output_t.tolist()):
+        yield max(instant - now, 0.0), new.get(k, [])
         now = max(instant, now)
 
 

@@ -31,6 +31,8 @@ from bench.navigation.start import alignment
 from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line
 
+_LONGEST = 200  # characters of an error in a message
+
 
 class PieceFilter(SessionState):
     """A filter on its way through a record; `bench.open_filter` makes one.
@@ -204,7 +206,7 @@ class PieceFilter(SessionState):
         except Exception as error:
             if not self.resumed_from:
                 raise
-            why = one_line(repr(error))[:200]
+            why = one_line(repr(error))[:_LONGEST]
             raise EstimatorError(
                 f"{self.resumed_from}: {self.use!r} cannot go on from this state: {why}"
             ) from error

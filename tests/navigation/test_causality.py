@@ -11,7 +11,9 @@ import pytest
 from bench import sensors
 from bench.navigation.built_in import load
 from bench.navigation.causality import LookAhead, change_later, measure_look_ahead
+from bench.navigation.engine.record_cuts import nothing_known
 from bench.sensor_specs import Fault
+from bench.units import SAME_INSTANT
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import GNSS, units, weaving
 
@@ -121,10 +123,61 @@ def test_one_that_differs_from_itself_is_not_repeatable():
     assert look(Moody, one, other).text == "not repeatable: two runs of one record differ"
 
 
+class Ahead:
+    """Answers with what the IMU measures some samples later: attitude alone, just after the sample."""
+
+    def __init__(self, samples):
+        self.samples = samples
+
+    def run(self, data):
+        rows = np.round(data.output_t).astype(int) - 1000 + self.samples
+        rates = data.imu.dtheta_b[np.minimum(rows, len(data.imu) - 1)]
+        answers = nothing_known(data.output_t)
+        return replace(answers, q_nb=np.column_stack([np.ones(len(rows)), rates]))
+
+
+def at_one_hertz(data, output_t):
+    """The first samples of a record at 1001, 1002, ... 1050 s."""
+    n = 50
+    imu = replace(
+        data.imu,
+        **{name: getattr(data.imu, name)[:n] for name in ("dtheta_b", "dvel_b", "valid")},
+        t=1001.0 + np.arange(n),
+        dt=np.ones(n),
+    )
+    return replace(data, imu=imu, fixes=None, baro=None, output_t=np.array(output_t) + 0.4 * SAME_INSTANT)
+
+
+@pytest.mark.parametrize(
+    ("samples", "output_t", "instant", "found"),
+    [
+        (-1, [1001.0, 1002.0, 1003.0], 1003.0, LookAhead(0.0, False, True)),
+        (0, [1001.0, 1002.0, 1003.0], 1003.0, LookAhead(1.0, False, True)),
+        (2, [1001.0, 1002.0, 1003.0, 1005.0], 1003.0, LookAhead(2.0, True, True)),
+        (2, [1001.0, 1002.0, 1003.0, 1005.0], 1003.5, LookAhead(2.0, True, True)),
+        (46, [1001.0, 1002.0, 1003.0, 1005.0], 1003.0, LookAhead(2.0, True, True)),
+        (2, [1001.0, 1039.0, 1041.0], 1040.0, LookAhead(1.0, False, True)),
+    ],
+)
+def test_it_is_measured_to_the_sample(samples, output_t, instant, found):
+    """At 1 Hz, from 1001 s on: what needs the next sample looks ahead by one, what needs all by all."""
+    one, other = (at_one_hertz(drawn.data, output_t) for drawn in draws())
+    seen = measure_look_ahead(Ahead(samples).run, one, other, [instant])
+    assert (round(seen.seconds, 5), seen.whole, seen.repeatable) == (found.seconds, found.whole, True)
+
+
 def test_only_what_arrives_later_is_changed():
     one, other = draws()
+    fixes = one.data.fixes
+    assert fixes.t_arrival[28] == pytest.approx(29.6)
+    arrival = np.where(np.arange(len(fixes)) == 28, 30.3 + 0.5 * SAME_INSTANT, fixes.t_arrival)
+    one = replace(one, data=replace(one.data, fixes=replace(fixes, t_arrival=arrival)))
+    other = replace(
+        other, data=replace(other.data, fixes=replace(other.data.fixes, valid=~other.data.fixes.valid))
+    )
     changed = change_later(one.data, other.data, 30.3)
-    fixes, late = changed.fixes, one.data.fixes.t_arrival > 30.3
+    fixes, late = changed.fixes, one.data.fixes.t_arrival > 30.3 + SAME_INSTANT
+    np.testing.assert_array_equal(fixes.valid, one.data.fixes.valid)
     assert (late & (one.data.fixes.t < 30.3)).any()
     np.testing.assert_array_equal(fixes.lla[late], other.data.fixes.lla[late])
     np.testing.assert_array_equal(fixes.lla[~late], one.data.fixes.lla[~late])

@@ -245,6 +245,29 @@ class LosesItsPlace(Changed):
         return changed_columns(solution, lla=lla)
 
 
+class LosesItsSpeed(Changed):
+    def change(self, solution):
+        vel_n = solution.vel_n.copy()
+        vel_n[7, 2] = np.nan
+        return changed_columns(solution, vel_n=vel_n)
+
+
+class LosesItsAttitude(Changed):
+    def change(self, solution):
+        q_nb = solution.q_nb.copy()
+        q_nb[7, 3] = np.nan
+        return changed_columns(solution, q_nb=q_nb)
+
+
+class ChangesByAnAnswer(Loose):
+    """Its copies are not apart from it."""
+
+    def in_pieces(self, first, initial, events):
+        whole = super().in_pieces(first, initial, events)
+        whole.copy = lambda: whole
+        return whole
+
+
 class LosesABitInPieces(Loose):
     def run(self, sensors, initial):
         return Loose().run(sensors, initial)
@@ -268,6 +291,9 @@ BREACHES = {
     Indefinite: "not positive definite",
     Lopsided: "not symmetric",
     LosesItsPlace: "lla is not finite",
+    LosesItsSpeed: "vel_n is not finite",
+    LosesItsAttitude: "q_nb is not finite",
+    ChangesByAnAnswer: "in pieces it gives other bits",
 }
 
 
@@ -325,6 +351,14 @@ def test_the_check_sees_what_an_estimator_does_not_stand(sensed, weak, message):
         bench.check_estimator(weak(), sensed.data, sensed.initial)
 
 
+class NeedsTimes(Changed):
+    """Copes with whatever is measured, at instants that are known."""
+
+    def run(self, sensors, initial):
+        assert np.isfinite(sensors.fixes.t).all()
+        return Loose().run(sensors, initial)
+
+
 class NoAttitude(Changed):
     def change(self, solution):
         cov = solution.cov.copy()
@@ -332,8 +366,10 @@ class NoAttitude(Changed):
         return changed_columns(solution, q_nb=np.full_like(solution.q_nb, np.nan), cov=cov)
 
 
-def test_a_block_that_is_not_estimated_is_nan_throughout_and_no_breach(sensed):
-    bench.check_estimator(NoAttitude(), sensed.data, sensed.initial)
+@pytest.mark.parametrize("sound", [NoAttitude, NeedsTimes])
+def test_what_is_no_breach(sensed, sound):
+    """A block that is not estimated is NaN throughout; instants of a record are finite."""
+    bench.check_estimator(sound(), sensed.data, sensed.initial)
 
 
 # --- the truth never enters -----------------------------------------------------------------------------
@@ -378,6 +414,7 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
             {},
             "no estimator 'lose-15'; there are loose-15, loose-22, loose-mems, loose-full, tight,",
         ),
+        ("smother", {}, "no estimator 'smother'; there are"),
         ("", {}, "no estimator ''; there are"),
         (":Class", {}, "no estimator ':Class'; there are"),
         (".here:Class", {}, "no estimator '.here:Class'; there are"),

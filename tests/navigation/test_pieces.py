@@ -416,11 +416,16 @@ def test_a_start_that_cannot_be_found_is_said():
         ("smoother", {}, "'smoother' cannot run in pieces: it has no method in_pieces"),
         ("loose-15", {"covariance_hz": -1.0}, "covariance_hz"),
         ("loose", {}, "no estimator 'loose'"),
+        *(
+            ("loose-15", {"look_back": seconds}, f"look_back = {seconds} must be 0 or more, in seconds")
+            for seconds in (-0.1, np.inf)
+        ),
     ],
 )
 def test_what_cannot_run_in_pieces_says_so(use, options, words):
+    more = {name: options.pop(name) for name in ("look_back",) if name in options}
     with pytest.raises(EstimatorError, match=words):
-        bench.open_filter(use, drawn()[0], options)
+        bench.open_filter(use, drawn()[0], options, **more)
 
 
 @pytest.mark.parametrize("use", ["loose-15", "gnss-only", "ukf", "error-ekf"])

@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import block_diag
 
 import bench
 from bench import durable
 from bench.cli import main
+from bench.earth import difference_n, displace
 from bench.evaluation import metrics
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
@@ -150,11 +152,15 @@ def test_the_filterpy_filter_of_the_guide_keeps_the_contract(truth, sensed, tmp_
 
 
 def test_each_fix_comes_once_at_the_first_answer_after_its_arrival(sensed):
-    """Of fixes that are late, one flagged and one without velocity."""
+    """Of fixes that are late, one flagged, one without velocity and two that do not say how good they are."""
     fixes = sensed.data.fixes
     valid, vel_n = fixes.valid.copy(), fixes.vel_n.copy()
-    valid[3], vel_n[5, 1] = False, np.nan
-    late = replace(fixes, t_arrival=fixes.t + 0.43, valid=valid, vel_n=vel_n)
+    cov_pos_n, cov_vel_n = fixes.cov_pos_n.copy(), fixes.cov_vel_n.copy()
+    valid[3], vel_n[5, 1], cov_pos_n[7, 2, 2], cov_vel_n[9, 0, 0] = False, np.nan, np.nan, np.nan
+    arrival = fixes.t + 0.43
+    late = replace(
+        fixes, t_arrival=arrival, valid=valid, vel_n=vel_n, cov_pos_n=cov_pos_n, cov_vel_n=cov_vel_n
+    )
     data = replace(sensed.data, fixes=late)
     now, rows = sensed.initial.t, []
     for dt, new in bench.fix_steps(data, sensed.initial):
@@ -162,10 +168,12 @@ def test_each_fix_comes_once_at_the_first_answer_after_its_arrival(sensed):
         for z, R in new:
             (row,) = np.flatnonzero((vel_n == z[3:, 0]).all(axis=1))
             assert 0 <= now - late.t_arrival[row] < np.diff(data.output_t).max() + 1e-6
-            np.testing.assert_array_equal(R[3:, 3:], fixes.cov_vel_n[row])
+            np.testing.assert_array_equal(R, block_diag(cov_pos_n[row], cov_vel_n[row]))
+            place = displace(sensed.initial.lla, z[:3, 0])
+            assert np.abs(difference_n(place, fixes.lla[row])).max() < 1e-6
             rows.append(int(row))
     arrived = np.flatnonzero(late.t_arrival <= data.output_t[-1])
-    assert rows == [row for row in arrived if row not in (3, 5)]
+    assert rows == [row for row in arrived if row not in (3, 5, 7, 9)]
 
 
 # --- bench new check -----------------------------------------------------------------------------------
