@@ -1,6 +1,7 @@
 """The options of the built-in estimators are declared once; a wrong one stops a profile before the flight."""
 
 import io
+import re
 
 import pytest
 from rich.console import Console
@@ -150,4 +151,5 @@ def test_the_list_of_estimators_shows_their_options():
     assert "Options of loose-15, loose-22, loose-mems, loose-full, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text
     assert text.count(" magnetometer  ") == 2  # of the compiled filters, and of ukf
-    assert "Rate of the covariance step [Hz]" in text
+    assert re.search(r" covariance_hz +20 +Rate of the covariance step \[Hz\]", text)
+    assert re.search(r" adaptive_noise +- +Measurements over which", text)
