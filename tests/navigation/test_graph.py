@@ -15,7 +15,9 @@ from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.estimator import check_needs
-from bench.navigation.models.graph.flat_frame import FlatFrame
+from bench.navigation.models.graph import factor_graph
+from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
+from bench.navigation.options import GraphOptions
 from tests.builders import band, ensemble
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 
@@ -122,6 +124,116 @@ def test_the_factor_graph_is_the_smoother(imu):
     if imu is not FINE:
         assert_allclose(ours.extra_sd[5:], other.extra_sd[5:, :6], rtol=0.02)
         assert np.abs((ours.extra - other.extra[:, :6]) / other.extra_sd[:, :6])[5:].max() < 0.2
+
+
+def falling(imu, *, dt, unknown=(0.0, 0.0)):
+    """A chain over a flat Earth with one link of free fall and no turn, and what the IMU measured in it."""
+    initial = replace(sensors.sense(weaving(1.0), units(), 1, 0).initial, bias_cov=np.zeros((9, 6)))
+    data = sensors.sense(weaving(1.0), units(imu), 1, 0).data
+    chain = factor_graph._Chain(load_gtsam(), GraphOptions(flat=True), data, initial)
+    none = np.zeros((len(dt), 3))
+    chain.links.append(factor_graph._Link(np.array(dt), none, none, np.array(unknown)))
+    return chain, chain._preintegrate(0)
+
+
+def test_white_noise_of_the_imu_is_what_its_integral_is():
+    """Attitude n T, velocity n T, position n T^3 / 3, whatever the steps; a gap adds what it is said to."""
+    pytest.importorskip("gtsam", reason=MISSING)
+    gyro, accel = replace(IMU.gyro, random_walk=2e-3), replace(IMU.accel, random_walk=0.05)
+    imu, T = replace(IMU, gyro=gyro, accel=accel), 2.0
+    for dt in ([T], [0.5] * 4):
+        P = falling(imu, dt=dt)[1].preintMeasCov()
+        assert_allclose(np.diag(P), np.repeat([4e-6 * T, 25e-4 * T**3 / 3.0, 25e-4 * T], 3), rtol=1e-9)
+        assert_allclose(np.diag(P[3:6, 6:9]), 25e-4 * T**2 / 2.0, rtol=1e-9)
+    P = falling(imu, dt=[0.5] * 4, unknown=(0.3, 0.007))[1].preintMeasCov()
+    assert_allclose(np.diag(P)[:3], 4e-6 * T + 0.007, rtol=1e-9)
+    assert_allclose(np.diag(P)[6:], 25e-4 * T + 0.3, rtol=1e-9)
+
+
+@pytest.mark.parametrize("tau", [np.inf, 5.0])
+def test_biases_move_on_along_a_link_as_their_process_does(tau):
+    """A walk and a Gauss-Markov process over 2 s: what becomes of a bias, and of velocity and attitude by it.
+
+    A walk of density q gives velocity q T^3 / 3 and with it the bias -q T^2 / 2.
+    """
+    pytest.importorskip("gtsam", reason=MISSING)
+    T, biases = 2.0, {"bias_instability": 3.0, "bias_correlation": min(tau, 1e6), "turn_on_bias_sd": 0.0}
+    if tau == np.inf:
+        biases["turn_on_bias_sd"] = 0.5
+    imu = replace(
+        IMU,
+        gyro=replace(IMU.gyro, random_walk=1e-4, **biases),
+        accel=replace(IMU.accel, random_walk=1e-3, **biases),
+    )
+    chain, measured = falling(imu, dt=[0.5] * 4)
+    sd = imu.gyro.instability_sd
+    left, new = chain.biases.over(T)
+    kept = np.exp(-T / tau)
+    assert_allclose(left, kept, rtol=1e-12)
+    q = 2.0 * sd**2 / biases["bias_correlation"]
+    assert_allclose(new**2, q * T if tau == np.inf else sd**2 * (1.0 - kept**2), rtol=1e-12)
+    assert_allclose(chain.biases.sd, np.hypot(biases["turn_on_bias_sd"], sd), rtol=1e-12)
+    chain.bias[0] = np.array([0.1, -0.2, 0.3, 0.0, 0.0, 0.0])
+    prior = np.column_stack([chain.R0, np.arange(15.0)])
+    chain._join(0, measured, prior, first=True)
+    assert_allclose(chain.bias[1], kept * chain.bias[0], rtol=1e-12)
+    moved = np.array([0.2, 0.1, -0.1, 0.03, -0.01, 0.02])
+    chain.bias[1] = chain.bias[1] + moved
+    A = chain._join(0, measured, prior, first=False)
+    assert_allclose(A[15:], np.column_stack([chain.R0, np.zeros((15, 15)), np.arange(15.0)]))
+    root = np.linalg.inv(A[:15, 15:30])
+    F, Q, step = -root @ A[:15, :15], root @ root.T, root @ A[:15, 30]
+    assert_allclose(step, np.append(np.zeros(9), -moved), atol=1e-9)
+    assert_allclose(F[9:, 9:], kept * np.eye(6), atol=1e-9)
+    on_the_way = T if tau == np.inf else tau * (1.0 - kept)
+    for rows, bias, noise in ((slice(6, 9), slice(9, 12), 1e-6), (slice(3), slice(12, 15), 1e-8)):
+        assert_allclose(F[rows, rows], np.eye(3), atol=1e-9)
+        assert_allclose(F[rows, bias], -on_the_way * np.eye(3), rtol=0.02, atol=1e-9)
+        if tau == np.inf:
+            assert_allclose(Q[rows, rows], (noise * T + q * T**3 / 3.0) * np.eye(3), rtol=1e-6, atol=1e-12)
+            assert_allclose(Q[rows, bias], -q * T**2 / 2.0 * np.eye(3), rtol=1e-6, atol=1e-12)
+            assert_allclose(Q[bias, rows], Q[rows, bias].T, rtol=1e-9, atol=1e-15)
+        assert_allclose(Q[bias, bias], new[0] ** 2 * np.eye(3), rtol=1e-6, atol=1e-12)
+    assert_allclose(F[3:6, 6:9], T * np.eye(3), atol=1e-9)
+
+
+def test_the_rows_of_a_fix_are_those_of_finite_differences():
+    """Of the innovation by attitude, position and velocity along the body axes, antenna beside the IMU."""
+    pytest.importorskip("gtsam", reason=MISSING)
+    chain, _ = falling(IMU, dt=[0.5])
+    chain.antenna_b = np.array([0.8, -0.3, 0.5])
+    chain.bias[0] = np.array([0.0, 0.0, 0.0, 0.1, -0.2, 0.3])
+    fix = np.concatenate([weaving(1.0).lla[0], [1.0, 2.0, 3.0]])
+    state = chain.states[0]
+    for one in chain.read_fix(0.0, fix, np.ones(6), np.array([0.4, -0.3, 0.7])):
+        H, columns = chain._compare(0, one)[0], []
+        for x in np.eye(9) * 1e-4:
+            ends = []
+            for sign in (1.0, -1.0):
+                chain.states[0] = state.retract(sign * x)
+                ends.append(chain._compare(0, one)[1])
+            columns.append((ends[1] - ends[0]) / 2e-4)
+            chain.states[0] = state
+        assert_allclose(H[:, :9], np.transpose(columns), atol=1e-5)
+        assert not H[:, 9:].any()
+
+
+def test_what_has_no_noise_has_a_little():
+    """An IMU, a start and fixes without noise are as good as the least that keeps the graph regular."""
+    pytest.importorskip("gtsam", reason=MISSING)
+    silent = {"random_walk": 0.0, "bias_instability": 0.0, "turn_on_bias_sd": 0.0}
+    imu = replace(IMU, gyro=replace(IMU.gyro, **silent), accel=replace(IMU.accel, **silent))
+    chain, measured = falling(imu, dt=[0.5, 0.5])
+    assert_allclose(np.diag(measured.preintMeasCov())[[0, 6]], [1e-14, 1e-12], rtol=1e-9)
+    assert_allclose(chain.biases.sd, np.repeat([1e-8, 1e-10], 3), rtol=1e-12)
+    assert_allclose(chain.biases.over(1.0)[1], 1e-6 * chain.biases.sd, rtol=1e-12)
+    lla = weaving(1.0).lla[0]
+    for one in chain.read_fix(0.0, np.append(lla, np.zeros(3)), np.zeros(6), np.zeros(3)):
+        assert_allclose(one.r, 1e-12, rtol=1e-12)
+    start = replace(sensors.sense(weaving(1.0), units(), 1, 0).initial, cov=np.zeros((9, 9)))
+    data = sensors.sense(weaving(1.0), units(imu), 1, 0).data
+    exact = factor_graph._Chain(load_gtsam(), GraphOptions(), data, start)
+    assert_allclose(np.diag(exact.R0), np.repeat([1e6, 1e8, 1e10], [9, 3, 3]), rtol=1e-9)
 
 
 def test_the_factor_graph_refuses_fixes_that_wander(sensed):
