@@ -168,3 +168,11 @@ def test_what_free_drift_leaves_out_is_of_second_order_and_said(estimator):
     large, words = free_drift(1.0, estimator)
     assert large > 100 * high
     assert words == ("second order of a free drift by degrees of tilt",)
+
+
+@pytest.mark.parametrize(("estimator", "said"), [("free-inertial", 1), ("baro-inertial", 1), ("loose-15", 0)])
+def test_a_free_drift_by_gyros_of_two_degrees_an_hour_is_linear(estimator, said):
+    for bias, count in ((1.9, 0), (2.1, said)):
+        gyro = replace(IMU.gyro, turn_on_bias_sd=bias * DEG / 3600.0)
+        specs = replace(units().assumed, imu=replace(IMU, gyro=gyro))
+        assert len(load(estimator, {}).unmodelled(specs)) == count

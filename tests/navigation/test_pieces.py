@@ -363,6 +363,22 @@ def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing()
         filter_.feed(piece)
 
 
+@pytest.mark.parametrize(
+    ("use", "behind", "feeds"), [("loose-15", 1.5, range(2, 4)), ("ukf", 0.1, range(25, 35))]
+)
+def test_answers_come_after_the_look_back_and_a_stride(use, behind, feeds):
+    """In pieces of 50 ms: a second after what may still be late, a tenth of it where nothing waits."""
+    filter_, data = opened(use)
+    worst, answered, newest = 0.0, 0, 0.0
+    for begin, end in pairwise(np.arange(0.0, 3.01, 0.05)):
+        found = filter_.feed(bench.take_piece(data, begin, end))
+        answered += len(found) > 0
+        newest = found.t[-1] if len(found) else newest
+        worst = max(worst, end - newest)
+    assert behind <= worst < behind + 0.06
+    assert answered in feeds
+
+
 def test_a_measurement_later_than_the_filter_looks_back_is_refused():
     initial, data = drawn()
     data = replace(data, fixes=replace(data.fixes, t_arrival=data.fixes.t + 1.9))
