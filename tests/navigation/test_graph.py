@@ -14,6 +14,9 @@ from bench import earth, rotation, sensors
 from bench.errors import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.navigation.engine.gate import InnovationGate
+from bench.navigation.engine.integrity import nis
+from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.estimator import check_needs
 from bench.navigation.models.graph import factor_graph
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
@@ -216,6 +219,34 @@ def test_the_rows_of_a_fix_are_those_of_finite_differences():
             chain.states[0] = state
         assert_allclose(H[:, :9], np.transpose(columns), atol=1e-5)
         assert not H[:, 9:].any()
+
+
+def test_a_place_that_is_refused_long_enough_opens_the_position():
+    """300 m off along the third axis: three refusals, then P grows so that it is to be expected, no more."""
+    pytest.importorskip("gtsam", reason=MISSING)
+    chain, _ = falling(IMU, dt=[0.5])
+    chain.gate = InnovationGate(SENSORS, 0.0, 1e-5, 0.0)
+    far, none = earth.displace(weaving(1.0).lla[0], np.array([0.0, 0.0, 300.0])), np.zeros(3)
+    (fix, _) = chain.read_fix(1.0, np.append(far, none), np.ones(6), none)
+    prior = np.column_stack([chain.R0, np.arange(15.0)])
+    H, y = chain._compare(0, fix)
+    for t in (1.0, 2.0, 3.0):
+        chain.gate.see_position()
+        assert chain._test(fix._replace(t=t), H, y, prior) is None
+    chain.gate.see_position()
+    grown = chain._test(fix._replace(t=4.0), H, y, prior)
+    assert_allclose(grown[:, 15], prior[:, 15])
+    assert not np.tril(grown[:, :15], -1).any()
+    before, after = (np.linalg.inv(R.T @ R) for R in (prior[:, :15], grown[:, :15]))
+    more = H @ (after - before) @ H.T
+    R = fix.C_tn @ np.diag(fix.r) @ fix.C_tn.T
+    assert more[2, 2] >= 300.0**2
+    assert nis(y, H @ after @ H.T + R) < 3.0
+    assert_allclose(after[9:], before[9:], rtol=1e-6, atol=1e-15)
+    found = chain.gate.take(last=True)[0]
+    assert found.accepted.tolist() == [False] * 9 + [True] * 3
+    assert_allclose(found.z[-1], 300.0, atol=10.0)  # the start is off by metres, too
+    assert_allclose(found.S[-3:], np.diag(H @ before @ H.T + R), rtol=1e-6)
 
 
 def test_what_has_no_noise_has_a_little():
