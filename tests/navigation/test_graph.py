@@ -246,7 +246,8 @@ def test_a_place_that_is_refused_long_enough_opens_the_position():
     found = chain.gate.take(last=True)[0]
     assert found.accepted.tolist() == [False] * 9 + [True] * 3
     assert_allclose(found.z[-1], 300.0, atol=10.0)  # the start is off by metres, too
-    assert_allclose(found.S[-3:], np.diag(H @ before @ H.T + R), rtol=1e-6)
+    S = H @ before @ H.T + R
+    assert_allclose(found.S[-3:], np.diag(fix.C_tn.T @ S @ fix.C_tn), rtol=1e-6)  # along n
 
 
 def test_what_has_no_noise_has_a_little():
