@@ -237,7 +237,8 @@ def test_a_place_that_is_refused_long_enough_opens_the_position():
     grown = chain._test(fix._replace(t=4.0), H, y, prior)
     assert_allclose(grown[:, 15], prior[:, 15])
     assert not np.tril(grown[:, :15], -1).any()
-    before, after = (np.linalg.inv(R.T @ R) for R in (prior[:, :15], grown[:, :15]))
+    roots = (np.linalg.inv(R[:, :15]) for R in (prior, grown))
+    before, after = (root @ root.T for root in roots)
     more = H @ (after - before) @ H.T
     R = fix.C_tn @ np.diag(fix.r) @ fix.C_tn.T
     assert more[2, 2] >= 300.0**2

@@ -181,7 +181,7 @@ class _Chain:
         C_tb, p_t, v_t, P = self.frame.begin(initial)
         self.prior = gtsam.NavState(gtsam.Rot3(C_tb), p_t, v_t)
         self.R0 = np.zeros((15, 15))
-        self.R0[:9, :9] = _invert_root(P + _LEAST_SD**2 * np.eye(9))
+        self.R0[:9, :9] = _triangle(_invert_root(P + _LEAST_SD**2 * np.eye(9)))
         self.R0[9:, 9:] = np.diag(1.0 / self.biases.sd)
         self.states, self.bias = [self.prior], [np.zeros(6)]
         self.links: list[_Link] = []
