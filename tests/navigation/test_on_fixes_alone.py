@@ -160,8 +160,8 @@ def test_what_a_filter_has_learnt_of_its_biases_at_its_end():
     assert_allclose(found.accel_sd, [0.4, 0.5, 0.6])
     steady = 10.0 * np.arange(1.0, 7.0), np.arange(1.0, 7.0)
     found = learn_biases(ended(), SHEET, KNOWN, steady)
-    assert_allclose(found.gyro, KNOWN.gyro + [10.0, 20.0, 30.0])
-    assert_allclose(found.accel, KNOWN.accel + [40.0, 50.0, 60.0])
+    assert_allclose(found.gyro - KNOWN.gyro, [10.0, 20.0, 30.0])
+    assert_allclose(found.accel - KNOWN.accel, [40.0, 50.0, 60.0])
     assert_allclose(found.accel_sd, [4.0, 5.0, 6.0])
     forgets = replace(SHEET, accel=replace(SHEET.accel, turn_on_bias_sd=0.0))
     found = learn_biases(ended(), forgets, KNOWN, (steady[0], np.full(6, np.nan)))
@@ -366,7 +366,7 @@ def test_too_few_fixes_tell_nothing():
         watch = RefusedFixes(RECEIVER, "datasheet", 10.0)
         watch.take(fixes)
         assert watch.find(verdicts(slow, [True] * 60)) == lost
-        assert watch.any_refused
+        assert watch.any_refused == (lost is None)
 
 
 def test_what_a_watch_forgets_and_what_it_has_seen_last():
