@@ -1,6 +1,7 @@
 """A turn-on bias of degrees per second is learnt before a linear filter takes it."""
 
 from dataclasses import replace
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,13 +17,16 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
+from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece
 from bench.navigation.start import steady_course, turn_on, turning_start
 from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
+from bench.sensors import sense
 from bench.units import STANDARD_GRAVITY
 from tests.builders import Z, at_rest, band, first_rows
 from tests.flight.plans import plan
 from tests.navigation import honesty
 from tests.navigation.test_straight_flights import LEG
+from tests.weaving import units
 
 MPU = {"sensors.imu": "mpu-6050"}
 
@@ -367,3 +371,212 @@ def test_at_rest_the_nose_points_where_it_did_until_it_moves():
     assert_allclose(t, [1.1, 30.1, 40.1])
     assert (values == 0.0).all()
     assert_allclose(variance, steady_course.STILL_SD**2)
+
+
+# --- the stretch by hand ------------------------------------------------------------------------------------
+
+
+def straight_on(bias_b, rate=0.0, unit_sd=0.1):
+    """Return the record of a straight flight or slow turn [rad/s] with a bias of the gyros, and its start."""
+    gyro = TriadSpec(turn_on_bias_sd=unit_sd)
+    spec = replace(units(ImuSpec("unit", gyro, TriadSpec())), output_rate=1.0)
+    sensed = sense(at_rest(26.0, 50.0, np.array([0.8, 0.2, 500.0])), spec, 1, 0)
+    imu, fixes, start = sensed.data.imu, sensed.data.fixes, sensed.initial
+    q_nb = rotation.from_euler(0.1, 0.2, 1.0)
+    turn_b = rotation.rotate(rotation.conjugate(q_nb), [0.0, 0.0, rate]) + bias_b
+    course = 3.0 + rate * fixes.t
+    vel_n = 25.0 * np.column_stack([np.cos(course), np.sin(course), np.zeros(len(course))])
+    imu = replace(imu, dtheta_b=np.outer(imu.dt, turn_b))
+    return replace(sensed.data, imu=imu, fixes=replace(fixes, vel_n=vel_n)), replace(start, q_nb=q_nb)
+
+
+def turned_at(data, t, by_deg=0.0, speed=1.0):
+    """The record, on another course or at another speed from a fix on."""
+    later = data.fixes.t >= t - 1e-6
+    turn = rotation.from_rotvec(np.outer(later, [0.0, 0.0, np.deg2rad(by_deg)]))
+    vel_n = rotation.rotate(turn, data.fixes.vel_n) * np.where(later, speed, 1.0)[:, None]
+    return replace(data, fixes=replace(data.fixes, vel_n=vel_n))
+
+
+BIAS = np.deg2rad([3.0, -5.0, 4.0])
+
+
+def test_a_stretch_tells_the_mean_rate_less_that_of_the_course():
+    """From its first fix, at 1 s, to its last that has come; the nose may have turned by 5 deg beside it."""
+    data, start = straight_on(BIAS, rate=-0.005)
+    for until, span in ((11.0, 10.0), (2.0, 1.0), (99.0, 19.0)):
+        found = turn_on.find_turn_on(data, start, until)
+        assert_allclose(found.bias_b, BIAS, atol=1e-9)
+        assert found.sd == pytest.approx(np.deg2rad(5.0) / span)
+        assert found.until == pytest.approx(1.0 + span)
+        assert not found.turning
+    assert turn_on.find_turn_on(data, start, 1.9) is None
+    late = replace(data, fixes=replace(data.fixes, t_arrival=data.fixes.t + 0.3))
+    assert turn_on.find_turn_on(late, start, 11.0).until == pytest.approx(10.3)
+
+
+@pytest.mark.parametrize(
+    ("t", "change", "span"),
+    [
+        (7.0, {"by_deg": 11.0}, 5.0),  # to the fix before
+        (6.0, {"by_deg": 11.0}, None),  # what has ended has to be 5 s long
+        (7.0, {"by_deg": -9.0}, 10.0),
+        (7.0, {"speed": 0.19}, 5.0),  # 4.75 m/s is no course
+        (7.0, {"speed": 0.21}, 10.0),
+    ],
+)
+def test_a_stretch_ends_where_the_course_leaves_or_is_none(t, change, span):
+    data, start = straight_on(BIAS)
+    found = turn_on.find_turn_on(turned_at(data, t, **change), start, 11.0)
+    if span is None:
+        assert found is None
+    else:
+        assert found.until == pytest.approx(1.0 + span)
+        assert found.sd == pytest.approx(np.deg2rad(5.0) / span)
+
+
+def test_what_a_stretch_tells_has_to_be_better_than_the_datasheet_and_of_a_unit():
+    """5 deg/s after 1 s; no bias is larger than five times what is not known of both."""
+    data, start = straight_on(BIAS, unit_sd=np.deg2rad(4.0))
+    assert turn_on.find_turn_on(data, start, 2.0) is None
+    assert turn_on.find_turn_on(data, start, 3.0) is not None
+    most = 5.0 * np.hypot(np.rad2deg(0.1), 0.5)
+    for part, found in ((0.98, True), (1.02, False), (-1.02, False)):
+        data, start = straight_on(np.deg2rad([0.0, 0.0, part * most]))
+        assert (turn_on.find_turn_on(data, start, 11.0) is not None) == found
+
+
+def test_a_bias_is_learnt_where_it_is_large_and_the_attitude_given():
+    """From 0.3 deg/s on, which is 18 deg in a minute, and by fixes."""
+    for sd, large in ((0.29, False), (0.31, True)):
+        data, start = straight_on(BIAS, unit_sd=np.deg2rad(sd))
+        assert turn_on.may_be_learnt(data, start) == large
+    assert not turn_on.may_be_learnt(replace(data, fixes=None), start)
+    assert not turn_on.may_be_learnt(data, replace(start, alignment="level"))
+    assert not turn_on.may_be_learnt(data, replace(start, bias_cov=np.ones((9, 6))))
+    for sd, loses in ((1.49, False), (1.51, True)):  # 15 deg in ten minutes
+        data, _ = straight_on(BIAS, unit_sd=np.deg2rad(sd / 60.0))
+        assert steady_course.has_large_bias(data) == loses
+        assert not steady_course.has_large_bias(replace(data, fixes=None))
+
+
+class Watched:
+    """A filter that only says what it is given: it estimates the mean rate of each piece as its bias."""
+
+    def __init__(self, log, sd):
+        self.log, self.sd, self.end = log, sd, 0.0
+
+    def feed(self, piece, look_back, *, last):
+        self.end = max(self.end, piece.imu.t.max(initial=0.0))
+        mean = piece.imu.dtheta_b.sum(axis=0) / max(piece.imu.dt.sum(), 1e-9)
+        self.log.append((self.sd, self.end, look_back, last, np.rad2deg(mean)))
+        empty = nothing_known(piece.output_t)
+        zero = np.zeros((len(piece.output_t), 3))
+        return replace(empty, extra_names=("x", "y", "z"), extra=zero, extra_sd=zero, gyro_bias_b=zero)
+
+    def steady_errors(self):
+        return np.arange(6.0), np.ones(6)
+
+
+def watch(data, start):
+    log = []
+    filter_ = turn_on.FromTurnOn(
+        lambda first, initial, events, sd: Watched(log, sd), take_head(data), start, []
+    )
+    return filter_, log
+
+
+def test_a_filter_begins_again_whenever_the_stretch_tells_more():
+    """After 1.5, 2.5, 3.5, 5, 10 and 20 s; what it gets is less the bias, and what it says is not."""
+    data, start = straight_on(BIAS)
+    filter_, log = watch(data, start)
+    edges = np.arange(0.0, 25.5, 0.9)
+    found = [filter_.feed(take_piece(data, *edge), 0.2, last=False) for edge in pairwise(edges)]
+    spans = np.array([1.0, 2.0, 4.0, 9.0, 19.0])  # until 1.5 s there is one fix
+    texts = [row for one in found for row in one.events.rows()]
+    assert [row[3] for row in texts] == [
+        f"turn-on bias of the gyros by their mean rate, left {5.0 / span:.2g} deg/s" for span in spans
+    ]
+    assert [row[:2] for row in texts] == [(0.0, pytest.approx(1.0 + span)) for span in spans]
+    again = [one for one, before in zip(log[1:], log, strict=False) if one[0] != before[0]]
+    assert [one[0] for one in again] == [pytest.approx(np.deg2rad(5.0) / span) for span in spans]
+    assert [round(one[1], 6) for one in again] == [2.5, 3.5, 5.0, 10.0, 20.0]
+    for _, _, _, _, mean in again:
+        assert_allclose(mean, 0.0, atol=1e-6)
+    assert_allclose(log[0][4], [3.0, -5.0, 4.0])
+    for one in found:
+        late = one.t > 2.5
+        assert_allclose(one.gyro_bias_b[late], np.tile(BIAS, (late.sum(), 1)))
+        assert_allclose(one.extra[late], np.tile(BIAS, (late.sum(), 1)))
+        assert not one.gyro_bias_b[~late].any()
+    mean, sd = filter_.steady_errors()
+    assert_allclose(mean, np.arange(6.0) + np.append(BIAS, np.zeros(3)))
+    assert_allclose(sd, 1.0)
+    assert len(filter_.record.imu) == 0  # is not kept beyond the stretch
+    assert filter_.end == pytest.approx(25.2)
+
+
+def test_a_filter_begins_as_before_where_the_course_leaves_at_once():
+    """What a second of a stretch told is taken back; the turn tells nothing of gyros known so well."""
+    data, start = straight_on(BIAS)
+    data = turned_at(data, 4.0, by_deg=170.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(turn_on, "find_turning", lambda *_: None)
+        filter_, log = watch(data, start)
+        found = [filter_.feed(take_piece(data, -1.0, 2.9), 0.2, last=False)]
+        found.append(filter_.feed(take_piece(data, 2.9, 6.0), 0.2, last=False))
+    texts = [row for one in found for row in one.events.rows()]
+    assert texts[-1][:4] == (
+        0.0,
+        5.0,
+        "alignment",
+        "turn-on bias of the gyros as before: the course has left",
+    )
+    assert filter_.found is None
+    assert log[-1][0] is None
+
+
+def test_a_better_estimate_of_a_bias_replaces_one_of_its_kind():
+    filter_, _ = watch(*straight_on(BIAS))
+    plain, turning = turn_on.TurnOn(BIAS, 0.02, 5.0), turn_on.TurnOn(BIAS, 0.9, 5.0, turning=True)
+    assert not filter_._is_other(None)
+    assert filter_._is_other(plain)
+    filter_.found = plain
+    assert filter_._is_other(None)
+    assert filter_._is_other(turning)
+    assert filter_._is_other(replace(plain, sd=0.019))
+    assert not filter_._is_other(replace(plain, sd=0.02))
+    filter_.found = turning
+    assert filter_._is_other(plain)
+    assert not filter_._is_other(replace(turning, sd=0.95))
+
+
+def test_another_antenna_ends_the_search_for_a_bias():
+    """The record from the start on is that of the one before."""
+    data, start = straight_on(BIAS)
+    filter_, log = watch(data, start)
+    filter_.feed(take_piece(data, -1.0, 2.0), 0.2, last=False)
+    filter_.feed(replace(take_piece(data, 2.0, 9.0), antenna_b=np.ones(3)), 0.2, last=False)
+    assert [one[0] for one in log] == [None, None]
+
+
+def test_a_smoother_knows_the_whole_stretch_from_its_first_answer_on():
+    data, start = straight_on(BIAS)
+    log = []
+
+    def run(piece, initial, sd):
+        return Watched(log, sd).feed(piece, 0.0, last=True)
+
+    solution, bias_b = turn_on.smooth_from_turn_on(run, data, start)
+    assert_allclose(bias_b, BIAS, atol=1e-9)
+    ((sd, _, _, _, mean),) = log
+    assert sd == pytest.approx(np.deg2rad(5.0) / 19.0)
+    assert_allclose(mean, 0.0, atol=1e-6)
+    assert_allclose(solution.gyro_bias_b, np.tile(BIAS, (len(solution), 1)))
+    (event,) = solution.events.rows()
+    assert event[3] == "turn-on bias of the gyros by their mean rate, left 0.26 deg/s"
+    small, start = straight_on(BIAS, unit_sd=1e-4)
+    solution, bias_b = turn_on.smooth_from_turn_on(run, small, start)
+    assert log[-1][0] is None
+    assert not bias_b.any()
+    assert not len(solution.events)
