@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation, sensors
-from bench.data import GnssFixes, Innovations, no_innovations
+from bench.data import Events, GnssFixes, InitialState, Innovations, no_innovations
+from bench.errors import EstimatorError
 from bench.navigation.engine.integrity import nis_limit
-from bench.navigation.engine.record_cuts import nothing_known, take_head
+from bench.navigation.engine.piecewise import join_events, refuse, take_after
+from bench.navigation.engine.record_cuts import (
+    first_sample,
+    goes_beyond,
+    join_pieces,
+    longest_wait,
+    newest_sample,
+    nothing_known,
+    take_head,
+    take_piece,
+)
 from bench.navigation.engine.velocity_consistency import MovedFixes
-from bench.navigation.start import fixes_only
+from bench.navigation.error_state_filter import state_blocks
+from bench.navigation.start import alignment, fixes_only, restart
 from bench.navigation.start.fix_track import unknown_arm
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
@@ -389,3 +402,162 @@ def test_what_a_watch_forgets_and_what_it_has_seen_last():
     watch.take(fixes_at([3.0], np.zeros((1, 3)), [0.0] * 3))
     watch.take(take(fixes_at([3.0], np.zeros((1, 3)), [0.0] * 3), slice(0, 0)))
     assert watch.last(99.0).t.tolist() == [3.0]
+
+
+# --- starting again -----------------------------------------------------------------------------------------
+
+
+def grown(t):
+    """A record that has come until an instant."""
+    return SimpleNamespace(imu=SimpleNamespace(t=np.array([0.0, t, np.nan])))
+
+
+def searching(monkeypatch, kind, found_at=12.0):
+    """A search from 1 s on for an alignment of 10 s, and the newest samples at which it was looked for."""
+    asked = []
+
+    def complete(record, initial):
+        asked.append(newest_sample(record))
+        if asked[-1] < found_at:
+            raise EstimatorError("not yet")
+        return replace(initial, t=found_at), [(1.0, found_at, "alignment", "found")]
+
+    monkeypatch.setattr(alignment, "complete", complete)
+    nothing = np.full((9, 9), np.inf)
+    start = InitialState(1.0, *np.full((2, 3), np.nan), np.full(4, np.nan), nothing, kind, 10.0)
+    return alignment.StartSearch(start), asked
+
+
+def test_a_standstill_is_looked_for_once_when_nothing_can_change_it_any_more(monkeypatch):
+    search, asked = searching(monkeypatch, "level")
+    for t, found in ((13.49, False), (13.5, False), (14.49, False), (14.5, True)):
+        assert (search.find(grown(t), 0.5, last=False) is not None) == found
+    assert asked == [13.5, 14.49, 14.5]
+    search, _ = searching(monkeypatch, "level", 99.0)
+    with pytest.raises(EstimatorError, match="not yet"):
+        search.find(grown(14.0), 0.5, last=False)
+    search, _ = searching(monkeypatch, "level", 3.0)
+    assert search.find(grown(4.0), 0.5, last=True)[0].t == 3.0
+
+
+def test_a_course_is_looked_for_every_two_seconds(monkeypatch):
+    search, asked = searching(monkeypatch, "course")
+    for t in (1.0, 2.9, 3.0, 4.9, 11.9, 12.1, 13.9, 14.49, 14.5, 16.5):
+        found = search.find(grown(t), 0.5, last=False)
+        assert (found is not None) == (t == 16.5)
+    assert asked == [1.0, 3.0, 11.9, 13.9, 16.5]
+    search, _ = searching(monkeypatch, "course", 99.0)
+    with pytest.raises(EstimatorError, match="not yet"):
+        search.find(grown(14.0), 0.5, last=True)
+
+
+def test_an_alignment_is_one_of_three():
+    start = SimpleNamespace(alignment="north")
+    with pytest.raises(EstimatorError, match=r"^alignment = 'north' must be 'given', 'level' or 'course'$"):
+        alignment.complete(None, start)
+
+
+@pytest.mark.parametrize(
+    ("speed", "moved", "kept"), [(0.29, 0.0, True), (0.31, 0.0, False), (0.0, 4.9, True), (0.0, 5.1, False)]
+)
+def test_behind_a_gap_a_standstill_is_looked_for_first_and_keeps_its_heading(speed, moved, kept):
+    """Of an aircraft that stood before and has not moved by five sigma; the course knows the wind."""
+    cov = np.diag([1e-4] * 3 + [1e-6] * 3 + [1e-4, 2e-4, 3e-4])
+    coast = coasting(ended(vel_n=np.array([0.6 * speed, 0.8 * speed, 0.0]), cov=cov), arm=(0.0, 0.0, 0.0))
+    coast.go_beyond()
+    coast.take(fixes_at([6.0], [[0.0] * 3], [0.0] * 3))
+    spread = np.sqrt(np.trace(coast.at(7.0)[2][:3, :3]))
+    coast.end = coast.end._replace(lla=earth.displace(coast.at(7.0)[0], [moved * spread, 0.0, 0.0]))
+    level, course = (search.initial for search in restart._ways(7.0, coast))
+    assert (level.alignment, level.t, level.align_for) == ("level", 7.0, 10.0)
+    assert_allclose(level.lla, coast.at(7.0)[0])
+    assert_allclose(level.cov[:3, :3], coast.at(7.0)[2][:3, :3])
+    assert_allclose(level.fix_cov, [9.0, 9.0, 16.0])
+    assert np.isfinite(level.q_nb).all() == kept
+    assert level.cov[8, 8] == (3e-4 if kept else np.inf)
+    assert np.isinf(np.diag(level.cov)[3:8]).all()
+    assert (course.alignment, course.t, course.align_for) == ("course", 7.0, 10.0)
+    assert np.isnan(course.q_nb).all()
+    assert np.isinf(np.diag(course.cov)).all()
+    assert course.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 5.0))
+
+
+def test_behind_a_gap_a_fast_aircraft_may_have_its_nose_off_its_course_by_the_wind():
+    coast = coasting(ended(vel_n=np.array([30.0, 40.0, 5.0])))
+    _, course = restart._ways(6.0, coast)
+    assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 50.0))
+    (course,) = restart._ways(6.0, coasting(lost_at(5.0, ended())))  # and of a place that is not known
+    assert course.initial.drift_sd == pytest.approx(np.arctan(state_blocks.WIND_SD / 5.0))
+
+
+# --- pieces of a record -------------------------------------------------------------------------------------
+
+
+def test_what_a_piece_of_a_record_holds():
+    """IMU samples and answers by their time, measurements by their arrival, to a microsecond."""
+    data = sensed()
+    t = np.array([0.5, 1.0, 1.0, 1.5, 2.0])
+    fixes = fixes_at(
+        t, np.zeros((5, 3)), [0.0] * 3, np.array([0.6, 1.0 + 0.5e-6, 1.0 + 1.5e-6, np.nan, 2.25])
+    )
+    data = replace(data, fixes=fixes, baro=None, output_t=np.array([0.5, 1.0, 1.0 + 0.5e-6, 2.0]))
+    first, second = take_piece(data, -np.inf, 1.0), take_piece(data, 1.0, 2.2)
+    assert first.fixes.t.tolist() == [0.5, 1.0, 1.5]  # what has no time is there from the begin on
+    assert second.fixes.t.tolist() == [1.0]
+    assert (first.imu.t.max(), len(first.imu)) == (1.0, 50)
+    assert (second.imu.t.min(), second.imu.t.max()) == (pytest.approx(1.02), pytest.approx(2.2))
+    assert first.output_t.tolist() == [0.5, 1.0]
+    assert second.output_t.tolist() == [1.0 + 0.5e-6, 2.0]
+    both = join_pieces(first, second)
+    assert_array_equal(both.imu.t, data.imu.t[:110])
+    assert both.fixes.t.tolist() == [0.5, 1.0, 1.5, 1.0]
+    assert longest_wait(data) == pytest.approx(0.25 + 2e-6, abs=1e-9)
+    assert longest_wait(take_head(data)) == pytest.approx(2e-6)
+    assert goes_beyond(data, 2.2)
+    assert not goes_beyond(data, 2.25 - 0.5e-6)
+    assert goes_beyond(data, 2.25 - 1.5e-6)
+    answers = replace(data, fixes=None, output_t=np.array([2.0]))
+    assert goes_beyond(answers, 1.9999999)
+    assert not goes_beyond(answers, 2.0)
+    assert newest_sample(replace(data, imu=put(data.imu, -1, t=np.nan))) == pytest.approx(2.98)
+    assert first_sample(replace(data, imu=put(data.imu, 0, t=np.nan))) == pytest.approx(0.04)
+    assert (newest_sample(take_head(data)), first_sample(take_head(data))) == (-np.inf, np.inf)
+
+
+def test_counts_of_the_parts_of_a_record_are_added_and_other_events_stay():
+    rows = [
+        (3.0, 4.0, "timeline", "imu: 2 rows left out: flagged", "imu"),
+        (1.0, 2.0, "timeline", "imu: gap of 1 s", "imu"),
+        (1.5, 3.5, "timeline", "imu: 5 rows left out: flagged", "imu"),
+        (1.0, 9.0, "timeline", "imu: 1 rows left out: repeated", "imu"),
+        (1.0, 9.0, "timeline", "gnss: 4 rows left out: flagged", "gnss"),
+        (0.0, 1.0, "refused", "baro: 3 in a row refused", "baro"),
+        (7.0, 8.0, "refused", "baro: 3 in a row refused", "baro"),
+    ]
+    assert sorted(join_events(rows)) == sorted(
+        [
+            *(row for row in rows[1:2] + rows[3:]),
+            (1.5, 4.0, "timeline", "imu: 7 rows left out: flagged", "imu"),
+        ]
+    )
+
+
+def test_a_solution_less_what_has_been_given():
+    """Answers until an instant, innovations and ended events until another, to a microsecond."""
+    found = replace(
+        nothing_known(np.array([1.0, 2.0, 3.0])),
+        innovations=verdicts([1.0, 2.0, 2.0 + 1.5e-6], [False] * 3),
+        events=Events.from_rows([(0.0, 2.0, "a", "told", ""), (0.0, 2.1, "a", "new", "")]),
+    )
+    rest = take_after(2.0, 2.0, found)
+    assert rest.t.tolist() == [3.0]
+    assert rest.innovations.t.tolist() == [2.0 + 1.5e-6] * 6
+    assert rest.events.text == ("new",)
+    assert take_after(-np.inf, -np.inf, found).t.tolist() == [1.0, 2.0, 3.0]
+    assert len(take_after(-np.inf, -np.inf, found).innovations) == 18
+    with pytest.raises(EstimatorError) as caught:
+        refuse("a row of baro", 1.25, 2.5)
+    said = (
+        "a row of baro for 1.25 s comes when the filter has gone on to 2.5 s; open it with a longer look_back"
+    )
+    assert str(caught.value) == said
