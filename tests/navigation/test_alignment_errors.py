@@ -14,10 +14,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import earth, rotation, sensors
+from bench.data import GnssFixes
 from bench.errors import EstimatorError
-from bench.navigation.start import alignment, leveling
+from bench.navigation.mechanization import propagate
+from bench.navigation.start import alignment, course, leveling
 from bench.sensor_specs import GnssSpec, ImuSpec, TriadSpec
-from tests.builders import at_rest
+from tests.builders import at_rest, take
 from tests.weaving import DEG, units, weaving
 
 PERFECT = ImuSpec("perfect", TriadSpec(), TriadSpec())
@@ -157,6 +159,109 @@ def test_a_course_off_the_nose_tilts_by_the_force_along_it():
     tilt = np.rad2deg(0.1 * np.abs(column[:2]).max())
     said = f"9 s at 25 m/s, sd 5.7 deg, 5.7 deg of it wind and sideslip; tilt sd {tilt:.2g} deg"
     assert text == f"heading by the course of {said}"
+
+
+# --- the stretch of a course --------------------------------------------------------------------------------
+
+
+def test_a_stretch_moves_throughout_and_reaches_over_no_long_gap():
+    t, speed, none = np.arange(21.0), np.full(21, 5.1), np.empty(0)
+    assert course._moving(t, speed, 10.0, none) == (0, 10)
+    assert course._moving(t, speed, 10.0 + 0.5e-6, none) == (0, 10)
+    assert course._moving(t, np.where(t == 3.0, 4.9, 5.1), 10.0, none) == (4, 14)
+    assert course._moving(t, speed, 10.0, np.array([7.5, 7.9])) == (8, 18)
+    assert course._moving(t, speed, 10.0, np.array([7.5, 8.5])) == (9, 19)
+    assert course._moving(t, speed, 10.0, np.array([8.0, 8.9])) == (9, 19)  # at its begin a fix is before it
+    for some, told in (
+        (slice(0, 3), "the fastest of 3 fixes has 7.25 m/s"),
+        (slice(0, 0), "there is no sound fix"),
+    ):
+        with pytest.raises(EstimatorError) as caught:
+            course._moving(t[some], np.array([5.5, 7.25, 6.0])[some], 10.0, none)
+        assert str(caught.value) == f"alignment course needs 10 s of fixes above 5 m/s over ground; {told}"
+
+
+@pytest.mark.parametrize(("length", "begin"), [(0.5, 1.0), (0.56, 5.0)])
+def test_a_gap_of_the_imu_of_more_than_half_a_second_begins_a_stretch_anew(length, begin):
+    _, data, initial, _ = drawn(True)
+    kept = (data.imu.t < 4.12 + 1e-6) | (data.imu.t > 4.12 + length + 1e-6)
+    _, ((t, end, _, _),) = alignment.complete(replace(data, imu=take(data.imu, kept)), initial)
+    assert (t, end) == (begin, pytest.approx(begin + 9.02 - 0.02 * (begin == 5.0)))
+
+
+def test_a_course_is_by_velocities_where_half_of_the_fixes_have_one():
+    _, data, initial, _ = drawn(True)
+    for first in (0, 1):
+        vel_n = data.fixes.vel_n.copy()
+        vel_n[first::2] = np.nan
+        _, ((begin, *_),) = alignment.complete(
+            replace(data, fixes=replace(data.fixes, vel_n=vel_n)), replace(initial, align_for=8.0)
+        )
+        assert begin == 2.0 - first
+    vel_n[:4] = np.nan
+    _, ((begin, *_),) = alignment.complete(
+        replace(data, fixes=replace(data.fixes, vel_n=vel_n)), replace(initial, align_for=8.0)
+    )
+    assert begin == 2.0  # by positions, of which the first shows no speed
+
+
+def test_a_speed_is_that_since_a_second_before():
+    """Along a parabola at 0.4 s; before a second has passed, since the first fix."""
+    t = 0.4 * np.arange(6.0)
+    way = np.column_stack([3.0 * t**2, -4.0 * t**2, 99.0 * t])
+    none = np.zeros((6, 3, 3))
+    sound = np.ones(6, np.bool_)
+    lla = earth.displace(np.tile([0.8, 0.2, 500.0], (6, 1)), way)
+    fixes = GnssFixes(t, t, sound, lla, way, none, none, 9 * sound)
+    found = course._speeds(fixes, np.arange(6))
+    before = np.interp(np.maximum(t - 1.0, 0.0), t, 5.0 * t**2)
+    passed = np.minimum(t, 1.0)
+    assert_allclose(found[1:], (5.0 * t**2 - before)[1:] / passed[1:], rtol=1e-3)
+    assert found[0] == 0.0
+    assert not len(course._speeds(fixes, np.arange(0)))
+
+
+def test_the_ends_of_a_stretch_are_a_third_of_it():
+    one = drawn(False)[1].fixes
+
+    def ends(*t):
+        some = take(one, np.zeros(len(t), np.int64))
+        return course._quartet(replace(some, t=np.array(t)), np.arange(len(t)))
+
+    assert ends(*range(10)) == (0, 3, 6, 9)
+    assert ends(0.0, 1.0, 2.0) == (0, 1, 1, 2)
+    assert ends(0.0, 2.9, 3.0 + 0.5e-6, 4.0, 6.0 - 0.5e-6, 6.1, 9.0) == (0, 2, 4, 6)
+    assert ends(0.0, 2.9, 3.0 + 1.5e-6, 4.0, 6.0 - 1.5e-6, 6.1, 9.0) == (0, 1, 5, 6)
+    with pytest.raises(EstimatorError) as caught:
+        ends(0.0, 9.0)
+    said = "alignment course by fixes without velocity needs more than the 2 there are in 9 s; a longer"
+    assert str(caught.value) == f"{said} [alignment] duration_s has more"
+
+
+@pytest.mark.parametrize("roll", [0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi])
+def test_an_aircraft_may_fly_on_its_back_or_its_side_while_it_is_aligned(roll):
+    """Straight on at 40 m/s; upright its forces would make it fall by twice as much."""
+    rate, n = 50.0, 600
+    f_b = rotation.rotate(rotation.from_euler(-roll, 0.0, 0.0), [0.0, 0.0, -9.81])
+    q_nb = rotation.from_euler(roll, 0.0, 0.6)
+    dtheta, dvel = np.zeros((n, 3)), np.tile(f_b / rate, (n, 1))
+    nav = propagate(
+        [0.8, 0.2, 800.0],
+        40.0 * np.array([np.cos(0.6), np.sin(0.6), 0.0]),
+        q_nb,
+        np.full(n, 1 / rate),
+        dtheta,
+        dvel,
+    )
+    truth = weaving(12.0, rate=rate)
+    truth = replace(truth, lla=nav[:, :3], vel_n=nav[:, 3:6], q_nb=nav[:, 6:], dtheta_b=dtheta, dvel_b=dvel)
+    spec = replace(units(PERFECT, EXACT, baro=None), alignment="course", align_for=T)
+    sensed = sensors.sense(truth, spec, 1, 0)
+    start, _ = alignment.complete(sensed.data, sensed.initial)
+    off = rotation.to_rotvec(
+        rotation.multiply(start.q_nb, rotation.conjugate(truth.q_nb[int(start.t * rate)]))
+    )
+    assert np.abs(off).max() < 2e-3
 
 
 # --- at rest --------------------------------------------------------------------------------------------
