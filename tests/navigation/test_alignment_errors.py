@@ -225,6 +225,15 @@ def test_a_course_is_by_velocities_where_half_of_the_fixes_have_one():
     assert begin == 2.0  # by positions, of which the first shows no speed
 
 
+def test_a_fix_at_the_start_belongs_to_the_stretch():
+    """To a microsecond; one of before does not, whenever it arrives."""
+    _, data, initial, _ = drawn(True)
+    for early, begin in ((0.0, 1.0), (0.5e-6, 1.0), (1.5e-6, 2.0)):
+        fixes = replace(data.fixes, t=data.fixes.t - early * (np.arange(len(data.fixes)) == 0))
+        _, ((t, _, _, _),) = alignment.complete(replace(data, fixes=fixes), replace(initial, t=1.0))
+        assert t == pytest.approx(begin)
+
+
 def test_a_speed_is_that_since_a_second_before():
     """Along a parabola at 0.4 s; before a second has passed, since the first fix."""
     t = 0.4 * np.arange(6.0)

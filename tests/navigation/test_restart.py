@@ -94,6 +94,16 @@ def test_an_event_says_what_was_done(draws):
     )
 
 
+def test_from_the_instant_it_starts_again_on_the_filter_answers(draws):
+    """Before, with an attitude that may be anything usual; no answer lies between both."""
+    data = with_gap(draws[0].data, 60.0, 5.0)
+    wanted = 76.02 + np.array([-1.0, -3e-6, 0.0, 0.1])
+    solution = FILTER.run(replace(data, output_t=np.concatenate([[1.0], wanted])), draws[0].initial)
+    tilt_sd = np.sqrt(solution.cov[1:, 6, 6])
+    assert (tilt_sd[:2] > 0.4).all()
+    assert (tilt_sd[2:] < 0.2).all()
+
+
 def test_a_gap_at_the_end_of_a_range_names_it(draws):
     """A unit that clips flags its samples; one step of quantization off the end they still count.
 
