@@ -20,6 +20,7 @@ from bench.errors import EstimatorError
 from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
 from bench.navigation.error_state_filter import antenna_rows, corrections, error_state
+from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.classic import (
     Classic22,
     error_dynamics,
@@ -27,8 +28,10 @@ from bench.navigation.models.classic import (
     observation_model,
     process_model,
 )
+from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, R3, Nav
 from bench.navigation.models.loose_tight import Loose
+from bench.navigation.options import ClassicOptions
 from tests.register import equations
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
@@ -81,8 +84,14 @@ def test_it_says_what_loose_22_says(sensed, solution):
         both = (solution.innovations, loose.innovations)
         mine, theirs = (getattr(v, name)[o] for v, o in zip(both, order, strict=True))
         np.testing.assert_array_equal(mine, theirs)
-    first = [v.z[v.code == 0][0] for v in both]
-    assert first[0] == pytest.approx(first[1], abs=1e-6)
+    for code, within in ((0, 1e-5), (1, 0.15), (2, 0.15)):  # S of one before any is used, of the other after
+        rows = [o[v.code[o] == code] for v, o in zip(both, order, strict=True)]
+        (z, S, nis), (z_too, S_too, nis_too) = (
+            (v.z[k], v.S[k], v.nis[k]) for v, k in zip(both, rows, strict=True)
+        )
+        assert np.abs((z - z_too) / np.sqrt(S_too)).max() < within
+        assert_allclose(S, S_too, rtol=max(within / 4, 1e-5))
+        assert_allclose(nis, nis_too, rtol=within, atol=within)
 
 
 @pytest.mark.parametrize(
@@ -143,6 +152,29 @@ def test_the_axes_of_both_filters_turn_alike():
     assert_allclose(turned[12:15, 12:15], turn[:3], atol=1e-12)
     assert_allclose(turned[6:8, 6:8], [[turn[3, 1], turn[3, 0]], [-turn[3, 0], turn[3, 1]]], atol=1e-12)
     assert np.abs(turn[:3] - np.eye(3)).max() > 0.01
+
+
+def test_p_of_both_filters_is_one_at_the_start(sensed):
+    """With what an alignment has left between attitude and biases."""
+    rng = np.random.default_rng(1)
+    A = rng.normal(size=(9, 9)) * np.repeat([1.0, 0.1, 1e-3], 3)[:, None]
+    start = replace(sensed.initial, cov=A @ A.T, bias_cov=1e-6 * rng.normal(size=(9, 6)))
+    loop, loose = FilterLoop(ClassicOptions(), sensed.data, start), Loose(gnss_markov=True)
+    P = state_model(start, sensed.data.specs, loose.blocks_for(sensed.data)).P
+    T, sd = to_ned(loop.nav), np.sqrt(np.diag(P))
+    mapped = T @ loop.form.covariance @ T.T
+    assert_allclose(mapped / np.outer(sd, sd), P / np.outer(sd, sd), atol=1e-12)
+
+
+def test_markov_states_keep_their_metres_on_the_way(sensed):
+    """They are stationary: 600 km on and 50 km up, each has the standard deviation it had, in metres."""
+    loop = FilterLoop(ClassicOptions(), sensed.data, sensed.initial)
+    before = np.diag(loop.form.covariance)[16:18] / np.square(loop.scale)
+    loop.elapsed, loop.B_sum = 0.01, 0.01 * loop.nav.B
+    loop.nav = replace(loop.nav, lat=loop.nav.lat - 0.1, h=loop.nav.h + 5e4)
+    loop.predict()
+    there = np.square(navigator.reduced(loop.nav, navigator.ellipsoid(loop.nav.lat, loop.nav.h)))
+    assert_allclose(np.diag(loop.form.covariance)[16:18] / there, before, rtol=1e-3)
 
 
 def test_f_of_both_filters_is_one_matrix():
@@ -310,10 +342,11 @@ def test_a_new_set_of_satellites_opens_the_filter(sensed, solution):
     found = Classic22(**jumps).run(data, sensed.initial)
     k = solution.t < 29.9
     np.testing.assert_array_equal(found.lla[k], solution.lla[k])
-    markov = solution.extra_names.index("gnss_pos_x_m")
     after = np.searchsorted(solution.t, 30.0 - 1e-6)
-    grown = found.extra_sd[after, markov] ** 2 - solution.extra_sd[after, markov] ** 2
-    assert 5.0 < grown < 3.5**2 + 0.1
+    for axis in "xy":
+        markov = solution.extra_names.index(f"gnss_pos_{axis}_m")
+        grown = found.extra_sd[after, markov] ** 2 - solution.extra_sd[after, markov] ** 2
+        assert 5.0 < grown < 3.5**2 + 0.1
     assert rms(found, solution)[0] > 0.01
 
 
