@@ -7,11 +7,16 @@ the Earth, Schuler's pendulum, the classical coning motion. Gates G2 and G5.
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import solve_ivp
 
 from bench import earth, rotation
 from bench.navigation import mechanization
+from bench.navigation.models.classic import navigator
+from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav
 from tests.inertial_motion import inertial_solution, integrate_rates
+from tests.register import equations
 
+STEP = (1e-4, 1e-7, 1e-10)  # m, m/s, rad
 START = ([0.8, 0.2, 1000.0], [40.0, 20.0, -2.0], rotation.from_euler(0.1, -0.05, 0.5))
 
 
@@ -140,6 +145,92 @@ def test_classical_coning():
     slow = [np.rad2deg(abs(rotation.to_rotvec(x)[2])) / duration * 3600 for x in (q, plain)]
     assert slow[0] < 0.4
     assert slow[1] > 2.0
+
+
+NAV = Nav(0.83, 0.3, 2500.0, np.array([150.0, -220.0, 60.0]), equations.body_to_enu(2.1, 0.15, -0.4))
+
+
+def test_a_step_of_a_second_is_of_third_order():
+    """By both mechanizations, against Runge-Kutta: 220 m/s, no turn of the unit against the stars.
+
+    What changes in a step, force by the turn of n, Coriolis, gravity, radii, is taken at its middle.
+    """
+    fall = equations.rates(NAV, np.zeros(3), np.zeros(3), navigator.ellipsoid(NAV.lat, NAV.h))[1]
+    f_b, dt = NAV.B.T @ (np.array([0.4, -0.3, 0.02]) - fall), 1.0
+
+    def slope(t, y):
+        nav = Nav(y[0], y[1], y[2], y[3:6], y[6:].reshape(3, 3))
+        parts = equations.rates(nav, np.zeros(3), f_b, navigator.ellipsoid(nav.lat, nav.h))
+        return np.concatenate([np.ravel(part) for part in parts])
+
+    start = np.concatenate([[NAV.lat, NAV.lon, NAV.h], NAV.V, NAV.B.ravel()])
+    end = solve_ivp(slope, (0.0, dt), start, rtol=1e-12, atol=1e-14, method="DOP853").y[:, -1]
+    moved, _ = navigator.mechanize(NAV, dt, (0.0, 0.0, 0.0), tuple(f_b * dt))
+    C_nb = [NED_OF_ENU @ B @ FRD_OF_FUR.T for B in (NAV.B, end[6:].reshape(3, 3), moved.B)]
+    q_nb = [rotation.from_matrix(C) for C in C_nb]
+    state = mechanization.propagate(
+        start[:3], NED_OF_ENU @ NAV.V, q_nb[0], [dt], [[0.0, 0.0, 0.0]], [FRD_OF_FUR @ f_b * dt]
+    )[-1]
+    for lla, vel_n, q in (
+        (np.array([moved.lat, moved.lon, moved.h]), NED_OF_ENU @ moved.V, q_nb[2]),
+        (state[:3], state[3:6], state[6:]),
+    ):
+        assert np.abs(earth.difference_n(lla, end[:3])).max() < STEP[0]
+        assert np.abs(vel_n - NED_OF_ENU @ end[3:6]).max() < STEP[1]
+        turn = rotation.to_rotvec(rotation.multiply(q, rotation.conjugate(q_nb[1])))
+        assert np.abs(turn).max() < STEP[2]
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.09, 0.14, 2.0])
+def test_a_steady_turn_and_push_are_exact(angle):
+    """Rodrigues' matrix of the turn so far, integrated over the interval."""
+    axis, dv, dt = np.array([0.36, -0.48, 0.8]), np.array([0.7, -1.1, 9.0]), 0.02
+    K, over = rotation.skew(axis), angle or 1.0
+    exact = (
+        dv + (1.0 - np.cos(angle)) / over * K @ dv + (1.0 - np.sin(angle) / over) * (angle > 0) * K @ K @ dv
+    )
+    rotvec, start, before = np.empty(3), np.empty(3), np.zeros(7)
+    mechanization.body_step_kernel.py_func(dt, angle * axis, dv, before, rotvec, start)
+    assert_allclose(rotvec, angle * axis, rtol=1e-15)
+    assert_allclose(start, exact, rtol=1e-14)
+    assert_allclose(before, [*(angle * axis), *dv, dt], rtol=0)
+
+
+def test_rates_that_grow_are_corrected_by_the_interval_before():
+    """Of 30 and 20 ms, both rates lines in time: what is left is of the third order in the angle."""
+    w, w_rate = 1e-2 * np.array([1.0, -2.0, 1.5]), np.array([1.0, 1.5, -2.0])
+    f, f_rate = np.array([1.0, 9.0, -2.0]), np.array([300.0, -200.0, 400.0])
+    h, dt = 0.03, 0.02
+
+    def slope(t, y):
+        C = y[:9].reshape(3, 3)
+        return np.concatenate([np.ravel(C @ rotation.skew(w + w_rate * t)), C @ (f + f_rate * t)])
+
+    end = solve_ivp(slope, (0, dt), [*np.eye(3).ravel(), 0, 0, 0], rtol=1e-12, atol=1e-15, method="DOP853")
+    C, dv = end.y[:9, -1].reshape(3, 3), end.y[9:, -1]
+    before, after = (
+        [a * span + 0.5 * b * span**2 * side for a, b in ((w, w_rate), (f, f_rate))]
+        for span, side in ((h, -1.0), (dt, 1.0))
+    )
+    rotvec, start = np.empty(3), np.empty(3)
+    mechanization.body_step_kernel.py_func(dt, *after, np.concatenate([*before, [h]]), rotvec, start)
+    assert_allclose(rotvec, rotation.to_rotvec(rotation.from_matrix(C)), rtol=0, atol=1e-11)
+    assert_allclose(start, dv, rtol=0, atol=5e-9)
+    assert np.abs(rotvec - after[0]).max() > 1e-8
+
+
+@pytest.mark.parametrize("angle", [0.09, 0.14, 2.0])
+@pytest.mark.parametrize("long", [0.0, 1e-12, 1e-4])
+def test_a_turn_is_a_product_of_quaternions(angle, long):
+    """On the right as it is, on the left with the norm 1 again; the matrix is that of the quaternion."""
+    v, q = angle * np.array([0.36, -0.48, 0.8]), (1.0 + long) * rotation.from_euler(0.4, -0.7, 2.5)
+    turn = rotation.from_rotvec(v)
+    for left, product in ((False, rotation.multiply(q, turn)), (True, rotation.multiply(turn, q))):
+        nav, C = np.append(np.zeros(6), q), np.empty((3, 3))
+        mechanization.turn_kernel.py_func(nav, *v, left)
+        assert_allclose(nav[6:], product / (1.0 + long * left), rtol=0, atol=1e-15)
+        mechanization.matrix_kernel.py_func(nav, C)
+        assert_allclose(C, rotation.matrix(nav[6:]), rtol=0, atol=1e-15)
 
 
 def test_kernels_agree_with_their_own_python():
