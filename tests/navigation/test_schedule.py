@@ -1,10 +1,16 @@
 """The plan of a filter against the same by its definition, row by row, without a compiled pass."""
 
+from types import SimpleNamespace
+
 import numpy as np
+import pytest
 
 import bench
 from bench.data import ImuData
+from bench.errors import EstimatorError
+from bench.instruments import BaroData
 from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.error_state_filter.aiding_sensors import BARO
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.step_entries import (
     AT_ONCE,
@@ -36,6 +42,87 @@ def take(schedule: Schedule, spec, begin: float, end: float, rng) -> None:
     schedule.output_t = np.append(
         schedule.output_t, begin + 0.005 * np.arange(1, round(200 * (end - begin)) + 1)
     )
+
+
+SPECS = bench.load_profile("figure-eight").sensors.assumed
+START, END, NEAR, FAR = 0.5, 1.5, 0.5 * TIME_TOLERANCE, 2.0 * TIME_TOLERANCE
+"""Of the first piece; two instants are the same, and are not."""
+
+
+def piece(begin, end, rows=(), wanted=()):
+    """Samples at 100 Hz, heights (validity, arrival), and instants to answer at."""
+    t = np.arange(round(begin * 100) + 1, round(end * 100) + 1) / 100
+    still, (valid, arrival) = np.zeros((len(t), 3)), np.reshape(rows, (-1, 2)).T
+    imu = ImuData(t, np.full(len(t), 0.01), t > 0, still, still)
+    baro = BaroData(valid, arrival, valid > -1, 10.0 + valid, np.full(len(valid), 0.5))
+    return SimpleNamespace(imu=imu, baro=baro, output_t=np.array(wanted, float), specs=SPECS)
+
+
+def feed(schedule, sensors, last=False):
+    schedule.take(sensors, last=last)
+    schedule.add(BARO, sensors, None, None)
+    plan = schedule.plan()
+    schedule.advance(plan)
+    return plan
+
+
+def opened(compensate=True):
+    return Schedule(START, SPECS.imu, compensate=compensate)
+
+
+@pytest.mark.parametrize(
+    ("valid", "arrival", "used", "told"),
+    [
+        (START - NEAR, START - NEAR, True, None),
+        (START - FAR, START - FAR, False, "baro: 1 rows left out: outside the time of the imu"),
+        (START - NEAR, 1.0, True, None),
+        (START - FAR, 1.0, False, "baro: 1 rows left out: valid before the start"),
+        (1.0, END + NEAR, True, None),
+        (1.0, END + FAR, False, "baro: 1 rows left out: outside the time of the imu"),
+        (1.0 + NEAR, 1.0, True, None),
+        (1.0 + FAR, 1.0, True, "baro: 1 rows valid after their arrival: taken at their arrival"),
+    ],
+)
+def test_a_row_belongs_to_the_record_within_the_tolerance_of_time(valid, arrival, used, told):
+    schedule = opened()
+    plan = feed(schedule, piece(START, END, [(valid, arrival)]), last=True)
+    assert [text for *_, text, _ in schedule.events] == ([told] if told else [])
+    assert len(plan.measured) == used
+    waits = opened()  # its arrival lies in the next piece, or beyond the record
+    feed(waits, piece(START, 1.2, [(valid, arrival)]))
+    feed(waits, piece(1.2, END), last=True)
+    assert [text for *_, text, _ in waits.events] == ([told] if told else [])
+
+
+def test_it_stops_before_the_last_sample_and_takes_nothing_from_before_any_more():
+    """The newest sample counts when the next one is known; an answer before the record is one of nothing."""
+
+    def after(rows=(), wanted=(), compensate=True):
+        schedule = opened(compensate)
+        feed(schedule, piece(START, END, [(1.0, 1.0)], [1.2]))
+        assert schedule.t == 1.49
+        return feed(schedule, piece(END, 2.0, rows, wanted))
+
+    for t in (1.49 + NEAR, 1.3, 1.2):
+        with pytest.raises(EstimatorError, match=rf"a row of baro for {t:.4g} s comes .* on to 1.49 s; open"):
+            after([(t, 1.7), (1.6, 1.8)])
+    assert after([(1.49 + FAR, 1.7)]).measured[0, 0] == pytest.approx(11.49)
+    assert len(after([(1.3, 1.7)], compensate=False).measured) == 1  # counts when it arrives
+    with pytest.raises(EstimatorError, match=r"baro: a row that arrived at 0.999998 s comes after .* at 1 s"):
+        after([(1.6, 1.0 - FAR), (1.7, 1.7)])
+    with pytest.raises(EstimatorError, match=r"a row of baro for 1 s comes"):
+        after([(1.49, 1.0 - NEAR)])  # as late as it may
+    with pytest.raises(
+        EstimatorError, match=r"an answer for 1.48 s comes when the filter has gone on to 1.49 s"
+    ):
+        after(wanted=[1.48, 1.485, 1.6])
+    with pytest.raises(EstimatorError, match=r"an answer for 1.49 s"):
+        after(wanted=[1.49 - FAR])
+    assert len(after(wanted=[1.49 - NEAR, 1.6]).outputs) == 2
+    for t in (START, START - NEAR):
+        with pytest.raises(EstimatorError, match=r"an answer for 0\..* has gone on to 1.49 s"):
+            after(wanted=[t])
+    assert len(after(wanted=[START - FAR]).outputs) == 0
 
 
 def step_at(ends: list[float], now: float, t: float) -> int:

@@ -162,7 +162,7 @@ class Schedule(SessionState):
             If one of these has been passed.
         """
         if len(wanted := sensors.output_t):
-            passed = (wanted < self.t - TIME_TOLERANCE) & (wanted > self.start)
+            passed = (wanted < self.t - TIME_TOLERANCE) & (wanted >= self.start - TIME_TOLERANCE)
             if passed.any():
                 refuse("an answer", float(wanted[passed][0]), self.t)
             self.output_t = np.append(self.output_t, wanted)
