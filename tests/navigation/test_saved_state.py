@@ -25,7 +25,7 @@ RUN, SCHEDULE = "/passage/filter/run", "/passage/filter/schedule"
 def saved(use: str) -> tuple[dict[str, Any], Any]:
     """Return the arrays of a filter saved with measurements that wait, and the next piece."""
     filter_, data = opened(use)
-    *begun, following, _ = pieces(data, [0.3, 2.1, 4.15, 6.0])
+    *begun, following, _ = pieces(data, [0.3, 2.1, 4.24, 6.0])
     for piece in begun:
         filter_.feed(piece)
     place = bench.save_filter(filter_, Path(os.environ["PYTEST_SAVED"]) / f"{use}.npz")
@@ -134,6 +134,18 @@ ALTERED = {
     "another type": ("loose-22", f"{RUN}/now/dx", lambda a: a.astype(np.int64), "dx must be float64"),
     "no number": ("loose-22", f"{RUN}/now/state", put(np.nan), "state must be finite"),
     "an epoch that is not there": ("tight", f"{SCHEDULE}/sky/epoch_start", put(5), "must rise from 0"),
+    "no epoch at all": ("tight", f"{SCHEDULE}/sky/epoch_start", lambda a: a[:0], "must rise from 0"),
+    "epochs that begin late": ("tight", f"{SCHEDULE}/sky/epoch_start", put(1), "must rise from 0 to"),
+    "epochs that end early": ("tight", f"{SCHEDULE}/sky/epoch_start", put(1, -1), "must rise from 0 to"),
+    "epochs that go back": (
+        "tight",
+        f"{SCHEDULE}/sky/epoch_start",
+        lambda a: np.array([0, 9, 4, a[-1]]),
+        "must rise from 0 to",
+    ),
+    "an epoch beyond the last": ("tight", f"{SCHEDULE}/waiting/number", put(1), "number must be whole"),
+    "half an ionosphere": ("tight", f"{SCHEDULE}/sky/klobuchar", lambda a: a[:4], r"must have shape \(8,\)"),
+    "one height": ("tight", f"{SCHEDULE}/sky/zenith", lambda a: a[:1], "zenith must be a table"),
     "time that stands": ("loose-22", f"{SCHEDULE}/span", lambda a: a * 0, "span must be positive"),
     "one sample less": ("loose-22", f"{SCHEDULE}/imu/t", lambda a: a[:-1], "columns differ in length"),
     "states of another filter": (

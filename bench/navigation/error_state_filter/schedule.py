@@ -216,7 +216,7 @@ class Schedule(SessionState):
                 used, own = record.take(rows), fix_variance(spec, gnss_markov=True)
                 own = weigh_fixes(used, spec, own, self._accuracy)
                 moved, events = self._watch.take(used, own, last=self.last)
-                values[rows[moved], :3] = np.nan
+                values[rows[moved], 0] = np.nan
                 self.events += events
         self._wait(sensor.kind, t, arrival, values[rows], variance[rows])
 
@@ -228,7 +228,7 @@ class Schedule(SessionState):
     def add_satellites(self, o: GnssObservations, gnss: GnssSpec, lat: float, channels: Channels) -> None:
         """Take the usable satellites of each epoch, and let them have ``channels`` and states."""
         assert gnss.sky is not None
-        values, variance = ranging.correct_observations(o, gnss)
+        values, variance = ranging.correct_observations(o, gnss.sky)
         sound = np.isfinite(values).all(axis=1) & (variance > 0).all(axis=1)
         sound &= np.isfinite(o.sat_pos_e).all(axis=1) & np.isfinite(o.sat_vel_e).all(axis=1)
         sound &= np.isfinite(o.frequency[:, 0])
@@ -247,7 +247,7 @@ class Schedule(SessionState):
         rows = np.flatnonzero(sound & wanted & (of_row >= 0))
         rows = rows[np.argsort(of_row[rows], kind="stable")]
         sky = ranging.make_sky(
-            o, gnss, values[rows], variance[rows], rows, of_row[rows], len(epochs), lat, channels
+            o, gnss.sky, values[rows], variance[rows], rows, of_row[rows], len(epochs), lat, channels
         )
         with_states = [k for k in gnss.sky.constellations if any(list_range_errors(gnss.sky, k))]
         wait = (sky.which[:, 3] < 0) & np.isin(o.system[rows], with_states)

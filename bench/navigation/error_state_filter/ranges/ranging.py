@@ -39,7 +39,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
 from bench.navigation.error_state_filter.ranges.range_states import multipath_sd
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
-from bench.sensor_specs import GnssSpec, SkySpec
+from bench.sensor_specs import SkySpec
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,
@@ -58,7 +58,6 @@ _TOP = 12_000.0  # the vertical delay above this height is taken as at this heig
 _PART = 1e-3  # least share of the variance of a range that is white
 _NONE, _TAKEN = -1, -2
 _MULTIPATH_DECAY = GROUND.multipath_decay  # [rad]
-_MASK = float(np.deg2rad(5.0))  # lowest elevation used when the receiver's is not known [rad]
 
 
 class SkyRows(NamedTuple):
@@ -75,7 +74,9 @@ class SkyRows(NamedTuple):
     zenith: FloatArray  # (L,) vertical delay of the troposphere by height [m]
     klobuchar: FloatArray  # (8,)
     sin_mask: float
-    sizes: FloatArray  # (9,) `_list_sizes`
+    # (9,) sds [m]: satellites by system, troposphere, ionosphere, its share of the delay [1], multipath at
+    # the zenith, and added at the horizon
+    sizes: FloatArray
     anchors: FloatArray  # (A, 2) `ionosphere_anchors`
     whiten: FloatArray  # (A, A) the same
     decay: float  # of the correlation of the ionosphere [m]
@@ -105,18 +106,15 @@ def check_sky(sky: SkyRows) -> None:
     start = sky.epoch_start
     whole = epochs >= 0 and start[0] == 0 and start[-1] == count and bool((np.diff(start) >= 0).all())
     require(whole, "sky/epoch_start", f"must rise from 0 to {count}")
-    whole = sky.anchors.shape == ANCHORS.shape and sky.whiten.shape == 2 * (len(ANCHORS),) and sky.decay > 0
-    require(whole, "sky/anchors", f"must be {len(ANCHORS)} places")
     require(not count or len(sky.zenith) > 1, "sky/zenith", "must be a table")
 
 
-def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[FloatArray, FloatArray]:
+def correct_observations(o: GnssObservations, sky: SkySpec) -> tuple[FloatArray, FloatArray]:
     """Return range and rate (K, 2) corrected for satellite clock and group delay, and their variances (K, 2).
 
     With two bands assumed the range is the ionosphere-free combination (B-11).
     """
-    free = spec is not None and spec.sky is not None and spec.sky.bands == 2
-    processing = Processing(ionosphere="free" if free else "klobuchar")
+    processing = Processing(ionosphere="free" if sky.bands == 2 else "klobuchar")
     values = np.column_stack(
         [receiver.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
     )
@@ -125,7 +123,7 @@ def correct_observations(o: GnssObservations, spec: GnssSpec | None) -> tuple[Fl
 
 def make_sky(
     o: GnssObservations,
-    spec: GnssSpec,
+    sky: SkySpec,
     values: FloatArray,
     variance: FloatArray,
     rows: IntArray,
@@ -147,8 +145,7 @@ def make_sky(
     """
     channel = channels.of_satellites(o)[rows]
     own, fresh = channels.give_states(o, rows)
-    free = spec.sky is not None and spec.sky.bands == 2
-    decay = 1.0 if spec.sky is None else max(spec.sky.ionosphere_decay, 1.0)
+    free = sky.bands == 2
     return SkyRows(
         epoch_start=np.searchsorted(epochs, np.arange(count + 1)).astype(np.int64),
         values=values,
@@ -160,21 +157,14 @@ def make_sky(
         which=np.column_stack([o.system[rows], channel, channel + 1, own, fresh]),
         zenith=zenith_troposphere(lat, np.arange(0.0, _TOP + _LAYER, _LAYER)),
         klobuchar=o.klobuchar.copy(),
-        sin_mask=float(np.sin(_MASK if spec.sky is None else spec.sky.elevation_mask)),
-        sizes=np.zeros(9) if spec.sky is None else _list_sizes(spec.sky),
+        sin_mask=float(np.sin(sky.elevation_mask)),
+        sizes=np.array(
+            [*sky.space_sd, sky.troposphere_sd, sky.ionosphere_sd, sky.ionosphere_share, *multipath_sd(sky)]
+        ),
         anchors=ANCHORS.copy(),
-        whiten=whiten_anchors(decay),
-        decay=decay,
+        whiten=whiten_anchors(sky.ionosphere_decay),
+        decay=sky.ionosphere_decay,
     )
-
-
-def _list_sizes(sky: SkySpec) -> FloatArray:
-    """Return sds [m]: satellites by system, troposphere, ionosphere, its share of the delay [1], multipath.
-
-    The last are those at the zenith and added at the horizon.
-    """
-    above = (sky.ionosphere_sd, sky.ionosphere_share) if sky.bands == 1 else (0.0, 0.0)
-    return np.array([*sky.space_sd, sky.troposphere_sd, *above, *multipath_sd(sky)])
 
 
 def _combine(frequency: FloatArray) -> FloatArray:
