@@ -162,7 +162,7 @@ def test_a_line_within_six_degrees_of_the_vertical_has_no_heading(pitch, rows):
 
 @pytest.mark.parametrize(("east", "rows"), [(-10.1, 1), (-9.9, 0), (-0.1, 0)])
 def test_below_5_m_s_a_pitot_tube_tells_nothing(east, rows):
-    """The air moves at 3 - 2 m/s north, 2 - 7 m/s east and 2 m/s down, as the aircraft does north and down."""
+    """The air moves at 3 - 2 m/s north, 2 - 7 m/s east, 2 m/s down: the aircraft so north and down, too."""
     layout = StateLayout(("wind_north", "m_s", 1), ("wind_east", "m_s", 1), ("gust_n", "m_s", 3))
     state = state_of(layout, vel_n=(1.0, east, 2.0))
     state[16:] = 3.0, -7.0, -2.0, 2.0, 2.0
