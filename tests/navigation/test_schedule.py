@@ -1,4 +1,4 @@
-"""The plan of a filter against the same by its definition, row by row, without a compiled pass."""
+"""The plan of a filter against the same by its definition, row by row, and at the tolerance of time."""
 
 from types import SimpleNamespace
 
@@ -10,6 +10,7 @@ from bench.data import ImuData
 from bench.errors import EstimatorError
 from bench.instruments import BaroData
 from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.navigation.error_state_filter import schedule as schedule_module
 from bench.navigation.error_state_filter.aiding_sensors import BARO
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.step_entries import (
@@ -19,7 +20,17 @@ from bench.navigation.error_state_filter.step_entries import (
     OUTPUT,
     USE,
     find_kernel,
+    plan_kernel,
 )
+from tests.navigation.test_error_state import plain
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _within_bounds():
+    """Plan in plain Python, which does not write beyond the end of an array."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(schedule_module, "plan_kernel", plain(plan_kernel))
+        yield
 
 
 def take(schedule: Schedule, spec, begin: float, end: float, rng) -> None:

@@ -30,6 +30,7 @@ from bench.orbit_sets import GLONASS, GPS
 from bench.sensor_specs import Fault
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
+from bench.signals.delays import zenith_troposphere
 from bench.specs import EvaluationWindow
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
@@ -76,46 +77,59 @@ def horizontal(solution, truth, t):
 # --- the model ------------------------------------------------------------------------------------------
 
 
+class Epoch:
+    """The fourth epoch of a record, measured from any state with clock, lever arm, ranges and atmosphere."""
+
+    def __init__(self, sensed):
+        data, initial = sensed.data, sensed.initial
+        schedule = Schedule(initial.t, data.specs.imu, compensate=True)
+        schedule.take(data, last=True)
+        schedule.add_satellites(data.observations, SKY, initial.lla[0], satellite_states.Channels())
+        self.sky = schedule.sky
+        self.aid = Measurements(
+            np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
+        )
+        blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 2), ("glonass_offset", "m", 1)]
+        blocks += [("antenna_b", "m", 3), ("gps_range_1", "1", RANGES[GPS])]
+        blocks += [("glonass_range_1", "1", RANGES[GLONASS]), ("ionosphere_1", "1", len(ANCHORS))]
+        layout = StateLayout(*blocks, ("troposphere", "1", 1))
+        self.index, self.n = index_of(layout), layout.size
+        attitude = rotation.from_euler(0.3, 0.1, 0.8)
+        self.start = np.concatenate([initial.lla, [20.0, 15.0, -2.0], attitude, np.zeros(self.n - 9)])
+        self.start[17:20], self.start[20:23] = (5e3, 30.0, 8.0), data.antenna_b
+
+    def measure(self, state, rate, sky):
+        """z, H and variance of the rows."""
+        n, width = self.n, 2 * int(np.diff(sky.epoch_start).max()) + 6
+        work = work_for(n, np.empty((0, 3), np.int64)).measure
+        work.last[0] = rate
+        pending = Pending(
+            np.zeros((width, n)), np.zeros(width), np.zeros(width), np.zeros((width, 4), np.int64),
+            np.zeros(1, np.int64), width,
+        )  # fmt: skip
+        now = FilterState(state, np.zeros((n, n)), np.zeros(n))
+        site = Site(now, self.aid, self.index, pending, work)
+        rows = plain(ranging.satellites_kernel)(3, 0, site, sky)
+        return pending.z[:rows], pending.H[:rows], pending.r[:rows]
+
+
 def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     """Central differences of z in every state, lever arm and clocks too.
 
     Left out of H: how the delays change with the place (3e-3 per metre at 5 deg), the Earth rate on the arm.
     """
-    data, initial = sensed.data, sensed.initial
-    n = 15 + 1 + 3 + 3 + sum(RANGES[:2]) + len(ANCHORS) + 1  # baro, clock, lever arm, ranges, atmosphere
-    schedule = Schedule(initial.t, data.specs.imu, compensate=True)
-    schedule.take(data, last=True)
-    schedule.add_satellites(data.observations, SKY, initial.lla[0], satellite_states.Channels())
-    sky = schedule.sky
-    aid = Measurements(np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla)
-    blocks = [("baro_bias", "m", 1), ("clock_offset", "m", 2), ("glonass_offset", "m", 1)]
-    blocks += [("antenna_b", "m", 3), ("gps_range_1", "1", RANGES[GPS])]
-    blocks += [("glonass_range_1", "1", RANGES[GLONASS]), ("ionosphere_1", "1", len(ANCHORS))]
-    index = index_of(StateLayout(*blocks, ("troposphere", "1", 1)))
-    kernel = plain(ranging.satellites_kernel)
-    start = np.concatenate(
-        [initial.lla, [20.0, 15.0, -2.0], rotation.from_euler(0.3, 0.1, 0.8), np.zeros(n - 9)]
-    )
-    start[17:20], start[20:23] = (5e3, 30.0, 8.0), data.antenna_b
+    epoch = Epoch(sensed)
+    n = epoch.n
 
     def measured(error):
-        state = start.copy()
+        state = epoch.start.copy()
         plain(error_state.feedback_kernel)(state, -error)
-        work = work_for(n, np.empty((0, 3), np.int64)).measure
         # the error of a gyro bias is one of the rate
-        work.last[0] = np.array([0.2, -0.1, 0.3]) - error[9:12]
-        width = 2 * int(np.diff(sky.epoch_start).max()) + 6
-        pending = Pending(
-            np.zeros((width, n)), np.zeros(width), np.zeros(width), np.zeros((width, 4), np.int64),
-            np.zeros(1, np.int64), width,
-        )  # fmt: skip
-        belief = FilterState(state, np.zeros((n, n)), np.zeros(n))
-        rows = kernel(3, 0, Site(belief, aid, index, pending, work), sky)
-        return pending.z[:rows].copy(), pending.H[:rows].copy()
+        return epoch.measure(state, np.array([0.2, -0.1, 0.3]) - error[9:12], epoch.sky)
 
     size = np.repeat([30.0, 1.0, 1e-3, 1e-3, 1.0], 3)
     size = np.concatenate([size, [1.0], [10.0, 1.0, 1.0], np.full(3, 0.1), np.full(n - 22, 0.1)])
-    z, H = measured(np.zeros(n))
+    z, H, _ = measured(np.zeros(n))
     assert len(z) > 24
     assert (H[:, 18] == 1).any()  # GLONASS is among them
     for k in range(n):
@@ -124,6 +138,22 @@ def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
         slope = (measured(step)[0] - measured(-step)[0]) / (2 * size[k])
         for half, atol in ((0, 4e-3), (1, 2e-4)):
             assert_allclose(H[half::2, k], slope[half::2], rtol=1e-5, atol=atol if k < 3 or k > 8 else 1e-4)
+
+
+@pytest.mark.parametrize("alt", [-40.0, 25.0, 825.0, 11_975.0, 13_000.0])
+def test_the_troposphere_is_that_of_the_height_from_the_ground_to_12_km(sensed, alt):
+    """From a table to 2e-5 m; what is left of a variance by the states is white for a thousandth at least."""
+    epoch = Epoch(sensed)
+    epoch.start[2] = alt
+    found = []
+    for table in (epoch.sky.zenith, 0.0 * epoch.sky.zenith, 0.0 * epoch.sky.zenith + 1.0):
+        small = epoch.sky._replace(zenith=table, variance=np.full_like(epoch.sky.variance, 1e-6))
+        z, _, r = epoch.measure(epoch.start.copy(), np.zeros(3), small)
+        found.append(z[::2])
+        assert_allclose(r[::2], 1e-9)
+        assert_allclose(r[1::2], 1e-6)
+    vertical = (found[0] - found[1]) / (found[2] - found[1])
+    assert_allclose(vertical, zenith_troposphere(epoch.start[0], np.clip(alt, 0.0, 12_000.0)), atol=2e-5)
 
 
 def test_with_the_true_state_the_ranges_leave_nothing_but_their_noise(truth, sensed):

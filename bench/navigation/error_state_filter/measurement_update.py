@@ -134,12 +134,12 @@ def use_kernel(
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
     P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
-    if rows > 0 and pending.tags[first, 0] != MAGNETIC and pending.tags[first, 0] != HEADING:
+    if pending.tags[first, 0] != MAGNETIC and pending.tags[first, 0] != HEADING:
         blind_kernel(now.state, P, pending.H[first : first + rows])
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     late, waits = work.late, 0
     satellites: int = gate.opens.shape[0]
-    if rows > 0 and pending.tags[first, 0] == PSEUDORANGE:
+    if pending.tags[first, 0] == PSEUDORANGE:
         ranges_agree = outvoted_kernel(PSEUDORANGE, first, rows, pending, trust)
         rates_agree = outvoted_kernel(RANGE_RATE, first, rows, pending, trust)
     while a < first + rows:

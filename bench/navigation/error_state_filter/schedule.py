@@ -103,7 +103,7 @@ class Schedule(SessionState):
         self._intake = ImuIntake(start)
         self.events = []
         nothing = np.empty(0)
-        self.imu = ImuData(nothing, nothing, nothing > 0, np.empty((0, 3)), np.empty((0, 3)))
+        self.imu = ImuData(nothing, nothing, nothing.astype(bool), np.empty((0, 3)), np.empty((0, 3)))
         self._again = None
         self._earlier = self.rows = np.empty(0, np.int64)
         self.span = self.output_t = np.empty(0)
