@@ -22,10 +22,10 @@ from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
-from bench.navigation.models.loose_tight import Loose, Tight
+from bench.navigation.models.loose_tight import Loose, Passage, Tight
 from bench.signals.magnetic import field_n
 from tests.builders import first_rows, take
-from tests.weaving import DEG, GNSS, IMU, units, weaving
+from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving
 
 RUNS = 8
 FLIGHT = (120.0,)
@@ -133,6 +133,27 @@ def test_noise_of_the_datasheet_stays_when_it_is_right(truth):
     ratio = adapted.cov[-1, [0, 1, 2], [0, 1, 2]] / plain.cov[-1, [0, 1, 2], [0, 1, 2]]
     assert ((ratio > 0.5) & (ratio < 2.0)).all()
     assert not np.array_equal(plain.lla, adapted.lla)
+
+
+def test_the_level_of_noise_is_the_running_mean_of_what_innovations_have_beyond_p():
+    """Of 20 measurements, by the datasheet's variance; one beyond the gate counts as at the gate."""
+    drawn = sensors.sense(weaving(15.0, rate=50.0), units(), 8, 0)
+    baro, fixes = drawn.data.baro, drawn.data.fixes
+    alt, lla = baro.alt_baro.copy(), fixes.lla.copy()
+    alt[30], lla[6, 0] = alt[30] + 40.0, lla[6, 0] + 1e-5
+    data = replace(drawn.data, baro=replace(baro, alt_baro=alt), fixes=replace(fixes, lla=lla))
+    passage = Passage(Loose(adaptive_noise=20, gate_probability=1e-3), data, drawn.initial, [])
+    solution = passage.feed(data, 0.0, last=True)
+    most, table = stats.chi2.isf(1e-3, 1), solution.innovations
+    position, height = fix_variance(GNSS, gnss_markov=False)[:3], np.array([BARO.white_sd**2])
+    for sensor, r in (("gnss_position", position), ("baro", height)):
+        rows, level = table.code == table.sensor.index(sensor), 1.0
+        z, S = (one[rows].reshape(-1, len(r)) for one in (table.z, table.S))
+        for square, variance in zip(z**2, S, strict=True):
+            beyond = np.minimum(square, most * variance) - (variance - level * r)
+            level = max(level + (np.mean(beyond / r) - level) / 20.0, 0.01)
+        assert (z**2 > most * S).any()
+        assert_allclose(passage.run.gate.level[table.sensor.index(sensor)], level, rtol=1e-9)
 
 
 # --- standstill -----------------------------------------------------------------------------------------

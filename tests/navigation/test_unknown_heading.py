@@ -12,8 +12,10 @@ from bench import pipeline, rotation, sensors
 from bench.config import load_profile
 from bench.data import InitialState
 from bench.evaluation.error_series import error_series
+from bench.instruments import MagSpec
 from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
+from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import headings
 from tests.builders import band, first_rows, steered, student
 from tests.navigation.test_tight import MATCHED
@@ -96,6 +98,26 @@ def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
     t, found = squares("loose-15", spec_of("level"), draws=6)
     late = t > REST + 20
     assert found[:, late, 2].mean() > 10 * 9
+
+
+def test_at_rest_an_arm_tells_no_heading_and_a_compass_does(monkeypatch):
+    """An antenna 6 m off the IMU: it may be anywhere on its circle."""
+    monkeypatch.setattr(headings, "heading_is_unknown", lambda initial: False)
+    compass = MagSpec("compass", 10.0, white_sd=2e-7)
+    spec = replace(spec_of("given"), antenna_b=(5.0, -4.0, 1.0), mag=compass)
+    spec = replace(spec, assumed=replace(spec.assumed, mag=compass))
+    truth = steered(20.0, 25.0, (47 * DEG, 0.3, 250.0), 1.0)
+    sensed = sensors.sense(truth, spec, 7, 0)
+    cov = sensed.initial.cov.copy()
+    cov[8, 8] = 0.4  # 36 deg, and 17 deg off
+    initial = replace(sensed.initial, q_nb=rotation.from_euler(0.0, 0.0, 1.3), cov=cov)
+    blind, seeing = (Loose(magnetometer=one).run(sensed.data, initial) for one in (False, True))
+    assert_allclose(blind.cov[1:, 8, 8], np.pi**2 / 3.0)
+    assert_allclose(blind.cov[1:, :8, 8], 0.0, atol=1e-6)
+    yaw = error_series(truth, blind).phi_n[:, 2]
+    assert np.abs(yaw - yaw[0]).max() < 0.01
+    sd = np.sqrt(seeing.cov[-1, 8, 8])
+    assert abs(error_series(truth, seeing).phi_n[-1, 2]) < 4.0 * sd < 0.1
 
 
 @pytest.fixture(scope="module")
