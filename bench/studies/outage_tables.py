@@ -52,7 +52,8 @@ def fill_drifts(
                 (*head, T, name, part[k], 100.0 * part[k] ** 2 / whole) for name, part in drift.law.items()
             ]
         reached: tuple[Any, ...] = drift.find_times(limit) if measured else (None,) * 3
-        expected = (_find(drift, drift.whole_law, limit), _find(drift, drift.claimed, limit))
+        known = (drift.whole_law, drift.claimed) if len(drift.good) else ()
+        expected = [find_time(drift.grid, values, limit) for values in known] or [None, None]
         times.append((*head, *reached, *expected))
     title = (
         "Horizontal drift since the loss: RMS with its 95 % interval, median and 95 % of draws, closed form"
@@ -85,10 +86,6 @@ def fill_drifts(
             by_axis,
         ),
     )
-
-
-def _find(drift: Drift, values: Any, limit: float) -> float | None:
-    return find_time(drift.grid, values, limit) if len(drift.good) else None
 
 
 def tell_drifts(

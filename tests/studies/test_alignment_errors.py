@@ -11,6 +11,7 @@ from scipy import stats
 
 import bench
 from bench.errors import ConfigError
+from bench.findings import series
 from bench.studies import alignment_errors
 
 RADIUS = 6_371_000.0
@@ -91,6 +92,7 @@ def test_the_words_and_pictures_are_those_of_the_tables(found):
             drawn = np.interp(course["t_s"], line.t, np.ravel(line.values))
             assert_allclose(drawn, course[f"{name}_{k}_arcsec"], atol=1e-9)
     (route,) = plots["route"].series
+    assert route.colours == series.ESTIMATORS[:1]
     assert np.interp(1000.0, route.t, np.ravel(route.values)) == pytest.approx(1738.2, rel=1e-3)
     assert (route.t[0], route.t[-1]) == pytest.approx((1.0, 5000.0))
 

@@ -364,6 +364,7 @@ def test_what_is_known_before_and_after_turns_by_hand():
     assert alone == "On made there is no turn: the heading goes from 160 to 44 deg."
     plots = {one.path[1]: one for one in observability._plot(seen, smooth)}
     known, foot = plots["heading"].series
+    assert (known.colours, foot.widths) == (series.ESTIMATORS[:1], (2.0,))
     assert_allclose(known.values[:, 0], 4.0 * (40.0 - t))
     assert_allclose(foot.t, t[10:20])
     assert_allclose(foot.values, 0.8 * 44.0)

@@ -50,6 +50,7 @@ def test_a_convex_drift_reaches_its_limit_where_it_does():
     assert find_time(t, t**3 / 1000.0, 5.0) == pytest.approx(5000.0 ** (1.0 / 3.0), abs=0.02)
     assert find_time(t, t, 0.5) == 1.0
     assert find_time(t, t, 600.0) is None
+    assert find_time(3.0 * t, 3.0 * t, 20.0) == pytest.approx(20.0)
     assert find_time(t, np.where(t < 100, t, 0.0), 50.0) == pytest.approx(50.0)  # the first time
 
 
@@ -153,10 +154,114 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     error, ratio = outage_tables.plot_drifts(["my/own.toml"], ["straight"], drifts)
     band, dots = error.series
     assert (band.key, dots.key) == ("own.toml", "own.toml claimed")
+    assert (band.widths, dots.widths) == ((1.5, 1.0, 1.0), (3.0,))
     assert_allclose(band.values[:, 0], rms * t)
     assert_allclose(dots.values[:, 0], 2.0 * dots.t)
     assert_allclose((dots.t[0], dots.t[-1]), (1.0, 60.0))
     assert_allclose(ratio.series[0].values[:, 0], rms / 0.5)
+
+
+@pytest.mark.parametrize("good", [0, 1])
+def test_of_less_than_two_draws_only_the_closed_form_is_told(good):
+    t = np.arange(1.0, 61.0)
+    drift = make_drift(np.array([t if k < good else np.nan * t for k in range(2)]))
+    units, drifts = {"own": SimpleNamespace(grade="tactical")}, {("own", "turn"): drift}
+    tables = {one.name: one.columns for one in outage_tables.fill_drifts(drifts, units, (10.0,), 5.0)}
+    for name in ("drift_m", "low_m", "high_m"):
+        assert tables["drift"][name] == [None]
+    assert tables["drift"]["law_m"] == [pytest.approx(np.hypot(1.0, 2.0))]
+    assert tables["claims"]["claimed_m"] == ([pytest.approx(2.0)] if good else [None])
+    assert tables["axes"]["north_m"] == ([pytest.approx(10.0)] if good else [None])
+    assert tables["times"]["after_s"] == [None]
+
+
+@pytest.mark.parametrize(
+    ("phase", "last"),
+    [
+        ("straight", {"kind": "straight", "duration_s": 124.0}),
+        ("turn", {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 25.0, "count": 5}),
+        ("climb", {"kind": "climb", "to_alt_m": 1200.0 + 1.5 * 144.0, "rate_mps": 1.5}),
+    ],
+)
+def test_a_phase_begins_19_s_before_the_loss_and_ends_5_s_after_what_counts(phase, last):
+    """131 s of legs before; GNSS is lost at 150 s for the longest outage and 2 s more."""
+    profile = outage_drift.make_profile(outage_drift.Options(), "stim300", phase, 100.0)
+    assert profile.document["leg"][-1] == last
+    assert profile.sensors.gnss_outages == ((150.0, 252.0),)
+    assert profile.document["start"]["alt_m"] == 1200.0
+    assert profile.document["evaluation"]["output_hz"] == 1.0
+    assert profile.flight.rate == 100.0
+
+
+@pytest.mark.parametrize("own", [None, ("mine.toml", "yours.toml")])
+def test_every_draw_is_in_the_drift_of_its_unit_and_phase(monkeypatch, own):
+    """With runs that return who they are."""
+    phases, made = own or ("straight", "climb"), {}
+    options = outage_drift.Options(
+        units=("grade-1", "stim300", "adis16475"), phases=("straight", "climb"), profiles=own,
+        outages_s=(20.0, 5.0), draws=3, error_m=7.0,
+    )  # fmt: skip
+    elapsed, said = (5.0, 20.0), []
+
+    class Work:
+        def map(self, what, function, items, first=()):
+            if function is outage_drift.fly:
+                assert items == [("grade-1", phase, "profile") for phase in phases]
+                return []
+            return [np.full((3, 5), made[task.profile[:2]] + task.run) for task in items]
+
+    def make(options, unit, phase, longest):
+        assert longest == 20.0
+        made[unit, phase] = 10.0 * len(made)
+        return Flown((unit, phase, "profile"))
+
+    class Flown(tuple):
+        flight = property(lambda self: self)
+
+    def tell(units, estimator, drifts, pairs, elapsed, limit):
+        said.append((drifts, elapsed, limit))
+        return []
+
+    monkeypatch.setattr(outage_drift, "make_profile", make)
+    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: flight)
+    monkeypatch.setattr(outage_drift, "make_grid", lambda one, at: (1.0, 2.0, float(len(one[1]))))
+    monkeypatch.setattr(outage_drift, "find_law", lambda one, grid: {"law": np.full(3, made[one[:2]] + 0.5)})
+    monkeypatch.setattr(outage_drift, "predict_grades", lambda longest, work: [longest])
+    monkeypatch.setattr(outage_drift, "pair_units", lambda drifts, units, phase: [phase])
+    monkeypatch.setattr(outage_drift, "tell_drifts", tell)
+    for name in ("tell_grades", "fill_drifts", "fill_grades", "plot_drifts", "plot_grades"):
+        monkeypatch.setattr(outage_drift, name, lambda *given: said.append(given) or ())
+    outage_drift.run(options, Work())
+    drifts, at, limit = said[0]
+    assert (at, limit) == (elapsed, 7.0)
+    assert said[1] == ([20.0], 7.0)
+    assert list(drifts) == [(unit, phase) for phase in phases for unit in options.units]
+    for case, drift in drifts.items():
+        assert_allclose(drift.grown[:, 0, 0], made[case] + np.arange(3.0))
+        assert drift.grid[2] == len(case[1])
+        assert_allclose(drift.law["law"], made[case] + 0.5)
+
+
+def test_the_closed_form_is_asked_with_the_headings_since_the_loss(monkeypatch):
+    """One each second from the loss on, to the end of each time; sources of nothing are left out."""
+    asked = []
+
+    def split(T, imu, heading, velocity):
+        asked.append((T, heading, velocity))
+        return {"velocity": 2.0 * T, "gyro bias": T, "noise": 0.0}
+
+    monkeypatch.setattr(outage_drift, "get_truth", lambda key, profile: turning(60.0, 10.0, turn_rate=0.05))
+    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: "key")
+    monkeypatch.setattr(outage_drift, "split_drift", split)
+    gnss = SimpleNamespace(vel_markov_sd=0.3)
+    sensors = SimpleNamespace(gnss_outages=((20.0, 60.0),), imu=None, gnss=gnss)
+    for grid in ((1.0, 5.0, 20.0), (1.0,)):
+        found = outage_drift.find_law(SimpleNamespace(sensors=sensors, flight=None), grid)
+        assert found.keys() == {"receiver velocity", "gyro bias"}
+        assert_allclose(found["receiver velocity"], np.sqrt(8.0) * np.array(grid))
+    for T, heading, velocity in asked:
+        assert_allclose(heading, 0.7 + 0.05 * (20.0 + np.arange(T + 1.0)), atol=1e-9)
+        assert velocity == 0.3
 
 
 def test_a_flight_of_ones_own_is_lost_from_its_outage_on(tmp_path):
@@ -275,30 +380,39 @@ def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
     )
     at = np.array([20.0, 21.0, 22.0])
     cov = np.tile(np.diag([5.0, 7.0, 11.0]), (3, 1, 1))
-    pos = np.array([3.0, 4.0, 10.0]) + np.outer(at - 20.0, [1.0, 2.0, 3.0])
-    monkeypatch.setattr(outage_drift, "get_truth", lambda key, one: SimpleNamespace(t=np.array([0.0, 30.0])))
+    ends, first = list[float](), np.array([3.0, 4.0, 10.0])
+
+    def judge(truth, one):
+        assert_allclose(one.t, at)
+        return SimpleNamespace(pos_n=first + np.outer(one.t - 20.0, [1.0, 2.0, 3.0]), t=one.t)
+
+    truth = SimpleNamespace(t=np.array([0.0, 10.0, 30.0]))
+    monkeypatch.setattr(outage_drift, "get_truth", lambda key, one: truth)
     monkeypatch.setattr(
         outage_drift,
         "pipeline",
         SimpleNamespace(
-            check_times=lambda one, last: None,
+            check_times=lambda one, last: ends.append(last),
             sense=lambda one, truth, run: SimpleNamespace(data=made_data, initial=None),
             navigate=lambda use, data, initial: SimpleNamespace(cov=cov, t=data.output_t),
         ),
     )
-    monkeypatch.setattr(outage_drift, "error_series", lambda truth, one: SimpleNamespace(pos_n=pos, t=one.t))
+    monkeypatch.setattr(outage_drift, "error_series", judge)
     monkeypatch.setattr(outage_drift, "replace", lambda data, output_t: SimpleNamespace(output_t=output_t))
     made_data = SimpleNamespace()
     found = outage_drift.measure_growth(outage_drift._Task(profile, "key", 0, (1.0, 2.0)))
     assert_allclose(found, [[1.0, 2.0, 3.0, 16.0 + 36.0, 12.0], [2.0, 4.0, 6.0, 25.0 + 64.0, 12.0]])
+    assert ends == [30.0]
 
 
 def test_growth_by_grade_is_that_since_the_loss_and_each_bias_by_its_law():
     """Sigmas of 5 m at the loss and 13 m a second later: 12 m. Biases by A-2.4.4 and A-2.4.7, for short."""
-    sd = np.hypot(5.0, 12.0 * np.arange(601.0))
 
     class Work:
-        map = staticmethod(lambda what, do, items: [dict.fromkeys(PHASES_FLOWN, sd) for _ in items])
+        @staticmethod
+        def map(what, do, items):
+            sds = [np.hypot(5.0, 12.0 * np.arange(n + 1.0)) for _, n in items]
+            return [dict.fromkeys(PHASES_FLOWN, sd) for sd in sds]
 
     found = outage_grades.predict_grades(10.5, Work)
     assert {(one.name, one.phase) for one in found} == {(g, p) for g in GRADES for p in PHASES_FLOWN}

@@ -10,6 +10,7 @@ from scipy.integrate import cumulative_trapezoid
 import bench
 from bench import earth
 from bench.errors import ConfigError
+from bench.findings import series
 from bench.studies import requirements
 from bench.units import STANDARD_GRAVITY
 from tests.studies.made_units import write_unit
@@ -83,7 +84,8 @@ def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, colum
     assert len(found.figures) == 2
     for figure, limit in zip(found.figures.values(), ("accel_ug", "gyro_deg_h"), strict=True):
         line, dots = figure.series
-        assert line.colours != dots.colours
+        assert line.colours + dots.colours == series.ESTIMATORS[:2]
+        assert dots.widths == (3.0,)
         there = np.interp(np.log(columns["outage_s"]), np.log(line.t), line.values[:, 0])
         assert_allclose(there, columns[limit], rtol=0.01)
         near = (dots.t >= 60) & (dots.t <= 600)

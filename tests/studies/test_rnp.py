@@ -16,6 +16,7 @@ from bench import earth, pipeline
 from bench.config import load_profile
 from bench.data import Events, no_events
 from bench.errors import ConfigError
+from bench.findings import series
 from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
 from bench.specs import EvaluationWindow
@@ -352,6 +353,7 @@ def test_levels_over_time_are_the_least_and_errors_the_largest_of_all_flights(mo
         assert len({line.colours for line in plot.series}) == 3
         (plot,) = [one for one in found.figures if one.path[1] == f"stanford-{plane}"]
         dots, equal, most = plot.series
+        assert (dots.colours, dots.widths) == (series.ESTIMATORS[:1], (1.2,))
         assert_allclose(np.sort(dots.t), np.repeat([1.0, 2.0, 3.0], 100))
         assert_allclose(dots.values, 10.0)
         assert_allclose(equal.t, [1.0, 1.5 * limit])

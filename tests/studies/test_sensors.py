@@ -13,6 +13,7 @@ from scipy import stats
 import bench
 from bench.errors import ConfigError
 from bench.evaluation.required_metrics import MET
+from bench.findings import series
 from bench.studies import unit_limits, unit_table
 from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
 from bench.studies.drawn_errors import UnitFlight
@@ -93,6 +94,8 @@ def test_from_cheap_to_dear_a_class_is_on_the_front_only_if_it_is_better(tmp_pat
     (figure,) = found.figures
     assert figure.series[0].labels == ("a", "b", "c", "d")
     dots, front = figure.series
+    assert (dots.colours, dots.widths) == (series.ESTIMATORS[:1], (4.0,))
+    assert front.colours == dots.colours
     assert_allclose(dots.t, [1.0, 1.0, 2.0, 3.0])
     assert_allclose(dots.values[:, 0], table["rms"])
     assert_allclose(front.t, [1.0, 3.0])
