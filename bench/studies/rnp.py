@@ -137,7 +137,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     work.progress("flying", 0, 1)
     profile, truth, _ = _load(options, 0)
     instants = len(_choose_rows(truth, profile))
-    each = instants * _INTERVAL / HOUR
+    each = hours_flown((1, instants), _INTERVAL)
     flights = options.draws if options.hours is None else max(2, math.ceil(options.hours / each))
     watches = work.map("judging flights", watch_run, [_Run(options, k) for k in range(flights)], (0,))
     planes = _gather(watches, options)
@@ -146,7 +146,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     rows = list(_list_rows(errors, planes, options))
     names = ("line", "figure", "value", "low", "high", "unit", "required", "word", "more_h")
     columns = {name: [row[name] for row in rows] for name in names}
-    hours = hours_flown(planes[0].error.shape, _INTERVAL)
+    hours = hours_flown(errors["TSE"].shape, _INTERVAL)
     title = f"{options.estimator} on {profile.name}, {flights} flights, {hours:.3g} h: bounds of 95 % each"
     words = [row["word"] for row in rows]
     return Findings(
@@ -257,7 +257,7 @@ def _read(options: Options, seed: int | None = None) -> Profile:
 def _choose_rows(truth: Trajectory, profile: Profile) -> Any:
     """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
     t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + SAME_INSTANT, _INTERVAL)
-    return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT).clip(max=len(truth.t) - 1))
+    return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT))
 
 
 def _navigate(profile: Profile, sensed: Sensed, t: FloatArray) -> NavSolution:
@@ -384,7 +384,7 @@ def _tell(
     hours: float,
 ) -> Iterator[str]:
     by_figure = {row["figure"]: row for row in rows}
-    within, flights = by_figure.get("time with TSE within RNP"), len(planes[0].error)
+    within, flights = by_figure.get("time with TSE within RNP"), len(errors["TSE"])
     if within is None and {"accuracy", "containment"} & {*options.lines}:
         yield "No leg is along waypoints or to a runway, which a total system error would need."
     elif within is not None:

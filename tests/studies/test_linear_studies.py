@@ -372,7 +372,13 @@ def test_what_is_known_before_and_after_turns_by_hand():
     assert_allclose(most.values[:, 0], 100.0 * left[:, 1])
     assert_allclose(least.values[:, 0], 10.0)
     assert most.colours != least.colours
-    three = replace(seen, left=np.column_stack([left[:, 0], np.full(30, 0.3), left[:, 1]]))
+    three = replace(
+        seen,
+        left=np.column_stack([left[:, 0], np.full(30, 0.3), left[:, 1]]),
+        directions=np.tile(np.eye(9)[:, [5, 4, 2]], (30, 1, 1)),
+    )
+    rows = observability._tabulate_directions(three, phases).columns
+    assert (rows["least_observable"][0], rows["best"][0]) == ("heading 1.00", "gyro bias z 1.00")
     most, least = observability._plot(three, smooth)[-1].series
     assert_allclose([most.values[:, 0], least.values[:, 0]], [100.0 * left[:, 1], np.full(30, 10.0)])
 
@@ -466,6 +472,8 @@ def test_instants_of_a_study_are_whole_seconds_and_the_last_without_gnss():
 
 def test_four_sources_are_named_and_layers_lie_by_share_and_by_size():
     """Of 35, 25, 20, 15 and 5 % the fifth is not told. What is large at its worst lies below."""
+    text = budget_study._rank(make_budget({"a": 97.0, "b": 2.1, "c": 0.9}), 0, "10 s")
+    assert "by a 97 % and b 2 %;" in text  # none of less than 2 %
     parts = dict(zip("abcde", (20.0, 35.0, 5.0, 25.0, 15.0), strict=True))
     said = budget_study._rank(make_budget(parts), 0, "10 s")
     assert "by b 35 %, d 25 %, a 20 % and e 15 %;" in said
@@ -501,6 +509,8 @@ def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
         f"smoother, with GNSS, over the smoothing bound: horizontal position {2 * size:g}"
     )
     assert told[4] == "lost, with GNSS, over the bound: no errors."
+    twice = {"first": 0.1 * signs, "second": 2.0 * signs}
+    assert not bound_study.hold_draws(bound, twice, dict.fromkeys(twice, False), phases)[2]
     table = bound_study._tabulate(bound, [1, 3]).columns
     assert table["t_s"] == [1.0, 3.0]
     assert_allclose(table["horizontal_m"], np.sqrt(2.0))

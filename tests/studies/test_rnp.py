@@ -165,6 +165,14 @@ def test_a_total_error_beyond_rnp_misses_it_though_each_part_is_within(monkeypat
     assert not found.good
     other = ask(monkeypatch, lambda k: 400.0, lambda k: 300.0, lines="accuracy")
     assert words(other) == {"time with TSE within RNP": "met"}
+    for off, beyond in ((2.1 * 555.6, 36.0), (1.9 * 555.6, 0.0)):  # every flight of 100 s is one event
+        found = ask(monkeypatch, lambda k: 0.0, lambda k, off=off: off, lines="containment")
+        (table,) = (one.columns for one in found.tables if one.name == "rnp")
+        assert table["value"] == [pytest.approx(beyond)]
+    without = ask(monkeypatch, lambda k: np.nan, lambda k: np.nan, lines="integrity")
+    assert not any("No leg is along waypoints" in text for text in without.verdicts)
+    without = ask(monkeypatch, lambda k: np.nan, lambda k: np.nan, lines="accuracy,integrity")
+    assert without.verdicts[0].startswith("No leg is along waypoints or to a runway")
 
 
 def test_one_flight_that_misleads_hazardously_misses_integrity(monkeypatch):
@@ -218,6 +226,7 @@ def test_flights_have_turbulence_of_their_own_if_there_is_any(monkeypatch):
         loaded = [rnp._load(options, k)[0] for k in range(3)]
         assert flown == seeds
         assert loaded[2].sensors.imu.gyro.bias_instability > 0.0
+        assert all(len(rnp._load(options, k)[1].t) == 1000 for k in range(3))
     rnp._load.cache_clear()
 
 
@@ -251,6 +260,8 @@ def test_without_satellites_tight_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(rnp, "load_profile", lambda *_: bare)
     with pytest.raises(ConfigError, match="bare has none"):
         rnp._read(rnp.Options(profiles="bare"))
+    bare.sensors.gnss, bare.guidance = SimpleNamespace(sky=object()), None
+    assert rnp._read(rnp.Options(profiles="bare")) is bare
 
 
 def fly_by_hand(side, apart, wind_layers=()):
@@ -421,6 +432,53 @@ def test_a_flight_is_watched_in_the_plane_and_in_height_by_hand(monkeypatch, ste
     assert_allclose(found.error, [[5.0, 12.0]] * len(found.t))
     assert np.isnan(found.across).all()
     assert not found.crashed
+
+
+@pytest.mark.parametrize("steered", [False, True])
+def test_errors_across_track_are_those_to_the_right_of_the_course_by_hand(monkeypatch, steered):
+    """3 m north and 4 m east on a course of 30 deg; the truth is 7 m right of its track."""
+    truth = SimpleNamespace(t=np.arange(4.0), events=no_events())
+    profile = SimpleNamespace(evaluation=EvaluationWindow(0.0), flight=object.__new__(rnp.FlightSpec))
+    apart = SimpleNamespace(t=truth.t, pos_n=np.tile([3.0, 4.0, 0.0], (4, 1)))
+    path = SimpleNamespace(right=np.full(4, 7.0), course=np.full(4, np.deg2rad(30.0)))
+    level = SimpleNamespace(level=np.full((4, 2), 20.0), alarm=np.zeros(4, bool))
+    answers = SimpleNamespace(t=truth.t) if steered else None
+    monkeypatch.setattr(rnp, "_load", lambda options, number: (profile, truth, answers))
+    monkeypatch.setattr(rnp.pipeline, "sense", lambda *given: None)
+    monkeypatch.setattr(rnp, "_navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
+    monkeypatch.setattr(rnp, "error_series", lambda truth, solution: apart)
+    monkeypatch.setattr(rnp, "protect_fault_free", lambda solution: level)
+    monkeypatch.setattr(rnp, "measure_off_path", lambda flight, truth, rows: path)
+    found = rnp.watch_run(rnp._Run(rnp.Options(profiles="made", estimator="loose-15"), 0))
+    across = 4.0 * np.sqrt(0.75) - 3.0 * 0.5
+    assert_allclose(found.across, across)
+    assert_allclose(found.off, 7.0 + across if steered else 7.0)
+
+
+def test_each_subfilter_is_without_one_satellite_and_has_all_others(monkeypatch):
+    """Two systems that use a number twice."""
+    system, sat = np.array([0, 1, 0, 1, 0]), np.array([3, 3, 5, 4, 3])
+    seen = [(0, 3), (0, 5), (1, 3), (1, 4)]
+
+    monkeypatch.setattr(rnp, "list_satellites", lambda o: seen)
+    monkeypatch.setattr(rnp, "take_rows", lambda o, kept: kept)
+    monkeypatch.setattr(rnp, "replace", lambda one, **new: next(iter(new.values())))
+    sensed = SimpleNamespace(data=SimpleNamespace(observations=SimpleNamespace(system=system, sat=sat)))
+    for (lost, number), kept in zip(seen, rnp._leave_out(sensed), strict=True):
+        assert kept.tolist() == [(a, b) != (lost, number) for a, b in zip(system, sat, strict=True)]
+
+
+def test_a_risk_is_undecided_without_an_operation_and_never_above_one(monkeypatch):
+    """No window at all; none that begins without an alert; half of the flights, lost in every window."""
+    begun = np.zeros((8, 50), bool)
+    options = rnp.Options(profiles="waypoints")
+    for windows in (None, (begun, begun)):
+        monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds, windows=windows: windows)
+        for row in rnp._list_continuity([None, None], options):
+            assert (row["word"], row["value"], row["more_h"]) == ("undecided", None, None)
+    begun[:4] = True
+    monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds: (begun, begun))
+    assert [row["high"] for row in rnp._list_continuity([None, None], options)] == [1.0, 1.0]
 
 
 def test_the_parts_of_the_stanford_diagram_by_hand():
