@@ -147,7 +147,7 @@ def test_classical_coning():
     assert slow[1] > 2.0
 
 
-NAV = Nav(0.83, 0.3, 2500.0, np.array([150.0, -220.0, 60.0]), equations.body_to_enu(2.1, 0.15, -0.4))
+NAV = Nav(0.6, 0.3, 2500.0, np.array([150.0, -220.0, 60.0]), equations.body_to_enu(2.1, 0.15, -0.4))
 
 
 def test_a_step_of_nearly_a_second_is_of_third_order():
