@@ -53,10 +53,44 @@ def test_equals_filterpys_smoother_on_a_linear_problem():
         Phi,
         np.arange(steps),
     )
+    parts = [
+        Nodes(
+            nodes.layout,
+            *(getattr(nodes, name)[rows].copy() for name in ("t", "state", "P", "Phi", "output")),
+        )
+        for rows in (slice(0, 13), slice(13, 20), slice(20, None))
+    ]
     smooth([nodes])
+    smooth(parts)
+    for name in ("state", "P"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        assert_allclose(joined, getattr(nodes, name), rtol=1e-12, atol=1e-20)
     got = -state_errors(BASE, nodes.state[:, 1])
     assert_allclose(got, wanted[:, :, 0], rtol=0, atol=1e-3 * size)
     assert_allclose(nodes.P[:, 1], wanted_P, rtol=1e-3, atol=1e-3 * size**2)  # tilts turn by the heading
+
+
+def test_what_does_not_move_is_known_before_as_it_is_after():
+    """No noise, and a measurement that turns it by 40 deg: the node before ends as it, in the same axes."""
+    rng = np.random.default_rng(4)
+    n = 16
+    A, x = rng.normal(size=(n, n)), 0.1 * rng.normal(size=n)
+    x[8] = 0.7
+    P = A @ A.T + n * np.eye(n)
+    K = 0.5 * np.diag(rng.uniform(0.2, 0.9, n))
+    P_after = (np.eye(n) - K) @ P @ (np.eye(n) - K)
+    after = less_errors(BASE, x)
+    nodes = Nodes(
+        StateLayout(("baro_bias", "m", 1)),
+        np.arange(2.0),
+        np.array([[BASE, BASE], [BASE, after]]),
+        np.array([[P, P], [P, P_after]]),
+        np.stack([np.eye(n)] * 2),
+        np.arange(2),
+    )
+    smooth([nodes])
+    assert_allclose(nodes.state[0, 1], after, rtol=1e-9, atol=1e-9)
+    assert_allclose(nodes.P[0, 1], P_after, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["loose-15", "loose-22", "loose-full"])
