@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from bench import pipeline, sensors
+from bench.compiled import choose_cache
 from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
@@ -58,6 +59,22 @@ def no_waiting_for_the_disk() -> Iterator[None]:
     """Leave out `os.fsync`, which waits for the disk: no test ends with the machine."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_processor() -> Iterator[None]:
+    """See one processor: pytest has a worker on each. What needs processes of its own says how many."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels_compiled_once() -> Iterator[None]:
+    """Let processes whose cache of truths is another one use the kernels of this process all the same."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("NUMBA_CACHE_DIR", str(choose_cache().parent))
         yield
 
 

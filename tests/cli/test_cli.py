@@ -21,7 +21,6 @@ import rerun as rr
 import bench
 from bench import pipeline, recording, store
 from bench.cli import main
-from bench.compiled import choose_cache
 from bench.errors import FlightError
 from bench.report import page as report_page
 from bench.store import parquet
@@ -217,7 +216,7 @@ def test_check_finds_a_loss_in_a_filter_of_the_present_folder(here, capsys, monk
         (here / "mylab.py").write_text(MINE.replace("NOISE", str(noise)))
 
     write_filter(0.0)
-    own = ["-e", "mylab:Mine"]
+    own = ["-e", "mylab:Mine", "--in-process"]  # but for the check of --allow-code
     status, out, _ = say(capsys, "check", "short.toml", *own, *RECORD, "--baselines", "b")
     assert (status, out.splitlines()[0]) == (0, "Wrote b/short.json.")
     status, out, err = say(capsys, "check", "--baselines", "b")
@@ -549,8 +548,7 @@ def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, caps
 
 def python(code: str, *, cwd: Path) -> subprocess.Popen:
     paths = [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-    kernels = {"NUMBA_CACHE_DIR": str(choose_cache().parent)}  # those of this process, not of BENCH_CACHE
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths), **kernels}
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     return subprocess.Popen(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,

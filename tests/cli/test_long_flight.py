@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.compiled import choose_cache
 from bench.config.library import find_profile
 
 MOST = 700e6
@@ -46,7 +45,6 @@ def run(folder: Path, *command: str) -> float:
     env = os.environ | {
         "PYTHONPATH": str(Path(bench.__file__).parents[1]),
         "BENCH_CACHE": str(folder / "cache"),
-        "NUMBA_CACHE_DIR": str(choose_cache().parent),
     }
     with (folder / "said.txt").open("w+") as said:
         process = subprocess.Popen(

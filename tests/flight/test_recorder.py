@@ -21,7 +21,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, pipeline, rotation
-from bench.compiled import choose_cache
 from bench.config import load_profile
 from bench.data import Trajectory
 from bench.errors import FlightError
@@ -263,7 +262,6 @@ def cruise(request, session_folder, made_once) -> tuple[float, Path, str]:
         env = {
             **os.environ,
             "BENCH_CACHE": str(cache),
-            "NUMBA_CACHE_DIR": str(choose_cache().parent),
         }
         command = [sys.executable, "-c", MEMORY, str(request.param)]
         done = subprocess.run(command, capture_output=True, text=True, env=env)
