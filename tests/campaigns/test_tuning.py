@@ -264,8 +264,9 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
 
 
 @pytest.mark.slow
-def test_four_wrong_values_are_found_again(tmp_path):
+def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
     """Eight draws whose filter is right but for four noises; they hardly show that of the accelerometers."""
+    monkeypatch.setattr(tuning, "ProcessPool", HerePool)
     wrong = tune_power.WRONG
     given = {**tune_power.FLIGHT, **tune_power.write_wrong(tmp_path)}
     found = bench.tune("figure-eight-matched", "loose-15", runs=8, seed=31_057, overrides=given)
