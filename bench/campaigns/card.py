@@ -244,7 +244,7 @@ def make_card(
     Raises
     ------
     bench.errors.ConfigError, bench.errors.EstimatorError
-        If an estimator cannot be built.
+        If an estimator cannot be built, or two have one name.
     KeyboardInterrupt
         If it was interrupted; ``runs`` has what was finished.
     """
@@ -317,6 +317,10 @@ def _plan(
         name = label or make_choice(estimator).label
         first = {"use": estimator, "label": name, "options": dict(options or {})}
         others = dict.fromkeys((against, YARDSTICK))
+        if name in others:
+            raise ConfigError(
+                f"the card has {name!r} already: give the one to judge another name with --label"
+            )
         given = [first, *({"use": use} for use in others)]
         plan = plan_campaign(replace(suite, fixed={"estimator": given}), allow_code=True, guard=guard)
         own, uses = 0, [name, *others]
