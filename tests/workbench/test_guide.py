@@ -60,7 +60,7 @@ TUTORIALS = ("first-ekf", "which-imu", "judge-log", "filter-in-cpp", "ci-check")
 """Pages of which every command runs."""
 
 CAUSES = "results"
-"""The page that shows the search for causes, which runs a filter dozens of times; elsewhere it is left out."""
+"""The page that shows the search for causes, dozens of runs of a filter; it is left out elsewhere."""
 
 CLONE = {"own-log": "tests", "autopilots": "tests", "judge-log": "tests"}
 """Pages that show files of the repository -> the folder that has them."""
