@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from datetime import date
+from types import SimpleNamespace
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -12,7 +14,18 @@ from numpy.testing import assert_array_equal
 
 from bench.arrays import FloatArray
 from bench.navigation.engine.record_cuts import take_head
-from bench.navigation.engine.session import Growing, Kept, Scratch, SessionState, marked, rebuild
+from bench.navigation.engine.session import (
+    Growing,
+    Kept,
+    Replaced,
+    Scratch,
+    SessionState,
+    fork,
+    marked,
+    rebuild,
+    require_range,
+    require_rows,
+)
 from tests.navigation.test_pieces import OTHERS, SEVERAL, USES, loaded, pieces, record
 
 EVERY = [*USES, *SEVERAL, *OTHERS]
@@ -129,14 +142,21 @@ class Forgetful(Inner):
 class Outer(SessionState):
     fixed: Kept[FloatArray]
     longer: Kept[Growing[FloatArray]]
+    line: Kept[Growing[FloatArray]]
+    rows: Kept[FloatArray]
     figures: Kept[Figures | None]
     times: Kept[dict[int, tuple[float, float]]]
     parts: Kept[list[Inner]]
+    named: Kept[dict[str, Inner]]
+    log: Kept[list[float]]
+    shared: Replaced[FloatArray]
     work: Scratch[FloatArray]
 
     def __init__(self, part: type[Inner] = Inner) -> None:
         self.fixed, self.longer, self.figures = np.zeros(3), np.zeros((1, 2)), None
+        self.line, self.rows, self.shared = np.zeros(1), np.zeros((0, 2)), np.full(2, np.inf)
         self.times, self.parts, self.work = {}, [part(), part()], np.zeros(2)
+        self.named, self.log = {"a": part()}, [0.0]
 
     def go(self) -> None:
         self.work += 1.0
@@ -166,6 +186,8 @@ def test_a_copy_goes_on_by_itself():
     assert other.parts[0].number == 2.0
     other.times[4] = 0.0, 0.0
     assert list(one.times) == [3]
+    assert other.shared is one.shared  # nothing changes it in place
+    assert other.line is not one.line
 
 
 def test_a_restored_state_is_the_one_that_was_saved():
@@ -173,12 +195,24 @@ def test_a_restored_state_is_the_one_that_was_saved():
     one.go()
     other.restore(one.state())
     assert freeze(vars(other)["times"]) == freeze(one.times)
-    assert other.state().keys() == {"fixed", "longer", "figures", "times", "parts"}
+    names = {"fixed", "longer", "line", "rows", "figures", "times", "parts", "named", "log", "shared"}
+    assert other.state().keys() == names
     assert isinstance(other.figures, Figures)
     assert other.figures.name == "one"
     assert_array_equal(other.longer, one.longer)
     other.fixed += 1.0  # arrays are its own
     assert one.fixed.tolist() == [1.0, 1.0, 1.0]
+    before, one.times[5], one.log, one.rows = other.parts[0], (2.0, 3.0), [1.0, 2.0, 3.0], np.ones((4, 2))
+    one.longer[0], one.shared = np.nan, np.full(2, np.nan)
+    other.restore(one.state())
+    assert other.times == {3: (1.0, np.inf), 5: (2.0, 3.0)}
+    assert other.log == [1.0, 2.0, 3.0]
+    assert_array_equal(other.rows, one.rows)
+    assert_array_equal(other.longer, one.longer)
+    assert other.parts[0] is before
+    one.log = []
+    other.restore(one.state())
+    assert other.log == []
 
 
 @pytest.mark.parametrize(
@@ -188,6 +222,11 @@ def test_a_restored_state_is_the_one_that_was_saved():
         ("fixed", np.zeros(3, np.int64), "fixed must be float64"),
         ("fixed", np.full(3, np.nan), "fixed must be finite"),
         ("fixed", None, "fixed must not be empty"),
+        ("fixed", [0.0, 0.0, 0.0], "fixed must be float64"),
+        ("line", np.array(3.0), r"line must have shape \('N',\); got \(\)"),
+        ("rows", np.zeros((2, 3)), r"rows must have shape \('N', 2\); got \(2, 3\)"),
+        ("named", {"b": {"number": 1.0}}, "named must hold a"),
+        ("figures", [], "figures must hold values, name"),
         ("longer", np.zeros((5, 3)), r"longer must have shape \('N', 2\); got \(5, 3\)"),
         ("figures", {"values": np.zeros(2)}, "figures must hold values, name"),
         ("figures", {"values": np.zeros(2), "name": 3}, "figures/name must be a str; got 3"),
@@ -208,7 +247,7 @@ def test_what_does_not_fit_is_named(name, value, says):
 
 def test_names_too_many_and_too_few_are_refused():
     state = Outer().state()
-    with pytest.raises(ValueError, match="must hold fixed, longer, figures, times, parts"):
+    with pytest.raises(ValueError, match="must hold fixed, longer, line, rows, figures, times, parts, named"):
         Outer().restore({**state, "more": 1.0})
     del state["times"]
     with pytest.raises(ValueError, match="must hold fixed"):
@@ -218,3 +257,71 @@ def test_names_too_many_and_too_few_are_refused():
 def test_the_first_type_that_fits_is_taken():
     assert rebuild(tuple[float, str] | tuple[float, str, str], [1.0, "a", "b"]) == (1.0, "a", "b")
     assert rebuild(float | None, None) is None
+    some = tuple[float] | tuple[float, str] | tuple[float, str, str]
+    assert [rebuild(some, found) for found in ([1.0], [1.0, "a"], [1.0, "a", "b"])] == [
+        (1.0,), (1.0, "a"), (1.0, "a", "b")
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="must not be empty"):
+        rebuild(some, None)
+
+
+@pytest.mark.parametrize(
+    ("hint", "value", "like", "says"),
+    [
+        (float, 1, None, None),
+        (float, np.inf, None, None),
+        (float, np.nan, np.inf, None),
+        (float, 2.0, 1.0, None),
+        (float, np.inf, 1.0, "must be finite"),
+        (float, True, None, "must be a float; got True"),
+        (float, "1", None, "must be a float; got '1'"),
+        (int, 3, 5, None),
+        (int, 1.0, None, "must be a int; got 1.0"),
+        (int, True, None, "must be a int; got True"),
+        (bool, 1, None, "must be a bool; got 1"),
+        (bool, True, False, None),
+        (str, "2024-02-03", "a", None),
+        (date, 3.0, None, "must be a date; got 3.0"),
+        (date, "no", None, "must be a date; got 'no'"),
+        (Literal["a", "b"], "b", None, None),
+        (Literal["a", "b"], "c", None, "must be one of a, b"),
+    ],
+)
+def test_a_number_a_truth_value_and_a_word_are_what_they_are_declared(hint, value, like, says):
+    if says is None:
+        found = rebuild(hint, value, like, "x")
+        assert found == value or found != found
+        assert type(found) is type(value)
+    else:
+        with pytest.raises(ValueError, match=f"^x {says}$"):
+            rebuild(hint, value, like, "x")
+
+
+def test_a_day_is_saved_as_a_word():
+    assert rebuild(date, "2024-02-03") == date(2024, 2, 3)
+
+
+def test_a_copy_of_an_array_keeps_its_kind_and_wide_rows_begin_at_a_cache_line():
+    for array in (
+        np.zeros((8, 3)),
+        np.zeros((2, 8), np.int64),
+        np.zeros((4, 4, 8)),
+        np.ones(8),
+        np.ones((3, 9)),
+    ):
+        copy = fork(array)
+        assert copy is not array
+        assert (copy.dtype, copy.shape) == (array.dtype, array.shape)
+    for _ in range(8):
+        assert fork(np.zeros((3, 16))).__array_interface__["data"][0] % 64 == 0
+
+
+def test_columns_have_as_many_rows_and_places_lie_in_what_they_count():
+    table = SimpleNamespace(x=np.zeros((3, 2)), y=np.zeros(3))
+    require_rows("a", table, ["x", "y"], 3)
+    with pytest.raises(ValueError, match=r"^a/x must have shape \(4, 2\); got \(3, 2\)$"):
+        require_rows("a", table, ["x"], 4)
+    require_range("r", np.array([0, 4]), 5)
+    for wrong in (np.array([0, 5]), np.array([-1, 4]), np.array([1.0])):
+        with pytest.raises(ValueError, match=r"^r must be whole numbers from 0 to 4$"):
+            require_range("r", wrong, 5)

@@ -117,11 +117,7 @@ def _find_fields(cls: Any) -> dict[str, Any]:
 
 def _find_forked(cls: type) -> tuple[str, ...]:
     """Return the attributes that a copy has to have of its own."""
-    return tuple(
-        name
-        for name, hint in marked(cls, "kept").items()
-        if "replaced" not in hint.__metadata__ and get_args(hint)[0] not in _UNCHANGING
-    )
+    return tuple(name for name, hint in marked(cls, "kept").items() if "replaced" not in hint.__metadata__)
 
 
 marked: Callable[[type, str], dict[str, Any]] = cache(_find_marked)
@@ -283,7 +279,7 @@ def _array(hint: Any, found: Any, like: Any, place: str, *, grows: bool = False)
     same = found.ndim == like.ndim and found.shape[grows:] == like.shape[grows:]
     wide = ("N", *like.shape[1:]) if grows else like.shape
     require(same, place, f"must have shape {wide}; got {found.shape}")
-    finite = grows or found.dtype.kind != "f" or not np.isfinite(like).all() or np.isfinite(found).all()
+    finite = grows or not np.isfinite(like).all() or np.isfinite(found).all()
     require(bool(finite), place, "must be finite")
     return found
 
