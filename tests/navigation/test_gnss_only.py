@@ -92,7 +92,7 @@ def plain_track(options, t, x, P, fixes, r, output):
             S = Hc @ P @ Hc.T + R
             nis = e @ np.linalg.solve(S, e)
             verdict = gate.decide(at, code, e, np.diag(S), nis, sound=nis <= gate.limits[3])
-            verdicts.append(verdict)
+            verdicts.append((code, verdict))
             if verdict == REFUSED:
                 continue
             if verdict != SOUND:
@@ -109,17 +109,19 @@ def test_a_track_of_fixes_is_a_kalman_filter_of_whole_matrices():
         GnssOnlyOptions(acceleration=2.0, correlation_s=5.0, readmit_after_s=3.0),
         np.random.default_rng(4),
     )
-    t = np.array([1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.5, 25.0, 26.0])
+    t = np.array([1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 7.0, 8.0, 9.5, 25.0, 26.0, *range(27, 33)])
     rows = np.column_stack([7.0 * t, -4.0 * t, 2.0 * t, *np.tile([[7.0], [-4.0], [2.0]], len(t))])
     rows += rng.normal(size=rows.shape) * [3, 3, 5, 0.3, 0.3, 0.4]
     rows[4:, :3] += [300.0, -200.0, 50.0]  # the receiver steps
     rows[9:, :3] += [2500.0, 0.0, 0.0]  # the aircraft has gone another way
     rows[9:, 3:] += [150.0, 0.0, 0.0]
+    rows[11:, 1] += 50.0 * (t[11:] - 27.0)  # and turns at once
+    rows[11:, 4] += 50.0
     rows[2, 3:] = np.nan
     r = rng.uniform(0.5, 2.0, (len(t), 6)) * np.square([3, 3, 5, 0.3, 0.3, 0.4])
     origin, root = np.array([0.8, 0.2, 500.0]), rng.normal(size=(6, 6))
     x, cov = np.concatenate([[5.0, -6.0, 7.0, 7.3, -4.2, 1.7, 0, 0, 0]]), root @ root.T + np.eye(6)
-    output = np.array([0.5, 1.5, 3.0, 5.5, 8.5, 9.0, 9.75, 25.5, 27.0])
+    output = np.array([0.5, 1.5, 3.0, 5.5, 8.5, 9.0, 9.75, 25.5, 26.5, 33.0])
     lla = earth.displace(np.tile(origin, (len(t), 1)), rows[:, :3])
     track = FixTrack(options, 0.5, earth.displace(origin, x[:3]), x[3:6], cov)
     late = np.array([*range(3), 1, *range(3, len(t))])  # one comes once more, and changes nothing
@@ -131,22 +133,22 @@ def test_a_track_of_fixes_is_a_kalman_filter_of_whole_matrices():
     start = np.zeros((9, 9))
     start[:6, :6], start[6:, 6:] = cov, 4.0 * np.eye(3)
     wanted, table, verdicts = plain_track(options, 0.5, x, start, (t, rows), r, output.tolist())
-    assert set(verdicts) == {REFUSED, SOUND, DRIFTED, LOST}
+    assert set(verdicts) > {(0, REFUSED), (0, DRIFTED), (0, LOST), (1, REFUSED), (1, LOST)}
     for k, at in enumerate(output.tolist()):
         plane = np.concatenate([earth.difference_n(found[k, :3], origin), found[k, 3:]])
-        assert_allclose(plane, wanted[at][0], rtol=1e-4, atol=0.02)
+        assert_allclose(plane, wanted[at][0], rtol=1e-4, atol=0.05)
         sd = np.sqrt(np.diag(wanted[at][1]))
         assert_allclose(P[k] / np.outer(sd, sd), wanted[at][1] / np.outer(sd, sd), rtol=0, atol=2e-3)
     innovations = track.take_innovations()
     for name in ("t", "code", "component", "accepted"):
         np.testing.assert_array_equal(getattr(innovations, name), getattr(table, name))
     assert_allclose(innovations.S, table.S, rtol=2e-3)
-    assert_allclose(innovations.z, table.z, atol=0.05)
+    assert_allclose(innovations.z, table.z, rtol=1e-3, atol=0.05)
     assert_allclose(innovations.nis, table.nis, rtol=1e-2, atol=1e-2)
     assert len(track.take_innovations()) == 0
-    assert track.t == 26.0
-    assert np.isnan(track.at([25.9])[0]).all()
-    assert np.isfinite(track.at([26.0])[0]).all()
+    assert track.t == 32.0
+    assert np.isnan(track.at([31.9])[0]).all()
+    assert np.isfinite(track.at([32.0])[0]).all()
 
 
 @cache

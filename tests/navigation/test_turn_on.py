@@ -516,6 +516,19 @@ def test_a_filter_begins_again_whenever_the_stretch_tells_more():
     assert filter_.end == pytest.approx(25.2)
 
 
+def test_what_is_looked_at_counts_from_the_start():
+    """At 3 s, where there is a fix: after 4.5 s, and no longer than until 23 s."""
+    data, start = straight_on(BIAS)
+    start = replace(start, t=3.0)
+    filter_, log = watch(data, start)
+    filter_.feed(take_piece(data, 2.9, 5.4), 0.2, last=False)
+    assert [one[0] for one in log] == [None, *[pytest.approx(np.deg2rad(5.0))] * 2]
+    assert [one[1] for one in log[:2]] == [pytest.approx(4.5, abs=0.021)] * 2
+    found = turn_on.find_turn_on(data, start)
+    assert found.until == pytest.approx(23.0)
+    assert found.sd == pytest.approx(np.deg2rad(5.0) / 20.0)
+
+
 def test_a_filter_begins_as_before_where_the_course_leaves_at_once():
     """What a second of a stretch told is taken back; the turn tells nothing of gyros known so well."""
     data, start = straight_on(BIAS)
