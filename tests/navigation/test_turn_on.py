@@ -18,6 +18,7 @@ from bench.flight.legs.turns import Turn
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece
+from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.start import steady_course, turn_on, turning_start
 from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors import sense
@@ -346,12 +347,12 @@ def start(speed=25.0):
 def test_a_course_is_measured_until_it_has_changed():
     """Across south, where it jumps by 360 deg, and however the record is cut; never again after a turn."""
     course = 179.0 + 3.0 * np.sin(np.arange(100.0) / 5.0)
-    course[75:90] += 20.0
+    course[75:90] += 11.0
     whole = steady_course.SteadyCourse(start(), steady=True)
     t, values, variance = whole.take(record_of(course))
     assert_allclose(t, [1.1, 30.1, 40.1, 50.1, 60.1, 70.1])
     assert_allclose(np.rad2deg(values[:, 0]) % 360.0, course[np.round(t - 1.1).astype(int)], atol=1e-9)
-    assert_allclose(variance, steady_course.TURNED_SD**2)
+    assert_allclose(variance, np.deg2rad(5.0) ** 2)
     cut, found = steady_course.SteadyCourse(start(), steady=True), []
     record = record_of(course).fixes
     for first in range(0, 100, 7):
@@ -364,13 +365,30 @@ def test_a_course_is_measured_until_it_has_changed():
     assert_allclose(found, t)
 
 
+def test_a_course_of_a_walk_is_none_and_ends_the_stretch():
+    """Below 5 m/s; what flies has an angle to it that the wind changes, the slower the more."""
+    speed = np.where(np.arange(60) < 45, 5.1, 4.9)
+    found = steady_course.SteadyCourse(start(5.1), steady=True)
+    assert_allclose(found.take(record_of(np.zeros(60), speed))[0], [1.1, 30.1, 40.1])
+    for speed, walk in ((25.0, WIND_WALK / 25.0), (5.1, WIND_WALK / 5.1), (4.9, 0.0)):
+        (block,) = steady_course.SteadyCourse(start(speed), steady=True).blocks()
+        (state,) = block.states(None)
+        assert (state.name, state.unit, state.size) == ("course_offset", "rad", 1)
+        assert state.variance == pytest.approx(np.pi**2 / 3.0)
+        assert state.density == pytest.approx(walk**2)
+    assert steady_course.SteadyCourse(start(), steady=False).blocks() == []
+    assert not len(steady_course.SteadyCourse(start(), steady=False).take(record_of(np.zeros(9)))[0])
+    with pytest.raises(ValueError, match=r"^over must be true of gyros that keep the heading$"):
+        steady_course.SteadyCourse(start(), steady=False).restore({**found.state(), "over": False})
+
+
 def test_at_rest_the_nose_points_where_it_did_until_it_moves():
-    speed = np.where(np.arange(60) < 45, 0.05, 8.0)
+    speed = np.where(np.arange(60) < 45, 0.49, 0.51)
     found = steady_course.SteadyCourse(start(0.0), steady=True)
     t, values, variance = found.take(record_of(np.linspace(0.0, 359.0, 60), speed))
     assert_allclose(t, [1.1, 30.1, 40.1])
     assert (values == 0.0).all()
-    assert_allclose(variance, steady_course.STILL_SD**2)
+    assert_allclose(variance, np.deg2rad(0.1) ** 2)
 
 
 # --- the stretch by hand ------------------------------------------------------------------------------------
