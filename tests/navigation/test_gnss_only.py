@@ -117,7 +117,7 @@ def test_a_track_of_fixes_is_a_kalman_filter_of_whole_matrices():
     rows[9:, 3:] += [150.0, 0.0, 0.0]
     rows[11:, 1] += 50.0 * (t[11:] - 27.0)  # and turns at once
     rows[11:, 4] += 50.0
-    rows[2, 3] = rows[3, 4] = rows[10, 5] = np.nan  # a velocity in part is none
+    rows[2, 3] = rows[3, 4] = rows[7, 3] = rows[10, 5] = np.nan  # a velocity in part is none
     r = rng.uniform(0.5, 2.0, (len(t), 6)) * np.square([3, 3, 5, 0.3, 0.3, 0.4])
     origin, root = np.array([0.8, 0.2, 500.0]), rng.normal(size=(6, 6))
     x, cov = np.concatenate([[5.0, -6.0, 7.0, 7.3, -4.2, 1.7, 0, 0, 0]]), root @ root.T + np.eye(6)

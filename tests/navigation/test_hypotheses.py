@@ -111,6 +111,14 @@ def test_the_estimate_is_the_leading_one_with_the_mean_square_of_its_error_over_
     assert_allclose(found.extra[1], lead.extra)
 
 
+def test_a_heading_is_unknown_from_fifteen_degrees_on():
+    start = sensors.sense(at_rest(3.0, 10.0, LLA), units(baro=None), 1, 0).initial
+    for sd, unknown in ((14.9, False), (15.1, True)):
+        cov = start.cov.copy()
+        cov[8, 8] = np.deg2rad(sd) ** 2
+        assert headings.heading_is_unknown(replace(start, cov=cov)) == unknown
+
+
 def test_before_anything_is_told_the_heading_that_was_given_leads():
     """By a prior of 40 deg, or any heading alike; half way around is the first hypothesis."""
     for sd, weights in (
