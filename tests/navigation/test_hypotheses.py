@@ -119,6 +119,22 @@ def test_a_heading_is_unknown_from_fifteen_degrees_on():
         assert headings.heading_is_unknown(replace(start, cov=cov)) == unknown
 
 
+def test_what_is_restored_names_one_of_the_hypotheses_and_a_time():
+    filter_, _, made = begun(told)
+    for best, good in ((0, True), (15, True), (16, False), (-1, False)):
+        filter_.best, filter_.complete, filter_.members = best, True, list(made)
+        for look in (filter_.check, filter_.make_parts):
+            if good:
+                look()
+            else:
+                with pytest.raises(ValueError, match=r"^best must be one of the hypotheses$"):
+                    look()
+        assert not good or filter_.members == [made[best]]
+    filter_.best, filter_.span = 0, 0.0
+    with pytest.raises(ValueError, match=r"^span must be positive$"):
+        filter_.check()
+
+
 def test_before_anything_is_told_the_heading_that_was_given_leads():
     """By a prior of 40 deg, or any heading alike; half way around is the first hypothesis."""
     for sd, weights in (

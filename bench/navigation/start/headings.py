@@ -120,8 +120,8 @@ class ManyHeadings(SessionState):
         reached = np.inf if last else max(self.end, newest)
         self.later = wanted[wanted > reached]
         rest, found, until = replace(piece, output_t=wanted[wanted <= reached]), list[NavSolution](), -np.inf
-        while not self.complete:  # no further than to where they may be told apart
-            until = max(self.start + self.span + wait + _PASSED, until + FIRST, first_sample(rest))
+        while not self.complete:  # not much further than to where they may be told apart
+            until = max(until + FIRST, first_sample(rest))
             if newest <= until:
                 break
             ahead = np.flatnonzero(rest.imu.t > until)
