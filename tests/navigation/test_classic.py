@@ -382,6 +382,15 @@ def test_a_wrong_option_says_why(options, message):
 
 
 def test_it_names_what_it_has_no_room_for():
-    fading = replace(IMU, gyro=replace(IMU.gyro, turn_on_bias_sd=0.0))
-    named = load("classic-22", {}).unmodelled(units(fading).assumed)
-    assert named == ("gyro bias instability that fades (taken as a random walk)",)
+    """A bias that only wanders about zero, a Gauss-Markov process; one with a turn-on bias is a walk."""
+
+    def named(triad, **changes):
+        imu = replace(IMU, **{triad: replace(getattr(IMU, triad), **changes)})
+        return load("classic-22", {}).unmodelled(units(imu).assumed)
+
+    for triad, words in (("gyro", "gyro"), ("accel", "accelerometer")):
+        assert named(triad) == ()
+        fading = f"{words} bias instability that fades (taken as a random walk)"
+        assert named(triad, turn_on_bias_sd=0.0) == (fading,)
+        assert fading not in named(triad, turn_on_bias_sd=0.0, bias_model="flicker")
+        assert named(triad, turn_on_bias_sd=0.0, bias_instability=0.0) == ()

@@ -363,6 +363,18 @@ def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing()
         filter_.feed(piece)
 
 
+@pytest.mark.parametrize(("use", "without"), [("loose-15", ()), ("tight", ("observations",))])
+def test_satellites_that_are_not_used_or_not_there_leave_a_long_record_as_it_is(use, without, monkeypatch):
+    initial, data = drawn_satellites()
+    data = replace(data, **dict.fromkeys(without))
+    expected = built_in.load(use, {}).run(data, initial)
+    monkeypatch.setattr(disk_arrays, "ROWS", 290)
+    monkeypatch.setattr(disk_arrays, "LARGE", 0)
+    found = built_in.load(use, {}).run(data, initial)
+    assert_same_solution(found, expected)
+    assert sorted(found.events.rows()) == sorted(expected.events.rows())
+
+
 @pytest.mark.parametrize(
     ("use", "behind", "feeds"), [("loose-15", 1.5, range(2, 4)), ("ukf", 0.1, range(25, 35))]
 )
