@@ -97,6 +97,17 @@ def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
     assert beyond < 2
 
 
+@pytest.mark.parametrize(("spread", "least"), [(0.2, True), (0.5, True), (0.9, False)])
+def test_no_covariance_of_the_points_turns_indefinite(sensed, spread, least):
+    """No weight is negative: where the beta of a Gaussian, 2, would leave the centre below 0, it has 0."""
+    model = state_model(sensed.initial, sensed.data.specs, [BARO_BIAS])
+    flight = ukf.SigmaPointFlight(Unscented(spread=spread).options, model, sensed.initial, np.zeros((4, 3)))
+    points = flight.points()
+    assert (points.cov[1:] > 0.0).all()
+    assert points.cov[0] == pytest.approx(0.0 if least else 2.0 + 2.0 - 0.9**-2 - 0.9**2, abs=1e-9)
+    assert_allclose((points.x.T * points.cov) @ points.x, flight.P, rtol=1e-9, atol=1e-15)
+
+
 def test_a_gauss_markov_state_forgets_between_measurements(sensed):
     """x' = -x / tau over ten seconds: the estimate decays, its variance goes to that of the process.
 
