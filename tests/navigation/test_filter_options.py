@@ -15,7 +15,7 @@ from scipy import stats
 
 from bench import earth, pipeline, rotation, sensors
 from bench.config import load_profile
-from bench.data import GnssFixes, Trajectory
+from bench.data import GnssFixes, ImuData, Trajectory
 from bench.evaluation import error_series as judge
 from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation.built_in import load
@@ -101,6 +101,27 @@ def test_an_epoch_between_two_samples_is_used_at_its_own_instant(truth):
     solution = Loose().run(replace(drawn.data, fixes=moved), drawn.initial)
     z = solution.innovations.z[solution.innovations.code == 0]
     assert np.abs(z[len(z) // 2 :]).max() < 0.03
+
+
+@pytest.mark.parametrize("part", [0.25, 0.8])
+def test_an_answer_between_two_samples_is_that_of_a_record_cut_there(part):
+    """A sample and the parts of it before and after, at the same rates; a filter goes on as if not asked."""
+    drawn = sensors.sense(weaving(4.0, rate=50.0), units(), 8, 0)
+    imu, k = drawn.data.imu, 130
+    at = float(imu.t[k] - imu.dt[k] * (1.0 - part))
+    cut = {name: np.insert(getattr(imu, name), k, getattr(imu, name)[k], axis=0) for name in imu.__slots__}
+    cut["t"][k] = at
+    for name in ("dt", "dtheta_b", "dvel_b"):
+        cut[name][k], cut[name][k + 1] = part * cut[name][k], (1.0 - part) * cut[name][k + 1]
+    asked = replace(drawn.data, output_t=np.array([2.0, at, 4.0]))
+    one = Loose(covariance_hz=None, gnss_markov=True)
+    whole, parts, unasked = (
+        one.run(data, drawn.initial)
+        for data in (asked, replace(asked, imu=ImuData(**cut)), replace(asked, output_t=np.array([2.0, 4.0])))
+    )
+    for name in ("lla", "vel_n", "q_nb", "cov", "extra", "extra_sd"):
+        assert_allclose(getattr(whole, name)[1], getattr(parts, name)[1], rtol=1e-9, atol=1e-15)
+        assert_array_equal(getattr(whole, name)[[0, 2]], getattr(unasked, name))
 
 
 # --- noise ----------------------------------------------------------------------------------------------
@@ -266,8 +287,14 @@ def test_each_integrity_test_refuses_a_jump_by_itself(truth, test):
 
 
 def test_the_tolerance_is_that_of_the_register(truth):
-    """A-5.4.T by `bench.navigation.engine.integrity`: 1 s after the last fix, 1/2 20 + 5 sigma."""
-    drawn = sensors.sense(truth, units(baro=None), 11, 0)
+    """A-5.4.T by `bench.navigation.engine.integrity`: 1 s after the last fix, 1/2 20 + 5 sigma.
+
+    It is a test of fixes: a height 60 m off is none.
+    """
+    drawn = sensors.sense(truth, units(), 11, 0)
+    alt = drawn.data.baro.alt_baro.copy()
+    alt[drawn.data.baro.t > 119.0] += 60.0
+    drawn = replace(drawn, data=replace(drawn.data, baro=with_columns(drawn.data.baro, alt_baro=alt)))
     limit = integrity.tolerance(
         1.0, np.array([GNSS.pos_h_white_sd]), order=2, max_acceleration=20.0, sigmas=5.0
     )
@@ -282,6 +309,7 @@ def test_the_tolerance_is_that_of_the_register(truth):
         table = Loose(integrity=("tolerance",)).run(data, drawn.initial).innovations
         row = (table.code == 0) & (table.component == 0) & np.isclose(table.t, at)
         assert table.accepted[row][0] == kept
+        assert table.accepted[table.code == table.sensor.index("baro")].all()
 
 
 # --- airspeed and magnetometer ----------------------------------------------------------------------------

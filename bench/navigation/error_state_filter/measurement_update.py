@@ -155,7 +155,7 @@ def use_kernel(
         nis = nis_of_kernel(late.HP, dx, H, late.at, z, r, work.var, work.square)
         sound = nis <= gate.nis[m]
         doubted = not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0
-        if doubted and code == POSITION and a + 3 < first + rows:
+        if doubted and code == POSITION and rows > 3:
             H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
             waits = settle_kernel(P, late, waits)
             drifted, moves = fix_kernel(
