@@ -23,6 +23,7 @@ from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
 from bench.navigation.models.loose_tight import Loose, Passage, Tight
+from bench.sensor_specs import ThermalSpec
 from bench.signals.magnetic import field_n
 from tests.builders import first_rows, take
 from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving
@@ -175,6 +176,16 @@ def test_the_level_of_noise_is_the_running_mean_of_what_innovations_have_beyond_
             level = max(level + (np.mean(beyond / r) - level) / 20.0, 0.01)
         assert (z**2 > most * S).any()
         assert_allclose(passage.run.gate.level[table.sensor.index(sensor)], level, rtol=1e-9)
+
+
+def test_an_imu_warms_on_the_way_with_the_air_of_its_height():
+    """From 15.2 K below its reference at 800 m towards 5.2 K below, in 30 s: 6.1 K are to come after 15 s."""
+    gyro, thermal = replace(IMU.gyro, temperature_sd=1e-5), ThermalSpec(298.15, 10.0, 30.0)
+    drawn = sensors.sense(weaving(15.0, rate=50.0), units(replace(IMU, gyro=gyro, thermal=thermal)), 8, 0)
+    passage = Passage(Loose(every_error=True), drawn.data, drawn.initial, [])
+    assert passage.run.warmth == pytest.approx(-15.2, abs=0.1)
+    passage.feed(drawn.data, 0.0, last=True)
+    assert passage.run.warmth == pytest.approx(-5.2 - 10.0 * np.exp(-0.5), abs=0.1)
 
 
 # --- standstill -----------------------------------------------------------------------------------------

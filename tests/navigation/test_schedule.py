@@ -190,6 +190,7 @@ def test_every_row_is_measured_and_used_at_its_step_in_a_slot_of_its_own():
         np.testing.assert_array_equal(plan.left.arrival, waiting.arrival[~used])
         done += waiting.arrival[used].tolist()
         schedule.advance(plan)
+        assert schedule.last or schedule.t == pytest.approx(end - 0.41)  # before what is 0.4 s old
     assert len(set(done)) == len(done) == 3 * 36
 
 

@@ -80,11 +80,11 @@ def horizontal(solution, truth, t):
 class Epoch:
     """The fourth epoch of a record, measured from any state with clock, lever arm, ranges and atmosphere."""
 
-    def __init__(self, sensed):
+    def __init__(self, sensed, gnss=SKY):
         data, initial = sensed.data, sensed.initial
         schedule = Schedule(initial.t, data.specs.imu, compensate=True)
         schedule.take(data, last=True)
-        schedule.add_satellites(data.observations, SKY, initial.lla[0], satellite_states.Channels())
+        schedule.add_satellites(data.observations, gnss, initial.lla[0], satellite_states.Channels())
         self.sky = schedule.sky
         self.aid = Measurements(
             np.zeros((0, 6)), np.zeros((0, 6)), data.antenna_b, np.zeros((4, 3)), initial.lla
@@ -154,6 +154,28 @@ def test_the_troposphere_is_that_of_the_height_from_the_ground_to_12_km(sensed, 
         assert_allclose(r[1::2], 4e-6)
     vertical = (found[0] - found[1]) / (found[2] - found[1])
     assert_allclose(vertical, zenith_troposphere(epoch.start[0], np.clip(alt, 0.0, 12_000.0)), atol=2e-5)
+
+
+@pytest.mark.parametrize("receiver", ["sky-l1", "sky-l1l2"])
+def test_rows_are_those_of_one_carrier_or_of_the_combination_of_two(receiver):
+    """B-11: without ionosphere, and the errors of two carriers in it by their squares."""
+    gnss = config.load_profile("figure-eight", {"sensors.gnss": receiver}).sensors.gnss
+    sensed = sensors.sense(weaving(2.0, rate=50.0), units(gnss=gnss), 1, 0)
+    o, epoch = sensed.data.observations, Epoch(sensed, gnss)
+    squares, sky = o.frequency**2, epoch.sky
+    assert len(sky.t) == len(o.t)
+    assert_allclose(sky.t, o.t + o.gps_t0)
+    assert_allclose(sky.variance, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2)
+    if receiver == "sky-l1":
+        assert_allclose(sky.ionosphere, 1575.42e6**2 / squares[:, 0])
+        assert_allclose(sky.combined, 1.0)
+    else:
+        assert not sky.ionosphere.any()
+        parts = squares / (squares[:, :1] - squares[:, 1:])
+        assert_allclose(sky.combined, np.hypot(*parts.T))
+        assert abs(sky.combined[o.system == GPS] - 2.98).max() < 0.01
+        free = (o.pseudorange * parts) @ [1.0, -1.0]
+        assert np.abs(sky.values[:, 0] - free - o.sat_clock).max() < 1e-6
 
 
 def test_with_the_true_state_the_ranges_leave_nothing_but_their_noise(truth, sensed):
