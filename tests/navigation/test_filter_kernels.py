@@ -9,7 +9,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import earth, rotation
-from bench.navigation.error_state_filter import measurement_rows, measurement_update, propagation
+from bench.navigation.error_state_filter import (
+    error_state,
+    measurement_rows,
+    measurement_update,
+    propagation,
+)
 from bench.navigation.error_state_filter.aiding_sensors import magnetic_map
 from bench.navigation.error_state_filter.antenna_rows import antenna_kernel
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -169,6 +174,29 @@ def test_below_5_m_s_a_pitot_tube_tells_nothing(east, rows):
     made, z, _ = fill(measurement_rows.AIRSPEED_ROWS, state, [4.0], index_of(layout))
     assert made == rows
     assert_allclose(z, [1.1][:made], rtol=1e-9)
+
+
+def test_the_rows_of_a_standstill_are_differences_of_its_rates_and_velocities():
+    """What the gyros measure beyond their biases is the rotation of the Earth, seen from any attitude."""
+    layout = StateLayout()
+    state = state_of(layout, (0.4, -0.3, 1.1), vel_n=(0.1, -0.2, 0.3))
+    state[10:13] = 1e-4, -2e-4, 3e-4
+    rate = np.array([2e-4, -1e-4, 5e-5])
+
+    def rows(error):
+        moved = state.copy()
+        plain(error_state.feedback_kernel)(moved, -error)
+        made, z, H = fill(measurement_rows.STANDSTILL_ROWS, moved, [*rate, 0.0, 0.0, -9.8], index_of(layout))
+        assert made == 6
+        return z.copy(), H
+
+    z, H = rows(np.zeros(15))
+    earth_n = 7.292115e-5 * np.array([np.cos(0.8), 0.0, -np.sin(0.8)])
+    wanted = rate - state[10:13] - rotation.matrix(state[6:10]).T @ earth_n
+    assert_allclose(z, [0.1, -0.2, 0.3, *wanted], rtol=1e-9, atol=1e-13)
+    for k in range(3, 15):  # a place a metre off turns the rates by 1e-11 rad/s
+        step = 1e-3 * np.eye(15)[k]
+        assert_allclose(H[:, k], (rows(step)[0] - rows(-step)[0]) / 2e-3, rtol=1e-6, atol=1e-11)
 
 
 def test_the_field_is_that_of_the_place_of_the_filter():
