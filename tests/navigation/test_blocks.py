@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.integrate import cumulative_simpson
 
 from bench import sensors
 from bench.config import load_profile
@@ -28,10 +29,10 @@ from tests.builders import first_rows
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving
 
-SD, DECAY = 1e-2, 0.02
+SD, DECAY, BY_WAY = 1e-2, 0.02, 1e-3
 PUSH = Block(
     "push",
-    lambda _: [States("push", "m_s2", 1, SD**2, decay_time=DECAY, drives=((0, 3, 3),))],
+    lambda _: [States("push", "m_s2", 1, SD**2, 0.0, DECAY, BY_WAY, drives=((0, 3, 3),))],
     takes=("accelerometer bias instability as flicker noise",),
 )
 """A forward scale error of the accelerometer: it needs no column of H."""
@@ -48,11 +49,12 @@ def drawn():
 
 
 def test_a_state_from_outside_is_named_spread_and_fades(drawn):
-    """Its sd starts as declared and decays by exp(-t / 50 s): no measurement sees it apart from the bias."""
+    """Its sd decays by exp(-t / 50 s - s / 1 km), s the way over ground: it looks like the bias."""
     solution = Pushed(gnss=False, baro=False).run(drawn.data, drawn.initial)
     assert solution.extra_names[-1] == "push_m_s2"
     sd = solution.extra_sd[:, -1]
-    assert_allclose(sd, SD * np.exp(-DECAY * (solution.t - drawn.initial.t)), rtol=1e-9)
+    way = cumulative_simpson(np.hypot(*solution.vel_n[:, :2].T), x=solution.t, initial=0.0)
+    assert_allclose(sd, SD * np.exp(-DECAY * (solution.t - drawn.initial.t) - BY_WAY * way), rtol=1e-3)
 
 
 def test_a_drive_acts_like_the_bias_it_names(drawn):

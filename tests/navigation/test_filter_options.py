@@ -185,6 +185,10 @@ def test_an_imu_warms_on_the_way_with_the_air_of_its_height():
     passage = Passage(Loose(every_error=True), drawn.data, drawn.initial, [])
     assert passage.run.warmth == pytest.approx(-15.2, abs=0.1)
     passage.feed(drawn.data, 0.0, last=True)
+    imu, (rate, force) = drawn.data.imu, passage.run.work.measure.last  # what measurements see: the newest
+    assert_allclose(rate, imu.dtheta_b[-1] * 50.0, atol=1e-3)
+    assert_allclose(force, imu.dvel_b[-1] * 50.0, atol=0.1)
+    assert_allclose(passage.run.work.carried.known[3], IMU.gyro.random_walk**2 * 50.0)
     assert passage.run.warmth == pytest.approx(-5.2 - 10.0 * np.exp(-0.5), abs=0.1)
 
 

@@ -43,7 +43,8 @@ def predict(kind, state, index, values):
     """Predicted less measured, with whole vectors and matrices."""
     air = np.zeros(3)
     if index.gust_n >= 0:
-        air = state[index.gust_n + 1 : index.gust_n + 4] + [*state[index.wind_north + 1 :][:2], 0.0]
+        air = state[index.gust_n + 1 : index.gust_n + 4].copy()
+        air[:2] += state[index.wind_north + 1 : index.wind_north + 3]
     if kind == "airspeed":
         return [np.linalg.norm(state[3:6] - air) - values[0]]
     axle = state[index.axle_b + 1 : index.axle_b + 4] if index.axle_b >= 0 else np.zeros(3)

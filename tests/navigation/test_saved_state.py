@@ -121,17 +121,27 @@ ALTERED = {
     "a sensor that is not there": (
         "loose-22",
         f"{RUN}/pending/tags",
-        lambda a: a + [20, 0, 0, 0],
+        lambda a: np.add(a, [20, 0, 0, 0]),
         r"\(sensor\) must",
     ),
     "one before the first": (
         "loose-22",
         f"{RUN}/pending/tags",
-        lambda a: a - [2, 0, 0, 0],
+        lambda a: np.subtract(a, [2, 0, 0, 0]),
         r"\(sensor\) must",
     ),
-    "a fourth component": ("loose-22", f"{RUN}/pending/tags", lambda a: a + [0, 0, 3, 0], r"\(component\)"),
-    "a channel beyond": ("loose-22", f"{RUN}/pending/tags", lambda a: a + [0, 99, 0, 0], r"\(channel\) must"),
+    "a fourth component": (
+        "loose-22",
+        f"{RUN}/pending/tags",
+        lambda a: np.add(a, [0, 0, 3, 0]),
+        r"\(component\)",
+    ),
+    "a channel beyond": (
+        "loose-22",
+        f"{RUN}/pending/tags",
+        lambda a: np.add(a, [0, 99, 0, 0]),
+        r"\(channel\) must",
+    ),
     "fewer tags": ("loose-22", f"{RUN}/pending/tags", lambda a: a[:-1], "pending/tags must have"),
     "no slot": ("loose-22", f"{RUN}/pending/live", lambda a: a[:0], "width must hold a fix"),
     "a channel that is not there": (

@@ -441,6 +441,25 @@ def test_the_drift_walks_as_far_between_epochs_as_flicker_moves_it(rate):
     assert 0.85 < np.mean(np.diff(drift) ** 2) * rate / drift_state.density < 1.05
 
 
+@pytest.mark.parametrize("rate", [2.0, None])
+def test_a_clock_that_nothing_measures_walks_in_closed_form(rate):
+    """Whatever the step: P_oo + P_dd t^2 + q_o t + q_d t^3 / 3 of the offset, P_dd + q_d t of the drift."""
+    sensed = sensors.sense(weaving(8.0, rate=50.0), UNITS, 1, 0)
+    lost = np.full_like(sensed.data.observations.pseudorange, np.nan)
+    columns = {f.name: getattr(sensed.data.observations, f.name) for f in fields(GnssObservations)}
+    data = replace(sensed.data, observations=GnssObservations(**columns | {"pseudorange": lost}))
+    solution = Tight(covariance_hz=rate).run(data, sensed.initial)
+    offset, drift, *_ = CLOCK.states(sensed.data.specs)
+    offset_sd, drift_sd = (
+        solution.extra_sd[:, solution.extra_names.index(name)]
+        for name in ("clock_offset_m", "clock_drift_m_s")
+    )
+    t = solution.t
+    assert_allclose(drift_sd**2, drift.variance + drift.density * t, rtol=1e-9)
+    walked = drift.variance * t**2 + offset.density * t + drift.density * t**3 / 3.0
+    assert_allclose(offset_sd**2, offset.variance + walked, rtol=1e-9)
+
+
 def test_epochs_without_satellites_are_counted_and_carried_through(sensed):
     """As of a receiver under a bridge: six epochs of nothing, one after the other, and two at the end."""
     o = sensed.data.observations
