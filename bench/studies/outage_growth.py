@@ -62,7 +62,9 @@ class Drift:
     @property
     def whole_law(self) -> FloatArray:
         """The closed form of all sources together (D,) [m]."""
-        return np.asarray(np.sqrt(sum((np.square(one) for one in self.law.values()), 0.0 * self.grid)))
+        return np.asarray(
+            np.sqrt(sum((np.square(one) for one in self.law.values()), np.zeros(len(self.grid))))
+        )
 
     def quantile(self, k: int, fraction: float) -> float | None:
         """Return a quantile of the horizontal growth over the draws at an instant [m]."""

@@ -315,10 +315,13 @@ def test_the_delay_shifts_the_motion(delay):
 
 def test_a_filter_refuses_samples_of_unequal_length():
     truth = still(1.0, 100.0)
-    t = truth.t.copy()
-    t[50] += 0.003
-    with pytest.raises(ValueError, match="samples of equal length"):
-        run(replace(truth, t=t), gyro=replace(OFF, delay=0.01))
+    for off in (0.003, 1e-7):
+        t = truth.t.copy()
+        t[50] += off
+        with pytest.raises(ValueError, match="samples of equal length"):
+            run(replace(truth, t=t), gyro=replace(OFF, delay=0.01))
+    t[50] = truth.t[50] + 1e-12  # by rounding
+    run(replace(truth, t=t), gyro=replace(OFF, delay=0.01))
 
 
 # --- where the accelerometers are ---------------------------------------------------------------------

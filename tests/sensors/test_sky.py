@@ -284,6 +284,10 @@ def test_the_assumed_size_of_an_error_is_the_root_of_the_sum_of_its_parts():
     exact = measure(short, QUIET).observations
     assert (exact.sd_pseudorange == 0.01).all()
     assert (exact.sd_range_rate == 1e-4).all()
+    both = replace(QUIET, bands=2, dll_bandwidth=0.5, fll_bandwidth=2.0)
+    noisy = measure(short, both).observations
+    of_rate = sky.doppler_sd(noisy.cn0[:, 0], noisy.frequency[:, 0], both)  # on the first carrier
+    assert_allclose(noisy.sd_range_rate, of_rate, rtol=1e-12)
     assert sky.make_processing(replace(FULL, second_band_loss=40.0)).budget.second_band == pytest.approx(100)
 
 
