@@ -155,7 +155,8 @@ def test_what_is_above_the_mask_is_what_the_orbits_say():
     truth, mask = still(15000.0, 0.01), np.deg2rad(15.0)
     seen = measure(truth, replace(QUIET, elevation_mask=mask), (0.0, 0.0, 0.0), rate=0.01).above
     assert seen.elevation.min() >= mask
-    t, here, up_e = truth.t[1:], earth.to_ecef(ORIGIN), -earth.matrix_en(*ORIGIN[:2])[:, 2]
+    C_en = earth.matrix_en(*ORIGIN[:2])
+    t, here, up_e = truth.t[1:], earth.to_ecef(ORIGIN), -C_en[:, 2]
     sets = {system: orbits.make_nominal(system) for system in (GPS, GLONASS)}
     for system, k in ((system, k) for system, one in sets.items() for k in range(len(one))):
         then = t + QUIET.gps_t0 - 0.075
@@ -163,8 +164,13 @@ def test_what_is_above_the_mask_is_what_the_orbits_say():
         turned = away + np.cross([0.0, 0.0, -orbits.GPS_EARTH_RATE * 0.075], away + here)
         elevation = np.arcsin(turned @ up_e / np.linalg.norm(turned, axis=1))
         sure = np.abs(elevation - mask) > 2e-6
-        found = np.isin(t, seen.t[(seen.system == system) & (seen.sat == k + 1)])
+        rows = (seen.system == system) & (seen.sat == k + 1)
+        found = np.isin(t, seen.t[rows])
         assert_array_equal(found[sure], (elevation > mask)[sure])
+        north, east = (turned[found] @ C_en[:, :2]).T
+        off = np.exp(1j * (seen.azimuth[rows] - np.arctan2(east, north))) - 1.0
+        assert_allclose(np.abs(off), 0.0, atol=1e-4)
+        assert_allclose(seen.elevation[rows], elevation[found], rtol=0, atol=1e-5)
 
 
 def test_a_bank_loses_the_satellites_geometry_says():
