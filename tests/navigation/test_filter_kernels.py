@@ -152,9 +152,14 @@ HEADED = StateLayout(("heading_bias", "rad", 1), ("course_offset", "rad", 1))
     (3.1, -3.1, 6.2 - 2 * np.pi), (-3.1, 3.1, 2 * np.pi - 6.2), (0.5, 0.2, 0.3), (0.5, 0.2 + 4 * np.pi, 0.3),
 ])  # fmt: skip
 def test_a_heading_is_compared_the_short_way_round(kind, yaw, read, apart):
-    made, z, _ = fill(kind, state_of(HEADED, (0.1, -0.2, yaw)), [read], index_of(HEADED))
+    """Of two antennas with their offset added, of a course with its own taken off."""
+    state = state_of(HEADED, (0.1, -0.2, yaw))
+    state[16:] = 0.02, 0.05
+    made, z, H = fill(kind, state, [read], index_of(HEADED))
+    heading = kind == measurement_rows.HEADING_ROWS
     assert made == 1
-    assert_allclose(z, [apart])
+    assert_allclose(z, [apart + (0.02 if heading else -0.05)])
+    assert_allclose(H[0, [8, 15, 16]], [1.0, 1.0, 0.0] if heading else [1.0, 0.0, -1.0])
 
 
 @pytest.mark.parametrize(("pitch", "rows"), [(1.46, 1), (1.48, 0), (-1.48, 0)])
