@@ -21,6 +21,7 @@ from bench.navigation.engine.gate import (
     new_trust,
     note_kernel,
     refusals,
+    returns_kernel,
 )
 
 SENSORS = ("gnss_position", "gnss_velocity", "baro", "radar")
@@ -133,9 +134,9 @@ def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velo
     S = np.eye(6) + 4.0 * np.kron([[1.0, 0.95], [0.95, 1.0]], np.eye(3))
     y = np.array([position, 0.0, 0.0, velocity, 0.0, 0.0])
     gate = InnovationGate(SENSORS, 0.0, 1e-5, 10.0)
-    gate.see_fix(9.9, y, S, np.ones(3))
+    gate.see_fix(9.9, y, S, np.full(3, 2.0))
     assert not gate.drifted
-    gate.see_fix(10.0, y, S, np.ones(3))
+    gate.see_fix(10.0, y, S, np.full(3, 2.0))
     assert gate.drifted is drifted
     gate.see_fix(10.0, y, S, np.full(3, 10.0))  # the filter claims to know its place better than the fix
     assert gate.drifted is (velocity == 12.0)
@@ -156,6 +157,23 @@ def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velo
 )
 def test_what_is_a_drift_and_what_a_step_of_the_receiver(position, velocity, both, apart, drifted):
     assert drift_kernel(position, velocity, both, apart, 10.0) is drifted
+
+
+@pytest.mark.parametrize(
+    ("misses", "used", "returns"),
+    [
+        ((0, 0), (-3.0, 0.0), True),
+        ((0, 0), (0.1, -3.0), False),
+        ((0, 0), (-3.0, 0.1), False),
+        ((1, 0), (0.0, 0.0), False),
+        ((0, 1), (0.0, 0.0), False),
+        ((2, 2), (0.0, 0.0), False),
+    ],
+)
+def test_a_fix_comes_back_after_ten_seconds_without_any(misses, used, returns):
+    trust = new_trust(2, 0.0)
+    trust.misses[:], trust.used[:] = misses, used
+    assert returns_kernel(10.0, trust) is returns
 
 
 @pytest.mark.parametrize("missed", [0, 1])
@@ -183,8 +201,11 @@ def test_a_gate_of_a_compiled_filter_sees_a_fix_as_one_in_python_does():
     for k in range(60):
         root = rng.normal(size=(9, 9))
         P, H, r = root @ root.T, rng.normal(size=(6, 9)), 10.0 ** rng.uniform(-1.0, 2.0, 6)
+        sizes = 10.0 ** rng.uniform(0.2, 0.8, 2)
+        if k % 3 == 1:  # a drift, and the filter knows its place a little worse than the fix does
+            r[:3], sizes = np.trace((H @ P @ H.T)[:3, :3]) / 6.0, np.array([6.0, 0.5])
         S = H @ P @ H.T + np.diag(r)
-        y = np.linalg.cholesky(S) @ (rng.normal(size=6) * np.repeat(10.0 ** rng.uniform(0.2, 0.8, 2), 3))
+        y = np.linalg.cholesky(S) @ (rng.normal(size=6) * np.repeat(sizes, 3))
         gate, trust = InnovationGate(SENSORS, 0.0, 1e-5, 1.0), new_trust(2, 0.0)
         if k % 3 == 0:  # refused a second ago, elsewhere
             for one in (gate.trust, trust):
