@@ -88,6 +88,36 @@ def test_a_turn_is_summed_by_euler_and_maclaurin_and_leaves_what_changes_within_
     assert not found.any()
 
 
+def test_what_is_carried_of_a_motion_whose_acceleration_grows():
+    """To a cubic the way left over stays the same; beside it the path, and what jerks may hide."""
+    t, jerk, dt = 0.5 * np.arange(21.0), np.array([0.6, -0.8, 0.0]), 0.5
+    place, velocity = np.outer(t**3 / 6.0, jerk), np.outer(t**2 / 2.0, jerk)
+    test, left = MovedFixes(RECEIVER, 1e-5), []
+    for k in range(len(t)):
+        one = replace(fixes_at(t[k : k + 1], place[k : k + 1], [0.0] * 3), vel_n=velocity[k : k + 1])
+        test.take(one, np.full((1, 6), 0.25), last=False)
+        left.append(test.state()["before"])
+    left = np.array(left)
+    assert np.abs(left[2:, 1:4] - left[2, 1:4]).max() < 2e-3  # of 0.2 m that trapezoids leave
+    hidden = 10.0 * dt**3 / 24.0 + np.linalg.norm(jerk) * dt**2 * dt / 6.0
+    assert_allclose(left[3:, 4:7], 0.25 + hidden**2, rtol=1e-3)
+    assert_allclose(left[:, 7:10], np.outer(np.arange(21.0), np.full(3, 0.25 * dt**2)))
+    speed = np.linalg.norm(jerk) * t**2 / 2.0
+    path = np.append(0.0, np.cumsum(0.5 * dt * (speed[1:] + speed[:-1])))
+    assert_allclose(left[:, 10], path, rtol=1e-3, atol=1e-3)
+
+
+def test_a_receiver_whose_first_fixes_are_all_wild_is_heard_when_it_calms_down():
+    """None of the first ten seconds fits the others: the first of them stands for all until the next gap."""
+    t, velocity = np.arange(30.0), np.array([3.0, 4.0, 0.0])
+    place = np.outer(t, velocity)
+    place[:11] += 1e4 * np.random.default_rng(3).normal(size=(11, 3))
+    late = np.where(t > 20.0, t + 9.0, t)
+    found, _ = MovedFixes(RECEIVER, 1e-5).take(fixes_at(late, place, velocity), np.ones((30, 6)), last=True)
+    assert found[2:21].all()
+    assert not found[21:].any()
+
+
 def test_rows_of_reports_are_told_when_they_end_and_only_then():
     t, velocity = np.arange(40.0), np.array([3.0, 4.0, 0.0])
     place = np.outer(t, velocity)
@@ -237,6 +267,8 @@ def test_attitude_is_held_and_what_is_not_known_of_it_grows_to_what_is_usual():
     u = 0.2 / 3.0
     turned = 0.45**2 * (2.0 * (u - 1.0 + np.exp(-u)) + u * u - 2.0 * u * (1.0 - np.exp(-u))) + 0.64
     assert_allclose(np.diag(cov)[6:], 1e-4 + turned)
+    arm2 = np.dot(coast._antenna_b, coast._antenna_b) / 3.0  # it swings by 1.5 rad/s, and 15 m/s^2 move it
+    assert_allclose(np.diag(cov)[3:6], 1e-4 + 2.25 * arm2 + (15.0 * 0.2) ** 2, rtol=0.02)
     assert_allclose(np.diag(coast.at(8.0)[2])[6:], np.pi**2 / 3.0)
     sure = coasting(ended(cov=np.diag([1e-4] * 6 + [1.0, 1e-4, 4.0])))
     assert_allclose(np.diag(sure.at(6000.0)[2])[6:], [1.0, 0.25, 4.0])  # nothing is forgotten
