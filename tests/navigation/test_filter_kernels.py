@@ -133,11 +133,39 @@ def fill(kind, state, values, index, **data):
     given = {"antenna_b": np.zeros(3), "field": np.zeros((4, 3)), "field_lla": PLACE, **data}
     measured = np.zeros((1, 9))
     measured[0, : len(values)] = values
-    aid = Measurements(values=measured, variance=np.full((1, 6), 2.0), **given)
+    aid = Measurements(values=measured, variance=np.arange(2.0, 8.0)[None], **given)
     work = propagation.work_for(n, np.empty((0, 3), np.int64)).measure
     now = FilterState(state, np.zeros((n, n)), np.zeros(n))
     made = plain(measurement_rows.ROWS[kind])(0, 0, Site(now, aid, index, pending, work))
+    assert_array_equal(pending.r[:made], aid.variance[0, :made])
+    sensors, length = SENSORS[kind]
+    # sensor, its channel, component of how many
+    rows = [[code, code, part, length] for code in sensors for part in range(length)]
+    assert pending.tags[:made].tolist() == rows[:made]
     return made, pending.z[:made], pending.H[:made]
+
+
+SENSORS = {
+    measurement_rows.FIX_ROWS: ((measurement_rows.POSITION, measurement_rows.VELOCITY), 3),
+    measurement_rows.MAGNETIC_ROWS: ((measurement_rows.MAGNETIC,), 3),
+    measurement_rows.AIRSPEED_ROWS: ((measurement_rows.AIRSPEED,), 1),
+    measurement_rows.HEADING_ROWS: ((measurement_rows.HEADING,), 1),
+    measurement_rows.COURSE_ROWS: ((measurement_rows.COURSE,), 1),
+    measurement_rows.STANDSTILL_ROWS: ((measurement_rows.ZERO_VELOCITY, measurement_rows.ZERO_RATE), 3),
+    measurement_rows.BARO_ROWS: ((measurement_rows.BARO,), 1),
+    measurement_rows.RADAR_ROWS: ((measurement_rows.RADAR,), 1),
+    measurement_rows.VEHICLE_ROWS: ((measurement_rows.NONHOLONOMIC,), 2),
+    measurement_rows.ODOMETER_ROWS: ((measurement_rows.ODOMETER,), 1),
+}
+
+
+@pytest.mark.parametrize("kind", SENSORS)
+def test_each_record_fills_the_rows_of_its_sensors_with_their_variances(kind):
+    names = ("wind_north", "wind_east", "course_offset")
+    layout = StateLayout(*((name, "1", 1) for name in names))
+    state = state_of(layout, (0.1, 0.2, 0.3), vel_n=(10.0, -20.0, 3.0))
+    made, *_ = fill(kind, state, np.arange(1.0, 10.0), index_of(layout))
+    assert made == len(SENSORS[kind][0]) * SENSORS[kind][1]
 
 
 def state_of(layout, euler=(0.0, 0.0, 0.0), vel_n=(0.0, 0.0, 0.0), lla=PLACE):
@@ -215,6 +243,18 @@ def test_the_field_is_that_of_the_place_of_the_filter():
         _, z, _ = fill(measurement_rows.MAGNETIC_ROWS, state, there, index_of(layout), field=field)
         moved = field_n(lla[None], 2026.0)[0] - field_n(PLACE[None], 2026.0)[0]
         assert np.abs(z).max() < min(2e-9, 0.1 * np.linalg.norm(moved))
+
+
+def test_a_fix_shows_what_wanders_in_it_and_one_without_velocity_its_position():
+    layout = StateLayout(("gnss_pos", "m", 3), ("gnss_vel", "m_s", 3))
+    state = state_of(layout, (0.3, -0.2, 1.1), vel_n=(10.0, -20.0, 3.0))
+    state[16:] = 0.1, 0.2, 0.3, 0.4, 0.5, 0.6
+    for rows, vel_n in ((6, state[3:6]), (3, np.full(3, np.nan))):
+        fix = [*PLACE, *vel_n, 0.0, 0.0, 0.0]
+        made, z, H = fill(measurement_rows.FIX_ROWS, state, fix, index_of(layout))
+        assert made == rows
+        assert_allclose(z, state[16:][:rows], atol=1e-9)
+        assert_allclose(H[:, 15:], np.eye(6)[:rows])
 
 
 def test_a_fix_beyond_the_date_line_is_near():
