@@ -232,6 +232,37 @@ def test_the_rows_of_a_standstill_are_differences_of_its_rates_and_velocities():
         assert_allclose(H[:, k], (rows(step)[0] - rows(-step)[0]) / 2e-3, rtol=1e-6, atol=1e-11)
 
 
+def test_the_rows_of_a_magnetometer_are_differences_of_what_it_shows():
+    """With a calibration a fifth off, so that its products with an attitude error count."""
+    names = ("mag_iron_b", "T"), ("mag_scale", "1"), ("mag_soft_iron", "1"), ("mag_turn", "1")
+    layout = StateLayout(*((name, unit, 3) for name, unit in names))
+    state = state_of(layout, (0.4, -0.3, 1.1))
+    state[16:] = 1e-6, -2e-6, 3e-6, 0.1, -0.2, 0.15, 0.05, -0.1, 0.2, 0.12, 0.07, -0.15
+    field = magnetic_map(PLACE, 2026.0)
+
+    def rows(error):
+        moved = state.copy()
+        plain(error_state.feedback_kernel)(moved, -error)
+        _, z, H = fill(measurement_rows.MAGNETIC_ROWS, moved, np.zeros(3), index_of(layout), field=field)
+        return z.copy(), H
+
+    z, H = rows(np.zeros(27))
+    scale, soft, turn = state[19:22], state[22:25], state[25:28]
+    M = np.diag(scale) + np.array(
+        [
+            [0.0, soft[2] + turn[2], soft[1] - turn[1]],
+            [soft[2] - turn[2], 0.0, soft[0] + turn[0]],
+            [soft[1] + turn[1], soft[0] - turn[0], 0.0],
+        ]
+    )
+    shown = (np.eye(3) + M) @ rotation.matrix(state[6:10]).T @ field[0] + state[16:19]
+    assert_allclose(z, shown, rtol=1e-12)
+    for k in range(6, 27):
+        step = 1e-4 * np.eye(27)[k]
+        difference = (rows(step)[0] - rows(-step)[0]) / 2e-4
+        assert_allclose(H[:, k], difference, rtol=1e-6, atol=1e-6 * np.abs(field[0]).max())
+
+
 def test_the_field_is_that_of_the_place_of_the_filter():
     """5 km from where its map was made: within 2 nT of the field there, of the slopes all but a tenth."""
     layout = StateLayout()
