@@ -249,6 +249,7 @@ def late(P, dx, H, z, r, lengths):
         late_rows_kernel(P, H[part], memory, count)
         seen.append(memory.HP[:m, :n].copy())
         count = late_update_kernel(P, dx, H[part], z[part], r[part], memory, count)
+        assert count == (a + m) % DEPTH
     settle_kernel(P, memory, count)
     return P, dx, np.vstack(seen)
 
