@@ -119,7 +119,7 @@ def test_a_clock_walks_as_the_integral_of_its_drift():
 # --- rows -------------------------------------------------------------------------------------------------
 
 
-def fill(kind, state, values, index, **data):
+def fill(kind, state, values, index, drives=(), force_n=(0.0, 0.0, 0.0), **data):
     """Rows made, their z and H, of a measurement."""
     n = len(state) - 1
     pending = Pending(
@@ -134,7 +134,8 @@ def fill(kind, state, values, index, **data):
     measured = np.zeros((1, 9))
     measured[0, : len(values)] = values
     aid = Measurements(values=measured, variance=np.arange(2.0, 8.0)[None], **given)
-    work = propagation.work_for(n, np.empty((0, 3), np.int64)).measure
+    work = propagation.work_for(n, np.reshape(drives, (-1, 3)).astype(np.int64)).measure
+    work.force_n[:] = force_n
     now = FilterState(state, np.zeros((n, n)), np.zeros(n))
     made = plain(measurement_rows.ROWS[kind])(0, 0, Site(now, aid, index, pending, work))
     assert_array_equal(pending.r[:made], aid.variance[0, :made])
@@ -286,6 +287,31 @@ def test_a_fix_shows_what_wanders_in_it_and_one_without_velocity_its_position():
         assert made == rows
         assert_allclose(z, state[16:][:rows], atol=1e-9)
         assert_allclose(H[:, 15:], np.eye(6)[:rows])
+
+
+def test_a_fix_of_another_instant_moves_by_the_force_and_all_that_errs_in_it():
+    """0.2 s off: differences in velocity, attitude, bias, scale factor and the offset itself."""
+    layout = StateLayout(("accel_scale", "1", 3), ("time_offset", "s", 1))
+    state = state_of(layout, (0.4, -0.3, 1.1), vel_n=(30.0, -20.0, 3.0))
+    state[19], f_b = 0.2, np.array([1.0, -2.0, -11.0])
+    drives = [(15 + i, 12 + i, 3 + i) for i in range(3)]
+
+    def rows(error):
+        moved = state.copy()
+        plain(error_state.feedback_kernel)(moved, -error)
+        force_n = rotation.matrix(moved[6:10]) @ (f_b * (1.0 - moved[16:19]) - moved[13:16])
+        fix = [*PLACE, 25.0, -15.0, 2.0, 0.0, 0.0, 0.0]
+        _, z, H = fill(measurement_rows.FIX_ROWS, moved, fix, index_of(layout), drives, force_n)
+        return z.copy(), H
+
+    z, H = rows(np.zeros(19))
+    a = rotation.matrix(state[6:10]) @ f_b + earth.gravity_n(PLACE[0], PLACE[2])
+    assert_allclose(
+        z, [*(0.2 * state[3:6] + 0.02 * a), *(state[3:6] + 0.2 * a - [25.0, -15.0, 2.0])], atol=1e-9
+    )
+    for k in (*range(3, 9), *range(12, 19)):
+        step = 1e-4 * np.eye(19)[k]
+        assert_allclose(H[:, k], (rows(step)[0] - rows(-step)[0]) / 2e-4, rtol=1e-6, atol=1e-6)
 
 
 def test_a_fix_beyond_the_date_line_is_near():
