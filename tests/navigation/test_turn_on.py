@@ -147,6 +147,9 @@ def test_in_a_coordinated_turn_the_bias_is_what_the_gyros_show_beyond_it(bias_de
     for until in (4.5, 7.0, 12.0):
         near, sd = turning_start.find_bias(data, start, until, near)
         assert_allclose(near, bias_b, atol=2.5 * EARTH_RATE)
+    rare = replace(data, fixes=data.fixes.take(np.arange(len(data.fixes)) % 2 == 0))  # every two seconds
+    assert_allclose(turning_start.find_bias(rare, start, 12.0, near)[0], bias_b, atol=2.5 * EARTH_RATE)
+    assert turning_start.find_bias(data, start, data.fixes.t_arrival[0] + 0.1, near) is None
     end = data.fixes.t[data.fixes.t_arrival <= 12.0][-2:].mean()
     assert sd == pytest.approx(np.hypot(np.deg2rad(5.0), 0.5 * BANK) / end)
 
