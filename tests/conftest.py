@@ -1,6 +1,7 @@
 """What several test files look at: truths from JSBSim, each flown once, and the random streams drawn."""
 
 import fcntl
+import gc
 import hashlib
 import os
 import pickle
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 
 from bench import pipeline, sensors
-from bench.compiled import choose_cache
 from bench.config import load_profile
 from bench.data import Sensed, Trajectory
 from bench.flight import fly
 from bench.flight.truth import Stretch
 from bench.flight_specs import FlightSpec
+from bench.places import cache_folder
 from bench.random_streams import stream
 from bench.sensors import draws
 from tests.builders import first_rows
@@ -32,6 +33,8 @@ if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:  # under nohup
     signal.signal(signal.SIGHUP, lambda *_: None)
 for _name in ("CLICOLOR_FORCE", "COLUMNS", "FORCE_COLOR", "LINES", "NO_COLOR"):  # they change what is printed
     os.environ.pop(_name, None)
+# one place of compiled kernels, whatever BENCH_CACHE a test sets; numba reads it when it is imported
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder("kernels")))
 
 SLOWEST = (
     "test_a_heading_that_is_hardly_known_is_found",
@@ -45,6 +48,12 @@ SLOWEST = (
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Put the slowest tests first."""
     items.sort(key=lambda item: item.name not in SLOWEST)
+
+
+def pytest_collection_finish() -> None:
+    """Leave what all tests share out of the collection of garbage, which would go over it again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
@@ -67,14 +76,6 @@ def one_processor() -> Iterator[None]:
     """See one processor: pytest has a worker on each. What needs processes of its own says how many."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
-        yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def kernels_compiled_once() -> Iterator[None]:
-    """Let processes whose cache of truths is another one use the kernels of this process all the same."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("NUMBA_CACHE_DIR", str(choose_cache().parent))
         yield
 
 

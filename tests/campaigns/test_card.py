@@ -447,14 +447,6 @@ def test_a_card_is_made_or_compared(arguments, capsys):
     )
 
 
-@pytest.mark.parametrize("own", [["loose-22"], ["loose-15", "--label", "loose-22"]])
-def test_two_of_one_name_are_told_apart_by_a_label(own, capsys):
-    assert main(["card", "--against", "loose-22", "--option", "baro=false", "-e", *own]) == 2
-    assert capsys.readouterr().err == (
-        "error: the card has 'loose-22' already: give the one to judge another name with --label\n"
-    )
-
-
 def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys):
     """Those of loose-15, written by hand, have its errors; a draw without one is told."""
     monkeypatch.chdir(made)

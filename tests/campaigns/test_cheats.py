@@ -258,8 +258,10 @@ def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels
     plan, found = card._plan(card.QUICK, *uses, HERE, label, options)
     assert found == (*labels, "free-inertial")
     assert set(found) == set(plan.cells[0].profile.labels)
-    with pytest.raises(ConfigError, match="is taken by an entry above"):
-        card._plan(card.QUICK, "loose-22", "loose-15", HERE, "loose-15")
+    said = "^the card has 'loose-15' already: give the one to judge another name with --label$"
+    for own, name in (("loose-22", "loose-15"), ("loose-15", None)):
+        with pytest.raises(ConfigError, match=said):
+            card._plan(card.QUICK, own, "loose-15", HERE, name, {"baro": False})
 
 
 def test_the_guide_has_a_row_for_each_cheat_of_its_table():

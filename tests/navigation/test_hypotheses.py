@@ -174,6 +174,15 @@ def test_one_stands_for_all_after_a_minute_and_what_may_still_come_late():
     assert_allclose(after.cov[0], made[12].cov)  # by itself
 
 
+@pytest.mark.parametrize("settled", [60.0, 120.0])
+def test_a_whole_record_in_one_piece_is_fed_to_all_hardly_further_than_they_are_needed(settled):
+    filter_, data, made = begun(lambda k, t: told(k, t) if t > settled - 60.0 else 2.0)
+    filter_.feed(data, 0.0, last=True)
+    assert filter_.members == [made[12]]
+    assert made[12].end == 260.0
+    assert {one.end for k, one in enumerate(made) if k != 12} <= set(np.arange(settled + 2.0, settled + 6.0))
+
+
 def test_where_nothing_tells_it_is_asked_again_after_twice_as_long_until_the_end():
     filter_, data, _ = begun(lambda k, t: 2.0)
     filter_.feed(at(data, -1.0, 150.0), 0.5, last=False)

@@ -119,9 +119,9 @@ class ManyHeadings(SessionState):
         wanted, newest = np.append(self.later, piece.output_t), newest_sample(piece)
         reached = np.inf if last else max(self.end, newest)
         self.later = wanted[wanted > reached]
-        rest, found, until = replace(piece, output_t=wanted[wanted <= reached]), list[NavSolution](), -np.inf
+        rest, found = replace(piece, output_t=wanted[wanted <= reached]), list[NavSolution]()
         while not self.complete:  # not much further than to where they may be told apart
-            until = max(until + FIRST, first_sample(rest))
+            until = max(self.start + self.span + wait + 2.0 * _PASSED, first_sample(rest))
             if newest <= until:
                 break
             ahead = np.flatnonzero(rest.imu.t > until)
