@@ -1,6 +1,7 @@
 """Logs of ArduPilot and of PX4 before 2017: records, sensors, damage."""
 
 import contextlib
+import datetime
 import struct
 from pathlib import Path
 
@@ -329,3 +330,93 @@ def test_an_airspeed_without_a_barometer_says_so(tmp_path):
     path = write_flash(tmp_path / "x.bin", kinds, [("ARSP", (1, 0, 5.0, 1))] * 3)
     with pytest.raises(ConfigError, match="no records BARO"):
         read(path, "airspeed")
+
+
+def test_the_day_is_that_of_the_last_fix_in_three_dimensions(tmp_path):
+    """Weeks 2300 to 2302 began on the 4th, 11th and 18th of February 2024."""
+    days = ((3, 2300, 1), (4, 2302, 3), (3, 2301, 2), (1, 2310, 5))
+    rows = [
+        ("GPS", (1_000_000 * k, 0, status, 86_400_000 * day + 70, week, *fix(0)[1][5:]))
+        for k, (status, week, day) in enumerate(days)
+    ]
+    assert look(write_flash(tmp_path / "x.bin", {"GPS": GPS}, rows)).date == datetime.date(2024, 2, 13)
+    rows[2], rows[1] = rows[1], rows[2]
+    assert look(write_flash(tmp_path / "y.bin", {"GPS": GPS}, rows)).date == datetime.date(2024, 2, 21)
+
+
+def test_accuracies_are_those_of_the_nearest_record_within_half_a_second(tmp_path):
+    rows = [fix(t) for t in (1_000_000, 3_000_000, 7_000_000, 11_700_000)]
+    own = ((700_000, 0.9), (3_100_000, 1.7), (4_000_000, 2.3), (6_900_000, 3.1), (11_000_000, 4.7))
+    rows += [("GPA", (t, 0, 1.2, h, 1.4, 0.3, 1, 1, 1, 0.0)) for t, h in own]
+    found = read(write_flash(tmp_path / "x.bin", {"GPS": GPS, "GPA": GPA}, rows), "gnss")
+    assert_allclose(found.values["sd_pos"][:, 0] * 2**0.5, [0.9, 1.7, 3.1, np.nan])
+    assert_allclose(found.values["arrival"] - found.t, 0.12)  # of a u-blox, as no parameter says another
+
+
+def test_undulations_are_those_of_fixes_with_a_height(tmp_path):
+    heights = ((1, 500.0), (1, 500.0), (1, 500.0), (3, 648.5), (4, 648.5), (3, 1.5e5), (3, 1.5e5), (3, 1.5e5))
+    rows = [("GPS", (*fix(1_000_000 * (k + 1), status)[1], 0.0, 1)) for k, (status, _) in enumerate(heights)]
+    rows += [new_accuracy(1_000_000 * (k + 1), 0.0, h) for k, (_, h) in enumerate(heights)]
+    path = write_flash(tmp_path / "x.bin", {"GPS": NEW_GPS, "GPA": NEW_GPA}, rows)
+    assert_allclose(read(path, "gnss").values["lla"][3:, 2], 648.5)
+
+
+def test_increments_of_velocity_are_over_the_interval_of_the_angles(tmp_path):
+    rows = [("RISI", (2_000, 0.3, -0.2, -0.7, 1e-3, 2e-3, -3e-3, 0.004, 0.005))]
+    rows += [
+        ("RISI", (7_000, 0.3, -0.2, -0.7, 1e-3, 2e-3, -3e-3, *dt)) for dt in ((0.0, 0.005), (0.004, 0.0))
+    ]
+    kinds = {"RISI": ("Qffffffff", "TimeUS,DVX,DVY,DVZ,DAX,DAY,DAZ,DVDT,DADT")}
+    found = read(write_flash(tmp_path / "x.bin", kinds, rows), "imu").values
+    assert_allclose(found["dvel"][0], 1.25 * np.array([0.3, -0.2, -0.7]), rtol=1e-6)
+    assert_allclose(found["dtheta"][0], [1e-3, 2e-3, -3e-3], rtol=1e-6)
+    assert_allclose(found["interval"][0], 0.005, rtol=1e-6)
+    assert found["valid"].tolist() == [1.0, 0.0, 0.0]
+
+
+def test_a_log_of_px4_is_in_its_own_units(tmp_path):
+    kinds = {
+        "TIME": ("Q", "StartTime"),
+        "GPS": ("QBffLLffffB", "GPSTime,Fix,EPH,EPV,Lat,Lon,Alt,VelN,VelE,VelD,nSat"),
+        "IMU": ("fffffffff", "AccX,AccY,AccZ,GyroX,GyroY,GyroZ,MagX,MagY,MagZ"),
+        "SENS": ("f", "BaroPres"),
+    }
+    rows: list[tuple[str, tuple[float, ...]]] = [("SENS", (900.0,))]  # before any time is known
+    days = (1_400_000_000_000_000, 1_400_300_000_000_000, 0)
+    for k, (utc, status) in enumerate(zip(days, (2, 3, 4), strict=True)):
+        rows.append(("TIME", (2_000_000 + 300_000 * k,)))
+        rows.append(("GPS", (utc, status, 2.5, 4.0, 47.0 + k, -8.0 - k, 500.0 + k, 3.0, -2.0, 0.7, 7 + k)))
+        rows.append(("IMU", (0.3, -0.4, -9.8, 0.01, 0.02, -0.03, 0.2, -0.1, 0.4)))
+        rows.append(("SENS", (1013.25,)))
+    path = write_flash(tmp_path / "x.px4log", kinds, rows)
+    found, baro = read(path, "gnss"), read(path, "baro")
+    assert_allclose(found.values["arrival"], [2.0, 2.3, 2.6])
+    assert np.isnan(found.values["lla"][0]).all()
+    assert_allclose(found.values["lla"][1], [np.deg2rad(48.0), np.deg2rad(-9.0), 501.0])
+    assert_allclose(found.values["lla"][2], [np.deg2rad(49.0), np.deg2rad(-10.0), 502.0])
+    assert_allclose(found.values["vel_n"][1], [3.0, -2.0, 0.7], rtol=1e-6)
+    assert_allclose(found.values["sd_pos"][1], [2.5 / 2**0.5, 2.5 / 2**0.5, 4.0])
+    assert found.values["satellites"].tolist() == [7.0, 8.0, 9.0]
+    assert_allclose(read(path, "mag").values["field_b"][0], [20e-6, -10e-6, 40e-6], rtol=1e-6)
+    assert_allclose(read(path, "imu").values["gyro"][0], [0.01, 0.02, -0.03], rtol=1e-6)
+    assert np.isnan(baro.t[0])
+    assert_allclose(baro.t[1:], [2.0, 2.3, 2.6])
+    assert_allclose(baro.values["alt_baro"][1:], 0.0, atol=0.02)
+    assert look(path).date == datetime.date(2014, 5, 13)
+
+
+def test_times_of_old_logs_are_in_milliseconds(tmp_path):
+    kinds = {
+        "GPS": ("BIHBcLLefffI", "Status,TimeMS,Week,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,T"),
+        "MAG": ("Ihhh", "TimeMS,MagX,MagY,MagZ"),
+        "IMU": ("Iffffff", "TimeMS,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    }
+    rows = [("GPS", (3, 86_400_123, 1800, 9, 1.5, -35.0, 149.0, 600.0, 10.0, 30.0, -1.0, 4_500))]
+    rows += [("MAG", (5_250, 0, 0, 0)), ("IMU", (6_125, 0, 0, 0, 0, 0, -9.8))]
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    assert_allclose(read(path, "gnss").values["arrival"], 4.5)
+    assert_allclose(read(path, "gnss").values["dilution"], [[1.5]])
+    assert_allclose(read(path, "mag").t, 5.25)
+    assert_allclose(read(path, "imu").t, 6.125)
+    assert look(path).sensors == ("imu", "gnss")  # a magnetometer that says 0 is none, a gyro may stand still
+    assert look(path).date == datetime.date(2014, 7, 7)

@@ -274,3 +274,16 @@ def test_every_field_is_in_its_unit_and_sign(made, tmp_path):
     assert (asked["gps_timestamp_rel"][told] > -101).all()
     for stamp, apart in zip(asked["timestamp"][told], asked["gps_timestamp_rel"][told], strict=True):
         assert (gps["timestamp"] // 100 == stamp // 100 + apart).sum() == 1
+
+
+def test_durations_are_microseconds_where_the_layout_holds_whole_numbers(made, tmp_path):
+    """From 1.12 on; the filters of Replay divide by them."""
+    run, data = made
+    whole = OWN["sensor_combined"].replace("float gyro_integral_dt", "uint32_t gyro_integral_dt")
+    whole = whole.replace("float accelerometer_integral_dt", "uint32_t accelerometer_integral_dt")
+    own = write_own(tmp_path / "own.ulg", formats={**OWN, "sensor_combined": whole})
+    out = bench.export_run(run, "ulog", out=tmp_path / "out", like=own)
+    (imu,) = [one.data for one in ULog(str(out / "run.ulg")).data_list if one.name == "sensor_combined"]
+    for name in ("gyro_integral_dt", "accelerometer_integral_dt"):
+        assert_allclose(1e-6 * imu[name], data.imu.dt, atol=0.5e-6)
+    assert_allclose(imu["gyro_rad[1]"], data.imu.dtheta_b[:, 1] / data.imu.dt, rtol=1e-5, atol=1e-7)
