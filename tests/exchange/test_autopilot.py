@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,13 +18,15 @@ from bench.config.log import SourceSpec, load_log
 from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, own_judge
 from bench.exchange.imports.contents import tell_innovations, turn_quaternion
-from bench.exchange.log_records import read_records, set_altimeter
+from bench.exchange.log_records import _find_ground, read_records, set_altimeter
 from bench.exchange.log_start import find_magnetic_heading, find_start
-from bench.instruments import BaroData
+from bench.instruments import BaroData, RadarData
 from bench.signals.magnetic import field_n
+from tests.evaluation.solutions import wrong_solution
 from tests.exchange import flown
 from tests.exchange.flash import write_flash
 from tests.exchange.test_dataflash import FLIGHTS
+from tests.synthetic import turning
 
 LOG = """
 file = "flight.bin"
@@ -308,11 +311,50 @@ def test_fixes_that_judge_do_not_set_the_altimeter():
     assert_allclose(set_altimeter(baro, make_fixes(t, late), 24.0, 24.0).alt_baro, 130.0)
 
 
-def test_only_long_silences_are_outages():
-    t = np.concatenate([np.arange(0, 10, 0.2), np.arange(10.8, 20, 0.2), np.arange(25, 30, 0.2)])
-    record = make_fixes(t, np.zeros(len(t)))
-    (gap,) = own_judge.find_outages(record)
-    assert gap == pytest.approx((19.8, 25.0), abs=0.11)
+def test_the_ground_below_a_radar_is_where_it_first_looked_on_it():
+    """30 m below the fix nearest in time: rows that are not valid, before and nearer, do not count."""
+    t = np.array([2.0, 5.2, 9.0])
+    radar = RadarData(t=t, t_arrival=t, valid=t > 3.0, height=np.array([1.0, 30.0, 41.0]), sd=np.ones(3))
+    fixes = make_fixes(np.array([0.0, 5.0, 5.1, 6.0, 9.0]), np.array([500.0, 247.0, 900.0, 260.0, 270.0]))
+    fixes = replace(fixes, valid=fixes.t != 5.1)
+    log, looked = SimpleNamespace(ground_alt=None), {"radar": radar}
+    assert _find_ground(log, looked, fixes) == 217.0
+    assert _find_ground(SimpleNamespace(ground_alt=88.0), looked, fixes) == 88.0
+    blind = {"radar": replace(radar, valid=np.zeros(3, np.bool_))}
+    lost = replace(fixes, valid=np.zeros(5, np.bool_))
+    for there, by in (({}, fixes), (blind, fixes), (looked, lost)):
+        assert _find_ground(log, there, by) == 0.0
+
+
+@pytest.mark.parametrize(("step", "longest"), [(0.2, 2.0), (1.0, 5.0)])
+def test_only_long_silences_are_outages(step, longest):
+    """Longer than five usual intervals, and than 2 s."""
+    steps = np.full(60, step)
+    steps[[20, 40]] = 0.99 * longest, 1.01 * longest
+    t = np.cumsum(steps)
+    assert own_judge.find_outages(make_fixes(t, np.zeros(60))) == [(t[39], t[40])]
+    assert own_judge.find_outages(make_fixes(t[:1], np.zeros(1))) == []
+
+
+def test_an_outage_is_judged_by_the_fix_that_ends_it():
+    """Wrong by (3, 4, -12) m there and 1 m down before; it claims a variance of 2 and 14 m^2 there."""
+    truth = turning(12.0, 10.0)
+    t = np.array([1.0, 2.0, 3.0, 10.0, 11.0])
+    wrong = np.tile([0.0, 0.0, 1.0], (13, 1))
+    wrong[10] = 3.0, 4.0, -12.0
+    wrong[11] = np.nan
+    cov = np.tile(np.eye(9), (13, 1, 1))
+    cov[10] = np.diag([2.0, 14.0, 50.0, *range(3, 9)])
+    made = wrong_solution(truth, pos_n=wrong, cov=cov)
+    fixes = replace(make_fixes(t, np.zeros(5)), lla=truth.lla[(10 * t).astype(int)])
+    still = np.zeros((len(truth), 3))
+    imu = bench.data.ImuData(truth.t, np.full(len(truth), 0.1), np.ones(len(truth), np.bool_), still, still)
+    data = SimpleNamespace(antenna_b=np.zeros(3), imu=imu)
+    outages = [*own_judge.find_outages(fixes), (10.0, 11.0), (3.0, 10.5)]  # no answer at the end, no fix
+    (drift,) = own_judge.measure_outages(made, fixes, data, outages)
+    assert (drift.start, drift.duration) == (3.0, 7.0)
+    assert (drift.drift, drift.drift_v) == pytest.approx((5.0, 12.0), rel=1e-5)
+    assert drift.claimed == pytest.approx(np.sqrt(8.0))
 
 
 def test_a_declination_of_the_day_counts():

@@ -8,6 +8,7 @@ import pytest
 from pyarrow import parquet
 
 from bench.errors import ConfigError
+from bench.exchange.sensor_search import find_texts
 from bench.exchange.table_files import group, list_columns, read_columns, read_table
 
 ROWS = ["0,47.5,11", "0.5,47.25,12"]
@@ -73,3 +74,35 @@ def test_nanoseconds_since_1970_are_read(tmp_path):
     )
     found = read(tmp_path / "a.parquet").columns["time"][:, 0]
     np.testing.assert_allclose(found - 1.7e9, [0.0, 0.01], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("fixes", "words"),
+    [
+        ("10.5 47 11 600 1 2 3\n11 47 200 600 1 2 -1\n", ""),
+        ("10.5 47 11 600 1 2 3\n11 90.5 11 600 1 2 3\n", "row 2 holds no fix"),
+        ("10.5 47 11 600 1 2 3\n11 47 -361 600 1 2 3\n", "row 2 holds no fix"),
+        ("10.5 47 11 600 1 2 3\n11 47 11 600 1 -0.5 3\n", "row 2 holds no fix"),
+        ("8 47 11 600 1 2 3\n10.1 47 11 600 1 2 3\n", ""),
+        ("11.9 47 11 600 1 2 3\n15 47 11 600 1 2 3\n", ""),
+        (
+            "8 47 11 600 1 2 3\n9.9 47 11 600 1 2 3\n",
+            r"its times, 8 to 9\.9 s, do not overlap",
+        ),
+        ("12.1 47 11 600 1 2 3\n15 47 11 600 1 2 3\n", r"its times, 12\.1 to 15 s, do not overlap"),
+    ],
+)
+def test_fixes_beside_the_increments_of_an_imu_are_told_by_their_values(tmp_path, fixes, words):
+    """The times of the IMU are 10 to 11.99 s; a longitude up to 360 deg and an unknown sd, -1, are good."""
+    rows = [f"{10 + 0.01 * k:.2f} 0.001 0.002 0.003 0 0 -0.0981\n" for k in range(200)]
+    (tmp_path / "imu.txt").write_text("".join(rows))
+    (tmp_path / "gnss.txt").write_text(fixes)
+    if words:
+        with pytest.raises(ConfigError, match=rf"^imu\.txt: no fixes beside it.*gnss\.txt: {words}"):
+            find_texts(tmp_path / "imu.txt")
+        return
+    found = find_texts(tmp_path / "imu.txt")
+    assert {kind: (one.path.name, one.form) for kind, one in found.items()} == {
+        "imu": ("imu.txt", "kf-gins"),
+        "gnss": ("gnss.txt", "kf-gins"),
+    }

@@ -11,8 +11,9 @@ import bench
 from bench.baselines.experiments import open_experiment
 from bench.config.log import load_log
 from bench.config.log_tables import LogAssumedTable, LogTable
+from bench.data import ImuData
 from bench.errors import ConfigError
-from bench.exchange.log_records import read_records
+from bench.exchange.log_records import divide_intervals, read_records
 from bench.exchange.rows import INSTRUMENT_ROWS
 from bench.instruments import INSTRUMENTS
 from tests.exchange import drives
@@ -193,3 +194,21 @@ def test_every_instrument_has_columns_and_a_table_in_a_log():
     for name, row in INSTRUMENTS.items():
         values = {group: len(columns[0]) for group, columns in INSTRUMENT_ROWS[name].items()}
         assert row.width in values.values()
+
+
+def test_an_interval_divided_at_a_fix_keeps_its_increments_and_its_rates():
+    random = np.random.default_rng(3)
+    t = np.array([0.01, 0.02, 0.03, 0.03, 0.025, 0.08, 0.09])  # one repeated, one going back, one gap
+    imu = ImuData(
+        t, np.full(7, 0.01), np.ones(7, bool), random.normal(size=(7, 3)), random.normal(size=(7, 3))
+    )
+    cuts = np.array([0.0125, 0.0175, 0.02, 0.05, 0.0825, 0.2, 0.0825])
+    found = divide_intervals(imu, cuts)
+    assert_allclose(found.t, [0.01, 0.0125, 0.0175, 0.02, 0.03, 0.03, 0.025, 0.08, 0.0825, 0.09])
+    assert_allclose(
+        found.dt, [0.01, 0.0025, 0.005, 0.0025, 0.01, 0.01, 0.01, 0.01, 0.0025, 0.0075], atol=1e-15
+    )
+    assert_allclose(found.dtheta_b.sum(axis=0), imu.dtheta_b.sum(axis=0), rtol=1e-14)
+    assert_allclose(
+        found.dvel_b[1:4] / found.dt[1:4, None], np.tile(imu.dvel_b[1] / 0.01, (3, 1)), rtol=1e-12
+    )

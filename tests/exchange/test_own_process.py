@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from bench.campaigns.plan import plan_runs
 from bench.config import load_profile
 from bench.data import InitialState, SensorData
 from bench.errors import ConfigError, EstimatorError, EstimatorFailedError, EstimatorStoppedError
-from bench.exchange import filter_process
+from bench.exchange import filter_process, filter_server
 from bench.exchange.record_messages import RecordMessage, read_message
 from bench.fields import Record
 from bench.specs import EstimatorChoice, Guard
@@ -87,6 +88,16 @@ def ran(place) -> subprocess.CompletedProcess[str]:
     limits = ["--timeout", "4", "--memory", "0.5", "--output", "20"]
     rest = ["-e", "gnss-only", *limits, "--json", "--no-rrd", "--no-report", "-o", "all"]
     return run_bench("run", "short.toml", *uses, *rest)
+
+
+@pytest.mark.parametrize(("answers", "asked"), [([[]] * 9, 3), ([[], [(3, 1)]], 2)])
+def test_who_waits_stays_awake_for_a_millisecond(monkeypatch, answers, asked):
+    """Asks at 7.0 s and each 0.4 ms from then on, until something is there or the millisecond is over."""
+    clock, seen = iter(7.0 + 0.0004 * np.arange(9)), []
+    monkeypatch.setattr(filter_server, "time", SimpleNamespace(perf_counter=clock.__next__))
+    poll = SimpleNamespace(poll=lambda _: seen.append(answers[len(seen)]) or seen[-1])
+    assert filter_server.watch(poll) == answers[-1]
+    assert len(seen) == asked
 
 
 # --- what filters do to a run -------------------------------------------------------------------------

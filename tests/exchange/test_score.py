@@ -165,6 +165,19 @@ def test_between_rows_motion_is_that_of_the_bodies_and_nothing_is_extrapolated()
     assert_allclose(found.cov[inside], np.tile(np.eye(9), (inside.sum(), 1, 1)))
 
 
+def test_between_rows_on_both_sides_of_the_date_line_the_way_is_the_short_one(tmp_path):
+    """Straight without velocities; at rest at both rows the cubic is 3 s^2 - 2 s^3, s = 0.25: 0.15625."""
+    level = np.zeros(3)
+    place = {"t_s": np.arange(3.0), "lat_deg": level + 50.0, "lon_deg": [179.9997, 179.9999, -179.9998]}
+    still = dict.fromkeys(("vel_n_mps", "vel_e_mps", "vel_d_mps"), level)
+    for more, share in (({}, 0.25), (still, 0.15625)):
+        path = table(tmp_path / "x.csv", **place, alt_m=level + 700.0, **more)
+        found = resample(read_solution(path), np.array([0.25, 1.25, 1.75]))
+        east = 1e-4 * np.array([2 * share, 2 + 3 * share, 5 - 3 * share])  # [deg]
+        off = np.rad2deg(found.lla[:, 1]) - 179.9997 - east
+        assert_allclose((off + 180.0) % 360.0 - 180.0, 0.0, atol=1e-11)
+
+
 def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
     """Between two rows the first counts, moved by its velocity; the later one may be anything."""
     truth = turning(20.0, 100.0)

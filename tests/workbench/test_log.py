@@ -28,7 +28,7 @@ from bench.errors import ConfigError
 from bench.evaluation import validity
 from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.fixes import judge
-from bench.exchange.log_records import divide_intervals, read_records
+from bench.exchange.log_records import read_records
 from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session, read_log
 from bench.navigation import built_in, estimator
@@ -170,24 +170,6 @@ def test_mounting_and_misalignment_turn_the_axes_of_the_imu_into_those_of_the_bo
     turned.write_text(text.replace("[imu]", "[imu]\nmisalignment_deg = [0.0, 0.0, 90.0]"))
     found = read_records(load_log(str(turned))).imu  # what pointed forward points right
     assert_allclose(found.dvel_b[:, 1], plain.dvel_b[:, 0], atol=1e-10)
-
-
-def test_an_interval_divided_at_a_fix_keeps_its_increments_and_its_rates():
-    random = np.random.default_rng(3)
-    t = np.array([0.01, 0.02, 0.03, 0.03, 0.025, 0.08, 0.09])  # one repeated, one going back, one gap
-    imu = ImuData(
-        t, np.full(7, 0.01), np.ones(7, bool), random.normal(size=(7, 3)), random.normal(size=(7, 3))
-    )
-    cuts = np.array([0.0125, 0.0175, 0.02, 0.05, 0.0825, 0.2, 0.0825])
-    found = divide_intervals(imu, cuts)
-    assert_allclose(found.t, [0.01, 0.0125, 0.0175, 0.02, 0.03, 0.03, 0.025, 0.08, 0.0825, 0.09])
-    assert_allclose(
-        found.dt, [0.01, 0.0025, 0.005, 0.0025, 0.01, 0.01, 0.01, 0.01, 0.0025, 0.0075], atol=1e-15
-    )
-    assert_allclose(found.dtheta_b.sum(axis=0), imu.dtheta_b.sum(axis=0), rtol=1e-14)
-    assert_allclose(
-        found.dvel_b[1:4] / found.dt[1:4, None], np.tile(imu.dvel_b[1] / 0.01, (3, 1)), rtol=1e-12
-    )
 
 
 def test_velocities_are_taken_to_the_times_of_their_fixes(tmp_path):
