@@ -12,15 +12,17 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import log_pipeline, rotation
+from bench import earth, log_pipeline, rotation
 from bench.cli import main
 from bench.config.log import SourceSpec, load_log
 from bench.errors import WRONG, ConfigError
-from bench.exchange import autopilot, own_judge
+from bench.exchange import autopilot, log_start, own_judge
 from bench.exchange.imports.contents import tell_innovations, turn_quaternion
 from bench.exchange.log_records import _find_ground, read_records, set_altimeter
-from bench.exchange.log_start import find_magnetic_heading, find_start
+from bench.exchange.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.instruments import BaroData, RadarData
+from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.signals.magnetic import field_n
 from tests.evaluation.solutions import wrong_solution
 from tests.exchange import flown
@@ -164,6 +166,89 @@ def test_a_real_estimate_agrees_with_the_receiver_that_it_used(tmp_path):
 
 
 # --- starts -------------------------------------------------------------------------------------------
+
+
+AT = np.array([0.8, 0.2, 500.0])
+ARM = np.array([1.0, 2.0, 3.0])  # of the antenna [m]
+
+
+def begin(heading_from="", own=None, still=5, **more):
+    """The start of a record with a fix each second and an IMU at 10 Hz; ``still``: fixes with a velocity."""
+    t, n = np.arange(12.0), np.arange(12)
+    ones = np.ones((12, 1, 1))
+    fixes = bench.data.GnssFixes(
+        t, t, t != 2.0, earth.displace(np.tile(AT, (12, 1)), np.outer(t, [1.0, 0.0, 0.0])),
+        np.where(n[:, None] < still, np.nan, np.outer(t, [0.6, 0.8, 0.0])), ones * np.diag([0.5, 0.6, 0.7]),
+        ones * np.diag([0.02, 0.1, 0.2]), n,
+    )  # fmt: skip
+    at = np.arange(1, 121) / 10.0
+    force = rotation.rotate(rotation.conjugate(rotation.from_euler(0.1, -0.2, 0.0)), [0.0, 0.0, -0.98])
+    felt = np.where((at[:, None] > 3.0) & (at[:, None] <= 7.0), force, [0.3, 0.3, 0.3])
+    imu = bench.data.ImuData(at, np.full(120, 0.1), np.ones(120, np.bool_), np.zeros((120, 3)), felt)
+    start = {"at": 1.5, "align_for": 4.0, "attitude": (0.0, 0.0, np.pi / 2), "tilt_sd": 0.02}
+    start |= {"heading_sd": 0.3, "heading_from": heading_from, "drift_sd": 0.0} | more
+    accel = SimpleNamespace(accel=None)
+    spec = SimpleNamespace(
+        name="x", antenna_b=ARM, start=SimpleNamespace(**start), assumed=SimpleNamespace(imu=accel)
+    )
+    return find_start(SimpleNamespace(fixes=fixes, imu=imu, instruments={}), spec, own)
+
+
+@pytest.mark.parametrize("still", [5, 12])
+def test_a_given_start_is_that_of_the_imu_at_the_first_fix_with_a_velocity(still):
+    """Its nose is east: forward is east, right is south. Without a velocity anywhere the first fix counts."""
+    found = begin(alignment="given", still=still)
+    assert found.t == (5.0 if still == 5 else 3.0)
+    there = earth.displace(AT, np.array([found.t, 0.0, 0.0]))
+    assert_allclose(earth.difference_n(found.lla, there), [2.0, -1.0, -3.0], atol=1e-5)
+    assert_allclose(found.vel_n, [3.0, 4.0, 0.0] if still == 5 else 0.0)
+    vel = [0.02, 0.1, 0.2] if still == 5 else [UNKNOWN_SPEED_SD**2] * 3
+    assert_allclose(np.diag(found.cov), [0.5, 0.6, 0.7, *vel, 4e-4, 4e-4, 0.09])
+
+
+def test_a_level_start_is_at_the_antenna_and_has_the_tilt_of_the_force_after_it():
+    found = begin(alignment="level")
+    assert found.t == 3.0
+    assert_allclose(np.diag(found.cov), [14.5, 14.6, 14.7, *[np.inf] * 6])
+    assert np.isnan(found.q_nb).all()
+    turned = rotation.from_euler(0.4, 0.3, 1.2)
+    found = begin("autopilot", lambda t: turned if t == 3.0 else None, alignment="level")
+    assert_allclose(rotation.to_euler(found.q_nb), (0.1, -0.2, 1.2), atol=1e-12)
+    assert_allclose(np.diag(found.cov)[6:], [np.inf, np.inf, 0.09])
+    assert_allclose(earth.difference_n(found.lla, AT), [3.0, 0.0, 0.0], atol=1e-5)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_start_in_the_air_claims_what_it_does_not_know(known, monkeypatch):
+    """It speeds up by 1 m/s^2, a tilt if the heading is not known; 0.3 m/s^2 of bias, 0.2 of noise."""
+    monkeypatch.setattr(log_start, "bias_sd", lambda accel, g: 0.3)
+    turned = rotation.from_euler(0.4, 0.3, 1.2)
+    how = ("autopilot", lambda t: turned if t == 7.0 else None) if known else ()
+    found = begin(*how, alignment="hover", still=0)
+    assert found.t == 7.0
+    g = np.linalg.norm(earth.gravity_n(AT[0], AT[2]))
+    noise = np.sqrt(2 * 0.32) / 4.0
+    tilt = np.deg2rad(1.0) ** 2 + (0.3**2 + noise**2 + (0.0 if known else 1.0)) / g**2
+    heading = 0.3 if known else UNKNOWN_HEADING_SD
+    pos = np.array([0.5, 0.6, 0.7]) + (0.0 if known else 14.0)
+    expected = [*pos, 1.42, 1.5, 1.6, tilt, tilt, heading**2]
+    assert_allclose(np.diag(found.cov), expected, rtol=1e-6)
+    arm_n = rotation.rotate(found.q_nb, ARM) if known else np.zeros(3)
+    assert_allclose(earth.difference_n(found.lla, AT), [7.0, 0.0, 0.0] - arm_n, atol=1e-4)
+    assert_allclose(found.vel_n, [4.2, 5.6, 0.0])
+    if not known:
+        assert_allclose(rotation.to_euler(found.q_nb), (0.1, -0.2, 0.0), atol=1e-12)
+
+
+def test_the_stretch_of_a_start_in_the_air_is_where_the_velocity_changes_least():
+    """Over 4 s: least from 3 s on; from 8 s on less, but that is too late, or a fix is not valid."""
+    t = np.arange(14.0)
+    north = np.array([0.0, 9.0, 5.0, 1.0, 8.0, 30.0, 40.0, 2.0, 50.0, 70.0, 90.0, 99.0, 50.0, 80.0])
+    fixes = replace(make_fixes(t, 0 * t), vel_n=np.column_stack([north, -2 * north, north**2]))
+    assert choose_stretch(fixes, 0.0, 11.0) == 3.0
+    assert choose_stretch(fixes, 0.0, 13.0) == 8.0
+    assert choose_stretch(fixes, 4.0, 7.5) == 4.0  # too short
+    assert choose_stretch(replace(fixes, valid=t != 12.0), 0.0, 13.0) == 3.0
 
 
 def test_a_magnetic_heading_is_exact_without_errors():

@@ -14,9 +14,18 @@ from numpy.testing import assert_allclose
 
 from bench import cli, earth, rotation
 from bench.errors import ConfigError
-from bench.exchange.track_files import FixSeries, read_track
+from bench.exchange.track_files import FixSeries, order_fixes, read_track
 from bench.exchange.track_fit import _find_least, fit_track
-from bench.exchange.track_motion import make_motion
+from bench.exchange.track_motion import (
+    _bank,
+    _choose_piece,
+    _coordinate,
+    _fill_slow,
+    _find_jump,
+    _find_lone,
+    _find_standing,
+    make_motion,
+)
 from bench.exchange.trajectory import read_trajectory
 from bench.flight import fly
 from bench.flight.legs.level import Straight
@@ -392,3 +401,128 @@ def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
     assert "ground speed" in out
     assert "airspeed" not in out
     assert "incidence of 3 deg" in " ".join(out.split())
+
+
+# --- parts, by hand -----------------------------------------------------------------------------------
+
+
+def test_an_igc_without_heights_of_a_receiver_has_those_of_the_pressure(tmp_path):
+    """South and west, past midnight, every other fix marked as two-dimensional; a damaged line is none."""
+    lines = [
+        f"B{t // 3600 % 24:02d}{t // 60 % 60:02d}{t % 60:02d}3312345S07030500W{'AV'[t % 2]}00{700 + t % 10}00000"
+        for t in range(86394, 86406)
+    ]
+    (tmp_path / "t.igc").write_text(
+        "\n".join([*lines[:6], "B2359593312345S070x0500WA0070000000", *lines[6:]])
+    )
+    track = read_track(tmp_path / "t.igc")
+    assert_allclose(track.t, np.arange(12.0))
+    assert_allclose(np.degrees(track.lla[:, :2]), np.tile([-(33 + 12.345 / 60), -(70 + 30.5 / 60)], (12, 1)))
+    assert_allclose(track.lla[:3, 2], [704.0, 705.0, 706.0])
+    assert track.notes == (
+        "6 fixes are marked as two-dimensional",
+        "heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS",
+    )
+
+
+def test_sentences_without_a_fix_are_left_out_and_heights_above_the_sea_told(tmp_path):
+    """With a separation of 47 m a height of 600 m is 647 m; ddmm.mmmm is 48 deg 7.038 min."""
+    place = "4807.038,N,01131.5,W"
+    bodies = [f"GPGGA,{t:06d}.5,{place},1,08,0.9,600.0,M,47.0,M,," for t in range(235950, 235960)]
+    bodies += [f"GPGGA,{t:06d}.5,{place},2,08,0.9,600.0,M,,M,," for t in range(3)]
+    bodies += [
+        f"GPGGA,000004.5,{place},0,08,0.9,600.0,M,47.0,M,,",
+        f"GPGGA,,{place},1,08,0.9,600.0,M,47.0,M,,",
+    ]
+    (tmp_path / "t.nmea").write_text("\n".join(map(checked, bodies)))
+    track = read_track(tmp_path / "t.nmea")
+    assert_allclose(track.t, np.arange(13.0))
+    assert_allclose(np.degrees(track.lla[0, :2]), [48 + 7.038 / 60, -(11 + 31.5 / 60)])
+    assert_allclose(track.lla[:, 2], [647.0] * 10 + [600.0] * 3)
+    assert track.notes == (
+        "left out: 1 sentence without a fix (quality 0)",
+        "3 heights above the sea: sentences without a geoid separation",
+    )
+
+
+def test_fixes_that_cannot_be_and_those_that_go_back_are_left_out():
+    t = np.arange(5.0, 25.0)
+    lla = np.tile([0.8, 0.2, 600.0], (20, 1))
+    for row, column, value in ((1, 0, 1.58), (2, 0, -1.58), (3, 1, 6.3), (4, 1, -6.3), (5, 2, -1001.0),
+                               (6, 2, 1.1e5), (7, 2, np.nan)):  # fmt: skip
+        lla[row, column] = value
+    lla[8] = 1.57, 6.28, 9.9e4
+    lla[9] = -1.57, -6.28, -990.0
+    t[12], t[11] = t[11] - 2.0, np.nan
+    track = order_fixes(t, lla, ["read"], "x")
+    kept = [0, 8, 9, 10, *range(13, 20)]
+    assert_allclose(track.t, np.array(kept, float))
+    assert_allclose(track.lla, lla[kept])
+    assert track.notes == (
+        "read",
+        "left out: 8 fixes without a time, a position or a height",
+        "left out: 1 fix not after the one before",
+    )
+
+
+def test_the_longest_piece_in_time_is_used_and_its_gaps_told():
+    """Pieces of 3, 9 and 5 s; in that of 9 s an interval of 4 s, within bridge_s, is above three of 1 s."""
+    t = np.array([0.0, 1, 2, 3, 23, 24, 25, 29, 30, 31, 32, 52, 52.5, 53, 53.5, 54, 54.5, 55, 56, 57])
+    notes: list[str] = []
+    found, lla = _choose_piece(t, np.arange(60.0).reshape(20, 3), 10.0, notes)
+    assert_allclose(found, t[4:11])
+    assert_allclose(lla[:, 0], 3.0 * np.arange(4, 11))
+    assert notes == [
+        "cut at 2 gaps of more than 10 s; the longest piece is used: 23 to 32 s",
+        "1 gap of up to 4 s bridged by the curve; the median interval is 1 s",
+    ]
+
+
+def test_ten_seconds_below_0_4_metres_a_second_are_standing():
+    speed = np.full(60, 5.0)
+    speed[3:13], speed[20:31], speed[40:] = 0.3, 0.39, 0.41  # 9 s, 10 s, and not slow enough
+    speed[47:] = 0.1
+    assert _find_standing(np.arange(60.0), speed) == [slice(20, 31), slice(47, 60)]
+
+
+def test_a_vehicle_too_slow_for_a_course_turns_steadily_and_levels():
+    """From south-east over south to south-west, by the short way; the slope fades with the speed."""
+    vel_n = np.array(
+        [[-3.0, 3.0, 0.6], [0.3, 0.4, 5.0], [0.0, 0.0, 0.0], [0.0, -0.25, 0.0], [-3.0, -3.0, -1.2]]
+    )
+    found = _fill_slow(vel_n)
+    angles = pi * np.array([0.75, 0.875, 1.0, 1.125])[1:]
+    slopes = np.array([0.6, 0.0, -1.2]) / np.sqrt(18.0)
+    between = np.interp([1.0, 2.0, 3.0], [0.0, 4.0], slopes[[0, 2]]) * [0.5, 0.0, 0.25]
+    assert_allclose(found[[0, 4]], vel_n[[0, 4]])
+    assert_allclose(found[1:4], np.column_stack([np.cos(angles), np.sin(angles), between]), atol=1e-12)
+    assert_allclose(_fill_slow(vel_n[1:4]), np.tile([1.0, 0.0, 0.0], (3, 1)))
+
+
+def test_a_turn_without_side_force_banks_by_the_force_and_lifts_the_nose_by_the_incidence():
+    """East at 20 m/s, 2 m/s down, turning right: no force along y, x at the incidence above the path."""
+    force_n = np.array([[-6.0, 0.0, -9.8]])
+    (C_nb,) = _coordinate(np.array([[0.0, 20.0, 2.0]]), force_n, 0.05)
+    assert_allclose(C_nb.T @ C_nb, np.eye(3), atol=1e-12)
+    assert np.linalg.det(C_nb) == pytest.approx(1.0)
+    air_b, force_b = C_nb.T @ [0.0, 20.0, 2.0], C_nb.T @ force_n[0]
+    assert air_b[1] == pytest.approx(0.0, abs=1e-12)
+    assert np.arctan2(air_b[2], air_b[0]) == pytest.approx(0.05)
+    assert force_b[1] == pytest.approx(0.0, abs=1e-12)
+    assert force_b[2] < 0.0
+    assert _bank(rotation.from_euler(np.array([-0.7]), np.array([0.3]), np.array([1.0])))[0] == pytest.approx(
+        0.7
+    )
+
+
+def test_a_lone_fix_and_a_jump_are_told_from_a_fast_vehicle():
+    """10 m a second; 500 m aside for one fix, and from 30 s on 800 m on."""
+    t = np.arange(40.0)
+    fixes = np.column_stack([10.0 * t, 0 * t, 0 * t])
+    assert not _find_lone(t, fixes).any()
+    assert _find_jump(t, fixes) == ""
+    fixes[12, 1] = 500.0
+    assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
+    fixes[30:, 0] += 790.0
+    assert _find_jump(t, fixes) == ". They jump by 800 m at 30 s (from_s, to_s)"
+    assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
