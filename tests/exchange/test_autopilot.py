@@ -183,7 +183,8 @@ def begin(heading_from="", own=None, still=5, **more):
     )  # fmt: skip
     at = np.arange(1, 121) / 10.0
     force = rotation.rotate(rotation.conjugate(rotation.from_euler(0.1, -0.2, 0.0)), [0.0, 0.0, -0.98])
-    felt = np.where((at[:, None] > 3.0) & (at[:, None] <= 7.0), force, [0.3, 0.3, 0.3])
+    shaken = np.where(at[:, None] > 5.05, 1.0, -1.0) * [0.05, 0.02, 0.01]
+    felt = np.where((at[:, None] > 3.05) & (at[:, None] < 7.05), force + shaken, [0.3, 0.3, 0.3])
     imu = bench.data.ImuData(at, np.full(120, 0.1), np.ones(120, np.bool_), np.zeros((120, 3)), felt)
     start = {"at": 1.5, "align_for": 4.0, "attitude": (0.0, 0.0, np.pi / 2), "tilt_sd": 0.02}
     start |= {"heading_sd": 0.3, "heading_from": heading_from, "drift_sd": 0.0} | more

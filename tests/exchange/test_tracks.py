@@ -408,17 +408,14 @@ def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
 
 def test_an_igc_without_heights_of_a_receiver_has_those_of_the_pressure(tmp_path):
     """South and west, past midnight, every other fix marked as two-dimensional; a damaged line is none."""
-    lines = [
-        f"B{t // 3600 % 24:02d}{t // 60 % 60:02d}{t % 60:02d}3312345S07030500W{'AV'[t % 2]}00{700 + t % 10}00000"
-        for t in range(86394, 86406)
-    ]
-    (tmp_path / "t.igc").write_text(
-        "\n".join([*lines[:6], "B2359593312345S070x0500WA0070000000", *lines[6:]])
-    )
+    place, damaged = "3312345S07030500W", "B2359593312345S070x0500WA0070000000"
+    clocks = [f"{t // 3600 % 24:02d}{t // 60 % 60:02d}{t % 60:02d}" for t in range(86394, 86406)]
+    lines = [f"B{clock}{place}{'AV'[k % 2]}00{704 + k}00000" for k, clock in enumerate(clocks)]
+    (tmp_path / "t.igc").write_text("\n".join([*lines[:6], damaged, *lines[6:]]))
     track = read_track(tmp_path / "t.igc")
     assert_allclose(track.t, np.arange(12.0))
     assert_allclose(np.degrees(track.lla[:, :2]), np.tile([-(33 + 12.345 / 60), -(70 + 30.5 / 60)], (12, 1)))
-    assert_allclose(track.lla[:3, 2], [704.0, 705.0, 706.0])
+    assert_allclose(track.lla[:, 2], 704.0 + np.arange(12))
     assert track.notes == (
         "6 fixes are marked as two-dimensional",
         "heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS",
@@ -510,9 +507,7 @@ def test_a_turn_without_side_force_banks_by_the_force_and_lifts_the_nose_by_the_
     assert np.arctan2(air_b[2], air_b[0]) == pytest.approx(0.05)
     assert force_b[1] == pytest.approx(0.0, abs=1e-12)
     assert force_b[2] < 0.0
-    assert _bank(rotation.from_euler(np.array([-0.7]), np.array([0.3]), np.array([1.0])))[0] == pytest.approx(
-        0.7
-    )
+    assert_allclose(_bank(rotation.from_euler(*np.array([[-0.7], [0.3], [1.0]]))), 0.7)
 
 
 def test_a_lone_fix_and_a_jump_are_told_from_a_fast_vehicle():
