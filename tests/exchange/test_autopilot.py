@@ -460,3 +460,92 @@ def test_a_log_without_imu_is_refused_in_a_line(tmp_path, capsys):
     assert said.count("\n") == 1
     assert "x.bin: no records RISI or IMU; it has GPS" in said
     assert not path.with_suffix(".toml").exists()
+
+
+def angles_of(motion):
+    return np.rad2deg(np.column_stack(rotation.to_euler(motion.q_nb)))
+
+
+def test_a_core_of_ekf2_has_records_of_its_own_five_numbers_on(tmp_path):
+    labels = "TimeUS,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ"
+    kinds = {
+        "PARM": ("QNf", "TimeUS,Name,Value"),
+        "ORGN": flown.KINDS["ORGN"],
+        **{f"NKF{k}": ("Q" + "f" * 12, labels) for k in (1, 6)},
+        "NKF8": ("Qffffff", "TimeUS,IVN,IVE,IVD,IPN,IPE,IPD"),
+        "NKF9": ("Qfff", "TimeUS,SV,SP,SH"),
+    }
+    rows = [("PARM", (1, "AHRS_EKF_TYPE", 2.0)), ("PARM", (1, "EK2_VEL_I_GATE", 250.0))]
+    rows += [("ORGN", (k, k, 50.0 + k, 30.0 + k, 100.0 + k)) for k in (1, 0)]  # type 0 is that of the filter
+    for k in range(3):
+        t = 1_000_000 + 100_000 * k
+        rows.append(("NKF1", (t, *[0.0] * 12)))
+        rows.append(("NKF6", (t, 3.0, -4.0, 50.0, 1.0, 2.0, -0.5, 20.0, -30.0, -7.0, 0.1, -0.2, 0.3)))
+        rows.append(("NKF8", (t, 0.3, 0.1, 0.4, 1.0 + 0.1 * k, 0.5, 2.0)))
+        rows.append(("NKF9", (t - 15_000, 0.5, 0.6, 0.7)))  # of the step before
+        rows.append(("NKF9", (t + 4_000, 0.1 + 0.01 * k, 0.2, 0.1)))
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), 1)
+    assert_allclose(angles_of(own.motion)[0], [3.0, -4.0, 50.0], rtol=1e-5)
+    home = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 100.0])
+    ned = bench.earth.difference_n(own.motion.lla, np.broadcast_to(home, (3, 3)))
+    assert_allclose(ned, [[20.0, -30.0, -7.0]] * 3, atol=1e-3)
+    assert_allclose(own.motion.vel_n[0], [1.0, 2.0, -0.5])
+    assert_allclose(own.biases[1][0, :3], np.deg2rad([0.1, -0.2, 0.3]), rtol=1e-6)
+    assert np.isnan(own.biases[1][:, 3:]).all()
+    table = own.innovations
+    velocity = table.nis[(table.code == table.sensor.index("gnss_velocity")) & (table.component == 0)]
+    assert_allclose(velocity, 3 * (2.5 * 0.1) ** 2, rtol=1e-6)  # once: it stays as it is
+    position = table.nis[(table.code == table.sensor.index("gnss_position")) & (table.component == 0)]
+    assert_allclose(position, [2 * (5.0 * 0.2) ** 2] * 3, rtol=1e-6)
+
+
+def test_before_ekf2_positions_count_from_home_and_gates_are_numbers(tmp_path):
+    kinds = {
+        "PARM": ("QNf", "TimeUS,Name,Value"),
+        "CMD": ("QHLLf", "TimeUS,CNum,Lat,Lng,Alt"),
+        "EKF1": ("Q" + "f" * 12, "TimeUS,Roll,Pitch,Yaw,VN,VE,VD,PN,PE,PD,GX,GY,GZ"),
+        "EKF3": ("Qffffff", "TimeUS,IVN,IVE,IVD,IPN,IPE,IPD"),
+        "EKF4": ("Qfff", "TimeUS,SV,SP,SH"),
+    }
+    rows = [("PARM", (1, "EKF_POS_GATE", 4.0))]
+    rows += [("CMD", (1, k, lat, 30.0, 100.0)) for k, lat in ((1, 20.0), (0, 0.0), (0, 50.0))]
+    rows.append(("EKF1", (2_000_000, 3.0, -4.0, 50.0, 1.0, 2.0, -0.5, 20.0, -30.0, -7.0, 0.1, -0.2, 0.3)))
+    rows.append(("EKF3", (2_000_000, 0.3, 0.1, 0.4, 1.0, 0.5, 2.0)))
+    rows.append(("EKF4", (2_004_000, 0.1, 0.2, 0.3)))
+    path = write_flash(tmp_path / "x.bin", kinds, rows)
+    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    home = np.array([[np.deg2rad(50.0), np.deg2rad(30.0), 100.0]])
+    assert_allclose(bench.earth.difference_n(own.motion.lla, home), [[20.0, -30.0, -7.0]], atol=1e-3)
+    found = {
+        name: own.innovations.nis[own.innovations.code == k][0]
+        for k, name in enumerate(own.innovations.sensor)
+    }
+    expected = {"gnss_velocity": 3 * 0.5**2, "gnss_position": 2 * 0.8**2, "baro": 1.5**2}
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_estimate_of_px4_before_2017(tmp_path):
+    """Angles in radians; the height of the first fix in three dimensions is that of the first row."""
+    kinds = {
+        "TIME": ("Q", "StartTime"),
+        "GPS": ("QBffLLffffB", "GPSTime,Fix,EPH,EPV,Lat,Lon,Alt,VelN,VelE,VelD,nSat"),
+        "LPOS": ("ffffffLLff", "X,Y,Z,VX,VY,VZ,RLat,RLon,EPH,EPV"),
+        "ATT": ("fff", "Roll,Pitch,Yaw"),
+    }
+    rows = []
+    for k, (fixed, alt) in enumerate(((1, 900.0), (3, 500.0), (4, 700.0))):
+        rows.append(("TIME", (2_000_000 + 300_000 * k,)))
+        rows.append(("GPS", (1, fixed, 1.0, 1.0, 47.0, 8.0, alt, 0.0, 0.0, 0.0, 9)))
+        ref = (0.0, 0.0) if k == 2 else (47.0, 8.0)  # none
+        rows.append(("LPOS", (20.0, -30.0, -7.0 - 5 * k, 1.0, 2.0, -0.5, *ref, 2.0, 3.0)))
+        rows.append(("ATT", (0.1, -0.2, 0.9)))
+    path = write_flash(tmp_path / "x.px4log", kinds, rows)
+    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    home = np.array([np.deg2rad(47.0), np.deg2rad(8.0), 493.0])
+    ned = bench.earth.difference_n(own.motion.lla[:2], np.broadcast_to(home, (2, 3)))
+    assert_allclose(ned, [[20.0, -30.0, -7.0], [20.0, -30.0, -12.0]], atol=1e-3)
+    assert np.isnan(own.motion.lla[2]).all()
+    assert_allclose(own.motion.vel_n[0], [1.0, 2.0, -0.5])
+    assert_allclose(np.deg2rad(angles_of(own.motion)[0]), [0.1, -0.2, 0.9], rtol=1e-5)
+    assert_allclose(own.variances[1][0, :3], [2.0, 2.0, 9.0])

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from bench.cli import main
 from bench.data import InitialState
 from bench.errors import ExportError
 from bench.exchange.exports import FORMATS, gather, local, write
+from bench.sensor_specs import GAUSS_MARKOV_PEAK
 from tests.exchange.exported import ERROR, make_run, text_rows
 
 SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
@@ -261,6 +263,57 @@ def test_navego_structures_have_the_rows_rates_units_and_values_of_the_run(run, 
     assert_allclose(ref.roll, 0.65, atol=1e-12)
     assert ref.yaw.shape == (len(truth), 1)
     assert_allclose(imu.ini_align[0], rotation.to_euler(sensed.initial.q_nb), atol=0.005)
+
+
+def test_figures_of_the_datasheet_go_out_in_the_units_of_each_filter(run, tmp_path):
+    """Gyros: 3 deg/h that wander in half an hour, 4 deg/h at the start; accelerometers 6 and 8 mGal."""
+    from scipy.io import loadmat
+
+    whole = gather(run[0])
+    deg_h, mgal = np.deg2rad(1.0) / 3600.0, 1e-5
+    figures = {
+        "gyro": {"bias_instability": 3.0 * deg_h, "turn_on_bias_sd": 4.0 * deg_h, "bias_correlation": 1800.0,
+                 "scale_factor_sd": 150e-6, "random_walk": 1e-4, "rate_random_walk": 2e-7},
+        "accel": {"bias_instability": 6.0 * mgal, "turn_on_bias_sd": 8.0 * mgal, "bias_correlation": 7200.0,
+                  "scale_factor_sd": 250e-6, "random_walk": 3e-3, "rate_random_walk": 4e-6},
+    }  # fmt: skip
+    for one in figures.values():
+        one["bias_instability"] *= GAUSS_MARKOV_PEAK  # of the Allan deviation
+    assumed = whole.start["assumed"]
+    imu = {**assumed["imu"], **{triad: {**assumed["imu"][triad], **figures[triad]} for triad in figures}}
+    told = replace(whole, start={**whole.start, "assumed": {**assumed, "imu": imu}})
+    for kind in ("kf-gins", "navego", "python-ins"):
+        (tmp_path / kind).mkdir()
+        write(tmp_path / kind, kind, told, "circle")
+    keys = configuration(tmp_path / "kf-gins" / "kf-gins.yaml")
+    for name, value in {
+        "gbstd": 3.0, "initbgstd": 5.0, "abstd": 6.0, "initbastd": 10.0, "gsstd": 150.0, "asstd": 250.0,
+    }.items():  # fmt: skip
+        assert_allclose(keys[name], [value] * 3, rtol=1e-9)
+    assert keys["corrtime"] == 0.5
+    sd = np.sqrt(np.diag(run[2].initial.cov))
+    assert_allclose(keys["initvelstd"], sd[3:6], rtol=1e-9)
+    assert_allclose(keys["initattstd"], np.rad2deg(sd[6:9]), rtol=1e-9)
+    read = loadmat(tmp_path / "navego" / "navego.mat", struct_as_record=False)
+    found, gnss = read["imu"][0, 0], read["gnss"][0, 0]
+    for name, value in {
+        "arw": 1e-4, "arrw": 2e-7, "gb_dyn": 3.0 * deg_h, "gb_corr": 1800.0, "g_std": 1e-3,
+        "gb_psd": 3.0 * deg_h / 1800.0**0.5, "vrw": 3e-3, "vrrw": 4e-6, "ab_dyn": 6.0 * mgal, "a_std": 3e-2,
+        "ab_corr": 7200.0, "ab_psd": 6.0 * mgal / 7200.0**0.5, "ab_sta": 0.0, "gb_sta": 0.0,
+    }.items():  # fmt: skip
+        assert_allclose(getattr(found, name), [[value] * 3], rtol=1e-9)
+    assert_allclose(found.ini_align_err[0], sd[6:9])
+    fixes = whole.select_fixes()
+    assert_allclose(gnss.stdv[0] ** 2, np.median(fixes.cov_vel_n, axis=0).diagonal())
+    assert_allclose(gnss.stdm[0] ** 2, np.median(fixes.cov_pos_n, axis=0).diagonal())
+    models = re.findall(
+        r"bias_sd=(\S+), noise=(\S+), bias_walk=(\S+)\)", (tmp_path / "python-ins" / "README.md").read_text()
+    )
+    expected = [
+        [5.0 * deg_h, 1e-4, 3.0 * deg_h * (2.0 / 1800.0) ** 0.5],
+        [10.0 * mgal, 3e-3, 6.0 * mgal * (2.0 / 7200.0) ** 0.5],
+    ]
+    assert_allclose(np.array(models, float), expected, rtol=1e-5)
 
 
 def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_the_start(run, export):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from bench.config.log import SourceSpec, load_log
 from bench.earth import difference_n
 from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, imports
-from bench.exchange.imports.ulog import measure_cover
+from bench.exchange.imports import ulog_motion
+from bench.exchange.imports.ulog import find_undulation, measure_cover
 from bench.exchange.log_records import read_records
 from tests.exchange.test_dataflash import FLIGHTS
 
@@ -129,3 +131,97 @@ def test_rows_of_one_instant_have_a_cover():
     assert measure_cover(np.array([0.0, 0.0, 0.0, 0.0, 1.0]), data) == 1.0
     assert measure_cover(0.004 * np.arange(5), data) == pytest.approx(1.0)
     assert measure_cover(0.4 * np.arange(5), data) == pytest.approx(0.01)
+
+
+def make_log(*messages, **parameters):
+    """Return what pyulog reads: messages as (name, instance, times [s], columns)."""
+    found = [
+        SimpleNamespace(
+            name=name,
+            multi_id=instance,
+            data={"timestamp": 1e6 * np.array(t), **{key: np.array(one) for key, one in columns.items()}},
+        )
+        for name, instance, t, columns in messages
+    ]
+    return SimpleNamespace(data_list=found, initial_parameters=parameters, message_formats={})
+
+
+T = [1.0, 2.0, 3.0]
+
+
+def make_local(ref_alt=400.0, **columns):
+    return {
+        "x": [20.0, 21.0, 22.0], "y": [-30.0, -31.0, -32.0], "z": [-7.0, -17.0, -27.0],
+        "vx": [1.0] * 3, "vy": [2.0] * 3, "vz": [-0.5] * 3,
+        "ref_lat": [47.0] * 3, "ref_lon": [8.0] * 3, "ref_alt": [ref_alt] * 3, **columns,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("ref_alt", "place", "height"),
+    [(400.0, None, 448.0), (0.0, (418.0, 427.0, 436.5), 458.0), (0.0, None, 48.0)],
+)
+def test_a_truth_counts_from_its_reference_or_the_height_beside_it(ref_alt, place, height):
+    """The geoid is 48 m over the ellipsoid."""
+    messages = [("vehicle_local_position_groundtruth", 0, T, make_local(ref_alt))]
+    messages += [] if place is None else [("vehicle_global_position_groundtruth", 0, T, {"alt": place})]
+    found = ulog_motion.read_truth(make_log(*messages), 48.0, 777.0)
+    home = np.array([np.deg2rad(47.0), np.deg2rad(8.0), height])
+    ned = difference_n(found.lla, np.broadcast_to(home, (3, 3)))
+    assert_allclose(ned, [[20.0, -30.0, -7.0], [21.0, -31.0, -17.0], [22.0, -32.0, -27.0]], atol=1e-3)
+    assert_allclose(found.vel_n[0], [1.0, 2.0, -0.5])
+    flat = make_local(0.0, z=[0.0] * 3)
+    found = ulog_motion.read_truth(make_log((ulog_motion.TRUTH, 0, T, flat)), 48.0, 777.0)
+    assert_allclose(found.lla[:, 2], 777.0)
+
+
+def test_claims_of_the_elements_of_a_quaternion_and_innovations_of_old_firmware():
+    """Level to the north phi = 2 (q1, q2, q3), to the south 2 (q2, q1, q0) but for signs."""
+    own = [9e-5, 1e-4, 2e-4, 3e-4, 0.1, 0.2, 0.3, 1.5, 2.5]
+    z, S = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    old = {f"vel_pos_innov[{k}]": [z[k]] * 3 for k in range(6)}
+    old |= {f"vel_pos_innov_var[{k}]": [S[k]] * 3 for k in range(6)}
+    old |= {f"mag_innov[{k}]": [z[k] + 1.0] * 3 for k in range(3)}
+    old |= {f"mag_innov_var[{k}]": [S[k] + 10.0] * 3 for k in range(3)}
+    valid = {"xy_valid": [1, 1, 0], "z_valid": [1, 0, 1]}
+    claims = {"eph": [2.0] * 3, "epv": [3.0] * 3, "evh": [0.6] * 3, "evv": [0.5] * 3}
+    attitude = {"q[0]": [1.0, 0.0, 0.0], "q[3]": [0.0, 1.0, 1.0], "q[1]": [0.0] * 3, "q[2]": [0.0] * 3}
+    bias = {f"{of}_bias[{k}]": [n + k] * 3 for of, n in (("gyro", 1.0), ("accel", 4.0)) for k in range(3)}
+    log = make_log(
+        ("vehicle_local_position", 0, T, make_local(**valid, **claims, z_reset_counter=[0, 0, 1])),
+        ("vehicle_attitude", 0, T, {**attitude, "quat_reset_counter": [0, 1, 1]}),
+        ("estimator_selector_status", 0, T, {"primary_instance": [1, 1, 0]}),
+        ("estimator_status", 1, T, {f"covariances[{k}]": [v] * 3 for k, v in enumerate(own)}),
+        ("estimator_sensor_bias", 1, T, bias),
+        ("ekf2_innovations", 1, T, old),
+    )
+    found = ulog_motion.read_estimate(log, None, 48.0)
+    assert np.isfinite(found.motion.lla).all(axis=1).tolist() == [True, False, False]
+    assert_allclose(found.variances[1][:, :6], [[2.0, 2.0, 9.0, 0.18, 0.18, 0.25]] * 3)
+    assert_allclose(found.variances[1][:2, 6:], [[4e-4, 8e-4, 12e-4], [8e-4, 4e-4, 3.6e-4]])
+    assert_allclose(found.biases[1], [[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]] * 3)
+    table = found.innovations
+    rows = {name: table.code == k for k, name in enumerate(table.sensor)}
+    for name, z_of, S_of in (
+        ("gnss_velocity", z[:3], S[:3]),
+        ("gnss_position", z[3:], S[3:]),
+        ("magnetometer", [1.1, 1.2, 1.3], [11.0, 12.0, 13.0]),
+    ):
+        assert_allclose(table.z[rows[name]], z_of)
+        assert_allclose(table.S[rows[name]], S_of)
+    assert [(row[0], row[2], row[3]) for row in found.events] == [
+        (2.0, "reset", "attitude"),
+        (3.0, "lane", "instance 0 after 1"),
+        (3.0, "reset", "height"),
+    ]
+
+
+def test_the_undulation_is_that_of_fixes_with_both_heights():
+    sea = [100_000, 400_000, 410_000, 420_000, 430_000, 440_000]
+    ellipsoid = [999_000, 448_000, 458_500, 467_000, 0, 0]
+    fix_type = [1, 3, 4, 5, 3, 3]
+    gps = {"alt": sea, "alt_ellipsoid": ellipsoid, "fix_type": fix_type}
+    assert find_undulation(make_log(("sensor_gps", 0, np.arange(6.0), gps))) == pytest.approx(48.0)
+    metres = {"altitude_msl_m": [400.0, 410.0], "altitude_ellipsoid_m": [447.0, 458.0], "fix_type": [3, 3]}
+    log = make_log(("vehicle_gps_position", 0, [1.0, 2.0], metres))
+    assert find_undulation(log) == pytest.approx(47.5)
