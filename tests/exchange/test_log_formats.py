@@ -10,6 +10,7 @@ import resource
 import struct
 from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -582,3 +583,31 @@ def test_a_log_of_another_tool_is_navigated(tmp_path, capsys):
     assert main(["navigate", str(tmp_path / "drive.toml"), "-o", str(tmp_path / "out"), "--no-rrd"]) == 0
     metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]["loose-15"]
     assert metrics["pos_rmse_h_m"] < 0.05
+
+
+def test_covariances_of_messages_are_east_north_up_and_stamps_within_a_millisecond_are_one():
+    def stamp(t):
+        return SimpleNamespace(stamp=SimpleNamespace(sec=int(t), nanosec=round(t % 1 * 1e9)))
+
+    def xyz(*values):
+        return SimpleNamespace(**dict(zip("xyz", values, strict=True)))
+
+    fixes, twists = [], []
+    for t, kind, status, late in ((7.25, 2, 0, 0.0008), (8.25, 0, 1, 0.0015), (9.25, 1, -1, -0.0008)):
+        fixes.append(bags._read_fix(SimpleNamespace(
+            header=stamp(t), latitude=47.0, longitude=-8.0, altitude=500.0,
+            position_covariance=[4.0, 0.1, 0.2, 0.3, 9.0, 0.4, 0.5, 0.6, 25.0],
+            position_covariance_type=kind, status=SimpleNamespace(status=status),
+        )))  # fmt: skip
+        covariance = np.diag([0.04, 0.09, 0.16, 7.0, 8.0, 9.0]).ravel()
+        moving = SimpleNamespace(linear=xyz(3.0, 2.0, 1.0))
+        twists.append(bags._read_twist(SimpleNamespace(
+            header=stamp(t + late), twist=SimpleNamespace(twist=moving, covariance=covariance)
+        )))  # fmt: skip
+    rows = bags._make_fixes(np.array(fixes), np.array(twists[::-1]))
+    assert_allclose(rows.t, [7.25, 8.25, 9.25])
+    assert_allclose(rows.values["lla"][:2], [[np.deg2rad(47.0), np.deg2rad(-8.0), 500.0]] * 2)
+    assert np.isnan(rows.values["lla"][2]).all()
+    assert_allclose(rows.values["sd_pos"], [[3.0, 2.0, 5.0], [np.nan] * 3, [3.0, 2.0, 5.0]])
+    assert_allclose(rows.values["vel_n"], [[2.0, 3.0, -1.0], [np.nan] * 3, [2.0, 3.0, -1.0]])
+    assert_allclose(rows.values["sd_vel"], [[0.3, 0.2, 0.4], [np.nan] * 3, [0.3, 0.2, 0.4]])

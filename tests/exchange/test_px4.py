@@ -16,7 +16,7 @@ from bench.config.log import SourceSpec, load_log
 from bench.earth import difference_n
 from bench.errors import WRONG, ConfigError
 from bench.exchange import autopilot, imports
-from bench.exchange.imports import ulog_motion
+from bench.exchange.imports import ulog, ulog_motion
 from bench.exchange.imports.ulog import find_undulation, measure_cover
 from bench.exchange.log_records import read_records
 from tests.exchange.test_dataflash import FLIGHTS
@@ -225,3 +225,25 @@ def test_the_undulation_is_that_of_fixes_with_both_heights():
     metres = {"altitude_msl_m": [400.0, 410.0], "altitude_ellipsoid_m": [447.0, 458.0], "fix_type": [3, 3]}
     log = make_log(("vehicle_gps_position", 0, [1.0, 2.0], metres))
     assert find_undulation(log) == pytest.approx(47.5)
+
+
+def test_a_range_is_good_downward_within_its_limits():
+    data = {
+        "current_distance": [3.0, 0.1, 9.0, 4.0, 5.0], "min_distance": [0.2] * 5, "max_distance": [8.0] * 5,
+        "orientation": [25, 25, 25, 24, 25], "signal_quality": [90, 90, 90, 90, 0],
+    }  # fmt: skip
+    found = ulog._read_radar({name: np.array(column) for name, column in data.items()})
+    assert found["valid"].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
+    assert found["height"].tolist() == data["current_distance"]
+
+
+def test_samples_of_an_accelerometer_are_moved_to_those_of_the_gyro():
+    gyro = {"x": [0.1, 0.2, 0.3], "y": [0.4, 0.5, 0.6], "z": [0.7, 0.8, 0.9]}
+    accel = {"x": [1.0, 2.0, 4.0], "y": [5.0, 7.0, 8.0], "z": [-9.0, -9.5, -9.8]}
+    log = make_log(("sensor_gyro", 0, T, gyro), ("sensor_accel", 0, [9.0] * 3, accel))
+    log.data_list[1].data["timestamp_sample"] = 1e6 * np.array([0.5, 1.5, 2.5])
+    found = ulog._read_imu(log, "sensor_gyro", 0, log.data_list[0].data)
+    assert_allclose(found["gyro"], np.column_stack([gyro["x"], gyro["y"], gyro["z"]]))
+    assert_allclose(found["accel"], [[1.5, 6.0, -9.25], [3.0, 7.5, -9.65], [4.0, 8.0, -9.8]])
+    log.data_list[0].data["gyro_clipping"] = np.array([0, 2, 0])
+    assert ulog._read_imu(log, "sensor_gyro", 0, log.data_list[0].data)["valid"].tolist() == [1.0, 0.0, 1.0]
