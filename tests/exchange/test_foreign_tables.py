@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
 from bench.errors import ConfigError
-from bench.exchange.sensor_search import find_texts
+from bench.exchange.sensor_search import (
+    FoundSensor,
+    _guess_angle,
+    _guess_force,
+    _guess_length,
+    _guess_rate,
+    _guess_time,
+    _guess_turn,
+    find_texts,
+)
 from bench.exchange.table_files import group, list_columns, read_columns, read_table
 
 ROWS = ["0,47.5,11", "0.5,47.25,12"]
@@ -106,3 +117,50 @@ def test_fixes_beside_the_increments_of_an_imu_are_told_by_their_values(tmp_path
         "imu": ("imu.txt", "kf-gins"),
         "gnss": ("gnss.txt", "kf-gins"),
     }
+
+
+@pytest.mark.parametrize(
+    ("guess", "values", "unit"),
+    [
+        (_guess_time, [[0.0], [0.1], [0.0]], "s"),  # steps of either sign, of 2 s at most
+        (_guess_time, [[0.0], [1.9], [3.8]], "s"),
+        (_guess_time, [[0.0], [2.1], [4.2]], "ms"),
+        (_guess_time, [[0.0], [1900.0], [3800.0]], "ms"),
+        (_guess_time, [[0.0], [2100.0], [4200.0]], "us"),
+        (_guess_time, [[0.0], [1.9e6], [3.8e6]], "us"),
+        (_guess_time, [[0.0], [2.1e6], [4.2e6]], "ns"),
+        (_guess_time, [[5.0]], "s"),
+        (_guess_rate, [-3.4, np.nan], "rad_s"),
+        (_guess_rate, [-3.6, np.nan], "deg_s"),
+        (_guess_turn, [-0.19, np.nan], "rad"),
+        (_guess_turn, [-0.21, np.nan], "deg"),
+        (_guess_angle, [-3.1, np.nan], "rad"),
+        (_guess_angle, [-3.2, np.nan], "deg"),
+        (_guess_angle, [-990.0, 1.0], "deg"),
+        (_guess_angle, [-1010.0, 1.0], "deg_e7"),
+        (_guess_length, [600000.0, 600002.0], "mm"),
+        (_guess_length, [600000.0, 600001.0], "m"),
+        (_guess_length, [600000.5, 600002.0], "m"),
+        (_guess_force, [[0.0, 0.1, -1.24]] * 3, "g"),
+        (_guess_force, [[0.0, 0.1, -0.77]] * 3, "g"),
+        (_guess_force, [[0.0, 0.1, -1.3]] * 3, ""),
+        (_guess_force, [[9.8, 0.1, 0.3]] * 3, "m_s2"),
+        (_guess_force, [[0.0, 0.0, 7.2]] * 3, ""),
+        (_guess_force, [[0.0, 1010.0, 0.0]] * 3, "mg"),
+        (_guess_force, [[9.8, 0.0, 0.0], [0.0, 9.8, 0.0], [0.0, 0.0, 9.8]], ""),  # along no axis
+        (_guess_force, [[5.6, 0.0, 8.0], [5.6, 8.0, 0.0], [5.6, -8.0, 0.0]], "m_s2"),
+    ],
+)
+def test_units_are_told_by_values(guess, values, unit):
+    assert guess(np.array(values)) == unit
+
+
+def test_gyros_in_doubt_can_have_the_other_unit():
+    """Only what the values told; a column whose name has its unit keeps it."""
+    columns = {"t_s": "t", "gyro_x_rad_s": "wx", "gyro_y_deg_s": "wy", "dtheta_z_rad": "dz", "alt_m": "h"}
+    found = FoundSensor(Path("a.csv"), columns, ("wx, wy, dz: taken by the values",))
+    assert found.doubtful == ("gyro_x_rad_s", "gyro_y_deg_s", "dtheta_z_rad")
+    turned = {"t_s": "t", "gyro_x_deg_s": "wx", "gyro_y_rad_s": "wy", "dtheta_z_deg": "dz", "alt_m": "h"}
+    assert found.turn_unit().columns == turned
+    told = found._replace(guessed=("h: taken as m by the values",))
+    assert (told.doubtful, told.turn_unit().columns) == ((), columns)

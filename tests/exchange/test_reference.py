@@ -11,12 +11,16 @@ from numpy.testing import assert_allclose
 import bench
 from bench import earth, rotation
 from bench.cli import main
+from bench.data import GnssFixes, Reference
 from bench.errors import ConfigError
 from bench.evaluation.error_series import select_epochs
 from bench.exchange.log_start import find_start
+from bench.exchange.reference import _make_covariance, check_reference
 from bench.log_pipeline import Session
 from tests.builders import assert_same_solution
+from tests.evaluation.solutions import wrong_solution
 from tests.exchange import drives
+from tests.synthetic import turning
 
 POINT = np.array([1.5, -0.4, -1.0])  # of the other unit, from the point that the log counts from [m]
 MOUNTING = (2.0, -3.0, 90.0)  # of its axes: roll, pitch, yaw in those of the vehicle [deg]
@@ -221,3 +225,50 @@ def test_a_navigated_log_is_exported_and_its_solution_scores_what_it_scored(tmp_
     both = bench.load(tmp_path / "both")
     assert set(both.solutions) == {"loose-15", "again"}
     assert by in both.records
+
+
+def test_a_reference_tells_its_accuracy_and_its_distance_from_the_fixes():
+    """Rows 3 m north and 4 m east of fixes; of 5 m sd each, 5 of their sd of 0.5 m are no limit, 20 m are."""
+    truth = turning(12.0, 10.0)
+    cov = np.diag([16.0, 34.0, 1.0, *range(6)]).astype(float)
+    track = wrong_solution(truth, pos_n=[3.0, 4.0, 7.0], cov=cov)
+    t = np.array([2.05, 1.0, 30.0, 3.0])  # not in order, one between rows, one after the last
+    n = len(t)
+    lla = truth.lla[np.minimum((10 * t).round().astype(int), len(truth) - 1)]
+    lla[0] = 0.5 * (truth.lla[20] + truth.lla[21])
+    lla[1, 0] += 1.0  # that of a fix that is not valid
+    sd = np.tile(np.diag([0.09, 0.16, 400.0]), (n, 1, 1))
+    fixes = GnssFixes(t, t, t != 1.0, lla, np.zeros((n, 3)), sd, sd, np.zeros(n, np.int64))
+    found = check_reference(Reference(track, np.zeros(3)), fixes)
+    assert found.value == pytest.approx(5.0, abs=0.1)
+    assert found.good
+    assert found.text == (
+        "reference: 13 rows, 0.00 to 12.00 s, position, velocity, attitude, known to 5 m; "
+        f"{found.value:.3g} m from the fixes in the median"
+    )
+    for scale, factor, good in ((7.0, 1.0, False), (7.0, 15.0, True), (3.9, 1.0, True), (7.0, 13.0, False)):
+        far = wrong_solution(truth, pos_n=scale * np.array([3.0, 4.0, 0.0]), cov=0 * cov)
+        far = replace(far, q_nb=np.full((13, 4), np.nan))
+        found = check_reference(Reference(far, np.zeros(3)), replace(fixes, cov_pos_n=factor**2 * sd))
+        assert found.good == good
+        assert "s, position, velocity, taken as exact; " in found.text
+        assert found.text.endswith(": is it of this drive, and time_offset_s of its clock?") != good
+    late = check_reference(Reference(track, np.zeros(3)), fixes.take(t == 30.0))
+    assert (late.value, late.good) == (None, True)
+    assert late.text.endswith("known to 5 m; no fix at its times to compare it with")
+
+
+def test_the_claims_of_a_reference_are_where_they_belong():
+    """Negative and missing ones count as exact; a covariance stands before a standard deviation."""
+    whole = np.arange(1.0, 10.0)
+    values = {
+        "cov_pos": whole[None],
+        "sd_pos": np.full((1, 3), 99.0),
+        "sd_vel": np.array([[2.0, -3.0, np.nan]]),
+    }
+    (cov,) = _make_covariance(values, np.array([[0.1, 0.2, -1.0]]), 1)
+    expected = np.zeros((9, 9))
+    expected[:3, :3] = whole.reshape(3, 3)
+    expected[3, 3], expected[6, 6], expected[7, 7] = 4.0, 0.01, 0.04
+    assert_allclose(cov, expected)
+    assert_allclose(_make_covariance({}, None, 2), np.zeros((2, 9, 9)))

@@ -463,15 +463,15 @@ def test_fixes_that_cannot_be_and_those_that_go_back_are_left_out():
 
 
 def test_the_longest_piece_in_time_is_used_and_its_gaps_told():
-    """Pieces of 3, 9 and 5 s; in that of 9 s an interval of 4 s, within bridge_s, is above three of 1 s."""
-    t = np.array([0.0, 1, 2, 3, 23, 24, 25, 29, 30, 31, 32, 52, 52.5, 53, 53.5, 54, 54.5, 55, 56, 57])
+    """Pieces of 6, 18 and 10 s; in that of 18 s an interval of 8 s, within bridge_s: above three of 2 s."""
+    t = 2.0 * np.array([0.0, 1, 2, 3, 23, 24, 25, 29, 30, 31, 32, 52, 52.5, 53, 53.5, 54, 54.5, 55, 56, 57])
     notes: list[str] = []
-    found, lla = _choose_piece(t, np.arange(60.0).reshape(20, 3), 10.0, notes)
+    found, lla = _choose_piece(t, np.arange(60.0).reshape(20, 3), 20.0, notes)
     assert_allclose(found, t[4:11])
     assert_allclose(lla[:, 0], 3.0 * np.arange(4, 11))
     assert notes == [
-        "cut at 2 gaps of more than 10 s; the longest piece is used: 23 to 32 s",
-        "1 gap of up to 4 s bridged by the curve; the median interval is 1 s",
+        "cut at 2 gaps of more than 20 s; the longest piece is used: 46 to 64 s",
+        "1 gap of up to 8 s bridged by the curve; the median interval is 2 s",
     ]
 
 
@@ -511,13 +511,16 @@ def test_a_turn_without_side_force_banks_by_the_force_and_lifts_the_nose_by_the_
 
 
 def test_a_lone_fix_and_a_jump_are_told_from_a_fast_vehicle():
-    """10 m a second; 500 m aside for one fix, and from 30 s on 800 m on."""
-    t = np.arange(40.0)
-    fixes = np.column_stack([10.0 * t, 0 * t, 0 * t])
+    """10 m in 2 s; 500 m aside for one fix, 400 and 300 m ahead in two steps, and 800 m from 120 s on."""
+    t = 2.0 * np.arange(80)
+    fixes = np.column_stack([5.0 * t, 0 * t, 0 * t])
     assert not _find_lone(t, fixes).any()
     assert _find_jump(t, fixes) == ""
     fixes[12, 1] = 500.0
+    fixes[30:, 0] += 390.0
+    fixes[31:, 0] += 290.0
+    fixes[50, 1], fixes[51:, 0] = 40.0, fixes[51:, 0] - 10.0  # not five times as fast as others
     assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
-    fixes[30:, 0] += 790.0
-    assert _find_jump(t, fixes) == ". They jump by 800 m at 30 s (from_s, to_s)"
+    fixes[60:, 0] += 790.0
+    assert _find_jump(t, fixes) == ". They jump by 800 m at 120 s (from_s, to_s)"
     assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
