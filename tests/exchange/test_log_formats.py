@@ -593,7 +593,7 @@ def test_covariances_of_messages_are_east_north_up_and_stamps_within_a_milliseco
         return SimpleNamespace(**dict(zip("xyz", values, strict=True)))
 
     fixes, twists = [], []
-    for t, kind, status, late in ((7.25, 2, 0, 0.0008), (8.25, 0, 1, 0.0015), (9.25, 1, -1, -0.0008)):
+    for t, kind, status, late in ((7.25, 2, 0, -0.0008), (8.25, 0, 1, 0.0015), (9.25, 1, -1, 0.0008)):
         fixes.append(bags._read_fix(SimpleNamespace(
             header=stamp(t), latitude=47.0, longitude=-8.0, altitude=500.0,
             position_covariance=[4.0, 0.1, 0.2, 0.3, 9.0, 0.4, 0.5, 0.6, 25.0],

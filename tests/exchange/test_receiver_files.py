@@ -19,6 +19,7 @@ from bench import earth
 from bench.cli import main
 from bench.errors import ConfigError
 from bench.exchange import nees_band
+from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex import ephemerides, observations
 from bench.exchange.rinex.lines import gps_seconds
 from bench.orbit_sets import BEIDOU, GALILEO, GPS
@@ -563,3 +564,15 @@ def test_ntcm_g_against_its_official_vectors(level):
 )  # fmt: skip
 def test_unb3m_against_another_port(lat, alt, day, expected):
     assert abs(zenith_troposphere(np.deg2rad(lat), alt, "unb3m", day=day) - expected) < 1e-4
+
+
+def test_a_table_of_positions_is_the_truth_between_rows_two_seconds_apart():
+    """By its own clock 0.4, 1.6, 3, 4.5005 and 5 s, and before and after it."""
+    lla = np.array(
+        [[0.8, 0.14, 100.0], [0.8 + 4e-6, 0.14 - 8e-6, 104.0], [0.8, 0.14, 110.0], [0.8, 0.14, 120.0]]
+    )
+    truth = Truth(100.0, np.array([0.0, 1.6, 4.5, 5.5]), lla)
+    found = truth.at(90.0, np.array([10.4, 11.6, 13.0, 14.5005, 15.0, 9.9, 16.0]))
+    none = np.nan
+    assert_allclose(found[:, 2], [101.0, 104.0, none, 110.005, 115.0, none, none], atol=1e-3)
+    assert_allclose(found[:2, :2], [[0.8 + 1e-6, 0.14 - 2e-6], [0.8 + 4e-6, 0.14 - 8e-6]], atol=1e-10)
