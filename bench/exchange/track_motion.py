@@ -268,8 +268,8 @@ def _fill_slow(vel_n: FloatArray) -> FloatArray:
     """Return velocities whose direction is turned steadily where they are too slow to have one, and level."""
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     known = speed > _SLOW
-    if known.all() or not known.any():
-        return vel_n if known.all() else np.broadcast_to([1.0, 0.0, 0.0], vel_n.shape)
+    if not known.any():
+        return np.broadcast_to([1.0, 0.0, 0.0], vel_n.shape)
     rows = np.arange(len(vel_n))
     course = np.interp(rows, rows[known], np.unwrap(np.arctan2(vel_n[known, 1], vel_n[known, 0])))
     slope = np.interp(rows, rows[known], vel_n[known, 2] / speed[known]) * np.minimum(speed / _SLOW, 1.0)
