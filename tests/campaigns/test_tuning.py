@@ -16,7 +16,7 @@ from scipy.stats import multivariate_normal
 import bench
 from bench import pipeline
 from bench.campaigns import trials, tuning
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.campaigns.pools import ExecutorPool, ProcessPool, SerialExecutor
 from bench.campaigns.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
 from bench.campaigns.worker import RunTask
 from bench.cli import main
@@ -261,6 +261,18 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
     for jobs in (3, None):
         bench.tune("short.toml", "x", factors=names, evaluations=1, jobs=jobs)
     assert workers == [3, tuning.count_processors()]
+
+
+def test_draws_cost_the_same_in_processes_of_their_own(here, monkeypatch):
+    names = ["gnss.gnss.pos_h_white,gnss.gnss.pos_v_white"]
+
+    def tune():
+        return bench.tune("short.toml", "loose-15", factors=names, runs=2, evaluations=1, jobs=1)
+
+    expected = tune()
+    monkeypatch.setattr(tuning, "ProcessPool", ProcessPool)
+    found = tune()
+    assert (found.factors, found.before, found.after) == (expected.factors, expected.before, expected.after)
 
 
 @pytest.mark.slow
