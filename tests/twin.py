@@ -347,16 +347,21 @@ class Aiding:
         self.now, self.refused, self.rows = 0.0, {}, []
         self.used = {"position": -np.inf, "velocity": -np.inf}
 
-    def drifted(self, z, H, R):
-        """A position is beyond the gate, and its velocity too, or what P makes of such a drift."""
+    def compare(self, z, H, R):
+        """How a position and its velocity go together.
+
+        The position is beyond the gate, and its velocity too, or what P makes of such a drift; and each is within
+        the gate, but the velocity not once the position is used.
+        """
         kf, sound = self.kf, chi2.ppf(self.sound, 3)
         e, P = np.asarray(z) - H @ kf.x[: H.shape[1], 0], kf.P[: H.shape[1], : H.shape[1]]
         S = H @ P @ H.T + R
         place, speed, both = (e[k] @ np.linalg.solve(S[k, k], e[k]) for k in map(slice, (0, 3, 0), (3, 6, 6)))
         apart = np.trace(S[:3, :3] - R[:3, :3]) > np.trace(R[:3, :3])
-        return place > sound and (speed > sound or (apart and both - place <= sound))
+        drifted = place > sound and (speed > sound or (apart and both - place <= sound))
+        return drifted, place <= sound and speed <= sound and both - place > sound
 
-    def use(self, name, z, H, R, drifted=False):
+    def use(self, name, z, H, R, drifted=False, contradicts=False):
         """Gate one sub-vector of predicted less measured values z (m,), then update error and P."""
         kf, column = self.kf, np.asarray(z).reshape(-1, 1)
         wide = np.zeros((len(z), kf.dim_x))
@@ -364,7 +369,7 @@ class Aiding:
         innovation = column - wide @ kf.x
         S = wide @ kf.P @ wide.T + R
         nis = (innovation.T @ np.linalg.solve(S, innovation)).item()
-        sound = nis <= chi2.ppf(self.sound, len(z))
+        sound = nis <= chi2.ppf(self.sound, len(z)) and not contradicts
         before = self.refused.get(name, [])
         late = len(before) > 2 and self.now - before[0] > self.readmit_after_s - 1e-6
         accepted = sound or drifted or (late and name in OWN)
@@ -540,8 +545,10 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
                 [(place - sensors.fixes.lla[row]) * metres(lla), speed - sensors.fixes.vel_n[row]]
             )
             missed = aiding.refused.get("position", []) + aiding.refused.get("velocity", [])
-            drifted = now - used >= 10.0 and not missed and aiding.drifted(z, H, fix_R)
-            accepted = aiding.use("position", z[:3], H[:3], fix_R[:3, :3], drifted)
+            returns = now - used >= 10.0 and not missed
+            drifted, contradicts = aiding.compare(z, H, fix_R) if returns or missed else (False, False)
+            drifted = drifted and returns
+            accepted = aiding.use("position", z[:3], H[:3], fix_R[:3, :3], drifted, contradicts)
             if np.isfinite(z).all():
                 accepted |= aiding.use("velocity", z[3:], H[3:], fix_R[3:, 3:], drifted)
             used = now if accepted else used

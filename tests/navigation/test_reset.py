@@ -50,7 +50,7 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
         assert 20.0 <= begin <= 25.0
         assert end <= 36.0
         assert text.startswith(
-            "20 s of fixes refused that moved as their velocities say: position and velocity"
+            "fixes of 75% of 20 s refused that moved as their velocities say: position and velocity"
         )
         assert "heading by the course of 10 s" in text
         errors = error_series(truth, solution)

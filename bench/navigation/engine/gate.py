@@ -211,6 +211,17 @@ def drift_kernel(position: float, velocity: float, both: float, apart: float, li
     return position > limit and (velocity > limit or (apart > 0.0 and both - position <= limit))
 
 
+@kernel
+def contradicts_kernel(position: float, velocity: float, both: float, limit: float) -> bool:
+    """Return whether position and velocity of a fix are possible one by one, and not together.
+
+    After an outage the position may be anywhere within kilometers, and the velocity tells where: a fix whose
+    position was moved alone passes both gates, and would turn the velocity and the attitude. Given are the
+    NIS of the position, of the velocity and of both, and the ``limit`` for three components.
+    """
+    return position <= limit and velocity <= limit and both - position > limit
+
+
 @inner
 def fix_kernel(
     t: float,
@@ -227,8 +238,10 @@ def fix_kernel(
     work: FloatArray,
     HP: FloatArray,
     at: IntArray,
-) -> tuple[bool, bool]:
-    """Return :func:`drift_kernel`, after an outage, and :func:`moves_kernel` of a fix z (6,) = H dx + v.
+) -> tuple[bool, bool, bool]:
+    """Return `drift_kernel`, `moves_kernel` and `contradicts_kernel` of a fix z (6,) = H dx + v.
+
+    The first asks only after an outage, the last also while fixes are refused.
 
     dx is 0. ``work`` (6, 7), ``HP`` (6, n) and ``at`` (6, n + 1) end as `kalman.nis_kernel` of the position
     leaves them.
@@ -242,8 +255,10 @@ def fix_kernel(
     apart = 0.0
     for a in range(3):
         apart += var[a] - 2.0 * r[a]
-    drifted = returns_kernel(t, trust) and drift_kernel(position, velocity, both, apart, limit)
-    return drifted, moves
+    returns, refused = returns_kernel(t, trust), trust.misses[0] + trust.misses[1] > 0
+    drifted = returns and drift_kernel(position, velocity, both, apart, limit)
+    contradicts = (returns or refused) and contradicts_kernel(position, velocity, both, limit)
+    return drifted, moves, contradicts
 
 
 @inner
@@ -289,6 +304,7 @@ class InnovationGate(SessionState):
     trust: Kept[Trust]
     drifted: Kept[bool]  # the fix in use: by a drift of the filter
     moves: Kept[bool]  # the fix in use: as it says itself
+    contradicts: Kept[bool]  # the fix in use: its position is refused
     refused: Kept[Refused]
     _numbers: Kept[list[tuple[float, float, float, float]]]  # the log
     _marks: Kept[list[tuple[int, int, int, int]]]
@@ -299,7 +315,7 @@ class InnovationGate(SessionState):
         self.sensors, self.readmit_after_s = sensors, readmit_after_s
         self.limits = {m: nis_limit(m, probability) for m in (1, 2, 3)}
         self.trust = new_trust(len(sensors), start)
-        self.drifted, self.moves = False, True
+        self.drifted, self.moves, self.contradicts = False, True, False
         self.refused, self._numbers, self._marks = {}, [], []
 
     def decide(
@@ -320,9 +336,10 @@ class InnovationGate(SessionState):
         of the filter may be why it is not sound.
         """
         of_fix = code < 2
+        sound = bool(sound) and not (code == 0 and self.contradicts)
         drifted, opens = of_fix and drifts and self.drifted, opens and (self.moves or not of_fix)
         verdict = decide_kernel(
-            t, code, bool(sound), drifted, opens, self.readmit_after_s, len(self.sensors), self.trust
+            t, code, sound, drifted, opens, self.readmit_after_s, len(self.sensors), self.trust
         )
         for component, (one, variance) in enumerate(zip(z, S, strict=True)):
             self._numbers.append((t, float(one), float(variance), value))
@@ -334,16 +351,18 @@ class InnovationGate(SessionState):
 
         y (6,) and S (6, 6) are in axes that do not turn, r (3,) the variance of its position.
         """
-        self.drifted, limit = False, self.limits[3]
-        if returns_kernel(t, self.trust):
+        self.drifted, self.contradicts, limit = False, False, self.limits[3]
+        returns = bool(returns_kernel(t, self.trust))
+        if returns or self.trust.misses[:2].any():
             apart = float(np.trace(S[:3, :3])) - 2.0 * float(np.sum(r))
             found = nis(y[:3], S[:3, :3]), nis(y[3:], S[3:, 3:]), nis(y, S)
-            self.drifted = bool(drift_kernel(*found, apart, limit))
+            self.drifted = returns and bool(drift_kernel(*found, apart, limit))
+            self.contradicts = bool(contradicts_kernel(*found, limit))
         self.moves = bool(moves_kernel(t, y, np.diag(S).copy(), limit, self.readmit_after_s, self.trust))
 
     def see_position(self) -> None:
         """See a fix without a velocity: nothing tells why it is beyond the gate."""
-        self.drifted, self.moves = False, True
+        self.drifted, self.moves, self.contradicts = False, True, False
 
     def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:
         """Return the innovations, and events of refusals that have ended, since this was called last."""

@@ -18,6 +18,7 @@ from bench.navigation.engine.gate import (
     decide_kernel,
     fix_kernel,
     note_kernel,
+    returns_kernel,
 )
 from bench.navigation.engine.kalman import (
     nis_of_kernel,
@@ -154,14 +155,16 @@ def use_kernel(
         late_rows_kernel(P, H, late, waits)
         nis = nis_of_kernel(late.HP, dx, H, late.at, z, r, work.var, work.square)
         sound = nis <= gate.nis[m]
-        doubted = not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0
-        if doubted and code == POSITION and rows > 3:
+        if code == POSITION and rows > 3 and (
+            not sound or trust.misses[POSITION] + trust.misses[VELOCITY] > 0 or returns_kernel(t, trust)
+        ):  # fmt: skip
             H_6, z_6, r_6 = pending.H[a : a + 6], pending.z[a : a + 6], pending.r[a : a + 6]
             waits = settle_kernel(P, late, waits)
-            drifted, moves = fix_kernel(
+            drifted, moves, contradicts = fix_kernel(
                 t, P, dx, H_6, z_6, r_6, gate.nis[3], gate.readmit_after_s, trust,
                 work.innovation, work.var, work.square, late.HP, late.at,
             )  # fmt: skip
+            sound = sound and not contradicts
         passed = sound or drifted
         squares, spread, excess, e = 0.0, 0.0, 0.0, work.innovation
         waited = t - trust.used[channel]

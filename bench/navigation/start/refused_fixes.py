@@ -22,8 +22,9 @@ from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSO
 from bench.navigation.options import FixAccuracy
 from bench.sensor_specs import GnssSpec
 
-_SHARE = 0.75  # of the positions of a window that are refused, those that the gate believed again among them
-_FEWEST = 10  # fixes in a window
+SHARE = 0.75
+"""Part of the time of a window in which positions are refused."""
+_FEWEST = 10  # fixes in a window; none stands for more than a tenth of its time
 _FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
 
 
@@ -36,6 +37,7 @@ class RefusedFixes(SessionState):
 
     _fixes: Replaced[GnssFixes | None]  # of the last window
     _t: Replaced[FloatArray]  # (K,) instants of its verdicts on positions [s]
+    _stood: Replaced[FloatArray]  # (K,) time that each of them stands for [s]
     _refused: Replaced[BoolArray]  # (K,)
     _begun: Kept[float]  # first verdict [s]
     _next: Kept[float]  # before it the fixes are not looked at again [s]
@@ -47,7 +49,8 @@ class RefusedFixes(SessionState):
 
     def forget(self) -> None:
         """Begin anew, with another filter."""
-        self._fixes, self._t, self._refused = None, np.empty(0), np.empty(0, np.bool_)
+        self._fixes = None
+        self._t, self._stood, self._refused = np.empty(0), np.empty(0), np.empty(0, np.bool_)
         self._begun, self._next = np.inf, -np.inf
 
     def take(self, fixes: GnssFixes) -> None:
@@ -72,13 +75,15 @@ class RefusedFixes(SessionState):
             return None
         before = len(self._t)
         t = np.concatenate([self._t, table.t[rows]])
+        apart = np.diff(t[before:], prepend=t[max(before - 1, 0)])
+        stood = np.concatenate([self._stood, np.clip(apart, 0.0, self.window / _FEWEST)])
         refused = np.concatenate([self._refused, ~table.accepted[rows]])
         self._begun = min(self._begun, float(t[0]))
         if refused[before:].any():
             first = np.searchsorted(t, t - self.window, side="right")
-            sums, k = np.concatenate([[0], np.cumsum(refused)]), np.arange(len(t))
-            count = k + 1 - first
-            due = refused & (sums[k + 1] - sums[first] >= _SHARE * count) & (count >= _FEWEST) & (k >= before)
+            sums, k = np.concatenate([[0.0], np.cumsum(stood * refused)]), np.arange(len(t))
+            due = sums[k + 1] - sums[first] >= SHARE * self.window - TIME_TOLERANCE
+            due &= refused & (k + 1 - first >= _FEWEST) & (k >= before)
             for now in t[due & (t >= self._begun + self.window)].tolist():
                 if now < self._next:
                     continue
@@ -86,7 +91,7 @@ class RefusedFixes(SessionState):
                     return float(now)
                 self._next = now + 0.25 * self.window
         kept = t > t[-1] - self.window
-        self._t, self._refused = t[kept], refused[kept]
+        self._t, self._stood, self._refused = t[kept], stood[kept], refused[kept]
         if self._fixes is not None:
             self._fixes = self._fixes.take(self._fixes.t_arrival > t[-1] - self.window)
         return None

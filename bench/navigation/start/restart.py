@@ -51,7 +51,7 @@ from bench.navigation.start.alignment import StartSearch
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
-from bench.navigation.start.refused_fixes import RefusedFixes
+from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
 _ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
@@ -269,7 +269,7 @@ class BetweenGaps(SessionState):
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
         coast.take(fix)
-        why = f"{self.watch.window:g} s of fixes refused that moved as their velocities say"
+        why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s refused that moved as their velocities say"
         self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
         self.watch.forget()
         self.newest = float(fix.t[-1])

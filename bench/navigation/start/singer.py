@@ -206,10 +206,11 @@ def _use_kernel(
         )
         sound = nis <= model.nis
         if code == 0 and parts == 2:
-            drifted, moves = fix_kernel(
+            drifted, moves, contradicts = fix_kernel(
                 t, P, dx, work.H, z, r, model.nis, model.readmit_after_s, trust,
                 work.innovation, work.var, work.square, work.rows, work.columns,
             )  # fmt: skip
+            sound = sound and not contradicts
         verdict = decide_kernel(t, code, sound, drifted, moves, model.readmit_after_s, 2, trust)
         for i in range(3):
             note_kernel(t, code, code, i, e[3 * code + i], work.var[i], nis, verdict != REFUSED, log)
