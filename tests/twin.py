@@ -350,8 +350,8 @@ class Aiding:
     def compare(self, z, H, R):
         """How a position and its velocity go together.
 
-        The position is beyond the gate, and its velocity too, or what P makes of such a drift; and each is within
-        the gate, but the velocity not once the position is used.
+        The position is beyond the gate, and its velocity too, or what P makes of such a drift; and each is
+        within the gate, but the velocity not once the position is used.
         """
         kf, sound = self.kf, chi2.ppf(self.sound, 3)
         e, P = np.asarray(z) - H @ kf.x[: H.shape[1], 0], kf.P[: H.shape[1], : H.shape[1]]

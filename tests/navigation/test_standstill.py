@@ -67,10 +67,20 @@ def test_each_limit_is_where_the_datasheet_puts_it(name, limit):
     assert not is_still(record(force=G - 1.001 * FORCE_LIMIT))
 
 
-def test_by_its_gyros_a_unit_may_be_shaken_but_does_not_turn():
-    assert is_still(record(force_noise=1.0), by_gyros=True)
-    assert not is_still(record(rate_noise=1.0), by_gyros=True)
-    assert not is_still(record(force=G + 1.0), by_gyros=True)
+def test_by_its_gyros_a_unit_may_be_shaken_but_neither_turns_nor_swings():
+    """A swing may change its mean by 0.3 of its sd from one half of a window to the other."""
+    assert is_still(record(force_noise=1.0), gyro_sd=1e-4)
+    assert is_still(record(rate_noise=1.0), gyro_sd=1e-4)
+    assert not is_still(record(rate_noise=1.0))
+    assert not is_still(record(force=G + 1.0), gyro_sd=1e-4)
+    limit = 7.292115e-5 + 4.0 * (1e-4 + 2e-5)
+    assert is_still(record(rate=0.999 * limit), gyro_sd=1e-4)
+    assert not is_still(record(rate=1.001 * limit), gyro_sd=1e-4)
+    shaken = record(rate_noise=1.0)
+    half = np.where(np.arange(200) % 100 < 50, 1.0, -1.0)[:, None] * DT
+    for change, still in ((0.148, True), (0.155, False)):  # 2 x / sqrt(1 + x^2) < 0.3
+        swung = replace(shaken, dtheta_b=shaken.dtheta_b + change * half * [1.0, 0.0, 0.0])
+        assert is_still(swung, gyro_sd=1e-4) == still
 
 
 def test_a_window_has_no_gap_and_four_samples():

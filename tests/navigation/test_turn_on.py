@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench import pipeline, rotation
+from bench.data import ImuData
 from bench.earth import EARTH_RATE
 from bench.evaluation.error_series import DIVERGED_SIGMAS, error_series
 from bench.flight import fly
@@ -23,7 +24,7 @@ from bench.navigation.start import steady_course, turn_on, turning_start
 from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors import sense
 from bench.units import STANDARD_GRAVITY
-from tests.builders import Z, at_rest, band, first_rows
+from tests.builders import Z, at_rest, band, first_rows, take
 from tests.flight.plans import plan
 from tests.navigation import honesty
 from tests.navigation.test_straight_flights import LEG
@@ -67,7 +68,9 @@ def test_what_a_datasheet_leaves_open_of_a_bias_and_of_its_warming():
     gyro = TriadSpec(turn_on_bias_sd=3e-3, temperature_sd=1e-4, g_sensitivity_sd=2e-4)
     spec = ImuSpec("unit", gyro, TriadSpec(), thermal=ThermalSpec(298.15, 15.0, 100.0))
     start = SimpleNamespace(t=0.0, lla=np.array([0.8, 0.2, 1000.0]))
-    assert turn_on._error_sd(spec, start) == pytest.approx(np.hypot(np.hypot(3e-3, 16.5e-4), 2e-4 * 9.80665))
+    assert steady_course.gyro_error_sd(spec, start) == pytest.approx(
+        np.hypot(np.hypot(3e-3, 16.5e-4), 2e-4 * 9.80665)
+    )
     for height, change in ((1400.0, 15.0), (400.0, 18.9)):
         heights = np.array([1000.0, np.nan, height])
         warming = turn_on._warming_sd(50.0, heights, spec, start)
@@ -224,20 +227,23 @@ def test_what_a_short_stretch_tells_gives_way_to_the_first_turn(turning):
 
 
 def test_a_unit_that_is_shaken_on_the_ground_learns_its_bias():
-    """By the gyros while they are quiet; where these are shaken, too, to what it may turn meanwhile."""
+    """By the gyros, which may be shaken at 9 Hz, too; not while they swing as of what hovers."""
     profile = with_biases_alone(bench.load_profile("figure-eight", {"sensors.imu": "lsm6dsl"}))
     truth = at_rest(12.0, 200.0, np.array([0.8, 0.2, 500.0]))
-    wave = np.sin(2 * np.pi * 9.0 * truth.t[1:])[:, None] / 200.0
-    for force, turn, sd_deg_s in ((0.04, 0.0, 0.1 / 11.0), (0.04, np.deg2rad(1.0), 5.0 / 10.0)):
+    for turn_deg_s, hz in ((0.0, 9.0), (1.0, 9.0), (1.0, 0.7)):
+        wave = np.sin(2 * np.pi * hz * truth.t[1:])[:, None] / 200.0
         shaken = replace(
             truth,
-            dvel_b=truth.dvel_b + force * wave * [0.0, 0.0, 1.0],
-            dtheta_b=truth.dtheta_b + turn * wave * [1.0, 0.0, 0.0],
+            dvel_b=truth.dvel_b + 0.04 * wave * [0.0, 0.0, 1.0],
+            dtheta_b=truth.dtheta_b + np.deg2rad(turn_deg_s) * wave * [1.0, 0.0, 0.0],
         )
         sensed = pipeline.sense(profile, shaken)
         found = turn_on.find_turn_on(sensed.data, sensed.initial, 11.0)
+        if hz < 1.0:
+            assert found is None
+            continue
         assert found is not None
-        assert np.rad2deg(found.sd) == pytest.approx(sd_deg_s, rel=0.25)
+        assert np.rad2deg(found.sd) == pytest.approx(0.1 / 11.0, rel=0.25)
         assert_allclose(found.bias_b, sensed.truth.gyro_bias_b[-1], atol=4.0 * found.sd)
 
 
@@ -344,25 +350,45 @@ def record_of(course_deg, speed=25.0):
 
 
 def start(speed=25.0):
-    return SimpleNamespace(t=0.0, vel_n=np.array([speed, 0.0, 0.0]))
+    return SimpleNamespace(t=0.0, vel_n=np.array([speed, 0.0, 0.0]), lla=np.array([0.8, 0.2, 500.0]))
+
+
+QUIET = ImuSpec("quiet", TriadSpec(random_walk=1e-4), TriadSpec(random_walk=1e-3))
+
+
+def course_of(initial, steady=True):
+    return steady_course.SteadyCourse(initial, QUIET, steady=steady)
+
+
+def samples_of(turning, rate=50.0):
+    """Samples of a unit that turns by a rate [rad/s] in some of its seconds, and is shaken all the time."""
+    n, noise = round(len(turning) * rate), np.random.default_rng(2)
+    t, none = np.arange(1, n + 1) / rate, np.ones(n, np.bool_)
+    turn = np.repeat(np.asarray(turning, float), round(rate))[:, None] * [0.0, 0.0, 1.0]
+    force = noise.normal(scale=0.1, size=(n, 3))
+    force[:, 2] -= 9.79
+    return ImuData(t, np.full(n, 1 / rate), none, turn / rate, force / rate)
+
+
+NOTHING = take(samples_of(np.zeros(1)), slice(0))
 
 
 def test_a_course_is_measured_until_it_has_changed():
     """Across south, where it jumps by 360 deg, and however the record is cut; never again after a turn."""
     course = 172.0 + 9.0 * np.sin(np.arange(100.0) / 5.0)
     course[75:90] += 11.0
-    whole = steady_course.SteadyCourse(start(), steady=True)
-    t, values, variance = whole.take(record_of(course))
+    whole = course_of(start())
+    t, values, variance = whole.take(record_of(course), NOTHING)
     assert_allclose(t, [1.1, 30.1, 40.1, 50.1, 60.1, 70.1])
     assert_allclose(np.rad2deg(values[:, 0]) % 360.0, course[np.round(t - 1.1).astype(int)], atol=1e-9)
     assert_allclose(variance, np.deg2rad(5.0) ** 2)
-    cut, found = steady_course.SteadyCourse(start(), steady=True), []
+    cut, found = course_of(start()), []
     record = record_of(course).fixes
     for first in range(0, 100, 7):
         rows = slice(first, first + 7)
         piece = {name: value[rows] for name, value in vars(record).items()}
-        found += cut.take(SimpleNamespace(fixes=SimpleNamespace(**piece)))[0].tolist()
-        again = steady_course.SteadyCourse(start(), steady=True)
+        found += cut.take(SimpleNamespace(fixes=SimpleNamespace(**piece)), NOTHING)[0].tolist()
+        again = course_of(start())
         again.restore(cut.state())
         cut = again
     assert_allclose(found, t)
@@ -371,27 +397,52 @@ def test_a_course_is_measured_until_it_has_changed():
 def test_a_course_of_a_walk_is_none_and_ends_the_stretch():
     """Below 5 m/s; what flies has an angle to it that the wind changes, the slower the more."""
     speed = np.where(np.arange(60) < 45, 5.1, 4.9)
-    found = steady_course.SteadyCourse(start(5.1), steady=True)
-    assert_allclose(found.take(record_of(np.zeros(60), speed))[0], [1.1, 30.1, 40.1])
+    found = course_of(start(5.1))
+    assert_allclose(found.take(record_of(np.zeros(60), speed), NOTHING)[0], [1.1, 30.1, 40.1])
     for speed, walk in ((25.0, WIND_WALK / 25.0), (5.1, WIND_WALK / 5.1), (4.9, 0.0)):
-        (block,) = steady_course.SteadyCourse(start(speed), steady=True).blocks()
+        (block,) = course_of(start(speed)).blocks()
         (state,) = block.states(None)
         assert (state.name, state.unit, state.size) == ("course_offset", "rad", 1)
         assert state.variance == pytest.approx(np.pi**2 / 3.0)
         assert state.density == pytest.approx(walk**2)
-    assert steady_course.SteadyCourse(start(), steady=False).blocks() == []
-    assert not len(steady_course.SteadyCourse(start(), steady=False).take(record_of(np.zeros(9)))[0])
+    assert course_of(start(), steady=False).blocks() == []
+    assert not len(course_of(start(), steady=False).take(record_of(np.zeros(9)), NOTHING)[0])
     with pytest.raises(ValueError, match=r"^over must be true of gyros that keep the heading$"):
-        steady_course.SteadyCourse(start(), steady=False).restore({**found.state(), "over": False})
+        course_of(start(), steady=False).restore({**found.state(), "over": False})
 
 
 def test_at_rest_the_nose_points_where_it_did_until_it_moves():
     speed = np.where(np.arange(60) < 45, 0.49, 0.51)
-    found = steady_course.SteadyCourse(start(0.0), steady=True)
-    t, values, variance = found.take(record_of(np.linspace(0.0, 359.0, 60), speed))
+    found = course_of(start(0.0))
+    record = record_of(np.linspace(0.0, 359.0, 60), speed)
+    t, values, variance = found.take(record, samples_of(np.zeros(60)))
     assert_allclose(t, [1.1, 30.1, 40.1])
     assert (values == 0.0).all()
     assert_allclose(variance, np.deg2rad(0.1) ** 2)
+
+
+ALL = [1.1, 30.1, 40.1, 50.1, 60.1]
+
+
+@pytest.mark.parametrize(
+    ("turning_s", "measured"),
+    [((), ALL), (range(10, 20), ALL), (range(0, 60, 2), ALL), (range(32, 39), ALL[:2]), (range(60), ALL[:1])],
+)
+def test_what_is_slow_and_turns_does_not_stand(turning_s, measured):
+    """For more than half of the time since the angle before; shaken it may be, and the record cut anyhow."""
+    turning = np.isin(np.arange(60), list(turning_s)) * 0.02
+    record, samples = record_of(np.zeros(60), np.full(60, 0.1)), samples_of(turning)
+    assert_allclose(course_of(start(0.0)).take(record, samples)[0], measured)
+    cut, found = course_of(start(0.0)), []
+    for first in range(0, 60, 7):
+        rows = slice(first, first + 7)
+        fixes = SimpleNamespace(**{name: value[rows] for name, value in vars(record.fixes).items()})
+        inside = (samples.t > (first and first + 0.35)) & (samples.t <= first + 7.35)
+        found += cut.take(SimpleNamespace(fixes=fixes), take(samples, inside))[0].tolist()
+        again = course_of(start(0.0))
+        again.restore(cut.state())
+        cut = again
+    assert_allclose(found, measured)
 
 
 # --- the stretch by hand ------------------------------------------------------------------------------------

@@ -20,6 +20,7 @@ VELOCITY_SD = 0.02  # of an aircraft that stands and rocks in the wind [m/s]
 RATE_SD = 2e-5  # the same [rad/s]
 _NOISY = 1.5  # sd of the samples over that of their noise: 200 samples stay below 1.2
 _FEWEST = 4  # samples that tell their noise
+_SWINGS = 0.3  # change of the mean between halves of a window over the sd of what shakes on the ground
 _SIGMAS = 4.0  # of the biases, granted to the means
 _GRAVITY_SPREAD = 0.06  # normal gravity between equator, poles and 12 km [m/s^2]
 
@@ -28,13 +29,14 @@ class StandstillDetector(ImuSampler):
     """Finds where a unit stood still, over windows of `WINDOW`; values are zero velocity by mean rate.
 
     Values are the measured mean rate [rad/s] and force [m/s^2] over each window, b; variances those of the
-    velocity, which is zero, and of the rate. With ``by_gyros`` it may be shaken: the noise of the
-    accelerometers is not asked.
+    velocity, which is zero, and of the rate. With ``gyro_sd``, the sd of the whole error of a gyro [rad/s],
+    it may be shaken: the noise of the accelerometers is not asked, and rates that swing have the same mean in
+    both halves of a window. What hovers swings slower.
     """
 
-    def __init__(self, start: float, spec: ImuSpec, *, by_gyros: bool = False) -> None:
+    def __init__(self, start: float, spec: ImuSpec, *, gyro_sd: float | None = None) -> None:
         super().__init__(start, WINDOW)
-        self.spec, self.by_gyros = spec, by_gyros
+        self.spec, self.gyro_sd = spec, gyro_sd
 
     def measure(self, imu: ImuData, last: IntArray) -> tuple[BoolArray, FloatArray, FloatArray]:
         """Return in which windows it stood, the mean rates and forces (W, 6) and the variances (6,)."""
@@ -56,12 +58,19 @@ class StandstillDetector(ImuSampler):
             mean = sum_segments(rate, first, end) / count[:, None]
             square = np.square(rate - np.repeat(mean, count, axis=0))
             sd = np.sqrt(sum_segments(square, first, end) / count[:, None])
-            quiet = (sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)).all(axis=1)
-            still &= quiet | (self.by_gyros and triad is spec.accel)
+            quiet = sd < _NOISY * _sample_sd(triad, total / count[:, None], extra)
+            if self.gyro_sd is not None:
+                middle = first + count // 2
+                halves = [sum_segments(rate, *ends) for ends in ((first, middle), (middle, end))]
+                change = np.abs(2.0 * (halves[1] - halves[0]) / count[:, None])
+                quiet |= (triad is spec.accel) | (change < _SWINGS * sd)
+            still &= quiet.all(axis=1)
             means.append(mean)
         turn, force = means
-        by_g = spec.gyro.g_sensitivity_sd * GAMMA_E
-        still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (_bias_sd(spec.gyro) + RATE_SD + by_g)).all(axis=1)
+        errs = self.gyro_sd
+        if errs is None:
+            errs = _bias_sd(spec.gyro) + spec.gyro.g_sensitivity_sd * GAMMA_E
+        still &= (np.abs(turn) < EARTH_RATE + _SIGMAS * (errs + RATE_SD)).all(axis=1)
         size = np.linalg.norm(force, axis=1)
         allowed = _GRAVITY_SPREAD + _SIGMAS * (_bias_sd(spec.accel) + GAMMA_E * spec.accel.scale_factor_sd)
         still &= np.abs(size - GAMMA_E) < allowed

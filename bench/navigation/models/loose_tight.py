@@ -275,7 +275,7 @@ class Passage(SessionState):
             raise ValueError(
                 f"the record holds satellites, but the gnss unit assumed, {specs.gnss.name!r}, has no [sky]"
             )
-        self.course = SteadyCourse(initial, steady=gyros.steady)
+        self.course = SteadyCourse(initial, specs.imu, steady=gyros.steady)
         blocks = filter_.blocks_for(first) + self.course.blocks()
         blocks.sort(key=lambda block: block is RANGE_ERRORS)
         model = state_model(initial, specs, blocks, gyros.sd)
@@ -341,7 +341,7 @@ class Passage(SessionState):
                 schedule.add(sensor, piece, self.initial, self.run.model.layout, more)
         for kind, sampler in self.samplers.items():
             schedule.add_samples(kind, *sampler.take(samples))
-        schedule.add_samples(measurement_rows.COURSE_ROWS, *self.course.take(piece))
+        schedule.add_samples(measurement_rows.COURSE_ROWS, *self.course.take(piece, samples))
         if last:
             schedule.events += self._absent(piece)
 

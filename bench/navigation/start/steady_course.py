@@ -7,6 +7,7 @@ heading and course is an angle that the wind makes, and that changes as the wind
     yaw(C) - course - offset = 0
 
 from the first fix on until the course leaves it for the first time; at rest the course is that of the start.
+What hovers is as slow as what stands, and turns: the gyros have to show a standstill.
 """
 
 from __future__ import annotations
@@ -17,12 +18,16 @@ from typing import NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.data import GnssFixes, InitialState, SensorData
-from bench.navigation.engine.session import Kept, SessionState, require
+from bench.data import GnssFixes, ImuData, InitialState, SensorData
+from bench.navigation.engine.session import Kept, Replaced, SessionState, require
+from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
+from bench.navigation.error_state_filter.standstill import WINDOW, StandstillDetector
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.error_state_filter.state_processes import Block, States
 from bench.navigation.start.course import LEAST_SPEED
+from bench.sensor_specs import ImuSpec
+from bench.units import STANDARD_GRAVITY
 
 LARGE = float(np.deg2rad(15.0)) / 600.0  # sd of a bias that turns the heading out of what is linear [rad/s]
 FIRST = 20.0  # stretch at the start that tells the bias alone (`turn_on`) [s]
@@ -31,6 +36,7 @@ STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course [rad]
 TURNED_SD = float(np.deg2rad(5.0))  # of the change of an angle that the course does not show [rad]
 STILL = 0.5  # largest speed over ground at rest, by fixes [m/s]
 STILL_SD = float(np.deg2rad(0.1))  # of the change of an angle at rest, with the Earth's turn [rad]
+STANDS = 0.5  # least part of the time in which the gyros show a standstill of what stands
 
 
 class Gyros(NamedTuple):
@@ -41,6 +47,13 @@ class Gyros(NamedTuple):
 
 
 AS_SPECIFIED = Gyros()
+
+
+def gyro_error_sd(spec: ImuSpec, initial: InitialState) -> float:
+    """Return the sd of the error of a gyro at the start by its datasheet [rad/s]."""
+    gyro, warm = spec.gyro, thermal_figures(initial.t, float(initial.lla[2]), spec)[0]
+    parts = (gyro.turn_on_bias_sd, gyro.temperature_sd * warm, gyro.g_sensitivity_sd * STANDARD_GRAVITY)
+    return math.hypot(*parts)
 
 
 def has_large_bias(sensors: SensorData) -> bool:
@@ -58,9 +71,14 @@ class SteadyCourse(SessionState):
     first: Kept[float]  # course of the first fix, 0 at rest [rad]
     moving: Kept[bool]
     over: Kept[bool]  # the course has left
+    detector: Kept[StandstillDetector]
+    stood: Replaced[FloatArray]  # (W,) ends of windows of a standstill after ``measured`` [s]
+    measured: Kept[float]  # arrival of the last fix that gave an angle [s]
 
-    def __init__(self, initial: InitialState, *, steady: bool) -> None:
+    def __init__(self, initial: InitialState, imu: ImuSpec, *, steady: bool) -> None:
         self.start, self.newest, self.first = initial.t, -math.inf, math.nan
+        self.detector = StandstillDetector(initial.t, imu, gyro_sd=gyro_error_sd(imu, initial))
+        self.stood, self.measured = np.empty(0), -math.inf
         self.speed = float(np.nan_to_num(np.hypot(*initial.vel_n[:2])))
         self.moving, self.over, self.steady = False, not steady, steady
 
@@ -70,8 +88,8 @@ class SteadyCourse(SessionState):
         states = (States("course_offset", "rad", 1, UNKNOWN_HEADING_SD**2, walk**2),)
         return [Block("every_error", lambda _: states)] if self.steady else []
 
-    def take(self, record: SensorData) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Take the fixes of the next piece.
+    def take(self, record: SensorData, samples: ImuData) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Take the fixes of the next piece, and its IMU samples in use.
 
         Returns
         -------
@@ -85,6 +103,7 @@ class SteadyCourse(SessionState):
         fixes, nothing = record.fixes, (np.empty(0), np.empty((0, 1)), np.zeros(6))
         if self.over or fixes is None:
             return nothing
+        self.stood = np.append(self.stood, self.detector.take(samples)[0])
         t, course, speed = _courses(fixes)
         fresh = t > max(self.newest, self.start)
         t, course, speed = t[fresh], course[fresh], speed[fresh]
@@ -106,8 +125,19 @@ class SteadyCourse(SessionState):
         used = (np.diff(number) > 0) & (number[1:] > FIRST / INTERVAL) | np.isinf(began[:-1])
         if len(t):
             self.newest = float(t[-1])
+        t, course = t[used], course[used]
+        for k, now in enumerate(t.tolist()):
+            if not self.moving and not self._has_stood(now):
+                t, course, self.over = t[:k], course[:k], True
+                break
+            self.stood, self.measured = self.stood[self.stood > now], now
         sd = TURNED_SD if self.moving else STILL_SD
-        return t[used], course[used, None], np.full(6, sd**2)
+        return t, course[:, None], np.full(6, sd**2)
+
+    def _has_stood(self, now: float) -> bool:
+        """Return whether the gyros show a standstill from the last measured angle until an instant [s]."""
+        span = now - self.measured
+        return math.isinf(span) or float(np.sum(self.stood <= now)) * WINDOW >= STANDS * (span - WINDOW)
 
     def check(self) -> None:
         """Check that there is a state for what is measured."""

@@ -43,13 +43,14 @@ from bench.navigation.start import turning_start
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.steady_course import (
     FIRST,
+    STANDS,
     STILL,
     STILL_SD,
     STRAIGHT,
     TURNED_SD,
+    gyro_error_sd,
 )
 from bench.sensor_specs import ImuSpec
-from bench.units import STANDARD_GRAVITY
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]
@@ -233,14 +234,17 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
     height, span, rests = fixes.lla[used, 2], 0.0, bool((speed < STILL).all())
     if rests:  # an aircraft rocks on its gear and turns little
         inside = rows[sensors.imu.t[rows] <= until]
-        detector = StandstillDetector(initial.t, spec, by_gyros=True)
+        detector = StandstillDetector(initial.t, spec, gyro_sd=gyro_error_sd(spec, initial))
         ends, motion_b, _ = detector.take(take_rows(sensors.imu, inside))
         span, ended = len(ends) * standstill.WINDOW, False
-    if span >= FIRST_LOOK:
-        sd, bias_b, end = STILL_SD, motion_b[:, :3].mean(axis=0), float(ends[-1])
+        if span < max(FIRST_LOOK, STANDS * (float(t[-1]) - initial.t)):
+            return None  # what hovers may turn
+        spread = float(motion_b[:, :3].std(axis=0).max())
+        sd, bias_b = math.hypot(STILL_SD, spread * math.sqrt(span)), motion_b[:, :3].mean(axis=0)
+        end = float(ends[-1])
     else:
-        course = np.zeros(len(t)) if rests else np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
-        straight = (np.abs(course - course[0]) < STRAIGHT) & (rests | (speed > LEAST_SPEED))
+        course = np.unwrap(np.arctan2(vel_n[:, 1], vel_n[:, 0]))
+        straight = (np.abs(course - course[0]) < STRAIGHT) & (speed > LEAST_SPEED)
         ended = not straight.all()
         count = int(np.argmin(straight)) if ended else len(t)
         if count < 2:
@@ -253,7 +257,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
         sd, bias_b = TURNED_SD, sensors.imu.dtheta_b[inside].sum(axis=0) / span - turn_b
         height, end = height[:count], float(fixes.t_arrival[used[count - 1]])
     sd = math.hypot(sd / span, _warming_sd(span, height, spec, initial))
-    before = _error_sd(spec, initial)
+    before = gyro_error_sd(spec, initial)
     if span < (SHORTEST if ended else FIRST_LOOK) or sd > before:
         return None
     if np.abs(bias_b).max() > MOST * math.hypot(before, sd):  # the vehicle turns, not the unit
@@ -265,18 +269,11 @@ def find_turning(sensors: SensorData, initial: InitialState, until: float, near:
     """Return the bias by a start in a turn (:func:`turning_start.find_bias`); None if that tells nothing."""
     if sensors.fixes is None or not may_be_learnt(sensors, initial):
         return None
-    before = _error_sd(sensors.specs.imu, initial)
+    before = gyro_error_sd(sensors.specs.imu, initial)
     found = turning_start.find_bias(sensors, initial, until, near)
     if found is None or found[1] > before or np.abs(found[0]).max() > MOST * before:
         return None
     return TurnOn(found[0], found[1], until, turning=True)
-
-
-def _error_sd(spec: ImuSpec, initial: InitialState) -> float:
-    """Return the sd of the error of a gyro at the start by its datasheet [rad/s]."""
-    gyro, warm = spec.gyro, thermal_figures(initial.t, float(initial.lla[2]), spec)[0]
-    parts = (gyro.turn_on_bias_sd, gyro.temperature_sd * warm, gyro.g_sensitivity_sd * STANDARD_GRAVITY)
-    return math.hypot(*parts)
 
 
 def _warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
