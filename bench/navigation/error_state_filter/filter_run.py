@@ -12,6 +12,7 @@ from bench.arrays import FloatArray, IntArray, read_only
 from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, no_events, no_innovations
+from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.gate import InnovationLog, Refused, innovations, new_log, refusals
 from bench.navigation.engine.session import (
     Kept,
@@ -217,6 +218,7 @@ class ForwardRun(SessionState):
     antenna_b: Replaced[FloatArray]
     moved: Kept[bool]  # it has seen the rate of the first sample
     refused: Replaced[Refused]
+    bound: Kept[Earthbound]
     carried: Replaced[FloatArray]  # what the next step needs of the steps before
     work: Scratch[Work]  # of all copies: one of them goes at a time
 
@@ -245,7 +247,7 @@ class ForwardRun(SessionState):
         shown = first_of_satellites(model.index, n)
         none = np.empty((0, shown + 1)), np.empty((0, shown, shown)), no_innovations(), no_events()
         self.nothing = solution(np.empty(0), model.layout, *none)  # without instants
-        self.moved, self.refused = False, {}
+        self.moved, self.refused, self.bound = False, {}, Earthbound()
 
     @property
     def warmth(self) -> float:
@@ -350,6 +352,7 @@ class ForwardRun(SessionState):
             state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
+        events += self.bound.blank(t, state, cov, variance)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:

@@ -23,6 +23,7 @@ from bench.data import (
     no_innovations,
 )
 from bench.navigation.engine import timeline
+from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.piecewise import answer_now, refuse
 from bench.navigation.engine.record_cuts import nothing_known
@@ -85,10 +86,11 @@ class FixPassage(SessionState):
     newest: Kept[float]  # validity of the fixes taken [s]
     wanted: Kept[FloatArray]  # answers beyond [s]
     waiting: Kept[GnssFixes | None]  # fixes that no answer has come after
+    bound: Kept[Earthbound]
 
     def __init__(self, options: GnssOnlyOptions, initial: InitialState, events: list[EventRow]) -> None:
         self.options, self.initial, self.events = options, initial, events
-        self.track = None
+        self.track, self.bound = None, Earthbound()
         if initial.alignment == "given":
             self.track = FixTrack(options, initial.t, initial.lla, initial.vel_n, initial.cov[:6, :6])
         self.sampled, self.passed, self.newest = initial.t, -np.inf, -np.inf
@@ -123,6 +125,7 @@ class FixPassage(SessionState):
         P[:, range(6), range(6)] += arm
         accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
         P[:, 6:], P[:, :, 6:] = np.nan, np.nan
+        self.events += self.bound.blank(output_t, x, P, accelerations_sd)
         events, self.events = self.events, []
         return replace(
             nothing_known(output_t),

@@ -86,7 +86,7 @@ class Smoother:
     ) -> tuple[NavSolution, KnowsImuErrors]:
         """Return the solution of a record without long gaps, and the forward filter at its end."""
         forward, stretches, end = self.filter.forward(sensors, initial, gyros)
-        if not any(len(nodes.t) for nodes in stretches):
+        if not any(len(nodes.t) for nodes in stretches) or len(forward.events.select("ended")):
             return forward, end
         smooth(stretches)
         found, begin = JoinedSolution(len(forward.t)), 0

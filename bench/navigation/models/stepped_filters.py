@@ -15,6 +15,7 @@ import numpy as np
 from bench.arrays import FloatArray, IntArray
 from bench.data import EventRow, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
+from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.piecewise import answer_now
 from bench.navigation.engine.session import Kept, SessionState, require
 from bench.navigation.engine.timeline import TIME_TOLERANCE
@@ -82,6 +83,7 @@ class SteppedPassage(SessionState):
     schedule: Kept[Schedule]
     antenna_b: Kept[FloatArray]
     begun: Kept[bool]  # it has seen the rate of the first step
+    bound: Kept[Earthbound]
 
     def __init__(
         self,
@@ -94,7 +96,7 @@ class SteppedPassage(SessionState):
     ) -> None:
         self.flight, self.schedule, self.aiding = flight, schedule, aiding
         self.initial, self.layout, self.antenna_b = initial, layout, first.antenna_b
-        self.begun = False
+        self.begun, self.bound = False, Earthbound()
 
     @property
     def end(self) -> float:
@@ -144,6 +146,7 @@ class SteppedPassage(SessionState):
                 flight.measure(now, arrived[k])
             if k in asked:
                 answers.extend([flight.answer(now)] * asked[k])
+                schedule.events += self.bound.blank(np.full(1, now), answers[-1][0][None])
 
         rows, share = steps.row[:count], steps.share[:count, None]
         turns, gains = (flight.increments(one[rows] * share) for one in (steps.dtheta_b, steps.dvel_b))
@@ -154,6 +157,8 @@ class SteppedPassage(SessionState):
         serve(-1, schedule.t)
         unknown = steps.unknown
         for k, now in enumerate(steps.t[:count].tolist()):
+            if now > self.bound.left:
+                break
             flight.step(now, spans[k], turns[k], gains[k], unknown[k], k in arrived or k in asked)
             serve(k, now)
         wanted, due = schedule.output_t, plan.outputs
@@ -167,6 +172,7 @@ class SteppedPassage(SessionState):
         """Return answers as the rows ``at`` (A,) of a solution at instants t (M,) [s], NaN in the others."""
         columns = [np.full((len(t), *shape), np.nan) for shape in self.flight.shapes]
         for column, values in zip(columns, zip(*answers, strict=True), strict=False):
-            column[at] = values
+            column[at[: len(values)]] = values
+        self.bound.blank(t, *columns)
         events, self.schedule.events = self.schedule.events, []
         return self.flight.solution(t, columns, events, last=last)

@@ -19,6 +19,7 @@ from bench import rotation
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError
+from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.error_state_filter.aiding_sensors import FIXES
@@ -106,6 +107,7 @@ class GraphSmoother:
             if not passes:
                 text = f"the fit still moves after {self.options.passes} passes"
                 events.append((initial.t, float(sensors.output_t[-1]), "graph", text))
+        events += Earthbound().blank(sensors.output_t, out, cov, variance)
         table, refused = chain.gate.take(last=True)
         told = Events.from_rows(events + refused)
         return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)

@@ -1,0 +1,38 @@
+"""A filter whose state has left the Earth has ended: what it would answer is no answer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.arrays import FloatArray
+from bench.data import EventRow
+from bench.navigation.engine.session import Kept, SessionState
+
+HIGHEST, FASTEST = 1e7, 1e5
+"""No aircraft is so high [m], above or below the ellipsoid, or so fast [m/s]."""
+
+
+class Earthbound(SessionState):
+    """Blanks answers from the first on that is beyond the Earth, in all pieces of a record."""
+
+    left: Kept[float]  # instant of that answer [s]
+
+    def __init__(self) -> None:
+        self.left = np.inf
+
+    def blank(self, t: FloatArray, state: FloatArray, *others: FloatArray) -> list[EventRow]:
+        """Blank states (M, 6 or more: latitude, longitude, height, velocity) and others (M, ...) in place.
+
+        Returns an event where the filter ends.
+        """
+        events = list[EventRow]()
+        height, speed = np.abs(state[:, 2]), np.abs(state[:, 3:6]).max(axis=1, initial=0.0)
+        beyond = np.flatnonzero((height > HIGHEST) | (speed > FASTEST) | (np.abs(state[:, 0]) > 0.5 * np.pi))
+        if len(beyond) and t[beyond[0]] < self.left:
+            k = int(beyond[0])
+            self.left = float(t[k])
+            text = f"the state has left the Earth: {state[k, 2] / 1e3:.3g} km high, {speed[k]:.3g} m/s"
+            events.append((self.left, self.left, "ended", f"{text}; the filter has stopped", "imu"))
+        for one in (state, *others):
+            one[t >= self.left] = np.nan
+        return events
