@@ -1,9 +1,16 @@
-# Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer).
+# Each target sets up .venv by itself; PYTHON chooses the interpreter (3.11 or newer). `make run` installs what the
+# package needs, the others what its tests need, too; with uv where it is, else with pip.
 PYTHON ?= python3
 # containers set it; then each process of a test would compile the package again
 export PYTHONDONTWRITEBYTECODE =
 BIN := .venv/bin
-PIP := $(BIN)/pip install --quiet --disable-pip-version-check
+ifneq ($(shell command -v uv),)
+VENV := uv venv --quiet --allow-existing --seed --python $(PYTHON) .venv
+PIP := uv pip install --quiet --python $(BIN)/python
+else
+VENV := $(PYTHON) -m venv .venv
+PIP := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile
+endif
 UV := .uv/bin/uv
 # short tests that use every dependency
 MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/test_wheel.py tests/config \
@@ -15,12 +22,14 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 
 .PHONY: run test long lint kernels check perf oracle minima lock mutants guide pictures docs
 
-run: .venv/ready
+run: .venv/core
 	$(BIN)/bench run figure-eight --force
 
 test: .venv/ready
 	$(MAKE) --jobs=2 lint kernels
 	$(BIN)/pytest -n auto --maxprocesses=4 --dist worksteal
+	@which chromium chromium-browser google-chrome | grep -q . || \
+		echo 'No Chromium here: the tests of pages in a browser were skipped.'
 
 long: .venv/ready
 	$(BIN)/pytest -m long -n auto --maxprocesses=4 --dist worksteal
@@ -61,10 +70,11 @@ minima: $(UV)
 	$(UV) pip install --quiet --python .minima --resolution lowest-direct --editable '.[test]'
 	.minima/bin/python -m pytest $(MINIMA) -m 'not long and not slow' --override-ini filterwarnings=default
 
-# the newest versions, for every platform and Python; make .venv/ready installs these and no others
+# the newest versions, for every platform and Python; .venv/ready and .venv/core install these and no others
+LOCK := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate --no-header
 lock: $(UV)
-	$(UV) pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes --no-annotate \
-		--no-header --extra test --output-file requirements.lock pyproject.toml
+	$(LOCK) --upgrade --extra test --output-file requirements.lock pyproject.toml
+	$(LOCK) --constraint requirements.lock --output-file requirements-core.lock pyproject.toml
 
 $(UV):
 	$(PYTHON) -m venv .uv
@@ -77,8 +87,14 @@ mutants: .venv/ready
 	$(BIN)/python -m tests.mutants '$(PACKAGE)' --seed '$(SEED)' --count '$(COUNT)' --tests $(TESTS)
 
 .venv/ready: pyproject.toml requirements.lock
-	$(PYTHON) -m venv .venv
+	$(VENV)
 	$(PIP) --require-hashes --requirement requirements.lock
+	$(PIP) --no-deps --editable .
+	touch .venv/core $@
+
+.venv/core: pyproject.toml requirements-core.lock
+	$(VENV)
+	$(PIP) --require-hashes --requirement requirements-core.lock
 	$(PIP) --no-deps --editable .
 	touch $@
 

@@ -117,3 +117,15 @@ def test_the_citation_is_of_this_version():
     assert citation["version"] == PROJECT["version"]
     assert citation["license"] == PROJECT["license"] == "Apache-2.0"
     assert citation["keywords"] == PROJECT["keywords"]
+
+
+def test_the_core_is_locked_to_the_versions_that_are_tested():
+    """Each requirement of ``make run`` is one of ``make test``, hashes included, and nothing is missing."""
+    whole, core = (
+        set(re.split(r"\n(?=\S)", (ROOT / name).read_text(encoding="utf-8").strip()))
+        for name in ("requirements.lock", "requirements-core.lock")
+    )
+    assert core < whole
+    named = {re.match(r"[\w.-]+", row)[0] for row in core}
+    assert {re.match(r"[\w-]+", row)[0] for row in PROJECT["dependencies"]} <= named
+    assert not named & {"pytest", "mypy", "ruff", "gtsam", "zensical"}
