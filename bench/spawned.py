@@ -50,6 +50,14 @@ def measure_cpu(pid: int) -> float:
         return 0.0
 
 
+def count_work(before: float, now: float, look: float) -> float:
+    """Return what a look at a process counts of its patience [s].
+
+    The CPU time that it has used since the look before; if that is none, the time between the two.
+    """
+    return now - before if now > before else look
+
+
 class Watch:
     """What a process may take from now on: wall time [s], and memory of its own [byte]."""
 

@@ -25,7 +25,7 @@ from bench.data import Trajectory
 from bench.errors import FlightError
 from bench.flight_specs import FlightSpec, ScriptSpec
 from bench.scratch import make_scratch
-from bench.spawned import find_last_line, measure_cpu
+from bench.spawned import count_work, find_last_line, measure_cpu
 
 PATIENCE = 60.0
 """CPU time that a child may use, or time that it may idle, before it does something else [s]."""
@@ -153,7 +153,7 @@ def _listen(
                         doing = f"flying at {t} s"
             else:
                 before, used = used, measure_cpu(child.pid)
-                silent += used - before if used > before else _POLL
+                silent += count_work(before, used, _POLL)
     return doing
 
 

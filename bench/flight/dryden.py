@@ -56,6 +56,7 @@ _LEAST, _LOW, _HIGH = (
 )  # where the low-altitude figures begin and end, the others begin [ft]
 _LONG = 1750.0  # scale above [ft]
 _STALE = 0.005  # filters are made anew when scale or step changed by more than this part
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)  # exact for polynomials to the 39th power
 _MOVING = 0.5  # the direction of a slower path through the air is not looked at [m/s]
 
 
@@ -139,21 +140,42 @@ class GustFilters:
 
 
 def _discretize_chain(length: float, tail: float, step: float) -> tuple[FloatArray, FloatArray]:
-    """Exact step of (1 + sqrt(3) L s) / (1 + L s)^2 with a lag behind it, by Van Loan (1978)."""
-    from scipy.linalg import expm
+    """Exact step of (1 + sqrt(3) L s) / (1 + L s)^2 with a lag behind it: transition and noise factor (3, 3).
 
+    The transition is triangular; the covariance is the integral of what a unit pulse becomes, smooth over a
+    step that is shorter than the scales.
+    """
+    t = np.append(0.5 * step * (_NODES + 1.0), step)
+    a, b = t / length, t / tail
+    fade, lagged = np.exp(-a), np.exp(-b)
+    # integrals over the lag: of exp(-a), and of a exp(-a), which a pulse leaves at the two poles
+    first = b * fade * _phi_1(a - b)
+    second = a * b * lagged * _phi_2(b - a)
     root = math.sqrt(3.0)
-    a = np.zeros((3, 3))
-    a[0, 0] = a[1, 1] = -1 / length
-    a[1, 0] = 1 / length
-    a[2] = root / tail, (1 - root) / tail, -1 / tail
-    pair = np.zeros((6, 6))
-    pair[:3, :3], pair[3:, 3:] = -a, a.T
-    pair[0, 3] = 1 / length
-    both = expm(pair * step)
-    phi = both[3:, 3:].T
-    values, vectors = np.linalg.eigh(phi @ both[:3, 3:])
+    pulse = np.array([fade, a * fade, root * first + (1 - root) * second])
+    phi = np.array(
+        [
+            [fade[-1], 0.0, 0.0],
+            [pulse[1, -1], fade[-1], 0.0],
+            [pulse[2, -1], (1 - root) * first[-1], lagged[-1]],
+        ]
+    )
+    inside = pulse[:, :-1]
+    values, vectors = np.linalg.eigh((inside * (0.5 * step / length * _WEIGHTS)) @ inside.T)
     return phi, vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def _phi_1(x: FloatArray) -> FloatArray:
+    """Return (exp(x) - 1) / x, 1 at 0."""
+    return np.divide(np.expm1(x), x, out=np.ones_like(x), where=x != 0.0)
+
+
+def _phi_2(x: FloatArray) -> FloatArray:
+    """Return ((x - 1) exp(x) + 1) / x^2, 1/2 at 0."""
+    near = np.abs(x) < 0.1
+    series = np.polyval([1 / 403200, 1 / 45360, 1 / 5760, 1 / 840, 1 / 144, 1 / 30, 1 / 8, 1 / 3, 1 / 2], x)
+    far = np.divide((x - 1.0) * np.exp(x) + 1.0, x * x, out=series.copy(), where=~near)
+    return np.where(near, series, far)
 
 
 def through_turbulence(fdm: Any, spec: FlightSpec, dt: float) -> Callable[[], Any]:

@@ -36,12 +36,14 @@ from bench.flight.gain_design import (
 )
 from bench.flight_specs import AircraftSpec, ForeignSpec
 from bench.rotation import to_euler
+from bench.spawned import count_work, measure_cpu
 from bench.units import STANDARD_GRAVITY
 from bench.wording import suggest
 
 _Result = TypeVar("_Result")
 _PATTERN = "c172x"  # where what is not designed comes from: the guidance system
-_PATIENCE = 120.0  # for a design [s]; a model of others may never return
+_PATIENCE = 120.0  # CPU time for a design, or time without any [s]; a model of others may never return
+_LOOK = 0.5  # time between two looks at it [s]
 _BEGUN = 12.0  # after the start of a leg, in which it is settled [s]
 _LAST = 15.0  # of a straight leg in which nothing may swing any more [s]
 
@@ -192,14 +194,18 @@ def find_design(
 def _run_in_child(name: str, done: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
     """Return what a call that a model may end or never come back from returns."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        try:
-            return pool.submit(work, *arguments).result(timeout=_PATIENCE)
-        except BrokenProcessPool:
-            raise FlightError(f"aircraft {name}: JSBSim ends the process while it is {done}") from None
-        except TimeoutError:
-            for process in (pool._processes or {}).values():
-                process.kill()
-            raise FlightError(f"aircraft {name}: not {done} within {_PATIENCE:g} s") from None
+        answer, spent, used = pool.submit(work, *arguments), 0.0, 0.0
+        (child,) = pool._processes.values()
+        while spent < _PATIENCE:
+            try:
+                return answer.result(timeout=_LOOK)
+            except BrokenProcessPool:
+                raise FlightError(f"aircraft {name}: JSBSim ends the process while it is {done}") from None
+            except TimeoutError:
+                before, used = used, measure_cpu(child.pid or 0)
+                spent += count_work(before, used, _LOOK)
+        child.kill()
+        raise FlightError(f"aircraft {name}: not {done} within {_PATIENCE:g} s of CPU time")
 
 
 def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:

@@ -6,10 +6,18 @@ from math import cos, pi, radians, sin
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 
 from bench.config import load_profile
 from bench.flight import fly
-from bench.flight.dryden import GUSTS, RATES, GustFilters, scales_and_intensities, through_turbulence
+from bench.flight.dryden import (
+    GUSTS,
+    RATES,
+    GustFilters,
+    _discretize_chain,
+    scales_and_intensities,
+    through_turbulence,
+)
 from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT
 from bench.flight.legs.level import Straight
@@ -216,3 +224,20 @@ def test_the_rates_of_the_air_turn_the_aircraft(profile, alt, speed):
 def test_the_step_of_a_calm_flight_is_that_of_jsbsim():
     fdm = load_aircraft(AEROSONDE, 0.0025)
     assert through_turbulence(fdm, plan(Straight(1.0)), 0.0025) == fdm.run
+
+
+def test_a_step_is_that_of_van_loan():
+    """Transition and covariance by the exponential of one matrix (1978); scale and lag may be equal."""
+    rng, root = np.random.default_rng(1), np.sqrt(3.0)
+    for k in range(200):
+        length, tail = 10.0 ** rng.uniform(0.3, 2.8), 10.0 ** rng.uniform(0.0, 1.9)
+        if k % 4 == 0:
+            tail = length * (1.0 + (k % 8) * 10.0 ** rng.uniform(-14.0, -1.0))
+        step = min(length, tail) * (0.0 if k == 1 else 10.0 ** rng.uniform(-6.0, 0.3))
+        A = np.array([[-1.0, 0.0, 0.0], [1.0, -1.0, 0.0], [0.0, 0.0, 0.0]]) / length
+        A[2] = root / tail, (1.0 - root) / tail, -1.0 / tail
+        pair = np.block([[-A, np.diag([1.0 / length, 0.0, 0.0])], [np.zeros((3, 3)), A.T]])
+        both = expm(pair * step)
+        phi, noise = _discretize_chain(length, tail, step)
+        assert_allclose(phi, both[3:, 3:].T, rtol=0, atol=1e-13)
+        assert_allclose(noise @ noise.T, both[3:, 3:].T @ both[:3, 3:], rtol=0, atol=1e-13)

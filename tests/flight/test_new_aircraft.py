@@ -1,7 +1,8 @@
 """Gains that are found for an aircraft of JSBSim: the poles they place, and what a flight is accepted by."""
 
+import time
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
 from math import pi, radians
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,6 +38,7 @@ from bench.flight.trimming import (
     run_engines,
     trim_aircraft,
 )
+from bench.workbench import new_aircraft
 from bench.workbench.new_aircraft import BANK_BAND, _equip, measure_acceptance
 from tests.flight.plans import fly_here
 
@@ -238,3 +240,17 @@ def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):
     assert cli.main(["new", "aircraft", "c173p"]) == 2
     assert "c172p" in capsys.readouterr().err
     assert not (tmp_path / "aircraft").exists()
+
+
+@pytest.mark.parametrize("gain_s", [1e-3, 0.0])
+def test_a_design_is_timed_by_its_cpu_and_not_by_the_clock_of_a_busy_machine(monkeypatch, gain_s):
+    """A child that gets a hundredth of a processor has a hundred times as long; one that hangs has not."""
+    looks = count(1)
+    monkeypatch.setattr(new_aircraft, "_PATIENCE", 0.2)
+    monkeypatch.setattr(new_aircraft, "_LOOK", 0.05)
+    monkeypatch.setattr(new_aircraft, "measure_cpu", lambda _: gain_s * next(looks))
+    if gain_s:
+        assert new_aircraft._run_in_child("c310", "trimmed", time.sleep, 0.4) is None
+    else:
+        with pytest.raises(FlightError, match=r"^aircraft c310: not trimmed within 0\.2 s of CPU time$"):
+            new_aircraft._run_in_child("c310", "trimmed", time.sleep, 60.0)

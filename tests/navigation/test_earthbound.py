@@ -59,8 +59,8 @@ def test_the_limits(lat, height, speed, left):
     state = np.zeros((3, 7))
     state[1, :6] = lat, 0.1, height, 0.0, speed, 0.0
     bound, other = Earthbound(), np.ones((3, 9, 9))
-    events = bound.blank(np.array([1.0, 2.0, 3.0]), state, other)
+    events = bound.end_answers(np.array([1.0, 2.0, 3.0]), state, other)
     assert [row[:3] for row in events] == ([(2.0, 2.0, "ended")] if left else [])
     assert np.isfinite(other).all(axis=(1, 2)).tolist() == [True, not left, not left]
-    assert bound.blank(np.array([4.0]), state[:1], other[:1]) == []
+    assert bound.end_answers(np.array([4.0]), state[:1], other[:1]) == []
     assert np.isfinite(other[0]).all() != left

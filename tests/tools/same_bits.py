@@ -98,7 +98,8 @@ _MASKED = [
 
 def mask(text: str) -> str:
     """Return a text without what differs from run to run."""
-    text = text.replace(str(Path(bench.__file__).parents[1]), "ROOT")
+    for root in (Path(bench.__file__).parents[1], Path(__file__).parents[2]):
+        text = text.replace(str(root), "ROOT")
     for pattern, word in _MASKED:
         text = pattern.sub(word, text)
     return text

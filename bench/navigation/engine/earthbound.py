@@ -20,7 +20,7 @@ class Earthbound(SessionState):
     def __init__(self) -> None:
         self.left = np.inf
 
-    def blank(self, t: FloatArray, state: FloatArray, *others: FloatArray) -> list[EventRow]:
+    def end_answers(self, t: FloatArray, state: FloatArray, *others: FloatArray) -> list[EventRow]:
         """Blank states (M, 6 or more: latitude, longitude, height, velocity) and others (M, ...) in place.
 
         Returns an event where the filter ends.

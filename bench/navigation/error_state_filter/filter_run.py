@@ -352,7 +352,7 @@ class ForwardRun(SessionState):
             state, cov, variance = (spread(one, rows, len(t)) for one in stores[:3])
         add_arm(cov, self.antenna_b)
         events = schedule.events + refusals(numbers[0], marks, names, refused, last=schedule.last)
-        events += self.bound.blank(t, state, cov, variance)
+        events += self.bound.end_answers(t, state, cov, variance)
         schedule.events = []
         node = np.full(len(t), -1)
         if keep:

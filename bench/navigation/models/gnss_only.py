@@ -125,7 +125,7 @@ class FixPassage(SessionState):
         P[:, range(6), range(6)] += arm
         accelerations_sd = np.sqrt(np.einsum("kii->ki", P)[:, 6:])
         P[:, 6:], P[:, :, 6:] = np.nan, np.nan
-        self.events += self.bound.blank(output_t, x, P, accelerations_sd)
+        self.events += self.bound.end_answers(output_t, x, P, accelerations_sd)
         events, self.events = self.events, []
         return replace(
             nothing_known(output_t),

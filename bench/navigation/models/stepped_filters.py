@@ -146,7 +146,7 @@ class SteppedPassage(SessionState):
                 flight.measure(now, arrived[k])
             if k in asked:
                 answers.extend([flight.answer(now)] * asked[k])
-                schedule.events += self.bound.blank(np.full(1, now), answers[-1][0][None])
+                schedule.events += self.bound.end_answers(np.full(1, now), answers[-1][0][None])
 
         rows, share = steps.row[:count], steps.share[:count, None]
         turns, gains = (flight.increments(one[rows] * share) for one in (steps.dtheta_b, steps.dvel_b))
@@ -173,6 +173,6 @@ class SteppedPassage(SessionState):
         columns = [np.full((len(t), *shape), np.nan) for shape in self.flight.shapes]
         for column, values in zip(columns, zip(*answers, strict=True), strict=False):
             column[at[: len(values)]] = values
-        self.bound.blank(t, *columns)
+        self.bound.end_answers(t, *columns)
         events, self.schedule.events = self.schedule.events, []
         return self.flight.solution(t, columns, events, last=last)

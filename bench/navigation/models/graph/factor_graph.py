@@ -107,7 +107,7 @@ class GraphSmoother:
             if not passes:
                 text = f"the fit still moves after {self.options.passes} passes"
                 events.append((initial.t, float(sensors.output_t[-1]), "graph", text))
-        events += Earthbound().blank(sensors.output_t, out, cov, variance)
+        events += Earthbound().end_answers(sensors.output_t, out, cov, variance)
         table, refused = chain.gate.take(last=True)
         told = Events.from_rows(events + refused)
         return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
