@@ -18,6 +18,7 @@ from bench.instruments import INSTRUMENTS
 from bench.sensor_specs import ThermalSpec
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
+from bench.studies.catalog_units import find_typical
 from tests.synthetic import still
 
 CATALOG = Path(bench.__file__).parent / "catalog"
@@ -255,3 +256,13 @@ def test_the_long_list_has_every_figure_in_one_unit(capsys):
     assert "zed-f9p" in shown
     assert "* assumed" in shown
     assert main(["list", "profiles", "--long"]) == 2
+
+
+def test_no_triad_is_free_of_noise():
+    """Where a datasheet has none, what is typical of the class is assumed: the median of the others."""
+    for path in sorted((CATALOG / "imu").glob("*.toml")):
+        sheet, spec = document(path), read_imu(path, path.name)
+        assert min(spec.gyro.random_walk, spec.accel.random_walk) > 0.0, path.stem
+        for one in find_typical(sheet["class"], "accel", "noise"):
+            if one.key in sheet.get("assumed", ()) and path.stem != "adis16475":  # has that of a sibling
+                assert sheet["accel"][one.key.partition(".")[2]] == one.value, path.stem
