@@ -5,9 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from bench.data import Events
 from bench.evaluation import verdict
 from bench.evaluation.required_metrics import MISSED
-from bench.evaluation.verdict import describe_accuracy, find_far_off, format_distance, is_outside
+from bench.evaluation.verdict import (
+    describe_accuracy,
+    describe_nees,
+    describe_outside,
+    find_far_off,
+    format_distance,
+    format_share,
+)
 from bench.findings.looks import LOOKS, VerdictLook, find_look
 from bench.wording import format_number
 
@@ -17,19 +25,6 @@ NEES = (
 )
 """What the figure is by which a claim is judged."""
 
-_AXES = {
-    "pos_d": "height",
-    "pos_n": "north",
-    "pos_e": "east",
-    "vel_n": "north velocity",
-    "vel_e": "east velocity",
-    "vel_d": "vertical velocity",
-    "phi_d": "heading",
-    "phi_n": "tilt about north",
-    "phi_e": "tilt about east",
-}
-_LEAST_INSIDE = 0.9  # an axis that is longer outside 3 sigma is named, even if one run allows it [1]
-
 
 class Headline(NamedTuple):
     """An estimator in a run; empty texts where there is nothing to say."""
@@ -37,7 +32,9 @@ class Headline(NamedTuple):
     label: str
     word: str
     look: VerdictLook
+    reason: str  # of the word; "" of a claim that holds
     error: str  # and what is claimed
+    stops: str  # of the IMU and resets
     fault: str  # that moved it most
     figures: str
     drift: str
@@ -47,13 +44,17 @@ class Headline(NamedTuple):
     note: str  # instead of all of these
 
     @property
+    def first(self) -> str:
+        """The verdict, its reason and the error, behind the label."""
+        return "; ".join(filter(None, (self.word, self.reason, self.error)))
+
+    @property
     def more(self) -> tuple[str, ...]:
         """The lines below the first."""
         if self.note:
             return (self.note,)
-        return tuple(
-            filter(None, (self.fault, self.figures, self.outside, self.drift, self.why, self.required))
-        )
+        lines = (self.stops, self.fault, self.figures, self.outside, self.drift, self.why, self.required)
+        return tuple(filter(None, lines))
 
 
 def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
@@ -70,29 +71,43 @@ def find_best(measured: Mapping[str, Mapping[str, Any]]) -> str:
     return next(iter([*good, *looks]), "")
 
 
-def make_headline(label: str, values: Mapping[str, Any]) -> Headline:
-    """Return the headline of the metrics of an estimator, as `verdict.add_verdict` returns them."""
+def make_headline(label: str, values: Mapping[str, Any], events: Events | None = None) -> Headline:
+    """Return the headline of the metrics of an estimator, as `verdict.add_verdict` returns them.
+
+    With the ``events`` of its solution it says where that stopped and began again.
+    """
     word = str(values.get("verdict", ""))
     far = find_far_off(values) if word == verdict.CONSISTENT else ""
     error = describe_accuracy(values) if "pos_rmse_h_m" in values or "tilt_rmse_deg" in values else ""
-    if not values.get("converged", True):
-        reason = str(values["reason"]).removeprefix(f"{word}: ")
-        error = f"{reason}{'; ' if error else ''}{error}"
-    if off := _describe_path(values):
-        error = f"{error}{'; ' if error else ''}{off}"
+    error = "; ".join(filter(None, (error, _describe_path(values))))
+    nees, outside = describe_nees(values), describe_outside(values)
+    reason = str(values.get("verdict_reason") or "")
     return Headline(
         label=label,
         word=f"{word}, but {far}" if far else word,
         look=judge_look(word, values),
+        reason=reason,
         error=error,
+        stops="" if events is None else _describe_stops(events),
         fault=_describe_fault(values),
-        figures="; ".join(_list_figures(values)),
+        figures="; ".join(filter(None, (*_list_figures(values), "" if reason == nees else nees))),
         drift="; ".join(_list_drifts(values)),
-        outside=_describe_outside(values),
+        outside="" if reason == outside else outside,
         why=_describe_why(values),
         required=_describe_required(values),
         note=f"the same as {same} with these sensors" if (same := values.get("same_as")) else "",
     )
+
+
+def list_stops(events: Events) -> list[str]:
+    """Return where a solution stopped, was reset or ended, each with its reason."""
+    rows = [row for kind in ("restart", "reset", "ended") for row in events.select(kind)]
+    return [f"{begun:g} to {end:g} s: {text}" for begun, end, text in rows]
+
+
+def _describe_stops(events: Events) -> str:
+    first, *rest = list_stops(events) or [""]
+    return f"{first}; {len(rest)} more" if rest else first
 
 
 def _describe_path(values: Mapping[str, Any]) -> str:
@@ -117,7 +132,7 @@ def _describe_fault(values: Mapping[str, Any]) -> str:
         return ""
     which = f"fault {number}" if len(far) == 1 else f"fault {number}, the worst of {len(far)}"
     noticed = "not noticed" if delay is None else f"noticed after {format_number(delay, 2)} s"
-    refused = f", refused for {_share(share)} of its time" if share else ""
+    refused = f", refused for {format_share(share)} of its time" if share else ""
     return f"{which}: {noticed}{refused}, error up to {format_distance(far[number])}"
 
 
@@ -131,9 +146,6 @@ def _list_figures(values: Mapping[str, Any]) -> Iterator[str]:
         if value is not None:
             text = format_distance(value) if unit == "m" else f"{format_number(value, 2)} {unit}"
             yield f"{words} {text}"
-    mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
-    if mean is not None and low is not None and high is not None:
-        yield f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"
 
 
 def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
@@ -154,26 +166,6 @@ def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
     if end is not None and most is not None:
         far, normal = format_distance(end), format_distance(most)
         yield f"without aiding: {far} off at the end, up to {normal} is normal"
-
-
-def _describe_outside(values: Mapping[str, Any]) -> str:
-    """Return which errors are outside 3 sigma too long, and for how much of the time; the worst first."""
-    found = {}
-    for axis, words in _AXES.items():
-        name = f"coverage_3sigma_{axis}"
-        inside = values.get(name)
-        if inside is not None and (inside < _LEAST_INSIDE or is_outside(name, values)):
-            found[words] = 1.0 - inside
-    if not found:
-        return ""
-    worst = sorted(found, key=lambda one: -found[one])
-    told = ", ".join(f"{one} {_share(found[one])}" for one in worst[:3])
-    rest = f", {len(worst) - 3} more" if len(worst) > 3 else ""
-    return f"outside 3 sigma: {told} of the time{rest}"
-
-
-def _share(part: float) -> str:
-    return f"{100.0 * part:.0f} %" if part > 0.01 else f"{100.0 * part:.1f} %"
 
 
 def _describe_why(values: Mapping[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -28,10 +28,32 @@ only a part."""
 BROKEN = (OVERCONFIDENT, UNDERCONFIDENT, DIVERGED)
 """Verdicts of a claim that does not hold."""
 
+UNDECIDED = "undecided"
+"""Verdict where fixes scatter less than is claimed: an error that wanders slowly in them cannot show."""
 UNJUDGED = "not judged"
 """Verdict where nothing can judge: no truth, no fix that it has not used, and innovations that fit."""
 
+_AXES = {
+    "pos_d": "height",
+    "pos_n": "north",
+    "pos_e": "east",
+    "vel_n": "north velocity",
+    "vel_e": "east velocity",
+    "vel_d": "vertical velocity",
+    "phi_d": "heading",
+    "phi_n": "tilt about north",
+    "phi_e": "tilt about east",
+}
+_LEAST_INSIDE = 0.9  # an axis that is longer outside 3 sigma is named, even if one run allows it [1]
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
+
+
+class _Judgement(NamedTuple):
+    """A verdict: its word, what it stands on in a few words, and a sentence or two."""
+
+    word: str
+    reason: str  # "" of a claim that holds
+    text: str
 
 
 def is_outside(name: str, values: Mapping[str, Any]) -> bool:
@@ -85,12 +107,13 @@ def add_verdict(
     Returns
     -------
     values : dict
-        First ``verdict`` (a word), ``coverage_text`` if it is known, ``verdict_text`` (a sentence or two),
+        First ``verdict`` (a word), ``verdict_reason`` (what the word stands on; "" of a claim that holds),
+        ``coverage_text`` if it is known, ``verdict_text`` (a sentence or two),
         ``drift_text`` (a sentence for each outage, and for a run without horizontal aiding), ``outside`` (the
         names of the metrics outside their bounds), and where something is required ``required`` (a word) and
         ``required_text`` (a sentence each), then ``values``.
     """
-    word, text = _judge(label, values)
+    word, why, text = _judge(label, values)
     covered = {}
     if coverage is not None and not values.get("failed"):
         covered = {"coverage_text": f"{label} {coverage.text}."}
@@ -100,15 +123,17 @@ def add_verdict(
             good = values["converged"]
             word = INCOMPLETE if good else word
             reason = coverage.text if good else f"{values['reason']}; it {coverage.text}"
+            why = reason
             values = {**values, "converged": False, "reason": reason}
         if coverage.first is not None:
             text += f" Its first answer is at t = {coverage.first:g} s."
     outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
-    judged = {"verdict": word, **covered, "verdict_text": text, "drift_text": _judge_drift(label, values)}
+    judged = {"verdict": word, "verdict_reason": why, **covered, "verdict_text": text}
+    drift = _judge_drift(label, values)
     found = judge_run(label, values, requirements)
     required = {"required": MISSED if any(one.word == MISSED for one in found) else MET} if found else {}
     sentences = {"required_text": [one.sentence for one in found]} if found else {}
-    return {**judged, "outside": outside, **required, **sentences, **values}
+    return {**judged, "drift_text": drift, "outside": outside, **required, **sentences, **values}
 
 
 def list_sentences(values: Mapping[str, Any]) -> list[str]:
@@ -116,20 +141,21 @@ def list_sentences(values: Mapping[str, Any]) -> list[str]:
     return [*values.get("drift_text", ()), *values.get("required_text", ())]
 
 
-def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
-    reason = values.get("reason")
+def _judge(label: str, values: Mapping[str, Any]) -> _Judgement:
+    reason = str(values.get("reason"))
     if values.get("failed"):
-        return FAILED, f"{label} {reason}"
+        return _Judgement(FAILED, reason.removeprefix(f"{FAILED}: "), f"{label} {reason}")
     error = describe_accuracy(values)
     if not values["converged"]:
         text = f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(" .")
-        return DIVERGED, f"{text}.{_tell_why(values)}"
+        return _Judgement(DIVERGED, reason.removeprefix(f"{DIVERGED}: "), f"{text}.{_tell_why(values)}")
     if values.get("used_every_fix"):
         return _judge_by_innovations(label, values)
     mean, states = values.get("nees_mean"), values.get("nees_states")
     low, high = values.get("nees_low"), values.get("nees_high")
     if mean is None or states is None or low is None or high is None:
-        return NO_CLAIM, f"{label} claims no accuracy that could be compared: {error}."
+        reason = "claims no accuracy that could be compared"
+        return _Judgement(NO_CLAIM, reason, f"{label} {reason}: {error}.")
     shown = f"{mean:.0f}" if mean >= 100 else f"{mean:.3g}"
     between = f"{format_number(low, 3)} to {format_number(high, 3)}"
     figures = f"NEES {shown}, {states:g} expected, {between} possible in this run"
@@ -138,73 +164,98 @@ def _judge(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
     if inside and min(inside) < 0.99:
         axis = ("north", "east")[inside.index(min(inside))] if len(inside) == 2 else "horizontal"
         figures += f"; {axis} position inside 3 sigma {100 * min(inside):.0f} % of the time"
-    outside = [
-        name
-        for name in values
-        if name.startswith("coverage_3sigma_") and is_outside(name, values)
-        if not name.endswith("_all") and not name.startswith("coverage_3sigma_bias")
-    ]
+    outside = any(is_outside(f"coverage_3sigma_{axis}", values) for axis in _AXES)
     if mean > high or outside:
+        reason = describe_nees(values) if mean > high else describe_outside(values)
         if values.get("pos_rmse_h_m", 0.0) > values.get("pos_claimed_h_m", np.inf):
-            return OVERCONFIDENT, f"{label} is overconfident: {error} ({figures}).{_explain(values)}"
-        return OVERCONFIDENT, f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
+            text = f"{label} is overconfident: {error} ({figures}).{_explain(values)}"
+        else:
+            text = f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
+        return _Judgement(OVERCONFIDENT, reason, text)
+    loud, quiet = _find_wrong_innovations(values)
+    if "withheld_fixes" in values:  # no truth: its own innovations are the best witness
+        if loud:
+            reason = _describe_innovations(loud, values)
+            text = f"{label} is overconfident by its innovations, {reason}: {error}."
+            return _Judgement(OVERCONFIDENT, reason, text)
+        if quiet or mean < low:
+            small = _describe_innovations(quiet, values) if quiet else describe_nees(values)
+            reason = f"{small}: smaller than it claims, but what wanders slowly in measurements does not show"
+            return _Judgement(UNDECIDED, reason, f"{label} is undecided, {reason}; {error}.")
     if mean < low:
         text = f"{label} is underconfident, its covariance is too large: {error} ({figures})."
-        return UNDERCONFIDENT, text + _tell_why(values)
-    wrong = _find_wrong_innovations(values)
-    loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
-    if wrong and "withheld_fixes" in values:  # no truth: its own innovations are the best witness
-        named = _describe_innovations(loud or wrong, values, "high" if loud else "low")
-        if loud:
-            return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {named}: {error}."
-        why = "its measurements scatter less than they claim, and what wanders slowly in them does not show"
-        return (
-            UNDERCONFIDENT,
-            f"{label} is underconfident by its innovations, NIS of {named}: {why}; {error}.",
-        )
+        return _Judgement(UNDERCONFIDENT, describe_nees(values), text + _tell_why(values))
     word = "consistent with its covariance as far as one run can tell"
     if far := find_far_off(values):  # that it is right does not make it of use
         word = f"honest, and {far}: {word}"
     text = f"{label} is {word}: {error} ({figures})."
-    if wrong:
-        text += f" Its innovations do not fit: NIS of {', '.join(wrong)} is outside its band."
-    return CONSISTENT, text
+    if loud or quiet:
+        text += f" Its innovations do not fit: {_describe_innovations([*loud, *quiet], values)}."
+    return _Judgement(CONSISTENT, "", text)
 
 
-def _find_wrong_innovations(values: Mapping[str, Any]) -> list[str]:
-    """Return the sensors whose mean NIS is outside its band."""
-    return [
+def _find_wrong_innovations(values: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+    """Return the sensors whose mean NIS is above its band, and those whose is below."""
+    wrong = [
         name.removeprefix("nis_mean_")
         for name in values
         if name.startswith("nis_mean_") and not name.endswith("_all") and is_outside(name, values)
     ]
-
-
-def _describe_innovations(names: Sequence[str], values: Mapping[str, Any], end: str) -> str:
-    """Return the NIS of sensors, each with the end of its band."""
-    limit = "at most" if end == "high" else "at least"
-    return " and ".join(
-        f"{name} {values[f'nis_mean_{name}']:.3g} ({limit} {format_number(values[f'nis_{end}_{name}'], 3)})"
-        for name in names
-    )
-
-
-def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> tuple[str, str]:
-    """Judge an estimate that has used every fix, without a truth: its innovations are the only witness."""
-    wrong = _find_wrong_innovations(values)
     loud = [name for name in wrong if values[f"nis_mean_{name}"] > values[f"nis_high_{name}"]]
+    return loud, [name for name in wrong if name not in loud]
+
+
+def _describe_innovations(names: Sequence[str], values: Mapping[str, Any]) -> str:
+    """Return the NIS of sensors, each with the end of its band that it is beyond."""
+    found = []
+    for name in names:
+        mean, low, high = (values[f"nis_{part}_{name}"] for part in ("mean", "low", "high"))
+        limit = f"at most {format_number(high, 3)}" if mean > high else f"at least {format_number(low, 3)}"
+        found.append(f"{name} {mean:.3g} ({limit})")
+    return f"NIS of {' and '.join(found)}"
+
+
+def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgement:
+    """Judge an estimate that has used every fix, without a truth: its innovations are the only witness."""
+    loud, quiet = _find_wrong_innovations(values)
     used = "it has used every fix, so none says how far it is off"
     if loud:
-        named = _describe_innovations(loud, values, "high")
-        return OVERCONFIDENT, f"{label} is overconfident by its innovations, NIS of {named}; {used}."
-    known = [name for name in values if name.startswith("nis_mean_") and not name.endswith("_all")]
-    if not known:
-        return UNJUDGED, f"{label} is not judged: {used}, and the log has no innovations of it."
-    fit = "its innovations fit what it claims"
-    if wrong:
-        quiet = _describe_innovations(wrong, values, "low")
-        fit = f"its innovations are smaller than it claims, NIS of {quiet}"
-    return UNJUDGED, f"{label} is not judged: {used}; {fit}."
+        reason = _describe_innovations(loud, values)
+        return _Judgement(
+            OVERCONFIDENT, reason, f"{label} is overconfident by its innovations, {reason}; {used}."
+        )
+    if not any(name.startswith("nis_mean_") and not name.endswith("_all") for name in values):
+        reason = f"{used}, and the log has no innovations of it"
+    else:
+        fit = "its innovations fit what it claims"
+        if quiet:
+            fit = f"its innovations are smaller than it claims, {_describe_innovations(quiet, values)}"
+        reason = f"{used}; {fit}"
+    return _Judgement(UNJUDGED, reason, f"{label} is not judged: {reason}.")
+
+
+def describe_nees(values: Mapping[str, Any]) -> str:
+    """Return the mean NEES with its band; "" if one of them is unknown."""
+    mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
+    if mean is None or low is None or high is None:
+        return ""
+    return f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"
+
+
+def describe_outside(values: Mapping[str, Any]) -> str:
+    """Return which errors are outside 3 sigma too long, and for how much of the time; the worst first."""
+    found = {}
+    for axis, words in _AXES.items():
+        name = f"coverage_3sigma_{axis}"
+        inside = values.get(name)
+        if inside is not None and (inside < _LEAST_INSIDE or is_outside(name, values)):
+            found[words] = 1.0 - inside
+    if not found:
+        return ""
+    worst = sorted(found, key=lambda one: -found[one])
+    told = ", ".join(f"{one} {format_share(found[one])}" for one in worst[:3])
+    rest = f", {len(worst) - 3} more" if len(worst) > 3 else ""
+    return f"outside 3 sigma: {told} of the time{rest}"
 
 
 def find_far_off(values: Mapping[str, Any]) -> str:
@@ -303,3 +354,8 @@ def round_figure(value: float) -> str:
     return (
         f"{value:.0f}" if size >= 99.5 else f"{value:.1f}" if size >= 0.995 or value == 0 else f"{value:#.2g}"
     )
+
+
+def format_share(part: float) -> str:
+    """Return a part of 1 in percent, below a percent with a decimal."""
+    return f"{100.0 * part:.0f} %" if part > 0.01 else f"{100.0 * part:.1f} %"

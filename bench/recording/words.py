@@ -136,11 +136,12 @@ def make_summary(result: RunResult) -> str:
 
 
 def make_verdict_table(result: RunResult) -> str:
-    """Return the verdicts of all estimators as a table in Markdown, with error and claim."""
+    """Return the verdicts of all estimators as a table in Markdown, with reason, error and claim."""
     lines = ["| | verdict | horizontal error [m] | claimed [m] | NEES |", "|---|---|---:|---:|---:|"]
     for label, values in result.metrics.items():
         cells = (format_number(values.get(name)) for name in ("pos_rmse_h_m", "pos_claimed_h_m", "nees_mean"))
-        lines.append(f"| {_escape(label)} | {values.get('verdict', '')} | {' | '.join(cells)} |")
+        word = "; ".join(filter(None, (values.get("verdict"), values.get("verdict_reason"))))
+        lines.append(f"| {_escape(label)} | {_escape(word)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 

@@ -86,11 +86,12 @@ def _list_run(folder: Path, place: _Place) -> list[_IndexRow]:
     rows = []
     for label, values in summary["metrics"].items():
         head = make_headline(label, values)
+        word = "; ".join(filter(None, (head.word, head.reason)))
         error, claimed = (format_number(values.get(f"pos_{which}_h_m")) for which in ("rmse", "claimed"))
         draw = f"seed {summary['seed']}, run {summary['run']}"
         rows.append(
             _IndexRow(
-                place.name, place.link, str(profile.get("title", "")), draw, label, head.word, head.look.kind,
+                place.name, place.link, str(profile.get("title", "")), draw, label, word, head.look.kind,
                 error, claimed, _find_unit(profile), place.written,
             )
         )  # fmt: skip

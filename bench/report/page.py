@@ -130,7 +130,7 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
         "word": headline.word,
         "kind": headline.look.kind,
         "mark": headline.look.mark,
-        "lines": [line for line in (headline.error, *headline.more) if line],
+        "lines": [line for line in (headline.reason, headline.error, *headline.more) if line],
         "text": str(values.get("verdict_text") or ""),
         "drifts": [
             text.removeprefix(f"{label}, ").removeprefix(f"{label}: ")

@@ -122,7 +122,7 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
     if table:
         result_table.print_metrics(console, result.metrics, result.solutions)
     else:
-        result_table.print_headlines(console, result.metrics)
+        result_table.print_headlines(console, result.metrics, result.solutions)
     result_table.print_bound(console, result.metrics)
     if "log" not in result.more:
         show.print_sanity(console, result.events.select("sanity"))

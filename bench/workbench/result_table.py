@@ -11,7 +11,7 @@ from rich.text import Text
 
 from bench.data import NavSolution
 from bench.evaluation import headline, verdict
-from bench.evaluation.headline import Headline, make_headline
+from bench.evaluation.headline import Headline, list_stops, make_headline
 from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
 from bench.findings import FindingTable
@@ -29,13 +29,14 @@ _FIRST_LEFT_OUT: tuple[dict[str, Any], ...] = (
     {"required": ""},
     {"why": ""},
     {"fault": ""},
+    {"stops": ""},
 )
 """What is left out of headlines where there is no room, in this order."""
 
 
-def print_headlines(console: Console, measured: Measured) -> None:
+def print_headlines(console: Console, measured: Measured, solutions: Mapping[str, NavSolution]) -> None:
     """Print the verdict, error, claim and main figures of each estimator, as many lines as have room."""
-    lines = [make_headline(label, values) for label, values in measured.items()]
+    lines = [make_headline(label, values, solutions[label].events) for label, values in measured.items()]
     for left_out in _FIRST_LEFT_OUT:
         lines = [one._replace(**left_out) for one in lines]
         texts = [list(_wrap_headline(one, console.width)) for one in lines]
@@ -50,7 +51,7 @@ def print_headlines(console: Console, measured: Measured) -> None:
 
 
 def _wrap_headline(one: Headline, width: int) -> Iterator[str]:
-    first = f"{one.look.mark} {one.label}: {one.word}{f'; {one.error}' if one.error else ''}"
+    first = f"{one.look.mark} {one.label}: {one.first}"
     for text in (first, *one.more):
         yield from wrap(text, width, initial_indent="" if text is first else "  ", subsequent_indent="    ")
 
@@ -115,9 +116,8 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
     for label, values in measured.items():
         for begun, end, text in solutions[label].events.select("alignment"):
             remarks.setdefault(f"aligned from {begun:g} to {end:g} s: {text}", []).append(label)
-        for kind in ("restart", "reset", "ended"):
-            for begun, end, text in solutions[label].events.select(kind):
-                remarks.setdefault(f"{begun:g} to {end:g} s: {text}", []).append(label)
+        for text in list_stops(solutions[label].events):
+            remarks.setdefault(text, []).append(label)
         if values["converged"] and values.get("program"):
             stderr = values["program"]["stderr"]
             last = f"; stderr ends: {stderr.splitlines()[-1][:200]}" if stderr else ""

@@ -14,12 +14,12 @@ def head(**values) -> Headline:
 def test_an_error_stands_behind_the_reason_and_before_the_path():
     across = {"tse_across_max_m": 91.0, "fte_across_max_m": 1.5, "nse_across_max_m": 90.0}
     path = "off its path by up to 91.0 m, believed 1.5 m, error of navigation 90.0 m"
-    lost = {"verdict": "diverged", "converged": False, "reason": "diverged: 1 km off"}
+    lost = {"verdict": "diverged", "verdict_reason": "1 km off"}
     found = {"pos_rmse_h_m": 3.0}
-    assert head(**found, **across).error == f"horizontal error 3.0 m; {path}"
-    assert head(**lost, **found, **across).error == f"1 km off; horizontal error 3.0 m; {path}"
-    assert head(**lost).error == "1 km off"
-    assert head(**across).error == path
+    assert head(**found, **across).first == f"consistent; horizontal error 3.0 m; {path}"
+    assert head(**lost, **found, **across).first == f"diverged; 1 km off; horizontal error 3.0 m; {path}"
+    assert head(**lost).first == "diverged; 1 km off"
+    assert head(**across).first == f"consistent; {path}"
     assert head(tse_across_max_m=91.0, fte_across_max_m=1.5).error == ""
 
 

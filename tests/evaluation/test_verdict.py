@@ -59,8 +59,8 @@ def test_without_a_truth_loud_innovations_are_overconfident():
         "withheld fixes lie 13.7 m away, claims 0.70 m."
     )
     quiet = verdict(**sound, **{**nis, "nis_mean_gnss_position": 1.0}, withheld_fixes=50)
-    assert quiet["verdict"] == "underconfident"
-    assert "NIS of gnss_position 1 (at least 2.8): its measurements scatter less" in quiet["verdict_text"]
+    assert quiet["verdict"] == "undecided"
+    assert "NIS of gnss_position 1 (at least 2.8): smaller than it claims, but what" in quiet["verdict_text"]
     fits = {**nis, "nis_mean_gnss_position": 3.0}
     assert verdict(**sound, **fits, withheld_fixes=50)["verdict"] == "consistent"
     assert verdict(**sound, **nis)["verdict"] == "consistent"
@@ -253,7 +253,8 @@ def test_the_word_of_a_claim_by_its_bounds(change, word):
             {"nis_mean_gnss": 5.0, "nis_mean_baro": 0.2},
             "overconfident by its innovations, NIS of gnss 5 (at most 4)",
         ),
-        ({"nis_mean_baro": 0.2}, "underconfident by its innovations, NIS of baro 0.2 (at least 0.5)"),
+        ({"nis_mean_baro": 0.2}, "undecided, NIS of baro 0.2 (at least 0.5): smaller than it claims"),
+        ({"nees_mean": 4.0}, "undecided, NEES 4 (fits 5 to 14): smaller than it claims"),
         ({"nis_mean_gnss_all": 5.0}, "consistent with its covariance"),
     ],
 )
@@ -267,7 +268,7 @@ def test_without_a_truth_innovations_beyond_their_band_are_named(change, named):
     used = add_verdict("x", {**values, "used_every_fix": True})
     assert used["verdict"] == ("overconfident" if "nis_mean_gnss" in change else "not judged")
     with_truth = add_verdict("x", {name: one for name, one in values.items() if name != "withheld_fixes"})
-    assert with_truth["verdict"] == "consistent"
+    assert with_truth["verdict"] == ("underconfident" if "nees_mean" in change else "consistent")
 
 
 def test_a_drift_is_normal_between_its_quantiles():

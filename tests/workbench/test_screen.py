@@ -13,8 +13,10 @@ import pytest
 
 import bench
 from bench import cli, compiled, pipeline
+from bench.data import Events, no_events
 from bench.evaluation.headline import make_headline
 from bench.evaluation.verdict import add_verdict
+from bench.navigation.engine.record_cuts import nothing_known
 from bench.stages import Stage
 from bench.workbench import result_table
 from bench.workbench.console import PlainConsole
@@ -59,17 +61,28 @@ def test_a_run_is_told_on_one_screen(profile, words, tmp_path, monkeypatch, caps
 
 @pytest.mark.parametrize("count", [1, 3, 9])
 def test_more_filters_leave_out_what_matters_least(count):
-    """All verdicts with error and claim stay; the cause outlasts the figures."""
+    """All verdicts with reason, error and claim stay, in two lines each; the cause outlasts the figures."""
     causes = [{"cause": name, "block": "position", "step": 1} for name in CAUSES]
     values = verdict(causes=causes, advice_text="loose-full has states for all of them.", pos_rmse_d_m=14.65)
     out = StringIO()
     console = PlainConsole(file=out, width=WIDTH)
-    result_table.print_headlines(console, {f"filter-{k}": values for k in range(count)})
+    labels = [f"filter-{k}" for k in range(count)]
+    result_table.print_headlines(
+        console, dict.fromkeys(labels, values), dict.fromkeys(labels, nothing_known(np.zeros(1)))
+    )
     lines = take_lines(out.getvalue())
-    assert len(lines) <= result_table.ROOM + 2
-    assert sum("overconfident; horizontal error 13.7 m, claims 0.70 m" in line for line in lines) == count
+    assert len(lines) <= max(result_table.ROOM, 2 * count) + 2
+    first = "overconfident; NEES 1000 (fits 1 to 29); horizontal error 13.7 m, claims 0.70 m"
+    assert " ".join(out.getvalue().split()).count(first) == count
     assert ("why: time-correlated" in out.getvalue()) == (count <= 3)
     assert ("height 14.7 m" in out.getvalue()) == (count == 1)
+
+
+def test_where_a_filter_stopped_stands_below_its_verdict():
+    rows = [(3.0, 4.0, "restart", "IMU silent for 1 s", "imu"), (8.0, 8.0, "reset", "fixes refused", "")]
+    found = make_headline("mine", verdict(), Events.from_rows(rows))
+    assert found.more[0] == "3 to 4 s: IMU silent for 1 s; 1 more"
+    assert make_headline("mine", verdict(), no_events()).stops == ""
 
 
 def test_a_headline_names_what_is_required_and_missed():
