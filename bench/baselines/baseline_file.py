@@ -40,6 +40,7 @@ class EstimatorValues(Table):
     expected: dict[str, float]  # metric -> its value for a consistent filter
     converged: Annotated[tuple[bool, ...], ROWS]  # by draw
     metrics: dict[str, Annotated[tuple[Value, ...], ROWS]]  # metric -> by draw; null: the draw has none
+    reasons: Annotated[tuple[str, ...], Field(exclude=True)] = ()  # by draw, why it did not converge
 
 
 class Baseline(Table):

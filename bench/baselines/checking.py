@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from bench.baselines.baseline_file import (
     write_baseline,
 )
 from bench.baselines.experiments import Draw, Experiment, lose_draw, make_baseline, open_experiment
-from bench.baselines.verdict_rows import CONVERGED, LOOKS, UncorrectedVerdict, Verdict, compare, decide
+from bench.baselines.verdict_rows import LOOKS, UncorrectedVerdict, Verdict, compare, decide
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
@@ -83,16 +83,6 @@ class _Measured:
                     f"{self.experiment.name}: {label} has no value in {len(rows)} draws, nothing to compare "
                     f"with; draw 0: {first.reason}"
                 )
-
-    def add_reason(self, row: Verdict) -> Verdict:
-        """Add why the first run that did not converge did not, to the row that counts them."""
-        if row.metric != CONVERGED or row.word == "same":
-            return row
-        for k, draw in enumerate(self.draws):
-            one = draw.estimators.get(row.estimator)
-            if one is not None and not one.converged:
-                return replace(row, note=f"{row.note}; draw {k}: {one.reason}")
-        return row
 
 
 def record_baselines(
@@ -331,7 +321,7 @@ def check(
             for verdict in decide(everything):
                 key = (verdict.profile, verdict.estimator, verdict.metric)
                 if key not in words or words[key].word == "undecided":
-                    words[key] = measured[verdict.profile].add_reason(verdict)
+                    words[key] = verdict
             unsure = {
                 row.profile
                 for row in words.values()

@@ -51,7 +51,7 @@ class Compared:
     other: str
     differences: tuple[str, ...]  # of what was run, in words; empty if only the code or the noise may differ
     verdicts: tuple[Verdict, ...]  # "old" is the first, "new" the other
-    sentences: tuple[str, ...]  # one for each estimator, on the horizontal position
+    sentences: tuple[str, ...]  # on the horizontal position of each estimator, and on what did not converge
 
 
 def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]:
@@ -220,6 +220,7 @@ def _compare_sides(first: Side, other: Side) -> Compared:
     candidates: list[UncorrectedVerdict] = []
     differences: list[str] = []
     shown: dict[tuple[str, str], str] = {}  # profile and estimator of a row -> as a sentence names them
+    lost: list[str] = []
     for one, two in pairs:
         old, new, labels = _match(first, other, one, two)
         differences += _list_differences(first, other, one, two)
@@ -233,6 +234,12 @@ def _compare_sides(first: Side, other: Side) -> Compared:
         ]
         place = f" on {one}" if len(pairs) > 1 else ""
         shown |= {(one, label): f"{label}{place}" for label in labels.values()}
+        for label, name in labels.items():
+            lost += [
+                f"{name}{place}: in {side.name} {text}"
+                for side, draws in ((first, old), (other, new))
+                if (text := _describe_lost(draws.estimators[label]))
+            ]
     verdicts = tuple(decide(candidates, ERROR))
     rows = {(row.profile, row.estimator): row for row in verdicts if row.metric == "pos_rmse_h_m"}
     return Compared(
@@ -240,7 +247,17 @@ def _compare_sides(first: Side, other: Side) -> Compared:
         other.name,
         tuple(dict.fromkeys(differences)),
         verdicts,
-        tuple(_describe(name, rows.get(key), first.name, other.name) for key, name in shown.items()),
+        (*(_describe(name, rows.get(key), first.name, other.name) for key, name in shown.items()), *lost),
+    )
+
+
+def _describe_lost(values: EstimatorValues) -> str:
+    """Return how many draws did not converge, and why the first did not; "" if all did."""
+    lost = [k for k, good in enumerate(values.converged) if not good]
+    if not lost:
+        return ""
+    return (
+        f"{len(lost)} of {len(values.converged)} draws did not converge, the first: {values.reasons[lost[0]]}"
     )
 
 
@@ -281,6 +298,7 @@ def _select(side: Baseline, keys: Sequence[str]) -> Baseline:
             update={
                 "converged": tuple(values.converged[k] for k in rows),
                 "metrics": {name: tuple(row[k] for k in rows) for name, row in values.metrics.items()},
+                "reasons": tuple(values.reasons[k] for k in rows) if values.reasons else (),
             }
         )
         for label, values in side.estimators.items()

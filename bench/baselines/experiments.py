@@ -300,4 +300,5 @@ def join_draws(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
         expected={name: float(np.mean(values)) for name, values in expected.items()},
         converged=tuple(row.converged for row in rows),
         metrics={name: tuple(row.metrics.get(name) for row in rows) for name in names},
+        reasons=tuple(row.reason for row in rows),
     )

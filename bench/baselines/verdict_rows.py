@@ -182,7 +182,7 @@ def _compare_convergence(
 ) -> UncorrectedVerdict:
     """Compare how many runs converged; on identical draws a new divergence is worse without statistics."""
     before, after = np.array(old.converged)[which], np.array(new.converged)[which]
-    candidate = _compare_events(name, label, CONVERGED, before, after, which, match)
+    candidate = _compare_events(name, label, CONVERGED, before, after, which, match, new.reasons)
     if not match and (before & ~after).any():
         return replace(candidate, row=replace(candidate.row, word="worse"), certain=True)
     return candidate
@@ -196,14 +196,18 @@ def _compare_events(
     after: BoolArray,
     which: np.ndarray,
     match: str,
+    reasons: Sequence[str] = (),
 ) -> UncorrectedVerdict:
-    """Compare how often something good happens."""
+    """Compare how often something good happens; ``reasons`` by draw say why it did not."""
     notes = []
     paired = _are_pairs(match)
+    lost = which[before & ~after if paired else ~after]
     if paired:
-        for text, flipped in (("lost", before & ~after), ("gained", ~before & after)):
-            if flipped.any():
-                notes.append(f"{text} in draw {_list_draws(which[flipped])}")
+        for text, draws in (("lost", lost), ("gained", which[~before & after])):
+            if len(draws):
+                notes.append(f"{text} in draw {_list_draws(draws)}")
+    if reasons and len(lost) and after.mean() < before.mean():
+        notes.append(f"draw {lost[0]}: {reasons[lost[0]]}")
     row = _make_row(name, label, metric, match, len(before), ", ".join(notes))
     row = replace(row, old=float(before.mean()), new=float(after.mean()))
     if np.array_equal(before, after):

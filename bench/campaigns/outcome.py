@@ -13,7 +13,7 @@ from bench.evaluation import ensemble, regression
 from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
-from bench.wording import format_number
+from bench.wording import format_number, one_line
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 """Metrics whose squares are averaged over the runs."""
@@ -31,6 +31,7 @@ class Outcome:
     converged: Estimate  # rate [1]
     errors: Mapping[str, Estimate]  # by metric of `POOLED`, and "cep50_m", "cep95_m"
     consistency: Consistency | None  # None with fewer than 40 runs, or if no accuracy is claimed
+    lost: str = ""  # why the first run that did not converge did not
 
     @property
     def converged_runs(self) -> int:
@@ -45,7 +46,8 @@ class Outcome:
         found = [
             f"{self.label}: all {self.runs} runs converged; the share that does not is 0 to {most} %"
             if bad == 0
-            else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all"
+            else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all; "
+            f"the first: {self.lost}"
         ]
         if self.consistency is not None:
             found.append(f"{self.label} is {self.consistency.sentence}")
@@ -79,6 +81,9 @@ def summarize(group: Group) -> Outcome:
         converged=ensemble.estimate_rate(len(good), len(group.metrics)),
         errors=errors,
         consistency=consistency,
+        lost=next(
+            (one_line(str(one.get("reason")))[:200] for one in group.metrics if not one["converged"]), ""
+        ),
     )
 
 

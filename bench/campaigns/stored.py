@@ -66,6 +66,7 @@ class _StoredOutcome(_StoredPart):
     converged: _StoredEstimate
     errors: dict[str, _StoredEstimate]
     consistency: _StoredConsistency | None
+    lost: str
 
 
 class _StoredComparison(_StoredPart):
@@ -185,7 +186,7 @@ def _make_outcome(row: _StoredOutcome) -> Outcome:
         nis = {name: MeanNis(**dict(one)) for name, one in row.consistency.nis.items()}
         found = Consistency(**{**values, "nis": nis, "reasons": tuple(values["reasons"])})
     errors = {name: _make_estimate(one) for name, one in row.errors.items()}
-    return Outcome(row.condition, row.label, row.runs, _make_estimate(row.converged), errors, found)
+    return Outcome(row.condition, row.label, row.runs, _make_estimate(row.converged), errors, found, row.lost)
 
 
 def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:

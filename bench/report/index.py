@@ -105,11 +105,12 @@ def _list_campaign(folder: Path, place: _Place) -> list[_IndexRow]:
     rows = []
     for one in campaign.outcomes:
         word = one.consistency.word if one.consistency else ""
+        said = one.consistency.sentence.replace(": ", "; ", 1) if one.consistency else "–"
         error = one.errors.get("pos_rmse_h_m")
         rows.append(
             _IndexRow(
                 place.name, place.link, one.condition if several else str(flown.get("title", "")),
-                f"{one.runs} runs", one.label, word or "–", find_look(word).kind if word else "none",
+                f"{one.runs} runs", one.label, said, find_look(word).kind if word else "none",
                 format_number(error.value) if error else "-", "-", "" if several else _find_unit(flown),
                 place.written,
             )

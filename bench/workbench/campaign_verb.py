@@ -134,9 +134,11 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     if result.outcomes:
         console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
+    lost = [f"{one.condition}: {one.sentences[0]}" for one in result.outcomes if one.lost] if several else []
     if several:
         console.print(f"The sentences on each condition are in {store.CAMPAIGN_RESULT}.", style="dim")
     print_findings(console, sentences)
+    _print_failures(console, lost, f"conditions have such runs; {store.CAMPAIGN_RESULT} says why.")
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
     _print_failures(console, failures, "failed.")
     missing = result.planned - result.finished
@@ -177,7 +179,7 @@ def _summarize(one: Outcome) -> str:
             parts.append(f"{words} {found.show(3)} {find_words(metric).unit}")
     if ratio := _find_ratio(one):
         parts.append(f"{_NEES} {ratio.show(3)}, 1 is right")
-    return f"{one.label}: {'; '.join(parts) or 'no run converged'}"
+    return f"{one.label}: {'; '.join(parts) or 'fewer than two runs converged'}"
 
 
 def _find_ratio(outcome: Outcome) -> Estimate | None:

@@ -392,7 +392,10 @@ def make_group(kept: np.ndarray, converged: list[bool], label: str = "x", **more
     """A group of runs (R, K, C) at 1, 2, ... s whose figures count from 2 s on."""
     mean, percentiles = groups._describe(kept, np.array(converged))
     t = np.arange(1.0, kept.shape[1] + 1.0)
-    metrics = tuple({"converged": good, "pos_rmse_h_m": 1.0 + k} for k, good in enumerate(converged))
+    metrics = tuple(
+        {"converged": good, "reason": None if good else "late", "pos_rmse_h_m": 1.0 + k}
+        for k, good in enumerate(converged)
+    )
     given = {"metrics": metrics, "states": 9, "nis_dof": ({},) * len(converged), **more}
     window = EvaluationWindow(begin=2.0)
     return Group(
@@ -468,7 +471,8 @@ def test_figures_are_of_the_runs_that_converged_after_the_alignment():
     for less in (make_group(kept[:40], [k > 0 for k in range(40)]), make_group(kept, [True] * 50, states=0)):
         assert outcome.summarize(less).consistency is None
     few = outcome.summarize(make_group(kept[:3], [True, False, False]))
-    assert (few.errors, few.converged.value) == ({}, pytest.approx(1 / 3))
+    assert (few.errors, few.converged.value, few.lost) == ({}, pytest.approx(1 / 3), "late")
+    assert stored._make_outcome(stored._StoredOutcome.model_validate(asdict(few))).lost == "late"
 
 
 def test_an_outcome_is_read_back_as_it_was_written():

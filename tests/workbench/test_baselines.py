@@ -163,7 +163,7 @@ def test_a_new_divergence_on_the_same_draw_is_worse_and_named(recorded, measure)
     verdicts = check(directory=recorded)
     assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
     (row,) = (row for row in verdicts if row.word == "worse")
-    assert row.note == "lost in draw 13, 15; draw 13: failed: run() raised ValueError"
+    assert row.note == "lost in draw 13, 15, draw 13: failed: run() raised ValueError"
     assert (row.old, row.new) == (1.0, 0.9)
 
 
@@ -177,7 +177,7 @@ def test_a_draw_that_ends_its_process_is_lost_and_the_others_count(recorded, mea
     assert len(measured) == 19
     assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
     (row,) = (row for row in verdicts if row.word == "worse")
-    assert (row.draws, row.note) == (20, "lost in draw 3; draw 3: ended by SIGSEGV")
+    assert (row.draws, row.note) == (20, "lost in draw 3, draw 3: ended by SIGSEGV")
 
 
 class FailsAtTimes(Loose):

@@ -125,6 +125,20 @@ def test_a_single_estimator_of_each_is_compared_whatever_its_label(draws):
         comparing._compare_sides(first, two)
 
 
+@pytest.mark.parametrize("count", [1, 20])
+def test_what_did_not_converge_is_told_with_the_reason(draws, count):
+    before, after = (values[:count] for values in draws)
+    keys = [f"seed 1, run {k}" for k in range(count)]
+    other = make_side("other", after, keys)
+    mine = other.draws["flight"].estimators["mine"]
+    lost = {"converged": (*mine.converged[1:], False), "reasons": ("",) * (count - 1) + ("900 m off",)}
+    other.draws["flight"].estimators["mine"] = mine.model_copy(update=lost)
+    found = comparing._compare_sides(make_side("first", before, keys), other)
+    assert found.sentences[-1] == f"mine: in other 1 of {count} draws did not converge, the first: 900 m off"
+    notes = [row.note for row in found.verdicts if row.metric == "converged"]
+    assert notes == ["lost in draw 19, draw 19: 900 m off"] * (count > 1)
+
+
 def test_estimators_of_one_side_alone_are_named(draws):
     keys = [f"seed 1, run {k}" for k in range(20)]
     first, other = (

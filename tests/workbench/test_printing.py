@@ -131,6 +131,15 @@ def test_what_is_found_is_printed_by_one_module():
     assert users == ["printing.py"], "make a FindingTable, and let print_findings print it"
 
 
+def test_the_conditions_of_a_campaign_with_lost_runs_are_told_with_the_reason():
+    some = Estimate(0.5, 0.2, 0.8)
+    outcomes = [Outcome(f"seed = {k}", "x", 4, some if k else ALL, {}, None, "late" * k) for k in range(9)]
+    said = print_outcomes(outcomes)
+    assert "seed = 1: x: 2 of 4 runs did not converge, 20 to 80 % of all; the first: late" in said
+    assert "seed = 0:" not in said
+    assert "3 more conditions have such runs" in said
+
+
 @pytest.mark.parametrize("several", [False, True], ids=["ten estimators", "conditions"])
 def test_the_table_of_a_campaign_is_divided_and_nothing_is_cut(several):
     values = iter(range(1000))
