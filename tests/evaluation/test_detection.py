@@ -110,12 +110,12 @@ def test_without_faults_there_is_nothing_to_score(flight):
 
 
 def by_hand(refused, events=()):
-    """A solution that refused gnss_position and baro at given times."""
-    t = np.arange(1.0, 101.0)
-    code = np.repeat([0, 1], len(t))
-    accepted = np.concatenate([~np.isin(t, refused.get(name, ())) for name in ("gnss_position", "baro")])
-    one = np.ones(2 * len(t))
-    table = Innovations(np.tile(t, 2), ("gnss_position", "baro"), code, 0 * code, one, one, one, accepted)
+    """A solution that refused positions and velocities of GNSS and heights at given times."""
+    t, names = np.arange(1.0, 101.0), ("gnss_position", "gnss_velocity", "baro")
+    code = np.repeat(np.arange(len(names)), len(t))
+    accepted = np.concatenate([~np.isin(t, list(refused.get(name, ()))) for name in names])
+    one = np.ones(len(code))
+    table = Innovations(np.tile(t, len(names)), names, code, 0 * code, one, one, one, accepted)
     told = Events.from_rows(list(events))
     empty = np.empty((0, 3))
     return NavSolution(
@@ -159,6 +159,17 @@ def test_a_filter_that_refuses_one_fix_by_chance_and_follows_has_not_noticed():
     late = by_hand({"gnss_position": range(35, 70)})
     late = replace(late, innovations=replace(late.innovations, t=late.innovations.t + 0.5))
     assert told_of(late, ramp) == (15.5, 25 / 40)
+
+
+def test_a_fault_whose_positions_are_followed_is_not_refused_for_all_of_its_time():
+    """Ten fixes a second: positions refused for the first 24 of 40 s, velocities all along."""
+    ramp = Fault("spoofing", "gnss", 20.0, 60.0, "")
+    always, first = range(20, 60), range(20, 44)
+    found = by_hand({"gnss_position": first, "gnss_velocity": always})
+    assert told_of(found, ramp) == (0.0, 24 / 40)
+    assert told_of(by_hand({"gnss_position": [], "gnss_velocity": always}), ramp) == (0.0, 0.0)
+    fast = replace(found.innovations, t=found.innovations.t / 10.0)  # within a second some are used
+    assert told_of(replace(found, innovations=fast), replace(ramp, start=2.0, end=6.0)) == (0.0, 24 / 40)
 
 
 def test_an_event_is_an_alarm_as_long_as_it_stands():
