@@ -8,7 +8,8 @@ BUG, INTERRUPTED = 70, 130
 
 STATUSES = {
     DONE: "done",
-    NEGATIVE: "a verdict is negative: a limit broken, an estimator diverged, could not start, or was ended",
+    NEGATIVE: "an estimator diverged, answered a part, could not start or was ended; a limit is broken, a "
+    "metric worse; with --strict a filter is over- or underconfident",
     WRONG: "the command line, a file or the results folder is wrong",
     NOT_FLOWN: "the aircraft could not be loaded, trimmed or flown",
     MACHINE: "the machine failed: disk full, no viewer",

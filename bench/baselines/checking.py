@@ -42,6 +42,8 @@ One line per record: *date estimators, profile: metric old -> new; cause.*
 
 """
 
+_UNJUDGED = "nothing to compare with, as of an autopilot that has used every fix"
+
 Progress = Callable[[str, int, int], None]
 """Called with the name of the profile, the number of finished draws and the number of all draws."""
 
@@ -74,15 +76,28 @@ class _Measured:
         if self.progress:
             self.progress(self.experiment.name, done, count)
 
-    def check_values(self) -> None:
-        """Raise ConfigError if an estimator has no value in any draw: it failed in all of them."""
+    def find_unjudged(self) -> list[str]:
+        """Return the estimators that did not fail and have no value in any draw.
+
+        Raises
+        ------
+        ConfigError
+            If one failed in every draw, or no other is left.
+        """
+        name, found = self.experiment.name, list[str]()
         for label, first in self.draws[0].estimators.items():
             rows = [draw.estimators[label] for draw in self.draws]
-            if all(value is None for row in rows for value in row.metrics.values()):
+            if any(value is not None for row in rows for value in row.metrics.values()):
+                continue
+            if not first.converged:
                 raise ConfigError(
-                    f"{self.experiment.name}: {label} has no value in {len(rows)} draws, nothing to compare "
+                    f"{name}: {label} has no value in {len(rows)} draws, nothing to compare "
                     f"with; draw 0: {first.reason}"
                 )
+            found.append(label)
+        if len(found) == len(self.draws[0].estimators):
+            raise ConfigError(f"{name}: {', '.join(found)}: {_UNJUDGED}; -e names a filter to record")
+        return found
 
 
 def record_baselines(
@@ -98,6 +113,7 @@ def record_baselines(
     guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
     progress: Progress | None = None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
     """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
 
@@ -127,6 +143,8 @@ def record_baselines(
         ``if __name__ == "__main__"``, because the processes import it.
     progress : callable
         Called at the start and after each draw, as `Progress` says.
+    say : callable
+        Called with a line for each estimator that is left out: an autopilot's own has used every fix.
 
     Raises
     ------
@@ -153,7 +171,11 @@ def record_baselines(
         for one in measured:
             count = one.experiment.draws or runs or DRAWS
             baseline = one.measure(count, pool)
-            one.check_values()
+            unjudged = one.find_unjudged()
+            for label in unjudged:
+                say(f"{one.experiment.name}: {label} is left out: {_UNJUDGED}")
+            kept = {label: row for label, row in baseline.estimators.items() if label not in unjudged}
+            baseline = baseline.model_copy(update={"estimators": kept})
             paths.append(write_baseline(directory, baseline))
             _write_change(directory, before.get(one.experiment.name), baseline, reason)
     return paths

@@ -27,6 +27,7 @@ from bench.cli.group import (
     report_option,
     seed_option,
     set_option,
+    strict_option,
     write_findings,
 )
 from bench.errors import DONE, INTERRUPTED, NEGATIVE
@@ -59,7 +60,10 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @code_option("profile")
 @guard_options
 @junit_option
-def campaign(sources: tuple[str, ...], as_json: bool, junit: Path | None, **options: Any) -> int:
+@strict_option
+def campaign(
+    sources: tuple[str, ...], as_json: bool, junit: Path | None, strict: bool, **options: Any
+) -> int:
     """Run many noise draws of a profile, or filters on many logs, and say what they tell together.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
@@ -87,6 +91,7 @@ def campaign(sources: tuple[str, ...], as_json: bool, junit: Path | None, **opti
     if options["jobs"] and options["scheduler"]:
         raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")
     from bench.campaigns.running import describe
+    from bench.evaluation.verdict import BROKEN
     from bench.store import to_json
     from bench.workbench.campaign_verb import run_campaign
     from bench.workbench.log_campaign import are_logs, run_logs
@@ -107,6 +112,8 @@ def campaign(sources: tuple[str, ...], as_json: bool, junit: Path | None, **opti
     write_findings(junit, Path(profile).stem, result.requirements)
     good = not result.failed and all(one.converged.value == 1.0 for one in result.outcomes)
     good &= all(one.word == "met" for one in result.requirements)
+    if strict:
+        good &= all(one.consistency is None or one.consistency.word not in BROKEN for one in result.outcomes)
     return DONE if good else NEGATIVE
 
 

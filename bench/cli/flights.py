@@ -31,6 +31,7 @@ from bench.cli.group import (
     results_options,
     seed_option,
     set_option,
+    strict_option,
     table_option,
     write_findings,
 )
@@ -64,7 +65,16 @@ from bench.errors import DONE, NEGATIVE
 @table_option
 @results_options("profile")
 @junit_option
-def run(profile: str, then_view: bool, live: bool, as_json: bool, junit: Path | None, **options: Any) -> int:
+@strict_option
+def run(
+    profile: str,
+    then_view: bool,
+    live: bool,
+    as_json: bool,
+    junit: Path | None,
+    strict: bool,
+    **options: Any,
+) -> int:
     """Fly one profile and evaluate every estimator it names.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
@@ -98,7 +108,7 @@ def run(profile: str, then_view: bool, live: bool, as_json: bool, junit: Path | 
     write_findings(junit, result.name, judge_result(result.profile, result.metrics))
     if then_view:
         view_folder(folder, web=False, console=console)
-    return end_flight(result)
+    return end_flight(result, strict=strict)
 
 
 @commands.command(epilog=STATUS)
@@ -136,13 +146,13 @@ class _Shelf(click.Choice[str]):
 @click.argument(
     "kind",
     required=False,
-    type=_Shelf(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies"]),
+    type=_Shelf(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies", "metrics"]),
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")
 @click.option("--long", "long", is_flag=True, help="of sensors: a table of their figures, each in one unit")
 def list_all(kind: str | None, as_json: bool, long: bool) -> int:
-    """List the profiles, aircraft, legs, sensors, estimators, export formats and studies there are.
+    """List the profiles, aircraft, legs, sensors, estimators, exports, studies and metrics there are.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
     aircraft also say what is known of each, where from, and what no source states,

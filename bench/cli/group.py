@@ -129,6 +129,9 @@ def json_option(what: str) -> Decorator:
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
+strict_option = click.option(
+    "--strict", is_flag=True, help="status 1 if a filter is over- or underconfident, too"
+)
 table_option = click.option(
     "--table", is_flag=True, help="print every main figure with its bounds, as bench show does"
 )
@@ -268,20 +271,30 @@ def write_findings(path: Path | None, name: str, findings: Sequence[Finding]) ->
     write_requirements(path, name, findings)
 
 
-def end_run(metrics: Mapping[str, Mapping[str, Any]]) -> int:
-    """Print the tracebacks of estimators that raised, and return the exit status of a run."""
+def end_run(metrics: Mapping[str, Mapping[str, Any]], *, strict: bool = False) -> int:
+    """Print the tracebacks of estimators that raised, and return the exit status of a run.
+
+    ``strict``: a claim that does not hold is `NEGATIVE`, too.
+    """
+    from bench.evaluation.verdict import BROKEN
+
     tracebacks = [values["traceback"] for values in metrics.values() if "traceback" in values]
     for text in tracebacks:
         click.echo(replace_control(text), err=True, nl=False)
     if tracebacks:
         return BUG
-    good = all(values["converged"] and values.get("required") != "missed" for values in metrics.values())
-    return DONE if good else NEGATIVE
+    bad = any(
+        not values["converged"]
+        or values.get("required") == "missed"
+        or (strict and values.get("verdict") in BROKEN)
+        for values in metrics.values()
+    )
+    return NEGATIVE if bad else DONE
 
 
-def end_flight(result: RunResult) -> int:
+def end_flight(result: RunResult, *, strict: bool = False) -> int:
     """Do the same of a flight; one that crashed has status 1 at least."""
-    return max(end_run(result.metrics), NEGATIVE if result.events.select("crash") else DONE)
+    return max(end_run(result.metrics, strict=strict), NEGATIVE if result.events.select("crash") else DONE)
 
 
 def new_console(*, stderr: bool = False) -> Console:

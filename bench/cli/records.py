@@ -22,6 +22,7 @@ from bench.cli.group import (
     rates_option,
     results_options,
     set_option,
+    strict_option,
     table_option,
 )
 from bench.errors import DONE, NEGATIVE, ConfigError
@@ -69,7 +70,8 @@ class _LogCommand(click.Command):
 @out_option("folder for the results  [default: runs/<log>]")
 @json_option("the figures")
 @table_option
-def navigate(log: str, as_json: bool, **options: Any) -> int:
+@strict_option
+def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
     """Run estimators on a recording of real sensors.
 
     FILE is a recording: its LOG.toml is written beside it first, as bench new log does.
@@ -92,7 +94,7 @@ def navigate(log: str, as_json: bool, **options: Any) -> int:
     summary = navigate_log(log, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(summary), nl=False)
-    return end_run(summary["metrics"])
+    return end_run(summary["metrics"], strict=strict)
 
 
 @commands.command(epilog=STATUS)
@@ -194,7 +196,8 @@ def export(folder: Path, **options: Any) -> int:
 @out_option("write the results folder with the solution added, without the recording")
 @json_option("its metrics")
 @force_option()
-def score(solution: Path, folder: Path, as_json: bool, **options: Any) -> int:
+@strict_option
+def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: Any) -> int:
     """Judge the solution of any program on a run, beside the estimators of the bench.
 
     RUN is a results folder, SOLUTION a table (.csv, .parquet, .mat) of
@@ -222,7 +225,7 @@ def score(solution: Path, folder: Path, as_json: bool, **options: Any) -> int:
     measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)
     if as_json:
         click.echo(to_json(measured), nl=False)
-    return DONE if measured["converged"] else NEGATIVE
+    return end_run({solution.stem: measured}, strict=strict)
 
 
 @commands.command(epilog=STATUS)

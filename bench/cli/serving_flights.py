@@ -18,6 +18,7 @@ from bench.cli.group import (
     results_options,
     seed_option,
     set_option,
+    strict_option,
 )
 from bench.errors import DONE, NEGATIVE
 
@@ -49,6 +50,7 @@ from bench.errors import DONE, NEGATIVE
 @click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th noise draw")
 @json_option("the metrics")
 @results_options("profile")
+@strict_option
 def serve(
     profile: str,
     port: int | None,
@@ -57,6 +59,7 @@ def serve(
     mavlink: bool,
     channels: str | None,
     as_json: bool,
+    strict: bool,
     **options: Any,
 ) -> int:
     """Fly a profile with a client, a program in any language, in lock-step over a socket.
@@ -92,4 +95,4 @@ def serve(
         from bench.store import to_json
 
         click.echo(to_json(result.metrics), nl=False)
-    return max(end_flight(result), NEGATIVE if ended else DONE)
+    return max(end_flight(result, strict=strict), NEGATIVE if ended else DONE)

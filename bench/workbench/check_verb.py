@@ -64,7 +64,11 @@ def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None
     find_own_estimators()
     with _show_draws() as progress:
         paths = checking.record_baselines(
-            list_sources(profiles, console), progress=progress, jobs=jobs or count_processors(), **options
+            list_sources(profiles, console),
+            progress=progress,
+            say=console.print,
+            jobs=jobs or count_processors(),
+            **options,
         )
     for path in paths:
         console.print(f"Wrote {path}.")

@@ -114,6 +114,23 @@ def list_studies() -> list[CatalogEntry]:
     return [CatalogEntry(name, entry.question, "study") for name, entry in STUDIES.items()]
 
 
+def list_metrics() -> list[CatalogEntry]:
+    """Return every metric that a requirement or a study can name, and which side of it is better."""
+    from bench.evaluation.metrics import METRICS
+
+    return [
+        CatalogEntry(one.name, one.words.rstrip("."), "metric", _BETTER[one.direction]) for one in METRICS
+    ]
+
+
+_BETTER = {
+    "lower": "lower is better",
+    "matched": "its expected value is best",
+    "zero": "0 is best",
+    "not judged": "bench check does not judge it",
+}
+"""Direction of a metric -> what it says to a reader."""
+
 _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     "profiles": ("bench run NAME", config.list_profiles),
     "aircraft": ("aircraft = NAME", config.list_aircraft),
@@ -125,6 +142,10 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     ),
     "exports": ("bench export RUN --to NAME", list_exports),
     "studies": ("bench study NAME", list_studies),
+    "metrics": (
+        "metric = NAME; of many the name has {}, one of n, e, d, a sensor, a number or *",
+        list_metrics,
+    ),
 }
 """Kind that `bench list` shows -> how it is selected, and the function that lists its entries."""
 

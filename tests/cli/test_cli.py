@@ -21,6 +21,7 @@ import rerun as rr
 import bench
 from bench import pipeline, recording, store
 from bench.cli import main
+from bench.cli.group import commands, end_run
 from bench.errors import FlightError
 from bench.report import page as report_page
 from bench.store import parquet
@@ -176,6 +177,37 @@ def test_list_names_everything_there_is(capsys):
     assert status == 0
     for name in ("figure-eight", "aerosonde", "adis16475", "l1-code", "bmp388", "loose-15", "free-inertial"):
         assert name in out
+
+
+@pytest.mark.parametrize(
+    ("values", "usual", "strict"),
+    [
+        ({"verdict": "consistent"}, 0, 0),
+        ({"verdict": "undecided"}, 0, 0),
+        ({"verdict": "overconfident"}, 0, 1),
+        ({"verdict": "underconfident"}, 0, 1),
+        ({"verdict": "consistent", "required": "missed"}, 1, 1),
+        ({"verdict": "incomplete", "converged": False}, 1, 1),
+        ({"verdict": "failed", "converged": False, "traceback": "boom"}, 70, 70),
+    ],
+)
+def test_a_claim_that_does_not_hold_is_status_1_if_it_is_asked_for(values, usual, strict, capsys):
+    metrics = {"good": {"converged": True, "verdict": "consistent"}, "mine": {"converged": True, **values}}
+    assert (end_run(metrics), end_run(metrics, strict=True)) == (usual, strict)
+    for verb in ("run", "navigate", "serve", "score", "campaign"):
+        assert "--strict" in [flag for one in commands.commands[verb].params for flag in one.opts]
+
+
+def test_every_kind_that_a_message_or_a_page_sends_to_is_listed(capsys):
+    status, out, _ = say(capsys, "list", "metrics")
+    assert status == 0
+    for name in ("pos_rmse_{}_m", "heading_rmse_deg", "outage_{}_drift_h_m"):
+        assert name in out
+    package = Path(bench.__file__).parent
+    told = [*package.rglob("*.py"), *package.rglob("*.md"), package.parent / "README.md"]
+    sent = {kind for path in told for kind in re.findall(r"bench list ([a-z]+)", path.read_text("utf-8"))}
+    assert "metrics" in sent
+    assert sent <= set(json.loads(say(capsys, "list", "--json")[1]))
 
 
 def test_list_legs_says_what_each_key_may_be(capsys):
