@@ -153,8 +153,8 @@ def make_profile(options: Options, unit: str, phase: str, longest: float) -> Pro
 def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
     """Return every second since the loss, and the times asked for, as far as the outage goes [s]."""
     start, stop = profile.sensors.gnss_outages[0]
-    last = min(elapsed[-1], stop - start - SAME_INSTANT)
-    grid = np.union1d(np.arange(1.0, last), elapsed)
+    last = min(elapsed[-1], stop - start)
+    grid = np.union1d(np.arange(1.0, last), [*elapsed, last])
     return tuple(grid[grid <= last + SAME_INSTANT].tolist())
 
 
@@ -166,7 +166,7 @@ def measure_growth(task: _Task) -> FloatArray:
     profile, truth = task.profile, get_truth(task.truth_key, task.profile)
     pipeline.check_times(profile, float(truth.t[-1]))
     sensed = pipeline.sense(profile, truth, task.run)
-    at = profile.sensors.gnss_outages[0][0] + np.array([0.0, *task.grid])
+    at = list_instants(truth.t, profile.sensors.gnss_outages[0], task.grid)
     try:
         solution = pipeline.navigate(profile.estimators[0], replace(sensed.data, output_t=at), sensed.initial)
     except EstimatorFailedError as error:
@@ -175,6 +175,15 @@ def measure_growth(task: _Task) -> FloatArray:
     squares = np.square(pos[:, :2]).sum(axis=1)
     claimed = solution.cov[:, 0, 0] + solution.cov[:, 1, 1]
     return np.column_stack([pos - pos[0], squares, claimed])[1:]
+
+
+def list_instants(t: FloatArray, outage: tuple[float, float], grid: Sequence[float]) -> FloatArray:
+    """Return the loss and the instants after it (1 + D,) [s]; at the end of the outage the last before it.
+
+    A fix at the end itself has ended the drift. ``t`` (N,) are the instants of the truth.
+    """
+    at, end = outage[0] + np.array([0.0, *grid]), np.searchsorted(t, outage[1] - SAME_INSTANT)
+    return np.where(at < outage[1] - SAME_INSTANT, at, t[max(int(end) - 1, 0)])
 
 
 def find_law(profile: Profile, grid: Sequence[float]) -> dict[str, FloatArray]:

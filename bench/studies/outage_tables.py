@@ -97,9 +97,13 @@ def tell_drifts(
     limit: float,
 ) -> Iterator[str]:
     """Yield drift, time to the limit, what makes it, pairs, claims and lost draws in sentences."""
-    near = min(elapsed, key=lambda T: abs(T - 60.0))
     for phase, told in pairs.items():
         parts, times = [], []
+        grid = drifts[units[0], phase].grid
+        flown = [T for T, _ in _rows(drifts[units[0], phase], elapsed)]
+        near = min(flown or [float(grid[-1])], key=lambda T: abs(T - 60.0))
+        if longer := [f"{T:g}" for T in elapsed if T not in flown]:
+            yield f"{phase}: GNSS is lost for {grid[-1]:g} s; no figure is after {', '.join(longer)} s."
         made: dict[str, list[str]] = {}
         for unit in units:
             drift = drifts[unit, phase]

@@ -138,9 +138,12 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     assert_allclose(
         [tables["times"][key][0] for key in ("after_s", "law_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
     )
-    first, times, made, claims = tell_drifts(
+    longer, first, times, made, claims = tell_drifts(
         ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0, 110.0), 5.0
     )
+    assert longer == "straight: GNSS is lost for 60 s; no figure is after 110 s."
+    (_, last, *_) = tell_drifts(["my/own.toml"], "mine", drifts, {"straight": []}, (90.0,), 5.0)
+    assert last.startswith("Drift after 60 s without GNSS"), "the last second that is flown"
     assert first.startswith(
         "Drift after 60 s without GNSS, straight, RMS and by the closed form [m]: my/own.toml 164 ("
     )
@@ -371,6 +374,13 @@ def test_pictures_of_the_grades_begin_a_second_after_the_loss():
         for size, one in zip((1.0, 10.0), lines, strict=True):
             assert_allclose(one.t, t[1:])
             assert_allclose(one.values[:, 0], factor * size * t[1:])
+
+
+def test_the_end_of_an_outage_is_measured_before_the_fix_that_ends_it():
+    t = np.arange(0.0, 101.0, 0.25)
+    assert outage_drift.list_instants(t, (20.0, 50.0), (1.0, 30.0)).tolist() == [20.0, 21.0, 49.75]
+    assert outage_drift.list_instants(t, (20.0, 50.1), (1.0, 30.1)).tolist() == [20.0, 21.0, 50.0]
+    assert outage_drift.list_instants(t, (20.0, 52.0), (1.0, 30.0)).tolist() == [20.0, 21.0, 50.0]
 
 
 def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
