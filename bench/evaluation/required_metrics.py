@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from bench.evaluation.ensemble import Estimate, estimate_rate
@@ -36,6 +36,33 @@ class Finding:
     metric: str
     word: str  # MET, MISSED or UNDECIDED
     sentence: str
+
+
+@dataclass(frozen=True, slots=True)
+class Looks:
+    """Runs that are looked at when there are ``first`` of them, and doubled until there are ``most``."""
+
+    first: int
+    most: int
+
+    @property
+    def numbers(self) -> list[int]:
+        """How many runs there are at each look."""
+        found = [self.first]
+        while found[-1] < self.most:
+            found.append(min(2 * found[-1], self.most))
+        return found
+
+
+def count_meeting_runs(share: float) -> int:
+    """Return the least number of runs that can show that a share is kept: all of them keep it.
+
+    Examples
+    --------
+    >>> count_meeting_runs(0.95), count_meeting_runs(0.5)
+    (59, 5)
+    """
+    return math.ceil(math.log(_ERROR) / math.log(share))
 
 
 def is_metric(name: str) -> bool:
@@ -79,17 +106,16 @@ def judge_result(document: Mapping[str, Any], metrics: Mapping[str, Values]) -> 
 
 
 def judge_runs(
-    label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], looks: int = 1
+    label: str, runs: Sequence[Values], rows: Sequence[Mapping[str, Any]], looks: Looks | None = None
 ) -> list[Finding]:
     """Return whether a share of some runs keeps each requirement; parameters as for :func:`judge_run`.
 
-    Runs that are looked at several times, while more are added until it is decided, give each of the
-    ``looks`` its part of the error of the bounds.
+    Runs that are looked at several times, while more are added until it is decided, have ``looks``.
     """
     found = []
     for row in rows if runs else ():
         count, n, share = sum(_keeps(row, values) for values in runs), len(runs), float(row["share"])
-        held = _bound(count, n, looks)
+        held = _bound(count, n, share, looks)
         word = decide(count, n, share, looks)
         text = (
             f"{label}: {row['metric']} is {describe_limit(row)} in {count} of {n} runs, "
@@ -102,12 +128,21 @@ def judge_runs(
     return found
 
 
-def _bound(count: int, n: int, looks: int) -> Estimate:
-    """Return a share with its bounds."""
-    return estimate_rate(count, n, 1.0 - 2.0 * _ERROR / looks)
+def _bound(count: int, n: int, share: float, looks: Looks | None) -> Estimate:
+    """Return a fraction with its bounds; a look that can decide gets its part of the error of each.
+
+    With fewer runs than show the share if all keep it the word cannot be `MET`, nor `MISSED` with fewer than
+    show that it is missed if none does: such a look takes no part.
+    """
+    numbers = [n] if looks is None else looks.numbers
+    low, high = (
+        estimate_rate(count, n, 1.0 - 2.0 * _ERROR / max(1, sum(one >= least for one in numbers)))
+        for least in (count_meeting_runs(share), count_meeting_runs(1.0 - share))
+    )
+    return Estimate(low.value, low.low, high.high)
 
 
-def decide(count: int, n: int, share: float, looks: int = 1) -> str:
+def decide(count: int, n: int, share: float, looks: Looks | None = None) -> str:
     """Return whether ``count`` of n runs meet a required fraction, at one of several looks at the runs.
 
     Examples
@@ -115,12 +150,14 @@ def decide(count: int, n: int, share: float, looks: int = 1) -> str:
     >>> decide(58, 58, 0.95), decide(59, 59, 0.95), decide(50, 59, 0.95)
     ('undecided', 'met', 'missed')
     """
-    held = _bound(count, n, looks)
+    held = _bound(count, n, share, looks)
     return MET if held.low >= share else MISSED if held.high < share else UNDECIDED
 
 
-def count_deciding_runs(count: int, n: int, share: float, looks: int = 1) -> int | None:
+def count_deciding_runs(count: int, n: int, share: float, looks: Looks | None = None) -> int | None:
     """Return how many runs decide a share if as many of them keep it as of the n; None for more than 100,000.
+
+    With ``looks`` so many are the most: what is looked at more often needs more.
 
     Examples
     --------
@@ -129,7 +166,8 @@ def count_deciding_runs(count: int, n: int, share: float, looks: int = 1) -> int
     """
     more = n + 1
     while more <= _MOST_RUNS:
-        if decide(round(count / n * more), more, share, looks) != UNDECIDED:
+        most = looks and replace(looks, most=more)
+        if decide(round(count / n * more), more, share, most) != UNDECIDED:
             return more
         more += max(1, more // 200)
     return None

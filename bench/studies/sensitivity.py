@@ -25,6 +25,7 @@ from bench.errors import ConfigError
 from bench.evaluation.ensemble import Estimate, pool_rmse
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
+from bench.evaluation.required_metrics import Looks
 from bench.findings import Findings, FindingTable, make_table, series
 from bench.findings.series import Plot, Series
 from bench.places import PACKAGE
@@ -34,7 +35,6 @@ from bench.studies.study import (
     UnitOptions,
     Words,
     ask_each,
-    count_looks,
     format_estimate,
 )
 from bench.units import unit_of
@@ -91,7 +91,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
     values = find_values(options)
-    looks = count_looks(options.draws, options.most_draws)
+    looks = len(Looks(options.draws, options.most_draws).numbers)
     rows: list[Mapping[str, Any]] = []
     draws, first = options.draws, 0
     while True:

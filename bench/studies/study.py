@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
@@ -69,11 +68,6 @@ Settings = Annotated[tuple[str, ...], BeforeValidator(_take_settings)]
 
 Seed = Annotated[int, Field(ge=0)]
 """An option that holds a seed."""
-
-
-def count_looks(draws: int, most: int) -> int:
-    """Return how often draws are looked at that are doubled up to so many."""
-    return 1 + max(0, math.ceil(math.log2(max(1.0, most / draws))))
 
 
 LISTS = {"overrides": "--set"}

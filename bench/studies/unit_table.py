@@ -22,7 +22,14 @@ from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.errors import ConfigError
 from bench.evaluation.drift_laws import drift_sd
-from bench.evaluation.required_metrics import is_metric, judge_runs, list_requirements, take_value
+from bench.evaluation.required_metrics import (
+    Looks,
+    count_meeting_runs,
+    is_metric,
+    judge_runs,
+    list_requirements,
+    take_value,
+)
 from bench.findings import Findings
 from bench.studies.catalog_units import CatalogImu, find_units
 from bench.studies.drawn_errors import UnitFlight
@@ -32,7 +39,6 @@ from bench.studies.study import (
     Positive,
     StudyWorkers,
     Words,
-    count_looks,
     write_settings,
 )
 from bench.studies.unit_answer import Answer, draw_units, fill_tables, tell_answer
@@ -44,6 +50,7 @@ LAW_S = 60.0
 
 _DRIFT, _RMSE = "outage_*_drift_h_m", "pos_rmse_h_m"
 _ERROR = 0.05  # probability of a wrong word about a pair, over all looks
+_USUAL_MOST = 24  # draws, where nothing is required
 _FAR = 4  # a pair that needs more than so many times the most draws is left undecided
 
 
@@ -66,8 +73,9 @@ class Options(FlightOptions):
     """largest value of the metric that is allowed, in 95 % of the runs, beside each [[requirement]]"""
     draws: Count = 6
     """noise draws of each unit on each flight, at first"""
-    most_draws: Count = 24
-    """and at most, where something is undecided"""
+    most_draws: Count | None = None
+    """and at most, where something is undecided; left out: 24, or as many as can show what is required (59
+    for 95 %)"""
 
 
 class UnitCase(NamedTuple):
@@ -129,12 +137,11 @@ def _answer(
 ) -> Iterator[Answer]:
     """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
     cases = _list_cases(units)
-    looks = count_looks(options.draws, options.most_draws)
     flights = _Flights(options, units, profile, work)
     again = set(units)
     while flights.fly([case for case in cases if case.unit in again]):
-        ranked = {label: flights.rank(label, looks) for label in flights.labels}
-        again = {name for one in ranked.values() for name in _list_open(one[0], options.most_draws)}
+        ranked = {label: flights.rank(label) for label in flights.labels}
+        again = {name for one in ranked.values() for name in _list_open(one[0], flights.looks.most)}
     for label, (ranking, bare) in ranked.items():
         limits = tuple(_find_limits(options, units, profile, label, ranking, work))
         yield Answer(profile, label, flights.metric(label), flights.required(label), ranking, bare, limits)
@@ -197,7 +204,7 @@ class _Flights:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
             begun.setdefault(known, []).append(case)
         for first, here in begun.items():
-            draws = min(2 * first, self._options.most_draws) if first else self._options.draws
+            draws = min(2 * first, self.looks.most) if first else self._options.draws
             if first >= draws:
                 continue
             flown = True
@@ -207,6 +214,15 @@ class _Flights:
             for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):
                 self._rows.setdefault((row["estimator"], here[row["condition"]]), []).append(row)
         return flown
+
+    @property
+    def looks(self) -> Looks:
+        """How many draws there are whenever they are looked at, up to the most."""
+        most = self._options.most_draws
+        if most is None:
+            shares = [float(row["share"]) for label in self.labels for row in self.required(label)]
+            most = max([_USUAL_MOST, *map(count_meeting_runs, shares)])
+        return Looks(self._options.draws, most)
 
     def required(self, label: str) -> list[Mapping[str, Any]]:
         """Return what the profile and the command require of a filter."""
@@ -221,16 +237,16 @@ class _Flights:
         usual = _DRIFT if self._document.get("gnss_outage") else _RMSE
         return self._options.metric or (required[0]["metric"] if required else usual)
 
-    def rank(self, label: str, looks: int) -> tuple[Ranking, Ranking]:
-        """Return the ranking with gaps as typical of the class, and with gaps as zero, at one of looks."""
-        return self._rank(label, looks, filled=True), self._rank(label, looks, filled=False)
+    def rank(self, label: str) -> tuple[Ranking, Ranking]:
+        """Return the ranking with gaps as typical of the class, and with gaps as zero, at this look."""
+        return self._rank(label, filled=True), self._rank(label, filled=False)
 
-    def _rank(self, label: str, looks: int, *, filled: bool) -> Ranking:
+    def _rank(self, label: str, *, filled: bool) -> Ranking:
         flown = []
         for name, unit in self._units.items():
             rows = self._rows[label, UnitCase(name, filled or not unit.typical)]
             asked = {"metric": self.metric(label), "most": math.inf}
             values = [take_value(asked, row) if row["converged"] else None for row in rows]
-            findings = judge_runs(label, rows, self.required(label), looks)
+            findings = judge_runs(label, rows, self.required(label), self.looks)
             flown.append(UnitFlown(name, unit.grade, np.array(values, float), tuple(findings)))
-        return rank_units(flown, _ERROR / looks)
+        return rank_units(flown, _ERROR / len(self.looks.numbers))

@@ -16,6 +16,7 @@ from bench.evaluation.required_metrics import (
     MET,
     MISSED,
     UNDECIDED,
+    Looks,
     count_deciding_runs,
     decide,
     judge_run,
@@ -82,6 +83,21 @@ def test_the_runs_that_are_missing_decide():
     )
     lost = [{"pos_rmse_h_m": 1.0, "converged": k > 9} for k in range(59)]
     assert judge_runs("mine", lost, [row])[0].word == MISSED
+
+
+@pytest.mark.parametrize(("count", "n"), [(6, 6), (24, 24), (23, 24), (11, 12), (20, 24)])
+def test_the_runs_that_are_advised_are_enough(count, n):
+    """Begun with 6 and doubled to 24: as many as advised, of which as many keep it, decide."""
+    needed = count_deciding_runs(count, n, 0.95, Looks(6, 24))
+    assert needed == 59 if count == n else needed > 24
+    assert decide(round(count / n * needed), needed, 0.95, Looks(6, needed)) != UNDECIDED
+
+
+def test_only_a_look_that_can_decide_has_a_part_of_the_error():
+    assert [Looks(*asked).numbers for asked in ((12, 24), (6, 23), (24, 6))] == [[12, 24], [6, 12, 23], [24]]
+    assert decide(59, 59, 0.95, Looks(6, 59)) == decide(80, 80, 0.95, Looks(6, 80)) == MET
+    assert decide(59, 59, 0.95, Looks(59, 118)) == UNDECIDED
+    assert decide(0, 6, 0.95, Looks(6, 59)) == MISSED
 
 
 def test_a_verdict_says_it_and_one_without_requirements_says_nothing():
@@ -156,8 +172,9 @@ def test_a_wrong_requirement_is_named(tmp_path):
 
 def test_runs_that_are_added_until_it_is_decided_show_no_more_than_they_say():
     """Just 95 % keep it: looked at four times, either word falls in 5 % of the campaigns at most."""
-    looks, words = (60, 120, 240, 480), Counter[str]()
-    decided = {(n, k): decide(k, n, 0.95, len(looks)) for n in looks for k in range(n + 1)}
+    looks, words = [30, 60, 120, 240, 480], Counter[str]()
+    assert Looks(30, 480).numbers == looks
+    decided = {(n, k): decide(k, n, 0.95, Looks(30, 480)) for n in looks for k in range(n + 1)}
     kept = np.random.default_rng(2).random((4000, looks[-1])) < 0.95
     for counts in np.cumsum(kept, axis=1):
         found = [decided[n, int(counts[n - 1])] for n in looks]

@@ -14,7 +14,7 @@ from bench.errors import ConfigError
 from bench.places import PACKAGE
 from bench.studies import sensitivity
 from bench.studies.sensitivity import Options, Swept, compare_ends, find_values
-from bench.studies.study import count_looks, read_options
+from bench.studies.study import read_options
 
 METRIC = "pos_rmse_h_m"
 
@@ -95,10 +95,6 @@ def test_the_best_of_many_values_is_no_better_for_being_chosen():
         assert pair is not None
         wrong += pair.word == "better"
     assert wrong <= stats.binom.ppf(0.999, flights, 0.05)
-
-
-def test_draws_that_are_doubled_are_looked_at_each_time():
-    assert [count_looks(*asked) for asked in ((12, 24), (6, 24), (2, 100), (24, 6))] == [2, 3, 7, 1]
 
 
 def test_the_ends_of_three_values_have_a_third_of_the_error_each():

@@ -156,17 +156,21 @@ def test_a_unit_without_a_class_that_may_meet_a_requirement_is_no_cheaper_one(tm
 
 
 def test_a_requirement_of_the_profile_is_judged_and_more_draws_are_flown_for_it(tmp_path):
-    """6 draws cannot show 95 %, 24 neither: undecided in three looks, and how many runs would decide."""
+    """Only 59 draws can show 95 %: so many are flown, unless fewer are asked for; they say what would do."""
     names = write(tmp_path, cheap="consumer", dear="tactical")
     document = {"requirement": [{"metric": METRIC, "most": 10.0, "share": 0.95}]}
     flights = Flights(lambda unit, run, filled: 5.0 if unit == "dear" else 50.0, document)
     found, answer = ask(names, flights)
     assert answer.metric == METRIC
-    assert (found.good, found.undecided) == (True, True)
-    assert max(run for unit, run, _ in flights.flown if unit == "dear") == 23
+    assert (found.good, found.undecided) == (True, False)
+    assert max(run for unit, run, _ in flights.flown if unit == "dear") == 58
     assert max(run for unit, run, _ in flights.flown if unit == "cheap") == 5, "it is missed for certain"
-    assert any("80 runs would decide it" in one for one in found.verdicts)
+    assert "the cheapest class that meets it is tactical" in found.verdicts[0]
+    found, answer = ask(names, flights, most_draws=24)
+    assert (found.good, found.undecided) == (True, True)
+    assert any("59 runs would decide it" in one for one in found.verdicts)
     assert "no unit is shown to meet it" in found.verdicts[0]
+    assert not ask(names, flights, most_draws=59)[0].undecided
 
 
 def test_a_cheaper_class_that_may_meet_is_not_passed_over_in_silence(tmp_path):
