@@ -75,6 +75,7 @@ class _StoredComparison(_StoredPart):
     unit: str
     difference: _StoredEstimate
     runs: NonNegativeInt
+    size: _Number
 
 
 class _Outage(_StoredPart):
@@ -140,7 +141,9 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         return Campaign(
             outcomes=tuple(map(_make_outcome, found.outcomes)),
             comparisons=tuple(
-                Comparison(one.first, one.second, one.unit, _make_estimate(one.difference), one.runs)
+                Comparison(
+                    one.first, one.second, one.unit, _make_estimate(one.difference), one.runs, one.size
+                )
                 for one in found.comparisons
             ),
             runs=runs,

@@ -21,6 +21,9 @@ from bench.wording import format_number
 CONFIDENCE = 0.95
 """Confidence of an interval [1]."""
 
+SAME = 0.05
+"""Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
+
 LAGS = 20
 """Number of lags of the test of whiteness."""
 
@@ -350,15 +353,18 @@ class Comparison:
     unit: str
     difference: Estimate  # RMSE of the first minus that of the second
     runs: int
+    size: float  # RMSE of the second
 
     @property
     def sentence(self) -> str:
         """Which is better, and by how much."""
         low, high = self.difference.low, self.difference.high
         if low <= 0.0 <= high:
+            same = max(-low, high) <= SAME * self.size
+            word = f"the same within {100 * SAME:g} %" if same else "undecided"
             return (
-                f"{self.first} and {self.second} do not differ in {self.runs} runs: the first minus the "
-                f"second is {self.difference.interval} {self.unit}"
+                f"{self.first} and {self.second}: {word} in {self.runs} runs, the first minus the second is "
+                f"{self.difference.interval} {self.unit}"
             )
         better, other = (self.second, self.first) if low > 0.0 else (self.first, self.second)
         low, high = sorted((abs(low), abs(high)))
@@ -391,4 +397,5 @@ def compare_rmse(
     """
     change = regression.estimate_change(second**2, first**2, np.sqrt, paired=True)
     low, high = change.interval(1.0 - confidence)
-    return Comparison(*names, unit, Estimate(change.estimate, low, high), len(first))
+    size = float(np.sqrt(np.mean(second**2)))
+    return Comparison(*names, unit, Estimate(change.estimate, low, high), len(first), size)

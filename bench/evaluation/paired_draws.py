@@ -14,14 +14,11 @@ from typing import Literal
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.evaluation.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.ensemble import CONFIDENCE, SAME, Estimate
 from bench.evaluation.regression import Change, estimate_change, half_log_of_mean
 from bench.wording import format_number
 
 Word = Literal["better", "worse", "same", "undecided"]
-
-SAME = 0.05
-"""Ratios nearer to 1 than this make no difference to whoever buys or tunes [1]."""
 
 _MOST_DRAWS = 100_000  # that are thought of
 _REPEATED = 20  # until a number of draws stays

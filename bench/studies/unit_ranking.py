@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.evaluation.ensemble import Estimate, estimate_rate, pool_rmse
-from bench.evaluation.paired_draws import SAME, PairedRatio, compare_draws_of
+from bench.evaluation.ensemble import SAME, Estimate, estimate_rate, pool_rmse
+from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
 from bench.evaluation.required_metrics import MET, UNDECIDED, Finding
 from bench.studies.catalog_units import CLASSES
 from bench.wording import format_number

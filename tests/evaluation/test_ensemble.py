@@ -265,11 +265,17 @@ def test_the_better_of_two_is_named_by_the_sign_of_the_difference():
     for low, high, told in (
         (-3.0, -1.0, "a is better than b by 1 to 3 m"),
         (1.0, 3.0, "b is better than a by 1 to 3 m"),
-        (-1.0, 2.0, "a and b do not differ in 7 runs: the first minus the second is -1 to 2 m"),
-        (0.0, 2.0, "a and b do not differ in 7 runs: the first minus the second is 0 to 2 m"),
+        (-1.0, 2.0, "a and b: undecided in 7 runs, the first minus the second is -1 to 2 m"),
+        (0.0, 2.0, "a and b: undecided in 7 runs, the first minus the second is 0 to 2 m"),
+        (
+            -1.1,
+            0.1,
+            "a and b: undecided in 7 runs, the first minus the second is -1.1 to 0.1 m",
+        ),
+        (-1.0, 0.1, "a and b: the same within 5 % in 7 runs, the first minus the second is -1 to 0.1 m"),
     ):
         estimate = ensemble.Estimate(0.5 * (low + high), low, high)
-        assert ensemble.Comparison("a", "b", "m", estimate, 7).sentence == told
+        assert ensemble.Comparison("a", "b", "m", estimate, 7, 20.0).sentence == told
 
 
 # --- two estimators --------------------------------------------------------------------------------------
