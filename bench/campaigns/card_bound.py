@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bench import pipeline
 from bench.errors import ConfigError
-from bench.evaluation.linear.held import bound_flight, variance_of
+from bench.evaluation.linear.held import bound_in_range, variance_of
 from bench.evaluation.linear.terms import check_sensors
 from bench.specs import Profile
 from bench.units import SAME_INSTANT
@@ -15,31 +17,45 @@ _STATES = {"accuracy": (0, 1), "height": (2,), "velocity": (3, 4, 5), "tilt": (6
 """Topic -> the states whose variances add up."""
 
 _RATE = 1.0  # of the instants that are averaged [Hz]
+_STILL = 0.2  # speed of what stands [m/s]
+_OF_ATTITUDE = ("mag", "heading")
+"""Instruments that tell no more than a known attitude does."""
+_UNKNOWN = ("airspeed", "odometer", "radar")
+"""Instruments that the linear model lacks."""
 
 
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
-    """Return the least root mean square errors by topic [m, m/s, deg], or none and why there is no bound.
+    """Return the least root mean square errors by topic [m, m/s, deg], or why there are none.
 
-    The covariance is that of the flight and its sensors, the same in every draw of the noise.
+    The covariance is that of the flight and its sensors, the same in every draw of the noise. What the linear
+    model lacks counts as known, since who knows more errs less: faults do not happen, a start is told, and an
+    attitude beyond its range, found by the course, or with an instrument for it on board has no error. Who
+    stands still may know it, which is more than the sensors tell.
     """
     on_board = profile.sensors
-    if on_board.faults:
-        return {}, "no bound: something breaks"
-    if profile.document.get("alignment", {}).get("kind", "given") != "given":
-        return {}, "no bound: the start is not told"
-    if on_board.mag is not None:
-        return {}, "no bound: it knows no magnetometer"
+    if lacks := [name for name in _UNKNOWN if getattr(on_board, name) is not None]:
+        return {}, f"no bound: it knows no {lacks[0]}"
+    known = ["sensors without faults"] if on_board.faults else []
+    known += ["a told start"] if on_board.alignment != "given" else []
+    sound = replace(profile, sensors=replace(on_board, faults=(), alignment="given"))
     try:
-        check_sensors(on_board)
+        check_sensors(sound.sensors)
     except ConfigError as error:
         return {}, f"no bound: {error}"
     truth = pipeline.fly(profile)
-    data = pipeline.sense(profile, truth, 0).data
+    if (np.linalg.norm(truth.vel_n[truth.t >= profile.evaluation.begin], axis=1) < _STILL).any():
+        return {}, "no bound: it stands still, and a filter may know that"
+    data = pipeline.sense(sound, truth, 0).data
     step = max(1, round(on_board.output_rate / _RATE))
-    bound = bound_flight(truth, on_board, data, profile.seed, data.output_t[::step], smooth=False)
+    told = on_board.alignment != "given" or any(getattr(on_board, name) is not None for name in _OF_ATTITUDE)
+    bound = bound_in_range(
+        truth, sound.sensors, data, profile.seed, data.output_t[::step], smooth=False, attitude_known=told
+    )
     variance = variance_of(bound, smooth=False)[bound.t >= profile.evaluation.begin - SAME_INSTANT]
+    known += ["a known attitude"] if np.isnan(variance).any() else []
     found = {}
     for topic, states in _STATES.items():
         least = float(np.sqrt(variance[:, states].sum(axis=1).mean()))
-        found[topic] = float(np.rad2deg(least)) if states[0] >= 6 else least
-    return found, ""
+        if np.isfinite(least):
+            found[topic] = float(np.rad2deg(least)) if states[0] >= 6 else least
+    return found, f"the bound is that of {' and '.join(known)}" if known else ""

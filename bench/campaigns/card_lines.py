@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from bench.arrays import FloatArray
 from bench.campaigns.card_suite import SuiteFlight
@@ -14,6 +15,7 @@ from bench.evaluation import ensemble
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
 from bench.evaluation.error_series import TITLES
+from bench.evaluation.linear.quantities import count_freedom
 from bench.evaluation.regression import average_changes
 from bench.wording import one_line
 
@@ -29,7 +31,7 @@ ERRORS = {
 }
 """Topic -> its figure in words, and how the names of its metrics begin and end."""
 _ANSWERED = "answered_"
-_UNLIKELY = 0.001  # that a causal filter is below the bound by chance
+_UNLIKELY = 1e-5  # that an error is below the bound by chance: one of 1000 cards with 90 such errors
 _BELOW = 0.9  # of the bound; nearer to it a filter that is not linear may come
 _RIGHT = "heading_right_s_all"
 
@@ -170,7 +172,7 @@ def _compare_errors(
         text = f"{figure} {' and '.join(parts)}"
         both = sum(value is not None for value in values)
         text += "" if both == len(own) else f", in the {both} of {len(own)} draws that converged"
-        if topic == "accuracy" and held is None and bound[1]:
+        if topic == "accuracy" and bound[1]:
             text += f"; {bound[1]}"
         if word:
             text += ": no causal filter can; it has the future, or the truth"
@@ -185,13 +187,16 @@ def _compare_errors(
 def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
     """Return the error over the bound, pooled over the draws, and `IMPOSSIBLE` if it is below for certain.
 
-    The bound is of all draws: of a filter that has lost some, perhaps the worst, nothing is certain.
+    Certain is what the spread of the draws allows: the upper end of the mean square of so many independent
+    errors as they hold (`count_freedom`). The bound is of all draws: of a filter that has lost some, perhaps
+    the worst, nothing is certain.
     """
     squares = np.square([value for value in values if value is not None])
     if not bound or len(squares) < _LEAST or not squares.all():
         return None, ""
     pooled = ensemble.pool_rmse(squares)
-    most = ensemble.pool_rmse(squares, 1.0 - _UNLIKELY).high
+    half = 0.5 * count_freedom(squares)
+    most = pooled.value * (half / float(gammaincinv(half, _UNLIKELY))) ** 0.5
     whole = len(squares) == len(values)
     word = IMPOSSIBLE if whole and most < bound and pooled.value < _BELOW * bound else ""
     return Estimate(pooled.value / bound, pooled.low / bound, pooled.high / bound), word

@@ -19,7 +19,8 @@ from bench import pipeline, sensors
 from bench.arrays import BoolArray, FloatArray
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.held import (
-    bound_flight,
+    LINEAR,
+    bound_in_range,
     check_flight,
     list_phases,
     smooths,
@@ -39,6 +40,7 @@ from bench.studies.drawn_errors import (
     split_draws,
 )
 from bench.studies.study import Count, StudyWorkers, UnitOptions, Words, ask_each
+from bench.units import DEG
 
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 
@@ -76,7 +78,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     work.progress("the best linear estimator", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)
-    bound = bound_flight(truth, profile.sensors, data, profile.seed, t, smooth=any(smoothing.values()))
+    bound = bound_in_range(truth, profile.sensors, data, profile.seed, t, smooth=any(smoothing.values()))
     parts = list(split_draws(options.draws, _PARTS))
     jobs = [Draws(flight, label, first, count) for label in labels for first, count in parts]
     found = work.map("drawing the estimators", draw_errors, jobs, first=(0,))
@@ -86,6 +88,11 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     phases = list_phases(bound.t, profile.evaluation.begin, profile.sensors)
     columns, told, good = hold_draws(bound, errors, smoothing, phases)
     below = "No estimator is below its bound" if good else "An estimator is below its bound"
+    if np.isnan(variance_of(bound, smooth=False)).any():
+        told.append(
+            f"An angle is not known within {LINEAR / DEG:g} deg, the range of a linear model: no attitude is "
+            "held against a bound, and that of position and velocity is of a known attitude."
+        )
     told.append(f"{below}, by {100.0 * LEVEL:g} % intervals of {options.draws} draws.")
     title = f"Root mean square errors over {options.draws} draws, over those of the best linear estimator"
     return Findings(

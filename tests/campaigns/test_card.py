@@ -103,7 +103,9 @@ def test_a_card_says_what_the_runs_say(made):
     assert found.lines[0].sentence == "short: answers at all instants."
     assert found.lines[1].sentence == "short: first answer after 0 s at most."
     assert (found.good, found.lost, found.options) == (True, (), {})
-    assert find(found, "short", "accuracy").sentence.endswith("; no bound: something breaks.")
+    assert find(found, "short", "accuracy").sentence.endswith(
+        "times the bound; the bound is that of sensors without faults."
+    )
 
 
 def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
@@ -230,10 +232,10 @@ def test_what_is_no_card_is_refused(tmp_path, text, message):
 
 
 def test_who_loses_the_worst_draws_is_not_said_to_have_the_future():
-    """Of errors as large as the bound the smallest 28 of 40 are below it; a whole set that small is not."""
+    """Of errors as large as the bound the smallest 24 of 40 are below it; a whole set that small is not."""
     errors = np.sort(np.sqrt(np.random.default_rng(1).chisquare(4.0, 40) / 4.0)).tolist()
-    assert card_lines.compare_bound([*errors[:28], *[None] * 12], 1.0)[1] == ""
-    assert card_lines.compare_bound(errors[:28], 1.0)[1] == "impossible"
+    assert card_lines.compare_bound([*errors[:24], *[None] * 16], 1.0)[1] == ""
+    assert card_lines.compare_bound(errors[:24], 1.0)[1] == "impossible"
     assert card_lines.compare_bound(errors, 1.0)[1] == ""
 
 

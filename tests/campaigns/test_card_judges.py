@@ -227,15 +227,10 @@ def short(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("values", "why"),
     [
-        ({"alignment.kind": "course", "evaluation.from_s": 12.0}, "no bound: the start is not told"),
-        ({"sensors.mag": "rm3100"}, "no bound: it knows no magnetometer"),
+        ({"sensors.airspeed": "ms4525do"}, "no bound: it knows no airspeed"),
         (
             {"sensors.imu.layout.accel_cone_deg": 3.0},
             "no bound: the linear model needs accelerometers along the axes",
-        ),
-        (
-            {"fault": [{"kind": "dropped", "sensor": "imu", "start_s": 9.0, "duration_s": 1.0}]},
-            "no bound: something breaks",
         ),
     ],
 )
@@ -243,6 +238,38 @@ def test_where_there_is_no_bound_the_reason_is_told(short, values, why):
     found, told = bound_errors_of(load_profile("short.toml", values, estimators=["loose-15"]))
     assert found == {}
     assert told.startswith(why)
+
+
+def test_who_stands_still_has_no_bound():
+    profile = load_profile("static", {"leg.1.duration_s": 70.0}, estimators=["loose-15"])
+    assert bound_errors_of(profile) == ({}, "no bound: it stands still, and a filter may know that")
+
+
+DROPPED = [{"kind": "dropped", "sensor": "imu", "start_s": 9.0, "duration_s": 1.0}]
+
+
+@pytest.mark.parametrize(
+    ("values", "of"),
+    [
+        ({"fault": DROPPED}, "sensors without faults"),
+        ({"alignment.kind": "course", "evaluation.from_s": 12.0}, "a told start and a known attitude"),
+        ({"sensors.mag": "rm3100"}, "a known attitude"),
+        ({"initial_error_sd.heading_deg": 11.0}, "a known attitude"),
+        ({"sensors.mag": "rm3100", "fault": DROPPED}, "sensors without faults and a known attitude"),
+    ],
+)
+def test_what_the_linear_model_lacks_counts_as_known(short, values, of):
+    """So the bound is no larger than that of the plain flight; where the attitude is known it has none."""
+    plain, found = (
+        bound_errors_of(
+            load_profile("short.toml", {"evaluation.from_s": 12.0, **one}, estimators=["loose-15"])
+        )
+        for one in ({}, values)
+    )
+    assert (plain[1], found[1]) == ("", f"the bound is that of {of}")
+    assert set(plain[0]) - set(found[0]) == ({"tilt", "heading"} if "attitude" in of else set())
+    for topic, least in found[0].items():
+        assert least <= plain[0][topic] * (1.0 + 1e-9), topic
 
 
 def test_the_bound_of_a_topic_is_that_of_a_run(short):

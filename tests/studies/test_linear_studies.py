@@ -511,6 +511,9 @@ def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
     assert told[4] == "lost, with GNSS, over the bound: no errors."
     twice = {"first": 0.1 * signs, "second": 2.0 * signs}
     assert not bound_study.hold_draws(bound, twice, dict.fromkeys(twice, False), phases)[2]
+    wide = replace(bound, causal=np.where(np.arange(9)[:, None] < 6, n, np.nan))
+    held = bound_study.hold_draws(wide, {"low": 0.1 * signs}, {"low": False}, phases)[0]
+    assert held["quantity"] == ["horizontal position", "height", "horizontal velocity"] * 2
     table = bound_study._tabulate(bound, [1, 3]).columns
     assert table["t_s"] == [1.0, 3.0]
     assert_allclose(table["horizontal_m"], np.sqrt(2.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -18,9 +18,11 @@ from bench.evaluation.linear.terms import check_sensors, model_errors
 from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES
 from bench.navigation.models.loose_tight import Fusion
 from bench.navigation.models.smoother import Smoother
-from bench.sensor_specs import SensorsSpec
-from bench.units import SAME_INSTANT
+from bench.sensor_specs import SensorsSpec, TriadSpec
+from bench.units import DEG, SAME_INSTANT
 
+LINEAR = 10.0 * DEG
+"""Largest standard deviation of an angle in a linear model [rad]: its sine is within 0.5 % of it."""
 _RATE = 1.0  # of the instants of a run that are held against the bound [Hz]
 
 
@@ -61,6 +63,34 @@ def bound_flight(
     return bound_errors(path, model, find_epochs(path, data), output, data.antenna_b, smooth=smooth)
 
 
+def bound_in_range(
+    truth: Trajectory,
+    spec: SensorsSpec,
+    data: SensorData,
+    seed: int,
+    t: FloatArray,
+    *,
+    smooth: bool,
+    attitude_known: bool = False,
+) -> Bound:
+    """Return the covariances of :func:`bound_flight` where a linear model of the attitude holds.
+
+    Where an angle has a standard deviation beyond `LINEAR`, at the start or later, sines are not angles.
+    Then, and if it is ``attitude_known``, the attitude counts as exactly known and its variances are NaN: who
+    knows more errs less, so that the other variances are below those of any estimator still.
+    """
+    if not attitude_known:
+        bound = bound_flight(truth, spec, data, seed, t, smooth=smooth)
+        angles = np.einsum("...ii->...i", bound.causal)[:, 6:9].max(initial=0.0)
+        if max(float(angles), float(np.diag(bound.start)[6:9].max())) <= LINEAR**2:
+            return bound
+    told = replace(spec, imu=replace(spec.imu, gyro=TriadSpec()), initial_tilt_sd=0.0, initial_heading_sd=0.0)
+    bound = bound_flight(truth, told, data, seed, t, smooth=smooth)
+    for covariance in (bound.causal, bound.smoothed):
+        covariance[:, 6:9], covariance[:, :, 6:9] = np.nan, np.nan
+    return bound
+
+
 def variance_of(bound: Bound, *, smooth: bool) -> FloatArray:
     """Return the variances (M, 9) of position, velocity and attitude."""
     return np.asarray(np.einsum("mii->mi", bound.smoothed if smooth else bound.causal[:, :9, :9]))
@@ -91,7 +121,7 @@ def hold_run(
     t = next(iter(errors.values())).t
     step = max(1, round((len(t) - 1) / (_RATE * float(t[-1] - t[0])))) if len(t) > 1 else 1
     rows = np.arange(0, len(t), step)
-    bound = bound_flight(truth, spec, sensed.data, seed, t[rows], smooth=any(smoothing.values()))
+    bound = bound_in_range(truth, spec, sensed.data, seed, t[rows], smooth=any(smoothing.values()))
     found: dict[str, list[dict[str, Any]]] = {}
     for label, series in errors.items():
         own = np.hstack([series.pos_n, series.vel_n, series.phi_n])[rows]

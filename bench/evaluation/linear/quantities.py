@@ -12,6 +12,7 @@ from bench.units import DEG
 
 LEVEL = 0.999
 """Probability of an interval."""
+_ALIKE = 1e-6  # least variance of mean squares over their square, so that draws may be alike
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,28 +61,32 @@ def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, Flo
 
 
 def compare_draws(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
-    """Return the ratio of the errors (R, M, 9) of R draws to variances (M, 9); None without errors.
-
-    The spread of the mean squares of the draws says how many independent errors they hold. Of a few draws it
-    is itself not well known, so its upper 95 % limit counts.
-    """
+    """Return the ratio of the errors (R, M, 9) of R draws to variances (M, 9); None if either is unknown."""
     squares = np.mean(quantity.sd(np.square(errors)) ** 2, axis=1)
     if not np.isfinite(squares).all():
         return None
+    return _make_ratio(float(squares.mean()), least, quantity, count_freedom(squares))
+
+
+def count_freedom(squares: FloatArray) -> float:
+    """Return the degrees of freedom of the chi-square as broad as the mean squares (R,) of R draws.
+
+    Their spread says how many independent errors they hold. Of a few draws it is itself not well known, so
+    its upper 95 % limit counts.
+    """
     mean, draws = float(squares.mean()), len(squares)
     widest = float(np.sum((squares - mean) ** 2)) / (2.0 * float(gammaincinv(0.5 * (draws - 1), 0.05)))
-    freedom = draws * max(1.0, 2.0 * mean**2 / widest)  # of a chi-square as broad
-    return _make_ratio(mean, least, quantity, freedom)
+    return draws * max(1.0, 2.0 * mean**2 / max(widest, _ALIKE * mean**2))
 
 
 def compare_run(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
-    """Return the ratio of the errors (M, 9) of one run to variances (M, 9); None without errors.
+    """Return the ratio of the errors (M, 9) of one run to variances (M, 9); None if either is unknown.
 
     The correlation in time of the errors, in units of the bound, says how many independent ones they hold:
     ``M / (1 + 2 sum rho^2)`` of each axis.
     """
     mean = float(np.mean(quantity.sd(np.square(errors)) ** 2))
-    if not np.isfinite(mean):
+    if not np.isfinite(mean) or not np.isfinite(quantity.sd(least)).all():
         return None
     freedom = 0.0
     for state in quantity.states:
@@ -93,7 +98,9 @@ def compare_run(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ra
     return _make_ratio(mean, least, quantity, freedom)
 
 
-def _make_ratio(mean: float, least: FloatArray, quantity: Quantity, freedom: float) -> Ratio:
+def _make_ratio(mean: float, least: FloatArray, quantity: Quantity, freedom: float) -> Ratio | None:
     bound = float(np.mean(quantity.sd(least) ** 2)) ** 0.5
+    if not np.isfinite(bound):
+        return None
     low, high = root_mean_interval(np.array(mean**0.5), freedom)
     return Ratio(mean**0.5, bound, mean**0.5 / bound, float(low) / bound, float(high) / bound)

@@ -328,6 +328,10 @@ def test_draws_over_a_bound_have_the_interval_of_their_spread():
     assert (turned.rmse, turned.bound) == pytest.approx((np.sqrt(14.0 / 3.0), 0.5))
     assert quantities.compare_draws(errors * np.nan, least, horizontal) is None
     assert quantities.compare_run(errors[:, 0] * np.nan, least, horizontal) is None
+    for unknown in (quantities.compare_draws(errors, least * np.nan, height),
+                    quantities.compare_run(errors[:, 0], least * np.nan, height)):  # fmt: skip
+        assert unknown is None
+    assert quantities.count_freedom(np.full(3, 2.0)) > 1e6, "draws that are alike"
 
 
 @pytest.mark.parametrize("alternate", [True, False])
