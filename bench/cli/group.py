@@ -41,6 +41,7 @@ def parse_assignments(ctx: click.Context, param: click.Parameter, given: tuple[s
             raise click.BadParameter(
                 f"{item!r} must be KEY=VALUE, for example sensors.imu=stim300", ctx, param
             )
+        values.pop(key, None)  # what was typed last is the last
         try:
             values[key] = tomllib.loads(f"value = {text}")["value"]
         except (tomllib.TOMLDecodeError, RecursionError):

@@ -43,23 +43,25 @@ def _parse_index(rows: object, part: str, key: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class DatasheetChanges:
-    """Figures to replace in the datasheets of the units on board, and in those that filters assume."""
+    """Figures to replace in the datasheets of the units on board, and in those that filters assume.
+
+    Figures are in the order in which they were given; the assumed ones include those on board.
+    """
 
     on_board: dict[str, dict[str, Any]] = field(default_factory=dict)
     assumed: dict[str, dict[str, Any]] = field(default_factory=dict)
     keys: dict[str, Any] = field(default_factory=dict)  # as they were given
 
     def name_assumed(self, units: object) -> dict[str, Any]:
-        """Return the datasheets that a [sensors] table assumes; one only changed is that of the unit."""
+        """Return the datasheets that a [sensors] table assumes; one changed for filters is the unit's."""
         on_board = units if isinstance(units, Mapping) else {}
         named = on_board.get("assumed")
-        changed = {kind: on_board[kind] for kind in self.assumed if kind in on_board}
+        changed = {
+            kind: on_board[kind]
+            for kind, figures in self.assumed.items()
+            if kind in on_board and figures != self.on_board.get(kind)
+        }
         return changed | (dict(named) if isinstance(named, Mapping) else {})
-
-    def of_assumed(self) -> Figures:
-        """Return the changes of the assumed datasheets: those on board, and then their own."""
-        kinds = {**self.on_board, **self.assumed}
-        return {kind: {**self.on_board.get(kind, {}), **self.assumed.get(kind, {})} for kind in kinds}
 
     def check(self, on_board: Mapping[str, Any], assumed: Mapping[str, Any]) -> list[str]:
         """Return one line for each figure of a sensor that is not there."""
@@ -73,7 +75,7 @@ class DatasheetChanges:
     def mark(self, document: dict[str, Any]) -> None:
         """Mark the units that are changed in a document of what was done, and add the overrides to it."""
         sensors = document["sensors"]
-        for names, changed in ((sensors["assumed"], self.of_assumed()), (sensors, self.on_board)):
+        for names, changed in ((sensors["assumed"], self.assumed), (sensors, self.on_board)):
             names.update({kind: f"{names[kind]}{MODIFIED}" for kind in changed if kind in names})
         document.update(self.keys)
 
@@ -112,11 +114,13 @@ def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[st
     A path in them is relative to the present folder, not to ``beside``, the folder of the file.
     ``sensors.imu.gyro.noise_deg_sqrt_h`` is a figure of the unit on board, which filters then assume, too;
     ``sensors.assumed.imu.gyro.noise_deg_sqrt_h`` is only what they assume. A table with the name of its
-    sensor may be left out: ``sensors.baro.white_sd_m``.
+    sensor may be left out: ``sensors.baro.white_sd_m``. What comes later wins: behind ``sensors.assumed.imu``
+    filters assume that datasheet, without the figures given on board before it.
     """
     plain = {key: _locate(key, value, beside) for key, value in overrides.items()}
     changes = DatasheetChanges()
-    for key, value in list(plain.items()):
+    keys = list(plain)
+    for number, key in enumerate(keys):
         parts = key.split(".")
         if parts[0] in _OF_IMUS:
             raise ConfigError(f"--set {key}: a figure of a datasheet; name its sensor: sensors.imu.{key}=...")
@@ -124,8 +128,14 @@ def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[st
         rest = parts[2:] if only_assumed else parts[1:]
         if parts[0] == "sensors" and len(rest) > 1 and rest[0] in SENSORS:
             kind, *path = rest
-            table = [kind, *path] if len(path) == 1 else path
-            changed = changes.assumed if only_assumed else changes.on_board
-            changed.setdefault(kind, {})[".".join(table)] = value
-            changes.keys[key] = plain.pop(key)
+            figure = ".".join([kind, *path] if len(path) == 1 else path)
+            sides = [] if only_assumed else [changes.on_board]
+            if only_assumed or f"sensors.assumed.{kind}" not in keys[number:]:
+                sides.append(changes.assumed)
+            changes.keys[key] = value = plain.pop(key)
+            for side in sides:
+                side.setdefault(kind, {}).pop(figure, None)
+                side[kind][figure] = value
+        elif only_assumed and len(rest) == 1 and rest[0] in changes.on_board:
+            changes.keys[key] = plain[key]
     return plain, changes

@@ -107,9 +107,7 @@ def load_profile(
         units = choose_usual_units().model_dump()
     on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
     assumed_names = changes.name_assumed(units)
-    assumed = _find_sensors(
-        assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.of_assumed()
-    )
+    assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.assumed)
     named = units if isinstance(units, Mapping) else {}
     wrong += [f"{shown}: {line}" for line in changes.check(named, {**named, **assumed_names})]
     assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}

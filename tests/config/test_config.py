@@ -753,6 +753,24 @@ def test_a_figure_may_be_replaced_for_the_filters_alone():
     assert sensors.baro.white_sd == sensors.assumed.baro.white_sd == 2.0
 
 
+def test_what_filters_assume_is_what_was_typed_last():
+    figure, name = {"sensors.imu.gyro.noise_deg_sqrt_h": 5.0}, {"sensors.assumed.imu": "adis16495"}
+    plain = config.load_profile("figure-eight", name)
+    for overrides in (figure | name, {"sensors.imu.gyro.noise_deg_s_sqrt_hz": 1.0} | figure | name):
+        named_last = config.load_profile("figure-eight", overrides)
+        for profile in (named_last, config.load_profile("figure-eight", named_last.document)):
+            assert profile.sensors.imu.gyro.random_walk == pytest.approx(math.radians(5.0) / 60)
+            assert profile.sensors.assumed.imu == plain.sensors.assumed.imu
+            assert profile.document["sensors"]["assumed"]["imu"] == "adis16495"
+    figure_last = config.load_profile("figure-eight", name | figure)
+    assert figure_last.sensors.assumed.imu.name == "adis16495, modified"
+    assert figure_last.sensors.assumed.imu.gyro.random_walk == figure_last.sensors.imu.gyro.random_walk
+    own = {"sensors.assumed.imu.gyro.noise_deg_sqrt_h": 0.6}
+    for overrides, assumed in ((figure | own, 0.6), (own | figure, 5.0), (figure | own | name, 0.6)):
+        sensors = config.load_profile("figure-eight", overrides).sensors
+        assert sensors.assumed.imu.gyro.random_walk == pytest.approx(math.radians(assumed) / 60)
+
+
 def test_a_figure_may_differ_by_axis(tmp_path):
     plain, _, _ = figures_of()
     usual = plain.gyro.random_walk
