@@ -387,7 +387,7 @@ def _to_year(day: datetime.date) -> float:
 
 def _read_classes(table: Mapping[str, float], shown: str) -> dict[int, float]:
     """Return the sd of each class of quality, whose names in TOML are text."""
-    if wrong := [name for name in table if not name.isdigit()]:
+    if wrong := [name for name in table if not name.isdecimal()]:
         text = f"[gnss] quality_sd_m: {wrong[0]!r} must be a class of quality, a whole number"
         raise ConfigError(f"{shown}: {text}, such as 1 = 0.02")
     return {int(name): float(sd) for name, sd in table.items()}

@@ -7,6 +7,8 @@ read with the same care as a model of an aircraft; nothing in a file is followed
 from __future__ import annotations
 
 import math
+import re
+from array import array
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -19,6 +21,7 @@ import numpy as np
 
 from bench.arrays import FloatArray
 from bench.errors import ConfigError, FlightError
+from bench.files import check_file
 from bench.flight.model_files import read_xml
 from bench.wording import format_count
 
@@ -26,6 +29,11 @@ MOST_FIXES, LEAST_FIXES = 500_000, 10
 _MOST_BYTES = 200_000_000
 _DAY = 86400.0
 _LONGEST_LINE = 1000
+_B_RECORD = re.compile(
+    "B([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{2})([0-9]{5})([NS])([0-9]{3})([0-9]{5})([EW])(.)"
+    "(-[0-9]{4}|[0-9]{5})(-[0-9]{4}|[0-9]{5})"
+)
+"""Of IGC: hour, minute, second; degrees, thousandths of minutes; validity; heights of pressure and GNSS."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +59,18 @@ def read_track(path: Path) -> FixSeries:
     """
     shown = path.name
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise ConfigError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
+        check_file(path, shown, _MOST_BYTES)
         notes: list[str] = []
-        fixes = np.array(list(READERS[path.suffix.lower()](path, notes)), dtype=np.float64).reshape(-1, 4)
+        numbers = array("d")
+        for fix in READERS[path.suffix.lower()](path, notes):
+            numbers.extend(fix)
+            if len(numbers) > 4 * MOST_FIXES:
+                raise ConfigError(f"{shown}: more than {MOST_FIXES} fixes")
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
     except FlightError as error:
         raise ConfigError(str(error)) from None
+    fixes = np.array(numbers).reshape(-1, 4)
     return order_fixes(fixes[:, 0], np.column_stack([np.radians(fixes[:, 1:3]), fixes[:, 3]]), notes, shown)
 
 
@@ -206,19 +218,19 @@ def _read_igc(path: Path, notes: list[str]) -> Iterator[Fix]:
     rows: list[tuple[float, float, float, float, float]] = []
     day, last, flat = 0.0, -1.0, 0
     for line in _read_lines(path):
-        if not line.startswith("B") or len(line) < 35:
+        if (found := _B_RECORD.match(line)) is None:
             continue
-        digits = line[1:14] + line[15:23] + line[25:35].replace("-", "0")
-        if not digits.isdigit():
-            continue
-        t = int(line[1:3]) * 3600.0 + int(line[3:5]) * 60 + int(line[5:7])
+        clock = [int(text) for text in found.group(1, 2, 3)]
+        t = clock[0] * 3600.0 + clock[1] * 60 + clock[2]
         if t < last - _DAY / 2:
             day += _DAY
         last = t
-        lat = (int(line[7:9]) + int(line[9:14]) / 60_000) * (-1 if line[14] == "S" else 1)
-        lon = (int(line[15:18]) + int(line[18:23]) / 60_000) * (-1 if line[23] == "W" else 1)
-        flat += line[24] != "A"
-        rows.append((day + t, lat, lon, float(line[25:30]), float(line[30:35])))
+        lat = (int(found[4]) + int(found[5]) / 60_000) * (-1 if found[6] == "S" else 1)
+        lon = (int(found[7]) + int(found[8]) / 60_000) * (-1 if found[9] == "W" else 1)
+        flat += found[10] != "A"
+        rows.append((day + t, lat, lon, float(found[11]), float(found[12])))
+        if len(rows) > MOST_FIXES:
+            break
     satellite = any(row[4] for row in rows)
     if flat:
         notes.append(f"{flat} fixes are marked as two-dimensional")

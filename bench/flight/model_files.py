@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from bench.errors import FlightError
@@ -23,6 +24,7 @@ LONGEST_SCRIPT = 4 * 3600.0
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
 _WITHIN = re.compile(r"(?!\.+(/|$))[\w .+-]+(/(?!\.+(/|$))[\w .+-]+)*")  # the path of a file below a folder
 _DEEPEST = 100  # elements within each other; the deepest file of the jsbsim wheel has 13
+_MOST_ELEMENTS = 2_000_000  # of one file; those of a track of 20 MB are fewer
 _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
 _UNWANTED = ("input", "output")
@@ -43,20 +45,36 @@ def read_xml(path: Path, shown: str) -> ElementTree.Element:
     try:
         if path.stat().st_size > _MOST_BYTES:
             raise FlightError(f"{shown}: larger than {_MOST_BYTES // 1_000_000} MB")
-        root = ElementTree.parse(path).getroot()
+        root = ElementTree.parse(path, ElementTree.XMLParser(target=_ElementBuilder(shown))).getroot()
     except OSError as error:
         raise FlightError(f"{shown}: {error.strerror or error}") from None
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise FlightError(f"{shown}: not well-formed XML: {error}") from None
-    level, depth = [root], 0
-    while level:
-        depth += 1
-        if depth > _DEEPEST:
-            raise FlightError(f"{shown}: more than {_DEEPEST} elements within each other")
-        for element in level:
-            _check_references(element, shown)
-        level = [child for element in level for child in element]
+    for element in root.iter():
+        _check_references(element, shown)
     return root
+
+
+class _ElementBuilder(ElementTree.TreeBuilder):
+    """What makes elements of an XML file, as long as they are not too many or too deep."""
+
+    def __init__(self, shown: str) -> None:
+        super().__init__()
+        self._shown, self._count, self._depth = shown, 0, 0
+
+    def start(self, tag: Any, attrs: Any, /) -> ElementTree.Element:
+        """Begin an element."""
+        self._count, self._depth = self._count + 1, self._depth + 1
+        if self._depth > _DEEPEST:
+            raise FlightError(f"{self._shown}: more than {_DEEPEST} elements within each other")
+        if self._count > _MOST_ELEMENTS:
+            raise FlightError(f"{self._shown}: more than {_MOST_ELEMENTS} elements")
+        return super().start(tag, attrs)
+
+    def end(self, tag: Any, /) -> ElementTree.Element:
+        """End an element."""
+        self._depth -= 1
+        return super().end(tag)
 
 
 def _check_references(element: ElementTree.Element, shown: str) -> None:

@@ -17,6 +17,9 @@ from bench.exchange.mat_file import read_mat
 from bench.exchange.rinex.lines import open_lines
 from bench.exchange.solutions import read_solution
 from bench.exchange.table_files import read_table
+from bench.exchange.track_files import read_track
+from bench.exchange.ubx import read_ubx
+from bench.signals.terrain import describe_terrain
 
 
 def open_rinex(path: Path) -> None:
@@ -33,6 +36,10 @@ READERS = {
     "x.bag": lambda path: bags.read("rosbag", path, "imu", None),
     "x.pos": lambda path: list(text._read_lines(path)),
     "x.obs": open_rinex,
+    "x.igc": read_track,
+    "x.gpx": read_track,
+    "x.ubx": read_ubx,
+    "x.hgt": lambda path: describe_terrain(path, path.name, 0.0, None),
     "x.json": read_baseline,
     "solution.csv": read_solution,
     "result.json": lambda path: store.load(path.parent),

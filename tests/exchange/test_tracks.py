@@ -14,6 +14,7 @@ from numpy.testing import assert_allclose
 
 from bench import cli, earth, rotation
 from bench.errors import ConfigError
+from bench.exchange import track_files
 from bench.exchange.track_files import FixSeries, order_fixes, read_track
 from bench.exchange.track_fit import _find_least, fit_track
 from bench.exchange.track_motion import (
@@ -420,6 +421,24 @@ def test_an_igc_without_heights_of_a_receiver_has_those_of_the_pressure(tmp_path
         "6 fixes are marked as two-dimensional",
         "heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS",
     )
+
+
+@pytest.mark.parametrize("height", ["006--", "99-12", "0069\xb9", "-0\xb269", "0-069", "+0069"])
+def test_a_b_record_of_igc_is_read_as_it_is_checked(tmp_path, height):
+    lines = write_igc(circle(30.0)).splitlines()
+    lines[7] = lines[7][:25] + height + lines[7][30:]
+    lines[9] = lines[9][:17] + "1\xb2" + lines[9][19:]
+    path = tmp_path / "t.igc"
+    path.write_text("\n".join(lines), encoding="latin-1")
+    assert len(read_track(path).t) == 28
+
+
+def test_a_track_of_too_many_fixes_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(track_files, "MOST_FIXES", 20)
+    for ending in (".gpx", ".kml", ".nmea", ".igc"):
+        (tmp_path / f"track{ending}").write_text(WRITERS[ending](circle(60.0)))
+        with pytest.raises(ConfigError, match="more than 20 fixes"):
+            read_track(tmp_path / f"track{ending}")
 
 
 def test_sentences_without_a_fix_are_left_out_and_heights_above_the_sea_told(tmp_path):
