@@ -52,6 +52,7 @@ from bench.store import parquet
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats
 from tests.fuzz_folders import FOLDERS, Made
+from tests.fuzz_formats import READERS, Format
 
 PROFILES, CATALOG, AIRCRAFT = PACKAGE / "profiles", PACKAGE / "catalog", PACKAGE.parent / "aircraft"
 LONGEST = 90.0  # CPU time that reading a small file may take [s]
@@ -374,6 +375,12 @@ def _make_results(folder: Path) -> Case:
     return Case(sorted((folder / "run").iterdir()), read, text=False)
 
 
+def _make_file(folder: Path, form: Format) -> Case:
+    path = folder / form.name
+    path.write_bytes(form.make())
+    return Case([path], form.read, form.text)
+
+
 def _make_folder(folder: Path, make: Callable[[Path], Made]) -> Case:
     files, read, edit = make(folder)
     return Case(files, read, text=False, edit=edit)
@@ -404,6 +411,7 @@ FORMATS: dict[str, Callable[[Path], Case]] = {
     "datasheet": _make_datasheets,
     "aircraft": _make_aircraft,
     "results": _make_results,
+    **{name: lambda f, form=form: _make_file(f, form) for name, form in READERS.items()},
     **{name: lambda f, make=make: _make_folder(f, make) for name, make in FOLDERS.items()},
 }  # fmt: skip
 """Format -> the function that makes its base in a folder."""

@@ -13,6 +13,7 @@ from bench.orbit_sets import KEPLER, KeplerSets
 from bench.signals.orbits import WEEK
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]
+_MOST = 100_000  # satellites in a file: 30 years of weeks
 _ENTRIES = {
     "id": "sat",
     "health": "health",
@@ -78,6 +79,8 @@ def read_yuma(path: Path, near: float, shown: str | None = None) -> KeplerSets:
             if len(entries) == len(_ENTRIES):
                 rows.append(entries)
                 entries = {}
+                if len(rows) > _MOST:
+                    raise lines.error(f"more than {_MOST} almanacs")
         if entries:
             raise lines.error(_describe_unfinished(entries, begun))
     if not rows:

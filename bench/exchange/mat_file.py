@@ -6,8 +6,10 @@ scipy is not used, because a manipulated file can crash its compiled reader. The
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +21,12 @@ from bench.files import check_file
 
 MOST_BYTES = 1_000_000_000
 """Largest size of a file, and of its compressed variables when unpacked [byte]."""
+_BLOCK = 1 << 16  # read and unpacked at a time [byte]
+_VARIABLE = 256  # that an array takes in memory beside its numbers [byte]
+_SHORT, _NAMES = 1024, 1_000_000  # longest name or shape of an array, and names of fields [byte]
 _DEEPEST = 4  # levels of structures within structures
 _MATRIX, _PACKED = 14, 15
+_NOTHING = (0, 0)  # in the place of an element that is not there
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 """Type of an element -> type of its numbers (table 1-1)."""
 _STRUCTURE, _NUMERIC, _COMPLEX = 2, range(6, 16), 0x0800  # array classes and a flag (table 1-3, figure 1-4)
@@ -41,24 +47,25 @@ def read_mat(path: Path) -> dict[str, Value]:
     variables: dict[str, Value] = {}
     try:
         check_file(path, shown, MOST_BYTES)
-        content = memoryview(path.read_bytes())
-        head = bytes(content[:128])
-        if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
-            raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
-        if not head.startswith(b"MATLAB 5.0") or head[126:] not in (b"IM", b"MI"):
-            raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
-        order = "<" if head[126:] == b"IM" else ">"
-        left = MOST_BYTES
-        for kind, data in _split_elements(content[128:], order):
-            elements = iter([(kind, data)])
-            if kind == _PACKED:
-                unpacked = zlib.decompressobj().decompress(data, left + 1)
-                elements = _split_elements(memoryview(unpacked), order)
-                left -= len(unpacked)
-            if left < 0:
-                raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked")
-            arrays = (_read_array(array, order, 0) for kind, array in elements if kind == _MATRIX)
-            variables.update(arrays)
+        with path.open("rb") as file:
+            head = file.read(128)
+            if head[:8] == b"\x89HDF\r\n\x1a\n" or b"MATLAB 7.3" in head:
+                raise ConfigError(f"{shown}: a MATLAB file of version 7.3 is not read; save it with -v7")
+            if not head.startswith(b"MATLAB 5.0") or head[126:] not in (b"IM", b"MI"):
+                raise ConfigError(f"{shown}: not a MATLAB file of version 5 to 7")
+            whole = _MatBytes(iter(partial(file.read, _BLOCK), b""), "<" if head[126:] == b"IM" else ">")
+            left: float = MOST_BYTES
+            for kind, size in whole.elements(path.stat().st_size - len(head)):
+                if kind == _MATRIX:
+                    variables.update([_read_array(whole, size, 0)])
+                elif kind == _PACKED:
+                    inner = _MatBytes(_unpack(whole, size), whole.order, left)
+                    for kind_inside, size_inside in inner.elements(math.inf):
+                        if kind_inside == _MATRIX:
+                            variables.update([_read_array(inner, size_inside, 0)])
+                    left = inner.left
+    except _TooLargeError:
+        raise ConfigError(f"{shown}: larger than {MOST_BYTES // 1_000_000} MB when unpacked") from None
     except (ValueError, OverflowError, MemoryError, zlib.error) as error:
         raise ConfigError(f"{shown}: cannot be read: {' '.join(str(error).split())[:200]}") from None
     except OSError as error:
@@ -108,75 +115,144 @@ def get_vector(value: Value, name: str, shown: str) -> FloatArray:
     return np.atleast_1d(value)
 
 
-def _split_elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
-    """Yield type and data of each element."""
-    at = 0
-    while at + 8 <= len(data):
-        kind, size = (int(x) for x in np.frombuffer(data[at : at + 8], f"{order}u4", 2))
-        if kind >> 16:  # small element: length, type and four bytes of data
-            kind, size, begin, step = kind & 0xFFFF, kind >> 16, at + 4, 8
-            if size > 4:
-                raise ValueError("a small element is too long")
-        else:
-            begin, step = at + 8, 8 + size + (-size % 8 if kind != _PACKED else 0)
-        if begin + size > len(data):
+class _TooLargeError(Exception):
+    """What is unpacked takes more than it may."""
+
+
+class _MatBytes:
+    """The bytes of a file or of a packed variable in their order, with the elements among them."""
+
+    def __init__(self, blocks: Iterator[bytes], order: str, left: float = math.inf) -> None:
+        self._blocks, self._block, self._at = blocks, memoryview(b""), 0
+        self.order = order  # of the bytes of a number
+        self.left = left  # that what is read may still take in memory [byte]
+
+    def spend(self, size: int) -> None:
+        """Take from what is left [byte]; raise `_TooLargeError` at its end."""
+        self.left -= size
+        if self.left < 0:
+            raise _TooLargeError
+
+    def read(self, count: int) -> bytes:
+        """Return the next bytes; fewer at the end."""
+        parts: list[memoryview] = []
+        while count > 0:
+            if not self._block:
+                self._block = memoryview(next(self._blocks, b""))
+                self.spend(len(self._block))
+                if not self._block:
+                    break
+            parts.append(self._block[:count])
+            self._block = self._block[count:]
+            count, self._at = count - len(parts[-1]), self._at + len(parts[-1])
+        return b"".join(parts)
+
+    def elements(self, size: float) -> Iterator[tuple[int, int]]:
+        """Yield type and length of each element in the next bytes; its data may be read before the next."""
+        end = self._at + size
+        while self._at + 8 <= end and len(tag := self.read(4)) == 4:
+            kind = int.from_bytes(tag, "little" if self.order == "<" else "big")
+            if kind >> 16:  # small element: length, type and four bytes of data
+                kind, length, step = kind & 0xFFFF, kind >> 16, 4
+                if length > 4:
+                    raise ValueError("a small element is too long")
+            else:
+                length = int.from_bytes(self.read(4), "little" if self.order == "<" else "big")
+                step = length + (-length % 8 if kind != _PACKED else 0)
+            if self._at + length > end:
+                raise ValueError("an element is longer than its variable")
+            after = min(self._at + step, end)
+            yield kind, length
+            while self._at < after and self.read(min(_BLOCK, int(after) - self._at)):
+                pass
+
+    def read_numbers(self, element: tuple[int, int], most: int) -> np.ndarray[Any, Any]:
+        """Return the numbers of an element that is not longer than ``most``."""
+        if element[1] > most:
+            raise ValueError("an element is too long")
+        stored, count = self._look_at(element)
+        return self._read_block(stored, count)
+
+    def read_floats(self, element: tuple[int, int], count: int, name: str) -> FloatArray:
+        """Return the numbers of an element, of which there must be ``count``, in blocks."""
+        stored, there = self._look_at(element)
+        if count != there:
+            raise ValueError(f"{name!r} holds {there} numbers, not {count}")
+        self.spend(max(0, 8 - stored.itemsize) * count)
+        numbers = np.empty(count)
+        for k in range(0, count, _BLOCK):
+            rows = slice(k, min(k + _BLOCK, count))
+            numbers[rows] = self._read_block(stored, rows.stop - k)
+        return numbers
+
+    def _look_at(self, element: tuple[int, int]) -> tuple[np.dtype[Any], int]:
+        kind, length = element
+        if kind not in _NUMBERS:
+            raise ValueError(f"an element of type {kind} does not hold numbers")
+        stored = np.dtype(self.order + _NUMBERS[kind])
+        return stored, length // stored.itemsize
+
+    def _read_block(self, stored: np.dtype[Any], count: int) -> np.ndarray[Any, Any]:
+        data = self.read(count * stored.itemsize)
+        if len(data) < count * stored.itemsize:
             raise ValueError("an element is longer than its variable")
-        yield kind, data[begin : begin + size]
-        at += step
+        return np.frombuffer(data, stored)
 
 
-def _read_array(data: memoryview, order: str, depth: int) -> tuple[str, Value]:
+def _unpack(source: _MatBytes, size: int) -> Iterator[bytes]:
+    """Yield the content of a packed element in blocks."""
+    unpacker, data = zlib.decompressobj(), b""
+    while not unpacker.eof:
+        if not data and size:
+            data = source.read(min(size, _BLOCK))
+            size = size - len(data) if data else 0
+        block = unpacker.decompress(data, _BLOCK)
+        data = unpacker.unconsumed_tail
+        if block:
+            yield block
+        elif not data and not size:  # it is cut off
+            return
+
+
+def _read_array(source: _MatBytes, size: int, depth: int) -> tuple[str, Value]:
     """Return the name and the value of an array."""
-    if not len(data):
+    if not size:
         return "", None
-    parts = _split_elements(data, order)
-    flags = _take_numbers(parts, order)
+    source.spend(_VARIABLE)
+    parts = source.elements(size)
+    flags = source.read_numbers(next(parts, _NOTHING), _SHORT)
     if len(flags) < 1:
         raise ValueError("an array has no flags")
     kind, marks = int(flags[0]) & 0xFF, int(flags[0])
     if kind > 15:  # a class outside this format, such as a function
         return "", None
-    shape = tuple(int(n) for n in _take_numbers(parts, order))
+    shape = tuple(int(n) for n in source.read_numbers(next(parts, _NOTHING), _SHORT))
     if not 2 <= len(shape) <= 32 or min(shape) < 0:
         raise ValueError("an array has no size")
-    name = bytes(_take_numbers(parts, order).astype(np.uint8)).decode("utf-8", "replace")
-    if kind in _NUMERIC:
-        numbers = _take_numbers(parts, order)
-        if marks & _COMPLEX:
-            return name, None
-        count = 1
-        for n in shape:
-            count *= n
-        if count != len(numbers):
-            raise ValueError(f"{name!r} holds {len(numbers)} numbers, not {count}")
-        return name, _squeeze(numbers.astype(np.float64).reshape(shape, order="F"))
+    letters = source.read_numbers(next(parts, _NOTHING), _SHORT)
+    name = bytes(letters.astype(np.uint8)).decode("utf-8", "replace")
+    if kind in _NUMERIC and not marks & _COMPLEX:
+        numbers = source.read_floats(next(parts, _NOTHING), math.prod(shape), name)
+        return name, _squeeze(numbers.reshape(shape, order="F"))
     if kind == _STRUCTURE and shape == (1, 1) and depth < _DEEPEST:
-        return name, _read_structure(parts, order, depth)
+        return name, _read_structure(source, parts, depth)
     return name, None
 
 
-def _read_structure(parts: Iterator[tuple[int, memoryview]], order: str, depth: int) -> dict[str, Any]:
-    width = _take_numbers(parts, order)
+def _read_structure(source: _MatBytes, parts: Iterator[tuple[int, int]], depth: int) -> dict[str, Any]:
+    width = source.read_numbers(next(parts, _NOTHING), _SHORT)
     if len(width) != 1 or not 1 <= int(width[0]) <= 64:
         raise ValueError("a structure has no field names")
-    letters, length = bytes(_take_numbers(parts, order).astype(np.uint8)), int(width[0])
+    letters = bytes(source.read_numbers(next(parts, _NOTHING), _NAMES).astype(np.uint8))
+    length = int(width[0])
     names = [
         letters[k : k + length].split(b"\0")[0].decode("utf-8", "replace")
         for k in range(0, len(letters), length)
     ]
-    values = [_read_array(data, order, depth + 1)[1] for kind, data in parts if kind == _MATRIX]
+    values = [_read_array(source, size, depth + 1)[1] for kind, size in parts if kind == _MATRIX]
     if len(names) != len(values):
         raise ValueError("a structure has more names than fields, or fewer")
     return dict(zip(names, values, strict=True))
-
-
-def _take_numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> np.ndarray[Any, Any]:
-    """Return the numbers of the next element."""
-    kind, data = next(parts, (0, memoryview(b"")))
-    if kind not in _NUMBERS:
-        raise ValueError(f"an element of type {kind} does not hold numbers")
-    stored = np.dtype(order + _NUMBERS[kind])
-    return np.frombuffer(data[: len(data) // stored.itemsize * stored.itemsize], stored)
 
 
 def _squeeze(array: FloatArray) -> FloatArray:

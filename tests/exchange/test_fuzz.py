@@ -16,12 +16,15 @@ from bench.exchange import almanac, imports
 from bench.exchange.resting_log import read_resting_log
 from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.observations import read_observations
+from bench.exchange.rinex.precise_orbits import read_precise_orbits
 from bench.exchange.solutions import read_solution
+from bench.exchange.track_files import read_track
+from bench.exchange.ubx import read_ubx
 from tests import fuzz
 from tests.exchange import test_log_formats
 
 SLOW_TO_OPEN = {"log-ros1": 25, "log-ros2": 25, "log-mcap": 25, "results": 40}
-SLOW_TO_OPEN |= {"views": 12, "campaign": 12, "journal": 12, "baseline": 30}
+SLOW_TO_OPEN |= {"terrain-hgt": 25, "views": 12, "campaign": 12, "journal": 12, "baseline": 30}
 """Inputs of formats that take 30 ms or more to be opened and shown; 100 of the others."""
 
 
@@ -42,6 +45,7 @@ def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, na
 @pytest.mark.parametrize(
     ("name", "seed", "number"),
     [
+        ("sp3", 1, 209),  # a power that is a digit and no number
         ("log-navego", 2, 7260),  # an IMU gap before the first fix
         ("views", 1, 26),  # a solution without the instants of its errors
         ("views", 1, 65),  # an instrument without rows
@@ -207,6 +211,11 @@ LARGE = {
     "log.mat": lambda path: imports.read("navego", path, "imu", None),
     "site.rnx": read_observations,
     "brdc.rnx": read_navigation,
+    "orbits.sp3": read_precise_orbits,
+    "log.ubx": read_ubx,
+    "log.bin": lambda path: imports.read("dataflash", path, "imu", None),
+    "track.igc": read_track,
+    "track.gpx": read_track,
     "yuma.txt": lambda path: almanac.read_yuma(path, 1.3e9),
     "drive.toml": lambda path: load_log(str(path)),
     "imu.toml": lambda path: SENSORS["imu"](path, "imu.toml"),

@@ -469,20 +469,20 @@ def test_bytes_changed_at_random_never_end_in_a_traceback(tmp_path, made):
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="the limit is that of Linux")
 def test_a_chunk_that_unpacks_to_more_than_the_limit_is_one_line(tmp_path, monkeypatch):
-    """A few kilobytes that hold 200 MB of blanks; with room for them the file itself is what is wrong."""
+    """A few kilobytes that hold 100 MB of blanks; with room for them the file itself is what is wrong."""
     path = tmp_path / "x.mcap"
     with path.open("wb") as file:
         writer = McapWriter(file, compression=CompressionType.ZSTD, chunk_size=1)
         writer.start()
         schema = writer.register_schema("sensor_msgs/msg/Imu", "jsonschema", b"{}")
         channel = writer.register_channel("/imu", "json", schema)
-        writer.add_message(channel, 0, b" " * 200_000_000, 0)
+        writer.add_message(channel, 0, b" " * 100_000_000, 0)
         writer.finish()
     assert path.stat().st_size < 100_000
     before = resource.getrlimit(resource.RLIMIT_AS)
     assert "cannot be read: Expecting value" in refused(tmp_path, "x.mcap")
-    monkeypatch.setattr(bags, "_MOST_UNPACKED", 50_000_000)
-    said = "x.mcap: unpacks to more than the 0.05 GB a file may take in memory"
+    monkeypatch.setattr(bags, "_MOST_UNPACKED", 30_000_000)
+    said = "x.mcap: unpacks to more than the 30 MB it may take in memory"
     assert refused(tmp_path, "x.mcap") == said
     assert resource.getrlimit(resource.RLIMIT_AS) == before
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
+from bench.disk_arrays import ROWS
 from bench.errors import ConfigError
 from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
@@ -28,7 +29,7 @@ from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]
-_MOST_UNPACKED = 4_000_000_000  # largest memory a file may take when unpacked [byte]
+_MOST_UNPACKED = 512_000_000  # memory for reading, beside twice the size of a file and its columns [byte]
 _SAME_STAMP = 1e-3  # [s]
 _TYPES = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -47,26 +48,26 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     inside = [one for one in (path.rglob("*") if path.is_dir() else [path]) if one.exists()]
     for one in inside:
         check_file(one, one.name, MOST_BYTES)
-    if sum(one.stat().st_size for one in inside if one.is_file()) > MOST_BYTES:
+    size = sum(one.stat().st_size for one in inside if one.is_file())
+    if size > MOST_BYTES:
         raise ConfigError(f"{path.name}: larger than {MOST_BYTES // 1_000_000} MB")
     opened = _open_mcap if form == "mcap" else _open_bag
     try:
-        with _limit_memory(), opened(path) as (topics, messages):
+        with _limit_memory(2 * size) as allow, opened(path) as (topics, messages):
             chosen = _choose_topic(path, topics, _TYPES[kind], topic)
-            numbers = _read_numbers(
-                path, messages(chosen), {"imu": _read_imu, "gnss": _read_fix, "baro": _read_pressure}[kind]
-            )
+            row = {"imu": _read_imu, "gnss": _read_fix, "baro": _read_pressure}[kind]
+            numbers = _read_numbers(path, messages(chosen), row, allow)
             twist = np.empty((0, 10))
             moving = [name for name, type_ in topics.items() if type_ in _VELOCITIES]
             if kind == "gnss" and len(moving) == 1:
-                twist = _read_numbers(path, messages(moving[0]), _read_twist)
+                twist = _read_numbers(path, messages(moving[0]), _read_twist, allow, numbers.nbytes)
     except ConfigError:
         raise
     except ModuleNotFoundError:
         raise
     except MemoryError:
-        most = f"{_MOST_UNPACKED / 1e9:g} GB"
-        raise ConfigError(f"{path.name}: unpacks to more than the {most} a file may take in memory") from None
+        most = f"{_MOST_UNPACKED / 1e6:g} MB"
+        raise ConfigError(f"{path.name}: unpacks to more than the {most} it may take in memory") from None
     except Exception as error:  # a broken file can make the library raise anything
         raise describe_damage(path, error) from None
     t = numbers[:, 0]
@@ -80,21 +81,28 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
 
 
 @contextmanager
-def _limit_memory() -> Iterator[None]:
-    """Limit the memory that a file can take when unpacked; beyond it there is a MemoryError."""
+def _limit_memory(beside: int) -> Iterator[Callable[[int], None]]:
+    """Limit the memory that a file can take when unpacked; beyond it there is a MemoryError.
+
+    Provides a function that makes room for columns [byte].
+    """
     try:
         import resource
 
         pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     except (ImportError, OSError):  # not Linux: the limit of the system
-        yield
+        yield lambda columns: None
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + _MOST_UNPACKED
-    limits = [limit for limit in (most, soft, hard) if limit != resource.RLIM_INFINITY]
-    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    most = pages * resource.getpagesize() + _MOST_UNPACKED + beside
+
+    def allow(columns: int) -> None:
+        limits = [limit for limit in (most + columns, soft, hard) if limit != resource.RLIM_INFINITY]
+        resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+
     try:
-        yield
+        allow(0)
+        yield allow
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
@@ -113,10 +121,18 @@ def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], t
     raise ConfigError(f"{path.name}: no topic of {types[0]}; there are {there}")
 
 
-def _read_numbers(path: Path, messages: Messages, row: Callable[[Any], tuple[float, ...]]) -> FloatArray:
-    """Return the numbers of the messages, one row each."""
+def _read_numbers(
+    path: Path,
+    messages: Messages,
+    row: Callable[[Any], tuple[float, ...]],
+    allow: Callable[[int], None],
+    columns: int = 0,
+) -> FloatArray:
+    """Return the numbers of the messages, one row each; ``columns`` are there already [byte]."""
     flat, width = array("d"), 0
     for count, message in enumerate(messages, 1):
+        if count % ROWS == 0:  # they grow by an eighth at most, and are copied once
+            allow(columns + 3 * flat.itemsize * len(flat))
         if count > MOST_ROWS:
             raise ConfigError(f"{path.name}: more than {MOST_ROWS} messages of one topic")
         try:

@@ -13,58 +13,76 @@ from typing import TextIO
 
 from bench.errors import ConfigError
 
+LONGEST = 4096  # characters of a line; 255 observables, more than any receiver writes, fit in one
+_LONGEST_COMPACT = 2 * LONGEST  # the same values with the marks of an epoch that begins anew
 _MOST_ORDER = 9
+_LEAST, _MOST = -(10**12), 10**13  # thousandths outside of which a value is wider than its field of 14
 _MARK = re.compile(r"(\d)&(-?\d+)")
 
 
 class CompactText:
     """A Compact RINEX file as the RINEX file that it was made of, line by line.
 
-    ``damaged`` tells of epochs that cannot be restored: after a damaged line nothing is known until the next
-    epoch that begins anew.
+    ``lost`` counts the epochs that cannot be restored, ``reasons`` has why the first is: after a damaged line
+    nothing is known until the next epoch that begins anew.
     """
 
     def __init__(self, file: TextIO, shown: str, first: str) -> None:
         self._file, self._shown = file, shown
         self._number = 1
         self._lines = self._restore(first)
-        self.damaged: list[str] = []
+        self.lost = 0
+        self.reasons: list[str] = []
 
     def readline(self, most: int = -1) -> str:
         """Return the next line with its end; empty at the end of the file."""
         return next(self._lines, "")
 
     def _next(self) -> str | None:
-        line = self._file.readline()
+        """Return the next line, None at the end of the file; raise ValueError if it is too long."""
+        line = self._file.readline(_LONGEST_COMPACT + 1)
         self._number += 1
+        if len(line) > _LONGEST_COMPACT:
+            while line and not line.endswith("\n"):
+                line = self._file.readline(_LONGEST_COMPACT)
+            raise ValueError("a line is too long")
         return line.rstrip("\r\n") if line else None
+
+    def _lose(self, number: int, why: str) -> None:
+        self.lost += 1
+        self.reasons = self.reasons or [f"{self._shown}: line {number}: {why}"]
 
     def _restore(self, first: str) -> Iterator[str]:
         version = first[:3].strip()
         if not version.startswith(("1", "3")):
             raise ConfigError(f"{self._shown}: line 1: Compact RINEX {version} must be version 1 or 3")
-        self._next()
         modern = version.startswith("3")
         types: dict[str, int] = {}
-        while (line := self._next()) is not None:
-            yield line + "\n"
-            _count_types(line, types)
-            if line[60:73] == "END OF HEADER":
-                break
+        try:
+            self._next()
+            while (line := self._next()) is not None:
+                yield line + "\n"
+                _count_types(line, types)
+                if line[60:73] == "END OF HEADER":
+                    break
+        except ValueError as error:
+            raise ConfigError(f"{self._shown}: line {self._number}: {error}: not a RINEX file") from None
         yield from self._restore_epochs(modern, types)
 
     def _restore_epochs(self, modern: bool, types: dict[str, int]) -> Iterator[str]:
         head, begin = "", ">" if modern else "&"
         arcs: dict[str, _Arcs] = {}
         known = False
-        while (line := self._next()) is not None:
-            if line[:1] == begin:
-                head, arcs, known = line.replace("&", " ") if not modern else line, {}, True
-            elif known:
-                head = _change(head, line)
-            else:
-                continue
+        while True:
             try:
+                if (line := self._next()) is None:
+                    return
+                if line[:1] == begin:
+                    head, arcs, known = line.replace("&", " ") if not modern else line, {}, True
+                elif known:
+                    head = _change(head, line)
+                else:
+                    continue
                 flag = head[31 if modern else 28 :][:1]
                 count = int(head[32:35] if modern else head[29:32])
                 if flag.strip() and flag > "1":
@@ -86,12 +104,12 @@ class CompactText:
                     text = self._next()
                     if text is None:
                         ends = f"the file ends before satellite {k + 1} of {count} of the epoch"
-                        self.damaged.append(f"{self._shown}: line {self._number - 1}: {ends}")
+                        self._lose(self._number - 1, ends)
                         return
                     now[sat].read(text)
                 arcs = now
             except (ValueError, KeyError, IndexError):
-                self.damaged.append(f"{self._shown}: line {self._number}: the epoch cannot be restored")
+                self._lose(self._number, "the epoch cannot be restored")
                 known = False
                 continue
             yield from (_write_modern if modern else _write_classic)(head, sats, now)
@@ -111,7 +129,7 @@ class _Arcs:
         Raises
         ------
         ValueError
-            If a value is no number, or goes on from none.
+            If a value is no number, does not fit into its field, or goes on from none.
         """
         parts = text.split(" ", len(self._state))
         if len(parts) > len(self._state):
@@ -134,6 +152,8 @@ class _Arcs:
                 state[-1] = int(part)
                 for j in range(len(state) - 2, -1, -1):
                     state[j] += state[j + 1]
+            if (state := self._state[k]) is not None and not _LEAST < state[0] < _MOST:
+                raise ValueError(part)
 
     def write(self) -> list[str]:
         """Return the fields of the observables, 16 characters each."""

@@ -6,6 +6,7 @@ A damaged record is left out and reported with its line number.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -103,8 +104,8 @@ class NavigationFile:
 class _Found:
     """What is read so far."""
 
-    kepler: dict[str, list[list[float]]] = field(default_factory=dict)
-    glonass: list[list[float]] = field(default_factory=list)
+    kepler: dict[str, array[float]] = field(default_factory=dict)
+    glonass: array[float] = field(default_factory=lambda: array("d"))
     alpha: list[float] | None = None
     beta: list[float] | None = None
     level: list[float] | None = None
@@ -112,7 +113,7 @@ class _Found:
     semicircles: int = 0  # records of BeiDou with angles in semicircles
 
     def make_kepler(self, letter: str, message: str = "") -> KeplerSets:
-        rows = np.array(self.kepler.get(letter + message, []), float).reshape(-1, 2 + len(KEPLER))
+        rows = np.array(self.kepler.get(letter + message, ()), float).reshape(-1, 2 + len(KEPLER))
         sat, healthy = rows[:, 0].astype(np.int64), rows[:, 1] == 0
         return KeplerSets(sat, healthy, rows[:, 2:], _KINDS[letter].system, message)
 
@@ -152,7 +153,7 @@ def read_navigation(path: Path, shown: str | None = None) -> NavigationFile:
             except ConfigError as error:
                 lines.report(error)
                 lines.skip_to(_HEADS[main])
-    if found.semicircles and found.kepler.pop("C", []):  # geostationary, where the angles do not tell
+    if found.semicircles and found.kepler.pop("C", array("d")):  # geostationary, where the angles do not tell
         text = f"{shown}: all other orbits of BeiDou: they stand beside those with angles in semicircles"
         lines.report(ConfigError(text))
     if not found.kepler and not found.glonass:
@@ -225,7 +226,7 @@ def _take_record(lines: Lines, line: str, version: int, letter: str, found: _Fou
     if record is None:
         return
     if letter == "R":
-        found.glonass.append(_convert_glonass(lines, record, found.leap))
+        found.glonass.extend(_convert_glonass(lines, record, found.leap))
         return
     message = ""
     if letter == "E":
@@ -241,7 +242,7 @@ def _take_record(lines: Lines, line: str, version: int, letter: str, found: _Fou
     except ConfigError as error:
         found.semicircles += _SEMICIRCLES in error.messages[0]
         raise
-    found.kepler.setdefault(letter + message, []).append(row)
+    found.kepler.setdefault(letter + message, array("d")).extend(row)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,11 @@ from typing import TextIO
 import numpy as np
 
 from bench.errors import ConfigError
-from bench.exchange.rinex.compact import CompactText
-from bench.exchange.rinex.unpacking import DAMAGED, open_text
+from bench.exchange.rinex.compact import LONGEST, CompactText
+from bench.exchange.rinex.unpacking import UnpackingError, open_text
 from bench.files import check_file
 from bench.signals.orbits import DAY
 
-LONGEST = 4096  # characters; 255 observables, more than any receiver writes, fit in one line
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
 MOST_BYTES = 2_000_000_000
@@ -48,14 +47,6 @@ class Lines:
         self.reasons: list[str] = []
         """Why the first of them are left out."""
 
-    def peek(self) -> bytes:
-        """Return the first bytes of the file, and go back to its beginning."""
-        if isinstance(self._file, CompactText):
-            return b""
-        first = self._file.read(_LOOKED_AT).encode("latin-1")
-        self._file.seek(0)
-        return first
-
     def read_packed(self) -> str | None:
         """Return the first line; what follows is restored if it says that the file is Compact RINEX."""
         line = self.read_line()
@@ -64,10 +55,11 @@ class Lines:
             line = self.read_line()
         return line
 
-    @property
-    def beyond(self) -> list[str]:
-        """Parts of a Compact RINEX file that cannot be restored."""
-        return self._file.damaged if isinstance(self._file, CompactText) else []
+    def count_lost(self) -> tuple[int, tuple[str, ...]]:
+        """Return how many parts of the file are left out or cannot be restored, and why the first are."""
+        if isinstance(self._file, CompactText):
+            return self.lost + self._file.lost, (*self.reasons, *self._file.reasons)
+        return self.lost, tuple(self.reasons)
 
     def read_line(self) -> str | None:
         """Return the next line without its end, None at the end of the file."""
@@ -119,9 +111,10 @@ class Lines:
 
     def describe_nothing(self, part: str) -> ConfigError:
         """Return the error for a file without any whole part, such as an epoch."""
-        if not self.reasons:
+        _, reasons = self.count_lost()
+        if not reasons:
             return ConfigError(f"{self.shown}: has no {part} in it")
-        reason = self.reasons[0].removeprefix(f"{self.shown}: ")
+        reason = reasons[0].removeprefix(f"{self.shown}: ")
         return ConfigError(f"{self.shown}: has no {part} that can be read; {reason}")
 
     def error(self, message: str, number: int | None = None) -> ConfigError:
@@ -164,8 +157,8 @@ def open_lines(path: Path, shown: str) -> Iterator[Lines]:
         check_file(path, shown, MOST_BYTES)
         with open_text(path, shown) as file:
             yield Lines(file, shown)
-    except DAMAGED as error:
-        raise ConfigError(f"{shown}: is damaged: {error}") from None
+    except UnpackingError as error:
+        raise ConfigError(f"{shown}: {error}") from None
     except FileNotFoundError:
         raise ConfigError(f"{shown}: no such file") from None
     except IsADirectoryError:
@@ -183,7 +176,8 @@ def find_kind(path: Path, shown: str) -> str:
         If it is none of these, or cannot be read.
     """
     with open_lines(path, shown) as lines:
-        first = lines.peek()
+        with open_text(path, shown) as file:
+            first = file.read(_LOOKED_AT).encode("latin-1")
         if b"\xb5b" in first and not re.search(rb"RINEX VERS|^#", first[:80]):
             return "ubx"
         if first[:1] == b"#" and first[1:2].isalpha():

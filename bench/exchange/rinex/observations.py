@@ -12,15 +12,17 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.errors import ConfigError
 from bench.exchange.rinex.codes import OTHERS, SYSTEMS, Signal, Signals, find_signals
+from bench.exchange.rinex.compact import LONGEST
 from bench.exchange.rinex.lines import (
     BEIDOU_LATE,
-    LONGEST,
     Lines,
     check_version,
     leap_seconds,
@@ -30,6 +32,7 @@ from bench.exchange.rinex.lines import (
 )
 
 _MOST_SATELLITES = 200
+_MOST_SCALES = 10_000  # of observables of all systems; each has less than 100
 _HEADS = {
     2: re.compile(r" [ \d]\d( [ \d]\d){4}[ \d]{2}\d\.[ \d]{7}  \d[ \d]{2}\d| {28}[2-5][ \d]{2}\d"),
     3: re.compile(">"),
@@ -37,7 +40,6 @@ _HEADS = {
 """Version -> how the first line of an epoch, or of an event, begins."""
 _SATELLITE = re.compile(r"[A-Z ].*\S")
 _MORE_SATELLITES = re.compile(r" {32}([A-Z ][ \d]\d)+\s*$")
-_WIDTH = 8  # values of a row: code, Doppler, C/N0, phase of two carriers
 _NAN, _INF = float("nan"), float("inf")
 _NONE = (_NAN,) * 4
 _WHOLE = 6  # whole numbers of a row: satellite, system; band of two carriers; whether each lost count
@@ -131,6 +133,8 @@ class _Header:
             names += lines.read_line_of("the observables with a scale factor")[10:58].split()
         for name in names or [""]:
             self.scales[system, name] = scale
+        if len(self.scales) > _MOST_SCALES:
+            raise lines.error(f"more than {_MOST_SCALES} scale factors")
 
     def _types(
         self, lines: Lines, line: str, system: str, first: int, last: int, start: int, most: int
@@ -196,30 +200,37 @@ def read_observations(path: Path, shown: str | None = None, *, phase: bool = Fal
         t += leap_seconds(to_date(origin)) if header.leap is None else header.leap
     elif header.time_system == "BDT":
         t += BEIDOU_LATE
-    values = np.array(rows.values).reshape(-1, 2, 4)[of_kept]
-    whole = np.array(rows.whole, np.int64).reshape(-1, _WHOLE)[of_kept]
+    code, doppler, cn0, carrier = (_keep(column, 2, of_kept) for column in rows.values)
+    whole = _keep(rows.whole, _WHOLE, of_kept)
+    lost, reasons = lines.count_lost()
     return ObservationFile(
         shown=shown,
         marker=header.marker,
         origin=origin,
         t=t,
         epoch_start=np.concatenate([[0], np.cumsum(count[kept])]),
-        sat=np.ascontiguousarray(whole[:, 0]),
-        system=np.ascontiguousarray(whole[:, 1]),
-        pseudorange=np.ascontiguousarray(values[..., 0]),
-        doppler=np.ascontiguousarray(values[..., 1]),
-        cn0=np.ascontiguousarray(values[..., 2]),
+        sat=whole[:, 0].astype(np.int64),
+        system=whole[:, 1].astype(np.int64),
+        pseudorange=code,
+        doppler=doppler,
+        cn0=cn0,
         approximate_e=header.approximate_e,
         antenna_hen=header.antenna_hen,
         moving=header.moving,
-        lost=lines.lost + len(lines.beyond),
-        reasons=tuple(lines.reasons + lines.beyond[:1]),
-        band=np.ascontiguousarray(whole[:, 2:4]),
-        phase=np.ascontiguousarray(values[..., 3]),
+        lost=lost,
+        reasons=reasons,
+        band=whole[:, 2:4].astype(np.int64),
+        phase=carrier,
         slipped=whole[:, 4:].astype(np.bool_),
         recounted=rows.recounted,
         others=rows.others,
     )
+
+
+def _keep(numbers: array[Any], width: int, kept: BoolArray) -> NDArray[Any]:
+    """Return numbers as rows (K, width), those marked; without a copy if all are."""
+    rows = np.frombuffer(numbers, numbers.typecode).reshape(-1, width)
+    return rows if kept.all() else rows[kept]
 
 
 class _EpochRows:
@@ -227,7 +238,8 @@ class _EpochRows:
 
     def __init__(self, header: _Header, phase: bool) -> None:
         self._header, self._phase = header, phase
-        self.midnight, self.second, self.values = array("d"), array("d"), array("d")
+        self.midnight, self.second = array("d"), array("d")
+        self.values = tuple(array("d") for _ in range(4))  # of two carriers: code, Doppler, C/N0, phase
         self.start, self.number = array("q"), array("q")
         self.whole = array("h")
         self.recounted = 0
@@ -259,7 +271,9 @@ class _EpochRows:
         scales = self._header.find_scales(letter)
         one, band, slipped = self._choose(lines, line, start, signals[0], scales)
         two, band_2, slipped_2 = self._choose(lines, line, start, signals[1], scales)
-        self.values.extend(one + two)
+        for column, of_one, of_two in zip(self.values, one, two, strict=True):
+            column.append(of_one)
+            column.append(of_two)
         self.whole.extend((int(number), system, band, band_2, slipped, slipped_2))
 
     def _choose(
@@ -301,18 +315,19 @@ class _EpochRows:
             rows = self.start[epochs]
             for column in (self.midnight, self.second, self.start, self.number):
                 del column[epochs:]
-            del self.values[_WIDTH * rows :], self.whole[_WHOLE * rows :]
+            for column in self.values:
+                del column[2 * rows :]
+            del self.whole[_WHOLE * rows :]
 
     def find_increasing(self) -> BoolArray:
         """Mark a longest sequence of epochs (M,) whose times increase; of equal times, the first."""
-        times = (np.array(self.midnight) + np.array(self.second)).tolist()
+        times = np.array(self.midnight) + np.array(self.second)
         kept = np.ones(len(times), np.bool_)
         if len(times) < 2 or (np.diff(times) > 0).all():
             return kept
-        ends: list[float] = []  # smallest last time of a sequence of each length, and its epoch
-        at: list[int] = []
-        before = [-1] * len(times)
-        for k, t in enumerate(times):
+        ends, at = array("d"), array("q")  # smallest last time of a sequence of each length, and its epoch
+        before = np.full(len(times), -1)
+        for k, t in enumerate(array("d", times)):
             length = bisect_left(ends, t)
             before[k] = at[length - 1] if length else -1
             if length == len(ends):

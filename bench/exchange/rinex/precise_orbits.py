@@ -6,6 +6,7 @@ Hilla, The Extended Standard Product 3 Orbit Format (SP3-d), NGS, 2016.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -32,6 +33,7 @@ _AHEAD = {"GPS": 0.0, "GAL": 0.0, "QZS": 0.0, "BDT": -BEIDOU_LATE, "BDS": -BEIDO
 """Time of a system minus GPS time [s]; UTC and GLO, UTC without the hours of Moscow, have leap seconds."""
 _NO_CLOCK = 999999.0  # and above [us]
 _LEAST, _MOST = 2e7, 5e7  # distance of a satellite of these systems from the centre of the Earth [m]
+_MOST_POSITIONS = 6_000_000  # epochs times satellites: a year of 15 min
 _PREDICTED = 0.45  # sd of a predicted clock [m]: 1.5 ns of ultra-rapid orbits, IGS products, igs.org
 
 
@@ -50,10 +52,12 @@ class PreciseFile:
 
 @dataclass(slots=True)
 class _PreciseRows:
-    """What is read so far: at each epoch the values of `PreciseFile` for each satellite."""
+    """What is read so far."""
 
-    t: list[float] = field(default_factory=list)
-    rows: list[dict[str, list[float]]] = field(default_factory=list)
+    t: array[float] = field(default_factory=lambda: array("d"))
+    sats: dict[str, int] = field(default_factory=dict)  # name of each satellite that has a position -> number
+    places: array[int] = field(default_factory=lambda: array("q"))  # of each position: satellite, epoch
+    values: array[float] = field(default_factory=lambda: array("d"))  # the seven of `PreciseFile` of each
     names: list[str] = field(default_factory=list)
     exponents: list[int] = field(default_factory=list)
     scale: str = "GPS"
@@ -76,7 +80,7 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
     found = _PreciseRows()
     with open_lines(path, shown) as lines:
         declared = _read_header(lines, found)
-        while True:
+        while len(found.places) <= 2 * _MOST_POSITIONS:
             try:
                 line = lines.read_line()
                 if line is None:
@@ -93,7 +97,9 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
                     break
                 if line.startswith("*"):
                     lines.skip_to(_EPOCH)
-        if not any(found.rows):
+        if len(found.sats) * len(found.t) > _MOST_POSITIONS or len(found.places) > 2 * _MOST_POSITIONS:
+            raise ConfigError(f"{shown}: more than {_MOST_POSITIONS} positions of satellites")
+        if not found.sats:
             raise lines.describe_nothing("position of a satellite of GPS, GLONASS, Galileo or BeiDou")
     return _make_file(shown, found, lines)
 
@@ -112,7 +118,7 @@ def _read_header(lines: Lines, found: _PreciseRows) -> int:
             return declared
         if line.startswith("++"):
             fields = [line[k : k + 3].strip() for k in range(9, 60, 3)]
-            found.exponents += [int(text) if text.isdigit() else 0 for text in fields]
+            found.exponents += [int(text) if text.isdecimal() else 0 for text in fields]
         elif line.startswith("+"):
             found.names += [_name(line[k : k + 3]) for k in range(9, 60, 3)]
         elif line.startswith("%c") and not known:
@@ -135,7 +141,6 @@ def _read_epoch(lines: Lines, line: str, found: _PreciseRows) -> None:
     if found.t and t <= found.t[-1]:
         raise lines.error("the time of an epoch must be after that of the one before")
     found.t.append(t)
-    found.rows.append({})
 
 
 def _read_position(lines: Lines, line: str, found: _PreciseRows) -> None:
@@ -157,13 +162,16 @@ def _read_position(lines: Lines, line: str, found: _PreciseRows) -> None:
     seconds = np.nan if abs(clock) >= _NO_CLOCK else 1e-6 * clock
     flags = line[74:80].ljust(6)
     sd = _PREDICTED if flags[1] == "P" else 0.0
-    found.rows[-1][name] = [*place, seconds, sd, flags[4] == "M", flags[0] == "E"]
+    found.places.extend((found.sats.setdefault(name, len(found.sats)), len(found.t) - 1))
+    found.values.extend((*place, seconds, sd, flags[4] == "M", flags[0] == "E"))
 
 
 def _make_file(shown: str, found: _PreciseRows, lines: Lines) -> PreciseFile:
-    names = sorted({name for rows in found.rows for name in rows})
-    blank = [np.nan] * 4 + [0.0] * 3
-    values = np.array([[rows.get(name, blank) for rows in found.rows] for name in names])
+    names = sorted(found.sats)
+    values = np.tile([np.nan] * 4 + [0.0] * 3, (len(names), len(found.t), 1))
+    order = np.argsort(np.argsort(list(found.sats)))
+    sat, epoch = np.array(found.places).reshape(-1, 2).T
+    values[order[sat], epoch] = np.array(found.values).reshape(-1, 7)
     stated = found.find_sd()
     values[..., 4] = np.hypot(values[..., 4], [[stated.get(name, 0.0)] for name in names])
     gaps = []

@@ -1,4 +1,4 @@
-"""Open text files, packed or not: gzip (.gz), or compress of Unix (.Z) as archives have them."""
+"""Open files, packed or not: gzip (.gz), or compress of Unix (.Z) as archives have them, block by block."""
 
 from __future__ import annotations
 
@@ -6,98 +6,150 @@ import codecs
 import gzip
 import io
 import zlib
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import TextIO
+from typing import Any
 
 from bench.errors import ConfigError
 
+BLOCK = 1 << 16
+"""Read and unpacked at a time, at least [byte]."""
 MOST_UNPACKED = 4_000_000_000
 """Largest content of a packed file that is read [byte]."""
 
 _GZIP, _COMPRESS, _ZIP = b"\x1f\x8b", b"\x1f\x9d", b"PK\x03\x04"
 _CLEAR = 256  # code that begins the table of a block anew
 _MOST_BITS = 16
+_TAIL = 256  # of the text of a code that the table holds [byte]; what is before it is that of another code
 
 
-def open_text(path: Path, shown: str) -> TextIO:
+class UnpackingError(Exception):
+    """A packed file is damaged, or holds too much; the text follows the name of the file."""
+
+
+def open_text(path: Path, shown: str) -> io.TextIOWrapper:
     """Open a text file, packed or not, for reading; a byte order mark is passed over.
+
+    What is opened raises `UnpackingError`, here or where it is read.
 
     Raises
     ------
     ConfigError
-        If it is packed in another way, or is damaged.
+        If it is packed in another way.
     OSError
         If it cannot be opened.
     """
-    with path.open("rb") as file:
-        magic = file.read(4)
-        if magic[:2] == _COMPRESS:
-            return io.StringIO(_expand(magic + file.read(), shown).decode("latin-1"), newline="")
-    if magic == _ZIP:
-        raise ConfigError(f"{shown}: is a ZIP archive; unpack the file first")
-    if magic[:2] == _GZIP:
-        return io.TextIOWrapper(gzip.open(path), encoding="latin-1", newline="")
-    text = path.open(encoding="latin-1", newline="")
-    text.seek(len(codecs.BOM_UTF8) if magic.startswith(codecs.BOM_UTF8) else 0)
-    return text
-
-
-def open_bytes(path: Path, shown: str) -> bytes:
-    """Return the content of a file, packed with gzip or not; errors as for :func:`open_text`."""
-    with path.open("rb") as file:
-        packed = file.read(2) == _GZIP
+    file = open_binary(path, shown)
     try:
-        with gzip.open(path) if packed else path.open("rb") as file:
-            content: bytes = file.read(MOST_UNPACKED + 1)
-    except DAMAGED as error:
-        raise ConfigError(f"{shown}: is damaged: {error}") from None
-    if len(content) > MOST_UNPACKED:
-        raise ConfigError(f"{shown}: unpacks to more than {MOST_UNPACKED / 1e9:g} GB")
-    return content
+        if file.peek(len(codecs.BOM_UTF8)).startswith(codecs.BOM_UTF8):
+            file.read(len(codecs.BOM_UTF8))
+    except UnpackingError:
+        file.close()
+        raise
+    return io.TextIOWrapper(file, encoding="latin-1", newline="")
 
 
-DAMAGED = (EOFError, gzip.BadGzipFile, zlib.error)
-"""What reading a damaged gzip file raises."""
+def open_binary(path: Path, shown: str) -> io.BufferedReader:
+    """Open a file, packed or not, for reading; errors as for :func:`open_text`."""
+    packed: io.BufferedReader = io.BufferedReader(io.FileIO(path), BLOCK)
+    magic = packed.peek(len(_ZIP))
+    if magic.startswith(_ZIP):
+        packed.close()
+        raise ConfigError(f"{shown}: is a ZIP archive; unpack the file first")
+    if magic.startswith(_GZIP):
+        blocks = iter(partial(gzip.GzipFile(fileobj=packed).read, BLOCK), b"")
+        return io.BufferedReader(_Unpacked(packed, blocks), BLOCK)
+    if magic.startswith(_COMPRESS):
+        return io.BufferedReader(_Unpacked(packed, _expand(packed)), BLOCK)
+    return packed
 
 
-def _expand(packed: bytes, shown: str) -> bytes:
-    """Return the content of a .Z file: LZW with codes of 9 to 16 bits, lowest bit first.
+class _Unpacked(io.RawIOBase):
+    """The content of a packed file, which comes in blocks."""
+
+    def __init__(self, packed: io.BufferedReader, blocks: Iterator[bytes]) -> None:
+        self._packed, self._blocks = packed, blocks
+        self._block, self._total = memoryview(b""), 0
+
+    def readable(self) -> bool:
+        """Return that it can be read."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer; return the number of bytes, 0 at the end."""
+        filled = 0
+        while filled < len(buffer):
+            if not self._block and not self._take():
+                break
+            count = min(len(buffer) - filled, len(self._block))
+            buffer[filled : filled + count] = self._block[:count]
+            self._block, filled = self._block[count:], filled + count
+        return filled
+
+    def _take(self) -> bool:
+        """Unpack the next block; return whether there is one."""
+        try:
+            block = next(self._blocks, b"")
+        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+            raise UnpackingError(f"is damaged: {error}") from None
+        self._block, self._total = memoryview(block), self._total + len(block)
+        if self._total > MOST_UNPACKED:
+            raise UnpackingError(f"unpacks to more than {MOST_UNPACKED / 1e9:g} GB")
+        return bool(block)
+
+    def close(self) -> None:
+        """Close the packed file, too."""
+        self._packed.close()
+        super().close()
+
+
+def _expand(packed: io.BufferedReader) -> Iterator[bytes]:
+    """Yield the content of a .Z file: LZW with codes of 9 to 16 bits, lowest bit first.
 
     Welch, A Technique for High-Performance Data Compression, IEEE Computer 17 (6), 1984; the layout is that
     of compress 4.0: codes come in groups of eight, and a group is filled up when their width changes.
+    The text of a code is that of the code before it, and its tail.
     """
-    if len(packed) < 3 or packed[2] & 0x60 or not 9 <= packed[2] & 0x1F <= _MOST_BITS:
-        raise ConfigError(f"{shown}: is not a .Z file that compress writes")
-    most, block = packed[2] & 0x1F, bool(packed[2] & 0x80)
-    table = [bytes((k,)) for k in range(256)] + ([b""] if block else [])
-    first = len(table)
-    bits, at, last, total = 9, 3, b"", 0
-    out: list[bytes] = []
-    while at < len(packed):
-        group = packed[at : at + bits]  # eight codes
+    head = packed.read(3)
+    if len(head) < 3 or head[2] & 0x60 or not 9 <= head[2] & 0x1F <= _MOST_BITS:
+        raise UnpackingError("is not a .Z file that compress writes")
+    most, block = head[2] & 0x1F, bool(head[2] & 0x80)
+    tails = [bytes((k,)) for k in range(256)] + ([b""] if block else [])
+    before = [-1] * len(tails)
+    first = len(tails)
+    bits, at, last, text = 9, 3, -1, b""
+    out, size = list[bytes](), 0
+    while group := packed.read(bits):  # eight codes
         at += bits
-        value = int.from_bytes(group, "little")
-        width = bits
+        value, width = int.from_bytes(group, "little"), bits
         for k in range(8 * len(group) // width):
             code = value >> (k * width) & ((1 << width) - 1)
             if code == _CLEAR and block:
-                del table[first:]
-                bits, last = 9, b""
+                del tails[first:], before[first:]
+                bits, last = 9, -1
                 break
-            if code < len(table):
-                text = table[code]
-            elif code == len(table) and last:
-                text = last + last[:1]
+            if code < len(tails):
+                parts, here = [tails[code]], before[code]
+                while here >= 0:
+                    parts.append(tails[here])
+                    here = before[here]
+                text = b"".join(reversed(parts))
+            elif code == len(tails) and last >= 0:
+                text += text[:1]
             else:
-                raise ConfigError(f"{shown}: is damaged: a code before byte {at} stands for nothing")
+                raise UnpackingError(f"is damaged: a code before byte {at} stands for nothing")
             out.append(text)
-            total += len(text)
-            if last and len(table) < 1 << most:
-                table.append(last + text[:1])
-            last = text
-            if len(table) + 1 > 1 << bits and bits < most:
+            size += len(text)
+            if last >= 0 and len(tails) < 1 << most:
+                whole = len(tails[last]) == _TAIL
+                tails.append(text[:1] if whole else tails[last] + text[:1])
+                before.append(last if whole else before[last])
+            last = code
+            if len(tails) + 1 > 1 << bits and bits < most:
                 bits += 1
                 break
-        if total > MOST_UNPACKED:
-            raise ConfigError(f"{shown}: unpacks to more than {MOST_UNPACKED / 1e9:g} GB")
-    return b"".join(out)
+        if size >= BLOCK:
+            yield b"".join(out)
+            out, size = [], 0
+    yield b"".join(out)

@@ -1,0 +1,121 @@
+"""Files of receivers, tracks, terrain and autopilots to damage: small whole ones, packed in every way."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.exchange import imports
+from bench.exchange.rinex.lines import find_kind
+from bench.exchange.rinex.observations import read_observations
+from bench.exchange.rinex.precise_orbits import make_tables, read_precise_orbits
+from bench.exchange.track_files import read_track
+from bench.exchange.ubx import read_ubx
+from bench.signals.terrain import describe_terrain
+from tests.data import stored_gnss_file
+from tests.exchange.packed import compress
+
+TRACKS = Path(__file__).parent / "exchange" / "tracks"
+FLIGHTS = Path(__file__).parent / "logs" / "flights"
+
+
+class Format(NamedTuple):
+    """Name and content of a whole file, and what reads it; text is damaged by tokens and lines too."""
+
+    name: str
+    make: Callable[[], bytes]
+    read: Callable[[Path], object]
+    text: bool
+
+
+def _cut(path: Path, lines: int) -> bytes:
+    return b"".join(path.read_bytes().splitlines(keepends=True)[:lines])
+
+
+def _make_kml() -> bytes:
+    times = "".join(f"<when>2026-01-01T00:00:{k:02d}Z</when>" for k in range(20))
+    places = "".join(f"<gx:coord>{11 + k * 1e-4} {47 + k * 1e-5} {600 + k}</gx:coord>" for k in range(20))
+    space = 'xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"'
+    track = f"<Placemark><gx:Track>{times}{places}</gx:Track></Placemark>"
+    return f'<?xml version="1.0"?><kml {space}><Document>{track}</Document></kml>'.encode()
+
+
+def _make_gpx() -> bytes:
+    points = "".join(
+        f'<trkpt lat="{47 + k * 1e-5}" lon="{11 + k * 2e-5}"><ele>{500 + 0.1 * k}</ele>'
+        f"<time>2026-01-01T00:00:{k:02d}Z</time></trkpt>"
+        for k in range(20)
+    )
+    return f'<?xml version="1.0"?><gpx><trk><trkseg>{points}</trkseg></trk></gpx>'.encode()
+
+
+def _make_grid() -> bytes:
+    head = "ncols 9\nnrows 7\nxllcorner 11.0\nyllcorner 47.0\ncellsize 0.001\nNODATA_value -9999\n"
+    return (head + "\n".join(" ".join(str(500 + k + j) for j in range(9)) for k in range(7))).encode()
+
+
+def _cut_crinex() -> bytes:
+    whole = stored_gnss_file("KMS300DNK_R_20221591000_01H_30S_MO.crx").read_bytes().splitlines(keepends=True)
+    return b"".join(whole[:200])
+
+
+def _cut_ubx() -> bytes:
+    return gzip.decompress(stored_gnss_file("F9T-L2-2min.ubx.gz").read_bytes())[:12_000]
+
+
+def _cut_sp3() -> bytes:
+    packed = stored_gnss_file("COD0IGSRAP_20210780000_15M_ORB.SP3.gz").read_bytes()
+    lines = gzip.decompress(packed).splitlines(keepends=True)
+    epochs = [k for k, line in enumerate(lines) if line.startswith(b"*")]
+    return b"".join([*lines[: epochs[2]], b"EOF\n"])
+
+
+def _cut_rinex() -> bytes:
+    packed = stored_gnss_file("07590920.05o.gz").read_bytes()
+    return b"".join(gzip.decompress(packed).splitlines(keepends=True)[: 17 + 3 * 9])
+
+
+def _read_observations(path: Path) -> object:
+    return find_kind(path, path.name), read_observations(path, phase=True)
+
+
+def _read_orbits(path: Path) -> object:
+    return make_tables([read_precise_orbits(path)])
+
+
+def _read_terrain(path: Path) -> object:
+    return describe_terrain(path, path.name, 0.0, None)
+
+
+def _read_flight(form: str) -> Callable[[Path], object]:
+    return lambda path: [imports.read(form, path, kind, None) for kind in ("imu", "gnss", "baro")]
+
+
+def _cut_flash() -> bytes:
+    return (FLIGHTS / "copter.bin").read_bytes()[:50_000]
+
+
+READERS: dict[str, Format] = {
+    "track-igc": Format("a.igc", lambda: _cut(TRACKS / "glider.igc", 60), read_track, True),
+    "track-gpx": Format("a.gpx", _make_gpx, read_track, True),
+    "track-kml": Format("a.kml", _make_kml, read_track, True),
+    "track-nmea": Format("a.nmea", lambda: _cut(TRACKS / "car.nmea", 100), read_track, True),
+    "terrain-asc": Format("a.asc", _make_grid, _read_terrain, True),
+    "terrain-hgt": Format(
+        "N47E011.hgt", lambda: np.full(1201**2, 500, ">i2").tobytes(), _read_terrain, False
+    ),
+    "rinex-gz": Format("a.05o.gz", lambda: gzip.compress(_cut_rinex(), mtime=0), _read_observations, False),
+    "rinex-z": Format("a.05o.Z", lambda: compress(_cut_rinex()), _read_observations, False),
+    "crinex": Format("a.crx", _cut_crinex, _read_observations, True),
+    "ubx": Format("a.ubx", _cut_ubx, read_ubx, False),
+    "sp3": Format("a.sp3", _cut_sp3, _read_orbits, True),
+    "dataflash": Format("a.bin", _cut_flash, _read_flight("dataflash"), False),
+    "px4log": Format(
+        "a.px4log", lambda: (FLIGHTS / "quad.px4log").read_bytes()[:50_000], _read_flight("dataflash"), False
+    ),
+}
+"""Format -> its file and reader."""
