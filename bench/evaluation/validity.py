@@ -70,14 +70,15 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     """Check the times of a record; messages count rows from 1."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
-    back = np.flatnonzero(steps <= 0)
+    back = np.flatnonzero(t[1:] <= np.maximum.accumulate(t)[:-1])
     long = np.flatnonzero(steps > _GAP * usual)
     bad = np.flatnonzero(~valid)
     rate = 1.0 / usual
     text = f"{name}: {len(t)} rows, {t[0]:.2f} to {t[-1]:.2f} s, {rate:.4g} Hz"
     found = [Check(f"{name}_rate_hz", rate, text, True)]
     if len(back):
-        text = f"{name}: {len(back)} rows repeat a time or go back and are left out, first row {back[0] + 2}"
+        many = f"{len(back)} of {len(t)} rows"
+        text = f"{name}: {many} repeat a time or go back and are left out, first row {back[0] + 2}"
         found.append(Check(f"{name}_unordered_rows", float(len(back)), text, False))
     if len(long):
         k = int(long[np.argmax(steps[long])])

@@ -24,6 +24,7 @@ from bench.exchange import imports
 from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.log_ranges import read_ranges
+from bench.exchange.record_clock import check_order, meet_week, unwrap_week
 from bench.exchange.row_selection import drop_others, drop_repeated, drop_unreported
 from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
@@ -54,6 +55,7 @@ class LogRecords:
     reported: str  # by what the receiver tells how good a fix is, in words; empty: by nothing
     origin: float  # t = 0 on the clock of the files, with the offset of the IMU [s]
     notes: tuple[str, ...]  # content of the files that is not used
+    week_ends: bool  # times are seconds of a week that ends in the record
     no_ranges: str  # why a receiver with ranges has no observations, in words; empty otherwise
 
 
@@ -73,7 +75,9 @@ def read_records(spec: LogSpec) -> LogRecords:
     else:
         gnss_rows = _read_rows(spec.gnss, "gnss")
     others = {kind: _read_rows(source, kind) for kind, source in spec.instruments.items()}
-    origin = float(imu_rows.t[0])
+    origin, end = float(imu_rows.t[0]), float(imu_rows.t.max())
+    gnss_rows = meet_week(gnss_rows, origin, end)
+    others = {kind: meet_week(rows, origin, end) for kind, rows in others.items()}
     imu = _make_imu(imu_rows, spec, origin)
     _check_length(imu, spec)
     fixes = _make_fixes(gnss_rows, spec, origin)
@@ -95,6 +99,8 @@ def read_records(spec: LogSpec) -> LogRecords:
         imu, fixes = _cut(imu, spec.until), _cut(fixes, spec.until)
     if not imu.valid.any():
         raise ConfigError(f"{spec.imu.path.name}: no row of the IMU is whole: no filter can run on it")
+    for source, record in ((spec.imu, imu), (spec.gnss, fixes)):
+        check_order(record.t, record.valid, origin, source.path.name)
     instruments = {
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
@@ -110,6 +116,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         reported=_find_report(gnss_rows.values, spec),
         origin=origin,
         notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
+        week_ends=any(rows.week_ends for rows in (imu_rows, gnss_rows, *others.values())),
         no_ranges=no_ranges,
     )
 
@@ -134,6 +141,7 @@ def _read_rows(source: SourceSpec, kind: str) -> LogRows:
         raise ConfigError(f"{shown}: no rows")
     if (k := find_first(bad)) is not None:
         raise ConfigError(f"{shown}: row {k + 1}: its time is not a finite number")
+    rows = unwrap_week(rows, shown)
     if kind == "imu" and len(rows.t) < 2:
         raise ConfigError(f"{shown}: one row; an IMU record needs at least two")
     if kind == "imu":

@@ -25,6 +25,7 @@ from bench.evaluation.recorded_motion import Check
 from bench.exchange import imports
 from bench.exchange.autopilot import NEAR, look, read_truth
 from bench.exchange.imports.contents import AUTOPILOTS
+from bench.exchange.record_clock import meet_week, unwrap_week
 from bench.exchange.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.solutions import (
     DEVIATIONS,
@@ -73,6 +74,7 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         values: dict[str, FloatArray] = {}
     else:
         rows, q_nb, sd_phi = _read_rows(spec)
+        rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
         t, values = rows.t, dict(rows.values)
         lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
         cov = _make_covariance(values, sd_phi, len(t))

@@ -42,7 +42,7 @@ def drop_others(rows: LogRows, shown: str) -> LogRows:
 
 def _take(rows: LogRows, kept: IntArray, note: str) -> LogRows:
     values = {name: disk_arrays.take(value, kept) for name, value in rows.values.items()}
-    return LogRows(disk_arrays.take(rows.t, kept), values, (*rows.notes, note))
+    return replace(rows, t=disk_arrays.take(rows.t, kept), values=values, notes=(*rows.notes, note))
 
 
 def drop_repeated(rows: LogRows, shown: str) -> LogRows:

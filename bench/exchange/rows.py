@@ -156,6 +156,7 @@ class LogRows:
     t: FloatArray  # (N,) on the clock of the file [s]
     values: Mapping[str, FloatArray]
     notes: tuple[str, ...] = ()
+    week_ends: bool = False  # its times were seconds of a week that ends in it
 
     @classmethod
     def from_table(cls, table: TableColumns, shown: str) -> LogRows:

@@ -55,7 +55,9 @@ def navigate_log(
     begun = time.perf_counter()
     log = log_pipeline.read_log(name, **log_options)
     title = one_line(log.spec.title)
-    console.print(f"{title}: t = 0 is {log.records.origin:.9g} s on the clock of the files", soft_wrap=True)
+    ends = ", seconds of a week that ends in them" if log.records.week_ends else ""
+    zero = f"{log.records.origin:.9g} s on the clock of the files{ends}"
+    console.print(f"{title}: t = 0 is {zero}", soft_wrap=True)
     for note in log.records.notes if table else ():
         console.print(f"  {note}")
     with show_stages() as watch:

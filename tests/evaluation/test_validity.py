@@ -19,8 +19,8 @@ def test_times_that_go_back_and_gaps_are_counted_by_rows():
     valid[[3, 7]] = False
     rate, back, gaps, bad = validity._check_times("imu", t, valid)
     assert (rate.value, rate.text) == (2.0, "imu: 14 rows, 10.00 to 21.00 s, 2 Hz")
-    assert (back.value, back.good) == (2.0, False)
-    assert back.text == "imu: 2 rows repeat a time or go back and are left out, first row 5"
+    assert (back.value, back.good) == (3.0, False)  # the third repeats the newest time, not that before it
+    assert back.text == "imu: 3 of 14 rows repeat a time or go back and are left out, first row 5"
     assert (gaps.value, gaps.text) == (2.0, "imu: 2 gaps, the longest 4 s before row 13, at 16.50 s")
     assert (bad.value, bad.good) == (2.0, False)
     assert bad.text == "imu: 2 rows are flagged or hold no finite number, the first is row 4"
