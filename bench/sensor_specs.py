@@ -192,10 +192,9 @@ class ImuSpec:
 
     @property
     def feels_air(self) -> bool:
-        """Whether an error depends on temperature, gusts or engine speed of the flight."""
+        """Whether an error depends on gusts or engine speed of the flight."""
         v = self.vibration
-        shaken = max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
-        return shaken or max(self.gyro.temperature_sd, self.accel.temperature_sd) > 0
+        return max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
 
 
 @declared

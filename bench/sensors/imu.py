@@ -117,7 +117,7 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
     warmth = np.empty(0)  # above the reference temperature [K]
     if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
         before = draws.keep("temperature", list[float])
-        warmth = imu_terms.compute_temperature(t[slow_rows], truth.air, spec.thermal, before)
+        warmth = imu_terms.compute_temperature(truth, slow_rows, spec.thermal, before)
         warmth = warmth - spec.thermal.reference
     valid = np.ones(len(t) - 1, bool)
     measured, biases = [], []

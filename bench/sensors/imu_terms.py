@@ -11,12 +11,13 @@ from __future__ import annotations
 import numpy as np
 
 from bench import disk_arrays
-from bench.arrays import FloatArray
+from bench.arrays import FloatArray, IntArray
 from bench.compiled import kernel
-from bench.data import AirData
+from bench.data import Trajectory
 from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import apply_lag
+from bench.signals.air import TOP, standard_atmosphere, to_geopotential
 
 
 def check_imu(spec: ImuSpec) -> list[str]:
@@ -347,15 +348,20 @@ def _motion_errors_kernel(
 
 
 def compute_temperature(
-    t: FloatArray, air: AirData, spec: ThermalSpec, before: list[float] | None = None
+    truth: Trajectory, rows: IntArray, spec: ThermalSpec, before: list[float] | None = None
 ) -> FloatArray:
-    """Return the temperature of an IMU (B,) at instants t (B,) [K].
+    """Return the temperature of an IMU (B,) at rows (B,) of a truth [K].
 
-    It is switched on at t[0] at the temperature of the air, and approaches air plus self-heating with its
-    time constant (0: immediately). ``before`` holds its temperature at t[0], if it is on already, and then
-    the last one.
+    It is switched on at the first at the temperature of the air, and approaches air plus self-heating with
+    its time constant (0: immediately). ``before`` holds its temperature there, if it is on already, and then
+    the last one. Without air data the air is that of the standard atmosphere.
     """
-    final = np.interp(t, air.t, air.temperature) + spec.self_heating
+    t, air = truth.t[rows], truth.air
+    if len(air.t):
+        final = np.interp(t, air.t, air.temperature) + spec.self_heating
+    else:
+        height = np.minimum(to_geopotential(truth.lla[rows, 2]), TOP)
+        final = standard_atmosphere(height)[1] + spec.self_heating
     start = before[0] if before else final[0] - spec.self_heating
     found = apply_lag(t, final, start, spec.time_constant)
     if before is not None:

@@ -21,7 +21,8 @@ _RADIUS = 6356766.0  # of the Earth, to convert between geometric and geopotenti
 _BOTTOM = (0.0, 11000.0, 20000.0)  # bottom of each layer, geopotential height [m]
 LAPSE = -0.0065  # temperature gradient of the lowest layer [K/m]
 _LAPSE = (LAPSE, 0.0, 0.001)  # temperature gradient in each layer [K/m]
-_TOP = 32000.0  # [m]
+TOP = 32000.0
+"""Geopotential height up to which the standard atmosphere is computed [m]."""
 
 
 def to_geopotential(alt: ArrayLike) -> FloatArray:
@@ -54,12 +55,12 @@ def standard_atmosphere(
     54020 255.65 0.73612
     """
     height = np.asarray(height, np.float64)
-    if (height > _TOP).any():
-        raise ValueError(f"the standard atmosphere here ends at {_TOP:g} m; got {height.max():g} m")
+    if (height > TOP).any():
+        raise ValueError(f"the standard atmosphere here ends at {TOP:g} m; got {height.max():g} m")
     pressure = np.full_like(height, SEA_LEVEL_PRESSURE)
     temperature: FloatArray = np.full_like(height, SEA_LEVEL_TEMPERATURE + deviation)
     for k, (bottom, lapse) in enumerate(zip(_BOTTOM, _LAPSE, strict=True)):
-        ceiling = (*_BOTTOM[1:], _TOP)[k]
+        ceiling = (*_BOTTOM[1:], TOP)[k]
         rise = np.minimum(height, ceiling) - bottom if k == 0 else np.clip(height, bottom, ceiling) - bottom
         pressure *= np.exp(_log_pressure_ratio(temperature, lapse, rise))
         temperature = temperature + lapse * rise

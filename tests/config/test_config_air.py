@@ -207,15 +207,26 @@ def test_believing_a_unit_that_is_not_on_board_is_said(tmp_path, kind):
     ]
 
 
+CONSUMER = ("bmi088", "icm-20948", "icm-42688-p", "icm-45686", "lsm6dsl", "mpu-6050", "mpu-9250")
+SHAKEN = "sensors.imu.vibration."
+
+
 @pytest.mark.parametrize(
-    ("kind", "name"), [("baro", "bmp388-physical"), ("airspeed", "nasa-t2"), ("imu", "mpu-6050")]
+    ("kind", "name", "figure"),
+    [
+        ("baro", "bmp388-physical", {}),
+        ("airspeed", "nasa-t2", {}),
+        ("imu", "mpu-6050", {f"{SHAKEN}engine_accel_mg": 1.0, f"{SHAKEN}engine_reference_rpm": 5e3}),
+    ],
 )
-def test_what_feels_the_air_is_refused_on_a_table_that_says_nothing_of_it(tmp_path, kind, name):
+def test_what_feels_the_air_is_refused_on_a_table_that_says_nothing_of_it(tmp_path, kind, name, figure):
     rows = "\n".join(f"{k / 10},45.0,-90.0,1000.0,0.0,0.0,90.0" for k in range(200))
     write(tmp_path, f"t_s,lat_deg,lon_deg,alt_m,roll_deg,pitch_deg,heading_deg\n{rows}\n", "made.csv")
     path = write(tmp_path, 'trajectory = "made.csv"\n[evaluation]\nfrom_s = 5.0\n', "own.toml")
     assert config.load_profile(str(path)).sensors.baro.name == "bmp388"
-    sensors = {"sensors.imu": "matched-mems", f"sensors.{kind}": name}
+    for imu in CONSUMER:
+        assert config.load_profile(str(path), {"sensors.imu": imu}).sensors.imu.name == imu
+    sensors = {"sensors.imu": "matched-mems", f"sensors.{kind}": name, **figure}
     assert wrong(path, overrides=sensors) == [
         f"own.toml: [sensors] {kind} = {name!r} needs air data, which a trajectory table does not have"
     ]

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.data import AirData
+from bench.data import AirData, no_air
 from bench.fields import triad_figures_of
 from bench.random_streams import stream
 from bench.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
@@ -447,6 +447,22 @@ def test_the_bias_follows_the_air_and_the_own_heat():
     assert_allclose(hotter, np.outer(15.0 * (1 - fade), slope), rtol=0, atol=1e-9)
     at_once = run(truth, gyro=spec, thermal=replace(thermal, time_constant=0.0))[1].gyro_b
     assert_allclose(at_once, np.outer(290.0 - 0.01 * bias.t + 15.0 - 298.15, slope), rtol=0, atol=1e-9)
+
+
+def test_without_air_data_the_air_is_that_of_the_standard_atmosphere():
+    """By ISO 2533: 15 degC at sea level, 6.5 K less each kilometre, and -56.5 degC from 11 to 20 km."""
+    truth = replace(made(np.zeros((160, 3)), np.zeros((160, 3)), 20.0), air=no_air())
+    climb = np.interp(truth.t, [0.0, 4.0, 8.0], [0.0, 4002.52, 12_000.0])  # 4002.5 m are 4000 geopotential
+    truth = replace(truth, lla=np.column_stack([truth.lla[:, :2], climb]))
+    spec = replace(OFF, temperature_sd=1e-4)
+    bias = run(truth, gyro=spec, thermal=ThermalSpec(reference=288.15))[1]
+    slope = 1e-4 * stream(1, 0, "imu.gyro.temperature").standard_normal(3)
+    assert_allclose(bias.gyro_b[[0, 80, 160]], np.outer([0.0, -26.0, -71.5], slope), rtol=0, atol=1e-7)
+    space = replace(
+        truth, lla=np.add(truth.lla, [0.0, 0.0, 60_000.0])
+    )  # above 32 km: as at 32 km, -44.5 degC
+    bias = run(space, gyro=spec, thermal=ThermalSpec(reference=288.15))[1]
+    assert_allclose(bias.gyro_b, np.tile(-59.5 * slope, (161, 1)), rtol=0, atol=1e-7)
 
 
 def test_speed_and_strength_of_the_shaking_are_lines_between_instants_of_the_air():

@@ -64,7 +64,7 @@ def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = 
     samples[:, CUBE:] = rates * (4.0 * u**2 - 3.0)
     factors = np.add.reduceat(samples * dt, first) / T[:, None]
     if max(imu.gyro.temperature_sd, imu.accel.temperature_sd) > 0:
-        warm = compute_temperature(t[rows], truth.air, imu.thermal) - imu.thermal.reference
+        warm = compute_temperature(truth, rows, imu.thermal) - imu.thermal.reference
         factors[:, WARMTH] = 0.5 * (warm[1:] + warm[:-1])
     nav = np.hstack([truth.lla, truth.vel_n, truth.q_nb])[first]
     F, G = np.zeros((9, 15)), np.zeros((len(T), 9, 15))

@@ -232,10 +232,9 @@ def test_the_steps_of_a_path_are_means_of_its_samples():
 
 def test_the_temperature_of_a_path_is_that_over_the_reference():
     truth = turning(1.0, 100.0)
-    air = truth.air
     thermal = replace(ImuSpec("x", TriadSpec(), TriadSpec()).thermal, reference=280.0, self_heating=5.0)
     path = make_path(truth, ImuSpec("x", TriadSpec(temperature_sd=1e-5), TriadSpec(), thermal), np.empty(0))
-    degrees = compute_temperature(path.t, air, thermal) - 280.0
+    degrees = compute_temperature(truth, path.rows, thermal) - 280.0
     assert_allclose(path.factors[:, WARMTH], 0.5 * (degrees[1:] + degrees[:-1]))
     assert np.abs(path.factors[:, WARMTH]).min() > 0.1
 
