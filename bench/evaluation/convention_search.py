@@ -2,7 +2,9 @@
 
 A convention is named only if undoing it, with the same constants in both halves of the flight, brings the
 NEES of the blocks that it changes into their band or down tenfold, by more than its constants do by chance.
-All that the flight cannot tell from the best are named with it. What is left is searched again.
+It has to be likelier than that the answers are right and each block overconfident by a factor of its own: a
+claim as it is then, answers with such factors on what is left. All that the flight cannot tell from the best
+are named with it. What is left is searched again.
 """
 
 from __future__ import annotations
@@ -17,7 +19,13 @@ from bench.arrays import FloatArray
 from bench.data import NavSolution, Trajectory
 from bench.evaluation.block_nees import BlockNees, find_broken_block, measure_nees
 from bench.evaluation.consistency import chi2_quantile
-from bench.evaluation.error_series import BLOCKS, claimed_blocks, find_covered_epochs, select_epochs
+from bench.evaluation.error_series import (
+    BLOCKS,
+    claimed_blocks,
+    find_covered_epochs,
+    normalized_squares,
+    select_epochs,
+)
 from bench.evaluation.known_conventions import Answers, Convention, compare, list_conventions, move
 from bench.units import SAME_INSTANT
 from bench.wording import format_number
@@ -28,6 +36,7 @@ _SAME = 0.5  # of its length: how far a constant of half a flight may be from th
 _ALIKE = 0.20  # of the best: within so much the flight does not tell conventions apart
 _SURE = 10.8  # NEES over all independent values, 99.9 % of one degree of freedom: the same
 _FITS = 4.0  # errors of a state over its sigma, rms of one run, or one over it: its claim may be right
+_OF_UNITS = 0.5  # of what a unit alone takes off: any attitude is within half a turn, in a unit 57 times less
 _ROUNDS = 3  # of searching the rest again
 _ITERATIONS = 6  # of a fit
 _MOST = 1500  # instants that are looked at
@@ -154,10 +163,10 @@ def _search(
         mistake = _try(truth, answers, one, blocks, claimed, before)
         if mistake is not None:
             found.append(mistake)
-    # wrong answers come first if they leave nothing to explain, else a claim that fits
+    # a claim is wrong only if no wrong answers explain it; those that leave nothing come first
     answered = [one for one in found if not one.convention.of_claim]
     whole = [one for one in answered if one.left["all"].mean <= one.left["all"].high]
-    found = whole or [one for one in found if one.convention.of_claim] or answered
+    found = whole or answered or found
     if not found:
         return []
     best = min(found, key=lambda one: one.left["all"].mean)
@@ -200,10 +209,29 @@ def _try(
             return None
     elif not (after.inside or after.mean * _TENFOLD <= before.mean):
         return None
+    known = move(truth, answers)
+    null = _find_misfit(compare(answers, known), answers.cov[known.inside], blocks, free=True)
+    better = null - 2.0 * one.shrinks - _find_misfit(error, cov, blocks, free=not one.of_claim)
     gained = max(before.samples, 1.0) * abs(before.mean - after.mean)
-    if gained < chi2_quantile(1.0 - _CHANCE, one.constants + 1):
+    if gained < chi2_quantile(1.0 - _CHANCE, one.constants + 1) or not better > _OF_UNITS * abs(one.shrinks):
         return None
     return Mistake(one, constants, undone, before, after, _judge(truth, undone, claimed))
+
+
+def _find_misfit(error: FloatArray, cov: FloatArray, blocks: Sequence[str], *, free: bool) -> float:
+    """Return the mean of -2 log likelihood of errors (K, 9), but for a constant, by blocks.
+
+    If ``free`` the covariance of each block has the factor that fits it best: it is overconfident by it.
+    """
+    total = 0.0
+    for name in blocks:
+        kept = _list_states([name])
+        own = cov[:, kept][:, :, kept]
+        nees = float(np.mean(normalized_squares(error[:, kept], own)))
+        with np.errstate(divide="ignore"):  # an error of zero is likelier than any other
+            spent = len(kept) * (1.0 + float(np.log(nees / len(kept)))) if free else nees
+        total += float(np.linalg.slogdet(own)[1].mean()) + spent
+    return total
 
 
 def _fit(

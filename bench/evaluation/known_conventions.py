@@ -95,6 +95,7 @@ class Convention:
     constants: int = 0
     least: float = 0.0  # length of the constants below which it is not named
     most: float = np.inf
+    shrinks: float = 0.0  # logarithm of the volume of errors over that of the same errors undone
     of_claim: bool = False  # it changes what is claimed, and not the answers
     alone: bool = True  # it may be named without another
     starts: tuple[float, ...] = field(default=(0.0,))  # of a single constant
@@ -208,7 +209,12 @@ def _tell_turn(axes: str, c: FloatArray) -> str:
 # --- without ----------------------------------------------------------------------------------------------
 
 
-def _exchange(name: str, block: str, change: Callable[[FloatArray, TrueMotion], FloatArray]) -> Convention:
+def _exchange(
+    name: str,
+    block: str,
+    change: Callable[[FloatArray, TrueMotion], FloatArray],
+    shrinks: float = 0.0,
+) -> Convention:
     """Return a convention that changes the values of one block by a function of these and the motion."""
     column = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}[block]
 
@@ -218,7 +224,7 @@ def _exchange(name: str, block: str, change: Callable[[FloatArray, TrueMotion], 
             values[motion.inside] = change(values[motion.inside], motion)
         return replace(answers, **{column: values})
 
-    return Convention(name, lambda _: name, (block,), undo)
+    return Convention(name, lambda _: name, (block,), undo, shrinks=shrinks)
 
 
 _HALF = np.sqrt(0.5)
@@ -236,8 +242,9 @@ def _list_exchanged() -> Iterator[Convention]:
     yield _exchange("latitude and longitude that are exchanged", "pos", lambda x, _: x[:, [1, 0, 2]])
     for factor, words in _ANGLES:
         scale = partial(_scale, np.array([factor, factor, 1.0]))
-        yield _exchange(f"latitude and longitude in {words}", "pos", scale)
-        yield _exchange(f"attitude angles in {words}", "phi", partial(_undo_euler, 1.0 / factor))
+        size = -float(np.log(factor))
+        yield _exchange(f"latitude and longitude in {words}", "pos", scale, 2.0 * size)
+        yield _exchange(f"attitude angles in {words}", "phi", partial(_undo_euler, 1.0 / factor), 3.0 * size)
     yield _exchange("heights that count downwards", "pos", partial(_scale, _UP))
     yield _exchange("velocities east, north, up", "vel", lambda v, _: v[:, [1, 0, 2]] * _UP)
     yield _exchange("vertical velocities that count upwards", "vel", partial(_scale, _UP))

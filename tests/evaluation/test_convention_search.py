@@ -59,15 +59,16 @@ def test_what_is_undone_must_fit_or_be_down_tenfold_and_more_than_by_chance(befo
 @pytest.mark.parametrize(
     ("sizes", "narrower", "named"),
     [
-        ((0.26, 0.26, 1.69), 10.0, True),
-        ((0.24, 0.26, 1.69), 10.0, False),
-        ((3.9, 0.8, 0.8), 10.0, True),
-        ((4.02, 0.3, 0.3), 10.0, False),
-        ((1.0, 1.0, 1.0), 1.1, False),  # the claim as it is given fits as well
+        ((0.26, 0.26, 1.69), (1.0, 10.0, 100.0), True),
+        ((0.24, 0.26, 1.69), (1.0, 10.0, 100.0), False),
+        ((3.9, 0.8, 0.8), (100.0, 10.0, 1.0), True),
+        ((4.02, 0.3, 0.3), (100.0, 10.0, 1.0), False),
+        ((0.26, 0.26, 1.69), (10.0, 10.0, 10.0), False),  # overconfident by a factor fits as well
+        ((1.0, 1.0, 1.0), (1.1, 1.1, 1.1), False),  # the claim as it is given does, too
     ],
 )
-def test_a_wider_claim_has_to_fit_every_state(sizes, narrower, named):
-    given = made(sizes, narrower**-2)
+def test_a_wider_claim_has_to_fit_every_state_and_be_no_factor(sizes, narrower, named):
+    given = made(sizes, np.tile(np.array(narrower) ** -2.0, 3))
     one = Convention("made", lambda _: "made", ("pos",), lambda *_: made(sizes), of_claim=True)
     assert (ask(given, one) is not None) == named
 
@@ -145,13 +146,14 @@ def test_blocks_that_neither_changes_do_not_count():
         ([("a", 2.2, {"constants": 3}), ("b", 2.0, {"constants": 1})], ["b", "a"]),  # the simplest first
         ([("a", 2.0, {"alone": False}), ("b", 2.1, {})], ["b", "a"]),
         ([("a", 2.0, {"alone": False}), ("b", 3.0, {})], []),  # it is not named without another
-        ([("a", 20.0, {}), ("b", 3.0, {"of_claim": True})], ["b"]),  # a claim, if answers leave something
-        ([("a", 8.0, {}), ("b", 3.0, {"of_claim": True})], ["a"]),  # not if they leave nothing
+        ([("a", 20.0, {}), ("b", 3.0, {"of_claim": True})], ["a"]),  # answers, though they leave something
+        ([("a", 8.0, {}), ("c", 20.0, {}), ("b", 3.0, {"of_claim": True})], ["a"]),
+        ([("b", 3.0, {"of_claim": True})], ["b"]),
         ([("a", 20.0, {}), ("b", 30.0, {})], ["a"]),
         ([], []),
     ],
 )  # fmt: skip
-def test_answers_that_leave_nothing_come_before_a_claim(monkeypatch, found, named):
+def test_answers_come_before_a_claim(monkeypatch, found, named):
     mistakes = {name: mistake(name, mean, **more) for name, mean, more in found}
     monkeypatch.setattr(convention_search, "_try", lambda *given: mistakes[given[2].name])
     conventions = [one.convention for one in mistakes.values()]
