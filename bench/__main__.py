@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
 from types import FrameType
 
-from bench.errors import INTERRUPTED
-from bench.plain_output import let_streams_write_all
+from bench.errors import INTERRUPTED, MACHINE
+from bench.plain_output import find_lost, let_streams_write_all
 
 
 def main() -> None:
@@ -28,11 +27,13 @@ def main() -> None:
     from bench import cli
 
     status = cli.main()
+    if (lost := find_lost()) is not None:
+        sys.stderr.write(f"error: standard output: {lost.strerror}; not all that was printed is there\n")
+        status = max(status, MACHINE)
     for number in numbers:  # all is done; Python itself ends
         signal.signal(number, signal.SIG_IGN)
     if status == INTERRUPTED:  # Python would end by SIGINT if the interruption came within an exec()
-        with contextlib.suppress(OSError):  # nobody reads any more
-            sys.stdout.flush()
+        sys.stderr.flush()
         os._exit(status)
     sys.exit(status)
 

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 from bench import durable
 from bench.baselines.verdict_rows import Verdict
+from bench.errors import ConfigError
 from bench.evaluation.required_metrics import MET, Finding
 from bench.wording import one_line
 
@@ -33,6 +34,18 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
             if kind := _kind(row, strict):
                 _add(case, kind, message=row.sentence)
     _write(path, root)
+
+
+def check_required(path: Path | None, required: object) -> None:
+    """Refuse to write a file of what is required where nothing is.
+
+    Raises
+    ------
+    ConfigError
+        If so.
+    """
+    if path is not None and not required:
+        raise ConfigError("--junit: the file has no [[requirement]]: bench guide profiles")
 
 
 def write_requirements(path: Path, suite: str, findings: Sequence[Finding]) -> None:

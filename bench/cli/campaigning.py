@@ -28,7 +28,6 @@ from bench.cli.group import (
     seed_option,
     set_option,
     strict_option,
-    write_findings,
 )
 from bench.errors import DONE, INTERRUPTED, NEGATIVE
 
@@ -61,9 +60,7 @@ from bench.errors import DONE, INTERRUPTED, NEGATIVE
 @guard_options
 @junit_option
 @strict_option
-def campaign(
-    sources: tuple[str, ...], as_json: bool, junit: Path | None, strict: bool, **options: Any
-) -> int:
+def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: Any) -> int:
     """Run many noise draws of a profile, or filters on many logs, and say what they tell together.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
@@ -109,7 +106,6 @@ def campaign(
         click.echo(to_json(describe(result)), nl=False)
     if result.interrupted:
         return INTERRUPTED
-    write_findings(junit, Path(profile).stem, result.requirements)
     good = not result.failed and all(one.converged.value == 1.0 for one in result.outcomes)
     good &= all(one.word == "met" for one in result.requirements)
     if strict:
@@ -213,7 +209,6 @@ def card(
     sensors: Path | None,
     given: dict[str, Any],
     required: Path | None,
-    junit: Path | None,
     **options: Any,
 ) -> int:
     """Judge a filter over a fixed suite of flights, beside a built-in one.
@@ -255,7 +250,6 @@ def card(
         found = [asdict(line) for line in print_comparison(compared, console=console)]
     else:
         made = run_card(str(estimator), console=console, options=given, requirements=required, **options)
-        write_findings(junit, made.estimator, made.findings)
         status, found = DONE if made.good else NEGATIVE, made.model_dump()
     if as_json:
         click.echo(to_json(found), nl=False)

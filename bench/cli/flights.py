@@ -33,7 +33,6 @@ from bench.cli.group import (
     set_option,
     strict_option,
     table_option,
-    write_findings,
 )
 from bench.errors import DONE, NEGATIVE
 
@@ -66,15 +65,7 @@ from bench.errors import DONE, NEGATIVE
 @results_options("profile")
 @junit_option
 @strict_option
-def run(
-    profile: str,
-    then_view: bool,
-    live: bool,
-    as_json: bool,
-    junit: Path | None,
-    strict: bool,
-    **options: Any,
-) -> int:
+def run(profile: str, then_view: bool, live: bool, as_json: bool, strict: bool, **options: Any) -> int:
     """Fly one profile and evaluate every estimator it names.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
@@ -94,7 +85,6 @@ def run(
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
-    from bench.evaluation.required_metrics import judge_result
     from bench.store import to_json
     from bench.workbench.flight_verbs import run as run_profile
     from bench.workbench.viewer import show_live
@@ -105,7 +95,6 @@ def run(
     result, folder = run_profile(profile, console=console, **options)
     if as_json:
         click.echo(to_json(result.metrics), nl=False)
-    write_findings(junit, result.name, judge_result(result.profile, result.metrics))
     if then_view:
         view_folder(folder, web=False, console=console)
     return end_flight(result, strict=strict)

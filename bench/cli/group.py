@@ -6,7 +6,7 @@ import functools
 import math
 import textwrap
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,6 @@ Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.evaluation.required_metrics import Finding
     from bench.run_result import RunResult
 
 _LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
@@ -253,23 +252,6 @@ junit_option = click.option(
     metavar="FILE",
     help="write what is required as a JUnit file, which CI services show",
 )
-
-
-def write_findings(path: Path | None, name: str, findings: Sequence[Finding]) -> None:
-    """Write whether requirements are met, if a file is given.
-
-    Raises
-    ------
-    click.UsageError
-        If nothing is required.
-    """
-    if path is None:
-        return
-    if not findings:
-        raise click.UsageError("--junit: the file has no [[requirement]]: bench guide profiles")
-    from bench.baselines.junit import write_requirements
-
-    write_requirements(path, name, findings)
 
 
 def end_run(metrics: Mapping[str, Mapping[str, Any]], *, strict: bool = False) -> int:

@@ -14,6 +14,7 @@ from rich.progress import Progress as Bar
 from rich.text import Text
 
 from bench import store
+from bench.baselines.junit import check_required, write_requirements
 from bench.campaigns import plan, running
 from bench.campaigns.card import Card, describe_suite, make_card, read_card, verify_card, write_suite
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
@@ -50,15 +51,17 @@ def run_campaign(
     force: bool,
     resume: bool,
     report: bool,
+    junit: Path | None,
     **options: Any,
 ) -> Campaign:
-    """Run a campaign, write its report, print and return it.
+    """Run a campaign, write its report and what is required to ``junit``, print and return it.
 
     The options are those of `bench.campaigns.plan.plan_runs`.
     If ``out`` is None the folder is ``campaigns/<profile>-<seed>``.
     """
     find_own_estimators()
     planned = plan.plan_runs(profile, **options)
+    check_required(junit, any(cell.profile.document.get("requirement") for cell in planned.cells))
     folder = out or CAMPAIGNS / f"{planned.name}-{planned.cells[0].profile.seed}"
     with _show_progress(planned.name) as progress:
         result = running.run_campaign(
@@ -72,6 +75,8 @@ def run_campaign(
         )
     if report:
         write_report(folder)
+    if junit is not None and not result.interrupted:
+        write_requirements(junit, Path(profile).stem, result.requirements)
     print_campaign(console, result)
     if (folder / running.PRINTED).is_file():
         console.print(f"What filters printed is in {folder / running.PRINTED}.", soft_wrap=True)
@@ -193,6 +198,7 @@ def run_card(
     console: Console,
     out: Path | None,
     html: Path | None,
+    junit: Path | None,
     force: bool,
     runs: Path | None,
     resume: bool,
@@ -210,24 +216,28 @@ def run_card(
         store.check_file(out, force=force)
     if html is not None:
         page.check_page(html, force=force)
+    check_required(junit, options["requirements"])
     with _show_progress(f"card of {estimator}") as progress:
         try:
             card = make_card(estimator, runs=kept, resume=resume, progress=progress, **options)
         except KeyboardInterrupt:
             console.print(f"{kept} has the finished runs; the same command with --resume continues.")
             raise
+    if out is not None:
+        store.write_json(out, card.model_dump())
+    if html is not None:
+        card_page.write_card(html, card)
+    if junit is not None:
+        write_requirements(junit, card.estimator, card.findings)
     head = f"{card.estimator}, beside {card.against}: {describe_suite(card)}"
     print_findings(console, [head, card.summary, *card.sentences])
     failures = [
         f"lost: {one.flight}, draw {one.draw}: {one.reason[:200]}; {one.command}" for one in card.lost
     ]
     _print_failures(console, failures, "draws are lost; --json and -o name them.")
-    if out is not None:
-        store.write_json(out, card.model_dump())
-        console.print(f"Wrote {out}.")
-    if html is not None:
-        card_page.write_card(html, card)
-        console.print(f"Wrote {html}.")
+    for path in (out, html):
+        if path is not None:
+            console.print(f"Wrote {path}.")
     return card
 
 

@@ -90,11 +90,11 @@ def check(
         verdicts = checking.check(
             list_sources(profiles, console), progress=progress, jobs=jobs or count_processors(), **options
         )
+    if junit is not None:
+        write_junit(junit, verdicts, strict=strict)
     print_verdicts(console, verdicts)
     for line in annotate(verdicts, Path(options["directory"]), os.environ, strict=strict):
         console.file.write(f"{line}\n")  # as it is: no wrapping, no style
-    if junit is not None:
-        write_junit(junit, verdicts, strict=strict)
     return verdicts
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,11 +40,16 @@ def compare(
     """
     if out is not None:
         store.check_folder(out, force=force)
+    begun = time.perf_counter()
     compared = compare_results(folders)
+    notes: list[str] = []
+    if out is not None:
+        _write_overlay(folders, compared, out, force=force, say=notes.append)
     for one in compared:
         _print_compared(console, one, whole)
+    print_findings(console, notes)
     if out is not None:
-        _write_overlay(folders, compared, out, force=force, console=console)
+        print_end(console, out, begun)
     return compared
 
 
@@ -77,10 +82,14 @@ def _print_compared(console: Console, one: Compared, whole: bool) -> None:
 
 
 def _write_overlay(
-    folders: Sequence[Path], compared: Sequence[Compared], out: Path, *, force: bool, console: Console
+    folders: Sequence[Path],
+    compared: Sequence[Compared],
+    out: Path,
+    *,
+    force: bool,
+    say: Callable[[str], object],
 ) -> None:
     """Write a results folder with the estimators of all; of campaigns, a folder with the report alone."""
-    begun = time.perf_counter()
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
         names = [str(folder) for folder in folders]
@@ -95,10 +104,9 @@ def _write_overlay(
     elif of_campaigns == {False}:
         result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})
-        save(result, out, force=force, say=console.print)
+        save(result, out, force=force, say=say)
     else:
         raise ConfigError(f"{out}: a campaign and a single run are not drawn over each other; leave -o out")
-    print_end(console, out, begun)
 
 
 def _describe_comparison(one: Compared) -> dict[str, Any]:

@@ -10,6 +10,8 @@ from rich.segment import Segment
 
 from bench.wording import replace_control
 
+_WIDTH = 80  # of a screen that does not say how wide it is
+
 
 class PlainConsole(Console):
     """A console for texts of other people: without markup, and without control and bidirectional characters.
@@ -20,6 +22,8 @@ class PlainConsole(Console):
 
     def __init__(self, *, stderr: bool = False, **options: Any) -> None:
         super().__init__(stderr=stderr, markup=False, emoji=False, highlight=False, **options)
+        if self.width < 1:  # by COLUMNS=0, which says that nobody knows
+            self.width = _WIDTH
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Yield the pieces of text of a renderable, cleaned; styles and cursor movements are rich's own."""

@@ -60,22 +60,25 @@ def solve_fixes(
     summary = FindingTable("fixes", title, {"figure": list(figures), "value": list(figures.values())})
     tables = [*_tabulate_satellites(solved), summary]
     _, verdict = solved.judge()
-    print_findings(console, [*solved.notes, *([verdict] if verdict else [])], tables, MOST_ROWS)
-    if recording is not None:
-        from bench.recording import fixes_recording
+    sentences = [*solved.notes, *([verdict] if verdict else [])]
+    try:
+        if recording is not None:
+            from bench.recording import fixes_recording
 
-        fixes_recording.find_shown(solved)  # refused before anything is written
-    if out is not None:
-        solved.write_csv(out, datum)
-        console.print(f"fixes in {datum}: {out}")
-    if report is not None:
-        from bench import durable
+            fixes_recording.find_shown(solved)  # refused before anything is written
+        if out is not None:
+            solved.write_csv(out, datum)
+            sentences.append(f"fixes in {datum}: {out}")
+        if report is not None:
+            from bench import durable
 
-        durable.write(report, fixes_page.make_page(solved))
-        console.print(f"Report: {report}", soft_wrap=True)
-    if recording is not None:
-        fixes_recording.write_fixes(recording, solved)
-        console.print(f"Recording: {recording}; look at it with: bench view {recording}", soft_wrap=True)
+            durable.write(report, fixes_page.make_page(solved))
+            sentences.append(f"Report: {report}")
+        if recording is not None:
+            fixes_recording.write_fixes(recording, solved)
+            sentences.append(f"Recording: {recording}; look at it with: bench view {recording}")
+    finally:
+        print_findings(console, sentences, tables, MOST_ROWS)
     return figures | {"no_fix": solved.count_lost(), "verdict": verdict}
 
 

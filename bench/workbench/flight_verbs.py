@@ -12,8 +12,10 @@ from typing import Any
 from rich.console import Console
 
 from bench import config, store
+from bench.baselines.junit import check_required, write_requirements
 from bench.config.served import load_served
 from bench.data import ShowFlight
+from bench.evaluation.required_metrics import judge_result
 from bench.run_result import RunResult
 from bench.stages import FLYING, Stage, Watcher
 from bench.wording import one_line
@@ -36,6 +38,7 @@ def run(
     bound: bool = False,
     causes: bool | None = None,
     table: bool = False,
+    junit: Path | None = None,
     live: Callable[[str], contextlib.AbstractContextManager[ShowFlight | None]] | None = None,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
@@ -43,11 +46,12 @@ def run(
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.config.load_profile`. ``table`` prints every main metric, too. ``live`` gives what shows the
-    flight of a profile while it flies.
+    `bench.config.load_profile`. ``table`` prints every main metric, too. ``junit`` is a file for what is
+    required. ``live`` gives what shows the flight of a profile while it flies.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
+    check_required(junit, profile.document.get("requirement"))
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     store.check_folder(folder, force=force)
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
@@ -56,7 +60,11 @@ def run(
     begun = time.perf_counter()
     with contextlib.nullcontext() if live is None else live(profile.name) as show, show_stages() as watch:
         result = pipeline.run(profile, draw, bound=bound, causes=causes, progress=watch, show=show)
-    _finish(console, result, folder, begun, table=table, recording=recording, report=report, force=force)
+    with write_first(console, result, folder, recording=recording, report=report, force=force):
+        if junit is not None:
+            write_requirements(junit, result.name, judge_result(result.profile, result.metrics))
+        print_result(console, result, table=table)
+    print_end(console, folder, begun, table=table)
     return result, folder
 
 
@@ -86,28 +94,37 @@ def serve(
 
     begun = time.perf_counter()
     served = serve_flight(profile, draw, say=console.print, **session)
-    console.print(f"Flew {served.flown:g} s with the client.")
-    if served.latest > 0:
-        console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
-    if served.ended:
-        console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
-    options = {"recording": recording, "report": report, "force": force}
-    _finish(console, served.result, folder, begun, table=False, **options)
+    with write_first(console, served.result, folder, recording=recording, report=report, force=force):
+        console.print(f"Flew {served.flown:g} s with the client.")
+        if served.latest > 0:
+            console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
+        if served.ended:
+            console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
+        print_result(console, served.result, table=False)
+    print_end(console, folder, begun, table=False)
     return served.result, served.ended
 
 
-def _finish(
-    console: Console, result: RunResult, folder: Path, begun: float, *, table: bool, **options: Any
-) -> None:
-    """Print a result, write it, and print where it is."""
+@contextlib.contextmanager
+def write_first(console: Console, result: RunResult, folder: Path, **options: Any) -> Iterator[None]:
+    """Write a result before what is printed about it, which is printed even where it cannot be written.
+
+    ``options`` are those of `bench.save`.
+    """
     from bench.saving import save
 
-    print_result(console, result, table=table)
+    notes: list[str] = []
     store.leave_out_pandas()
-    with show_stages() as watch:
-        watch(Stage("writing"))
-        save(result, folder, **options)
-    print_end(console, folder, begun, table=table)
+    try:
+        with show_stages() as watch:
+            watch(Stage("writing"))
+            save(result, folder, say=notes.append, **options)
+    except Exception:
+        yield
+        raise
+    yield
+    for note in notes:
+        console.print(note, soft_wrap=True)
 
 
 def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:

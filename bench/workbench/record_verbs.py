@@ -17,12 +17,17 @@ from bench.evaluation.outages import DRIFT_MEANING, tabulate_drifts
 from bench.findings import FindingTable
 from bench.notebook import ShownFigure
 from bench.run_result import RunResult
-from bench.saving import save
 from bench.sensor_specs import TriadSpec
-from bench.stages import Stage
 from bench.wording import one_line
 from bench.workbench import result_table
-from bench.workbench.flight_verbs import RUNS, find_own_estimators, print_end, print_result, show_stages
+from bench.workbench.flight_verbs import (
+    RUNS,
+    find_own_estimators,
+    print_end,
+    print_result,
+    show_stages,
+    write_first,
+)
 from bench.workbench.new_log import new_log
 from bench.workbench.printing import print_findings
 
@@ -62,10 +67,8 @@ def navigate_log(
         console.print(f"  {note}")
     with show_stages() as watch:
         result = log_pipeline.navigate_log(log, outages=outages, places=places, progress=watch)
-    print_log(console, result, table=table, cuts=outages is None)
-    with show_stages() as watch:
-        watch(Stage("writing"))
-        save(result, folder, recording=recording, report=report, force=force, say=console.print)
+    with write_first(console, result, folder, recording=recording, report=report, force=force):
+        print_log(console, result, table=table, cuts=outages is None)
     print_end(console, folder, begun, table=table)
     return {"metrics": result.metrics, **result.more}
 

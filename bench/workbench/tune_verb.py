@@ -26,8 +26,9 @@ def run_tuning(source: str, *, console: Console, out: Path, force: bool, **optio
             status.update(Text(f"set {number}, cost {cost:.4g}; at most {most} until it converges"))
 
         tuning = tune(source, progress=show, **options)
+    paths = tuning.write(out)
     print_findings(console, tuning.sentences)
-    for path in tuning.write(out):
+    for path in paths:
         kind = path.name.removesuffix("-tuned.toml")
         console.print(f"Wrote {path}: --set sensors.assumed.{kind}={path}", soft_wrap=True)
     return tuning
