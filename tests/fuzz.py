@@ -49,6 +49,7 @@ from bench.exchange.trajectory import read_trajectory
 from bench.flight_specs import TableSpec
 from bench.places import PACKAGE
 from bench.store import parquet
+from tests import fuzz_answers
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats
 from tests.fuzz_folders import FOLDERS, Made
@@ -386,6 +387,11 @@ def _make_folder(folder: Path, make: Callable[[Path], Made]) -> Case:
     return Case(files, read, text=False, edit=edit)
 
 
+def _make_answers(folder: Path) -> Case:
+    files, read, look = fuzz_answers.make_answers(folder)
+    return Case(files, read, text=False, quick=look, edit=fuzz_answers.edit)
+
+
 def _text_of_results(case: Case, path: Path) -> bool:
     return case.text or path.suffix in (".json", ".jsonl", ".yaml")
 
@@ -411,6 +417,7 @@ FORMATS: dict[str, Callable[[Path], Case]] = {
     "datasheet": _make_datasheets,
     "aircraft": _make_aircraft,
     "results": _make_results,
+    "answer": _make_answers,
     **{name: lambda f, form=form: _make_file(f, form) for name, form in READERS.items()},
     **{name: lambda f, make=make: _make_folder(f, make) for name, make in FOLDERS.items()},
 }  # fmt: skip

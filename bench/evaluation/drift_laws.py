@@ -158,6 +158,19 @@ def _headings(case: Case, first: int, last: int) -> FloatArray | None:
     return heading if np.isfinite(heading).all() else None
 
 
+def outage_drift(case: Case) -> dict[str, float]:
+    """Horizontal error at the last instant of each outage [m]."""
+    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in find_outage_rows(case).items()}
+
+
+def outage_growth(case: Case) -> dict[str, float]:
+    """Growth of the horizontal error over each outage: length of (last minus first error) [m]."""
+    return {
+        key: float(np.hypot(*(case.pos_n[last, :2] - case.pos_n[first, :2])))
+        for key, (first, last) in find_outage_rows(case).items()
+    }
+
+
 def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float | None]:
     """Growth in each outage that the datasheets give [m]: root mean square, and the 95 % radius.
 

@@ -279,7 +279,8 @@ def check_convergence(
             bad &= ~unclaimed
         if bad.any():
             k = int(np.argmax(bad))
-            text = f"{what} is {size[k]:.0f} {unit} at {_describe_epochs(solution, bad)}, more than "
+            shown = f"{size[k]:.0f}" if size[k] < 1e9 else f"{size[k]:.3g}"
+            text = f"{what} is {shown} {unit} at {_describe_epochs(solution, bad)}, more than "
             if np.isnan(sigma[k]):
                 return False, f"{text}{limit:g} {unit}"
             return False, f"{text}{DIVERGED_SIGMAS:g} sigma of {sigma[k]:.1f} {unit}"

@@ -17,7 +17,7 @@ from bench import disk_arrays
 from bench.arrays import BoolArray, FloatArray
 from bench.data import ErrorSeries, NavSolution, OffPath, SensorData, SensorTruth, Trajectory
 from bench.evaluation import claims, detection, drift_laws, path_errors, total_system
-from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case, find_outage_rows
+from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case
 from bench.evaluation.coverage import Coverage, carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import (
     BLOCKS,
@@ -34,6 +34,7 @@ from bench.evaluation.poses import Poses, lengths
 from bench.sensor_specs import AssumedSpecs, Fault
 from bench.specs import EvaluationWindow
 from bench.units import SAME_INSTANT, unit_of
+from bench.wording import one_line
 
 Value = float | None
 Values = Mapping[str, Value]
@@ -140,20 +141,7 @@ def pos_95_v(case: Case) -> float:
     return _order_statistic(np.where(case.silent, np.inf, np.abs(case.pos_n[:, 2])), 0.95)
 
 
-# --- outages and convergence --------------------------------------------------------------------------
-
-
-def outage_drift_h(case: Case) -> Values:
-    """Horizontal error at the last instant of each outage [m]."""
-    return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in find_outage_rows(case).items()}
-
-
-def outage_growth_h(case: Case) -> Values:
-    """Growth of the horizontal error over each outage: length of (last minus first error) [m]."""
-    return {
-        key: float(np.hypot(*(case.pos_n[last, :2] - case.pos_n[first, :2])))
-        for key, (first, last) in find_outage_rows(case).items()
-    }
+# --- convergence --------------------------------------------------------------------------
 
 
 def heading_convergence(case: Case) -> Value:
@@ -214,8 +202,8 @@ METRICS: tuple[Metric, ...] = (
     Metric("heading_max_deg", heading_max, "phi", "not judged"),
     Metric("heading_convergence_s", heading_convergence, "phi", "lower"),
     Metric("heading_right_s", heading_right, "phi", "not judged"),
-    Metric("outage_{}_drift_h_m", outage_drift_h, "pos", "lower"),
-    Metric("outage_{}_growth_h_m", outage_growth_h, "pos", "lower"),
+    Metric("outage_{}_drift_h_m", drift_laws.outage_drift, "pos", "lower"),
+    Metric("outage_{}_growth_h_m", drift_laws.outage_growth, "pos", "lower"),
     Metric("fault_{}_detected", detection.fault_detected, "", "matched"),
     Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
     Metric("fault_{}_alarm_share", detection.fault_alarm_share, "", "not judged"),
@@ -265,6 +253,7 @@ METRICS: tuple[Metric, ...] = (
 )
 
 
+_LONGEST = 200  # characters of an error in a message
 _OF_ANSWERS = ("output_coverage", "answered_{}", "first_answer_s")
 """Metrics that need no epoch with an answer."""
 
@@ -313,7 +302,7 @@ def judge(
         ``converged`` (bool), ``reason`` (text, or None when converged), ``failed`` (True, only where
         there is no solution), ``traceback`` (text, only where the estimator raised), then a float or None
         by metric name. A metric of a block that is not estimated is absent; one that is not finite, or has
-        no value after the alignment window, is None.
+        no value after the alignment window, is None; ``no_value`` says of each that raised why.
 
     Raises
     ------
@@ -394,9 +383,10 @@ def judge_epochs(
             every = build_case(
                 off, moved, outages, faults, assumed=assumed, poses=poses, silent=carried.silent, path=path
             )
-        whole = _compute_metrics(run, every, solution, metrics)
+        problems: dict[str, str] = {}
+        whole = _compute_metrics(run, every, solution, metrics, problems)
         window = _compute_metrics(
-            cut_case(run, evaluation, missing), cut_case(every, evaluation), solution, metrics
+            cut_case(run, evaluation, missing), cut_case(every, evaluation), solution, metrics, problems
         )
     lost = detection.find_lost_aiding(run)
     if sound and lost is not None:
@@ -404,15 +394,16 @@ def judge_epochs(
     values: dict[str, Any] = {"converged": sound, "reason": reason, **describe_failure(solution)}
     values.update({name: window.get(name) for name in whole})
     values.update({f"{name}_all": value for name, value in whole.items()})
-    return values
+    return {**values, "no_value": problems} if problems else values
 
 
 def _compute_metrics(
-    case: Case, every: Case, solution: NavSolution, metrics: Sequence[Metric]
+    case: Case, every: Case, solution: NavSolution, metrics: Sequence[Metric], problems: dict[str, str]
 ) -> dict[str, Value]:
     """Compute the metrics of the estimated blocks; a value that is not finite becomes None.
 
-    Those of accuracy are of ``every`` epoch, the others of those of ``case``.
+    Those of accuracy are of ``every`` epoch, the others of those of ``case``. One that raises has no value;
+    ``problems`` says why.
     """
     if not len(every.t):
         return {}
@@ -421,7 +412,11 @@ def _compute_metrics(
     values: dict[str, Value] = {}
     for metric in metrics:
         if metric.block in blocks and (len(case.t) or metric.block in BLOCKS or metric.name in _OF_ANSWERS):
-            result = metric.function(every if metric.block in BLOCKS else case)
+            try:
+                result = metric.function(every if metric.block in BLOCKS else case)
+            except Exception as error:  # the others have theirs
+                problems[metric.name] = one_line(f"{type(error).__name__}: {error}")[:_LONGEST]
+                continue
             named = result if isinstance(result, Mapping) else {"": result}
             values.update({metric.name.format(key): value for key, value in named.items()})
             if len(case.t) > disk_arrays.LONG * disk_arrays.ROWS:

@@ -6,7 +6,7 @@ import inspect
 import pickle
 import traceback
 from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any, Protocol
@@ -16,6 +16,7 @@ import numpy as np
 from bench.data import InitialState, NavSolution, SensorData
 from bench.errors import EstimatorError, EstimatorFailedError
 from bench.instruments import INSTRUMENTS
+from bench.navigation.answer_check import check_solution
 from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line, suggest
 
@@ -128,8 +129,10 @@ def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, 
     solutions are the same.
     """
     first: dict[Hashable, str] = {}
-    told = {label: one.identity(sensors) for label, one in built.items() if hasattr(one, "identity")}
-    same = {label: first.setdefault(identity, label) for label, identity in told.items()}
+    same = {}
+    for label, one in built.items():
+        with suppress(Exception):  # a class of others that cannot tell is the same as none
+            same[label] = first.setdefault(one.identity(sensors), label)  # type: ignore[attr-defined]
     return {label: found for label, found in same.items() if found != label}
 
 
@@ -151,9 +154,7 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
         raise
     except BaseException as error:  # sys.exit() of an estimator does not end bench
         raise make_failure(name, "run()", error) from error
-    if not isinstance(solution, NavSolution):
-        found = type(solution).__name__
-        raise EstimatorFailedError(f"estimator {name!r}: run() must return a NavSolution; got {found}")
+    solution = accept(name, solution)
     if not np.array_equal(solution.t, sensors.output_t):
         raise EstimatorFailedError(
             f"estimator {name!r}: its t must be sensors.output_t, {len(sensors.output_t)} instants; "
@@ -161,6 +162,20 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
             + (", others" if len(solution.t) == len(sensors.output_t) else "")
         )
     return solution
+
+
+def accept(name: str, found: object) -> NavSolution:
+    """Return an answer of an estimator, as `answer_check.check_solution` does.
+
+    Raises
+    ------
+    EstimatorFailedError
+        If it is no solution.
+    """
+    try:
+        return check_solution(found)
+    except ValueError as error:
+        raise EstimatorFailedError(f"estimator {name!r}: {error}") from None
 
 
 def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
@@ -175,7 +190,7 @@ def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> lis
     if list_errors is None:
         return None
     try:
-        return list(list_errors(specs))
+        return [one_line(str(error)) for error in list_errors(specs)]
     except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
     except BaseException as error:
@@ -262,6 +277,11 @@ def _hardships(sensors: SensorData) -> dict[str, SensorData]:
 
 def _sound(first: NavSolution, sensors: SensorData, initial: InitialState) -> None:
     """Raise AssertionError if values or covariance of a solution are not sound."""
+    try:
+        same = np.array_equal(check_solution(first).cov, first.cov, equal_nan=True)
+    except ValueError as error:
+        raise AssertionError(f"{error}") from None
+    assert same, "covariance is not symmetric"
     np.testing.assert_array_equal(first.t, sensors.output_t, err_msg="t is not sensors.output_t")
     begun = 0
     if initial.alignment != "given":  # NaN until the alignment is done
@@ -278,9 +298,6 @@ def _sound(first: NavSolution, sensors: SensorData, initial: InitialState) -> No
     assert (variance[:, given] > 0).all(), "a variance is not positive"
     scale = np.sqrt(variance[:, given])
     correlation = cov / scale[:, :, None] / scale[:, None, :]
-    assert np.abs(correlation - np.swapaxes(correlation, 1, 2)).max(initial=0.0) < 1e-9, (
-        "covariance is not symmetric"
-    )
     try:
         np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:

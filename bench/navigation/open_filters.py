@@ -27,6 +27,7 @@ from bench.navigation.engine.record_cuts import (
     without_orbits,
 )
 from bench.navigation.engine.session import Kept, Replaced, SessionState, rebuild
+from bench.navigation.estimator import accept
 from bench.navigation.start import alignment
 from bench.sensor_specs import AssumedSpecs
 from bench.wording import one_line
@@ -140,7 +141,7 @@ class PieceFilter(SessionState):
             return nothing_known(np.array([self.t]))
         assert self.head is not None
         with self._doubt_the_file():
-            return self.passage.copy().answer(self.head)
+            return self._accept(self.passage.copy().answer(self.head))
 
     def finish(self) -> NavSolution:
         """Return the answers that are left; nothing comes any more.
@@ -242,7 +243,11 @@ class PieceFilter(SessionState):
             if begun is None:
                 return nothing_known(np.empty(0))
             self.passage, piece, self.waiting = begun, self.waiting, None
-        return self.passage.feed(piece, self.look_back, last=last)
+        return self._accept(self.passage.feed(piece, self.look_back, last=last))
+
+    def _accept(self, found: NavSolution) -> NavSolution:
+        """Return an answer; that of a class of others is checked."""
+        return accept(self.use, found) if ":" in self.use else found
 
     def _begin(self, record: SensorData, last: bool) -> InPieces | None:
         """Return the filter at its start, None while the record may still change that."""

@@ -66,6 +66,7 @@ _KINDS = {
     "unmodelled": list,
     "same_as": str,
     "program": dict,
+    "no_value": dict,
     "causes": list,
     "looks_like": list,
     "why_text": str,

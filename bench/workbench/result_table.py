@@ -124,6 +124,8 @@ def _print_remarks(console: Console, measured: Measured, solutions: Mapping[str,
             console.print(f"{label}: {values['program']['program']}{last}", soft_wrap=True)
         if runs := values.get("causes_runs"):
             remarks.setdefault(f"ran {runs} times more to find out why", []).append(label)
+        for name, why in (values.get("no_value") or {}).items():
+            remarks.setdefault(f"{name} has no value: {why}", []).append(label)
         if values.get("same_as"):
             remarks.setdefault(f"the same as {values['same_as']} with these sensors", []).append(label)
         if values.get("unmodelled"):

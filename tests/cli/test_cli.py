@@ -484,6 +484,10 @@ class Short:
         short = replace(sensors, output_t=sensors.output_t[:-3])
         return Loose().run(short, initial)
 
+class Eventless(Loose):
+    def run(self, sensors, initial):
+        return replace(super().run(sensors, initial), events=[])
+
 class Leaves(Loose):
     def run(self, sensors, initial):
         raise SystemExit(0)
@@ -500,7 +504,7 @@ class Confused(Loose):
 
 def test_a_failed_estimator_is_a_result_beside_the_others(here, capsys):
     (here / "lab.py").write_text(MY_LAB)
-    names = ("Raises", "Nothing", "Short", "Leaves", "Confused")
+    names = ("Raises", "Nothing", "Short", "Eventless", "Leaves", "Confused")
     uses = [option for name in names for option in ("-e", f"lab:{name}")]
     got, out, err = say(capsys, "run", "short.toml", *uses, "-e", "loose-15", "--no-rrd")
     assert got == 70
@@ -509,6 +513,7 @@ def test_a_failed_estimator_is_a_result_beside_the_others(here, capsys):
         "Raises: failed; run() raised PermissionError: [Errno 13] no right to it: 'model.bin' ",
         "Nothing: failed; run() must return a NavSolution; got NoneType ",
         "Short: failed; its t must be sensors.output_t, 301 instants; got 298 instants ",
+        "Eventless: failed; events must be Events; got list ",
         "Leaves: failed; run() raised SystemExit: 0 ",
         "Confused: failed; unmodelled() raised lab.Rude: <exception str() failed> ",
     ):

@@ -439,3 +439,18 @@ def test_an_empty_solution_is_an_error(truth):
 def test_a_refusal_lasts_from_its_first_to_its_last_instant(monkeypatch):
     monkeypatch.setattr(metrics.detection, "find_refusals", lambda case: {"baro": (30.0, 42.5)})
     assert metrics.refused(None) == {"baro": 12.5}
+
+
+def test_a_metric_that_raises_has_no_value_and_says_why(truth, monkeypatch):
+    def fail(case):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    solution = wrong_solution(truth)
+    sound = metrics_of(truth, solution)
+    rows = [row._replace(function=fail) if row.name == "ape_aligned_rmse_m" else row for row in METRICS]
+    monkeypatch.setattr(
+        metrics.judge_epochs, "__kwdefaults__", {**metrics.judge_epochs.__kwdefaults__, "metrics": rows}
+    )
+    found = metrics_of(truth, solution)
+    assert found.pop("no_value") == {"ape_aligned_rmse_m": "LinAlgError: SVD did not converge"}
+    assert found == {name: value for name, value in sound.items() if "ape_aligned" not in name}

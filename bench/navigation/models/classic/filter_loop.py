@@ -371,10 +371,11 @@ class FilterLoop(SteppedFilter):
         states[:3] += self.eps
         states[3:6] += self.da
         q_nb = rotation.from_matrix(NED_OF_ENU @ nav.B @ FRD_OF_FUR.T)
+        cov = J @ P[:9, :9] @ J.T
         return (
             np.concatenate([[nav.lat, nav.lon, nav.h], NED_OF_ENU @ nav.V, q_nb, to_ned @ states]),
             np.diag(to_ned @ P[9:, 9:] @ to_ned.T),
-            J @ P[:9, :9] @ J.T,
+            np.tril(cov) + np.tril(cov, -1).T,  # in single precision P is not symmetric
         )
 
     def solution(
