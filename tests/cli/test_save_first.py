@@ -102,7 +102,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
             (campaign_verb, "make_card"),
             (requirements, "run"),
             (checking._Measured, "measure"),
-            (checking._Measured, "check_values"),
+            (checking._Measured, "find_unjudged"),
             (checking, "check"),
             (fixes_verb, "solve_rinex"),
         ):
