@@ -47,7 +47,7 @@ _AWAKE = 1e-3  # [s]
 _MOST_SAID = 200_000  # characters of a traceback
 _SMALL = 1 << 16  # body that goes with its text [byte]
 
-OFFERS = ("in_pieces", "unmodelled", "identity")
+OFFERS = ("in_pieces", "refuses", "unmodelled", "identity")
 """Methods of a filter that are optional."""
 
 
@@ -205,6 +205,11 @@ class _FilterServer:
         served: _Served = self._kept[number]
         found = estimator.list_unmodelled(served.one, served.label, pickle.loads(specs.tobytes()))
         return [str(name) for name in found or ()]
+
+    def refuses(self, number: int, specs: NDArray[np.uint8]) -> str:
+        """Return why a filter cannot be honest with the sensors of datasheets, in words."""
+        served: _Served = self._kept[number]
+        return estimator.ask_refusal(served.one, served.label, pickle.loads(specs.tobytes()))
 
     def identity(self, number: int, sensors: SensorData) -> str:
         """Return what the solution of a filter follows from, in words."""

@@ -76,6 +76,7 @@ class OwnProcessEstimator:
         self.needs, self.finds_start = tuple(built["needs"]), built["finds_start"]
         offered: dict[str, Any] = {
             "in_pieces": self._begin,
+            "refuses": self._refuse,
             "unmodelled": self._list_unmodelled,
             "identity": self._identify,
         }
@@ -100,6 +101,11 @@ class OwnProcessEstimator:
         finally:
             self.cpu_s = process.cpu_s - begun
         return replace(found)  # checked once more, here
+
+    def _refuse(self, specs: AssumedSpecs) -> str:
+        self._ready()
+        found: str = self._ask("refuses", self._limit, specs=pack_specs(specs))
+        return found
 
     def _list_unmodelled(self, specs: AssumedSpecs) -> list[str]:
         found: list[str] = self._ask("unmodelled", self._limit, specs=pack_specs(specs))

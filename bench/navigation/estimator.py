@@ -112,14 +112,35 @@ def check_needs(
     ------
     EstimatorError
         If one of its ``needs`` is missing or is not the name of a record, or if it refuses ``specs``.
+    EstimatorFailedError
+        If its ``refuses`` raises.
     """
-    if specs is not None and (said := getattr(estimator, "refuses", lambda _: "")(specs)):
+    if specs is not None and (said := ask_refusal(estimator, name, specs)):
         raise EstimatorError(f"estimator {name!r}: {said}")
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
             raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
         if need not in records:
             raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
+
+
+def ask_refusal(estimator: Estimator, name: str, specs: AssumedSpecs) -> str:
+    """Return why an estimator refuses sensors with such datasheets, in words; "" if it takes them.
+
+    Raises
+    ------
+    EstimatorFailedError
+        If its ``refuses`` raises.
+    """
+    refuse = getattr(estimator, "refuses", None)
+    if refuse is None:
+        return ""
+    try:
+        return one_line(str(refuse(specs) or ""))
+    except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
+        raise
+    except BaseException as error:
+        raise make_failure(name, "refuses()", error) from error
 
 
 def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, str]:

@@ -226,3 +226,15 @@ class _Walk:
     def restore(self, state):
         assert state["nested"] == [{"words": "as they are"}]
         self.count, self.end = np.array(state["count"]), state["end"]
+
+
+class RefusesMems(Stays):
+    """Says before the flight which sensors it cannot be honest with."""
+
+    def __init__(self, *, least: float = 1.0):
+        self.least = least
+
+    def refuses(self, specs):
+        if self.least < 0.0:
+            raise ArithmeticError("no root")
+        return f"no {specs.imu.name} for me" if specs.imu.gyro.random_walk < self.least else ""

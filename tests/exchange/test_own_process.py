@@ -100,6 +100,30 @@ def test_who_waits_stays_awake_for_a_millisecond(monkeypatch, answers, asked):
     assert len(seen) == asked
 
 
+@pytest.mark.parametrize("in_process", [False, True])
+def test_sensors_are_refused_before_the_flight(place, monkeypatch, in_process):
+    """By a class in its own process or here; what is documented as optional is asked for in both."""
+    monkeypatch.setattr(pipeline, "fly", None)  # it fails before anything flies
+    guard = Guard(in_process=in_process)
+    for least, error, why in (
+        (1.0, EstimatorError, r"^estimator 'RefusesMems': no matched-mems for me$"),
+        (
+            -1.0,
+            EstimatorFailedError,
+            r"^estimator 'RefusesMems': refuses\(\) raised ArithmeticError: no root$",
+        ),
+    ):
+        profile = load_profile("short.toml", estimators=["attacks:RefusesMems"], guard=guard)
+        choice = replace(profile.estimators[0], options={"least": least})
+        with pytest.raises(error, match=why):
+            pipeline.run(replace(profile, estimators=(choice,)))
+
+
+def test_every_optional_method_of_the_guide_is_offered():
+    text = (Path(bench.__file__).parent / "guide" / "own-filter.md").read_text()
+    assert set(re.findall(r"^\| `(\w+)\([^`]*\)`, optional", text, re.MULTILINE)) == set(filter_server.OFFERS)
+
+
 # --- what filters do to a run -------------------------------------------------------------------------
 
 
