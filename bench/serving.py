@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from bench import closed_loop, pipeline
 from bench.config.served import load_served
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorStoppedError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
@@ -85,6 +85,8 @@ def serve(
         If an estimator of the profile cannot be built.
     bench.errors.FlightError
         If the aircraft cannot be loaded or trimmed.
+    bench.errors.EstimatorStoppedError
+        If the flight ended before it can be judged.
     OSError
         If the address cannot be used.
     """
@@ -130,9 +132,14 @@ def serve(
         session.close(flown.ended or "the flight is over", good=not flown.ended)
         if not steers and not session.estimates:
             say("the client gave no estimate: guidance read the truth")
-    result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
+    seconds = float(flown.truth.t[-1])
+    try:
+        result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
+    except ConfigError as error:  # the flight is too short
+        ended = flown.ended or "the flight is over"
+        raise EstimatorStoppedError(f"{ended} after {seconds:g} s, nothing can be judged: {error}") from None
     spoken = VERSION if mavlink is None else "MAVLink"
     gives, turn = "commands" if steers else gives, profile.guidance.period
     told = {"gives": gives, "messages": spoken, "turn_s": turn, "ended": flown.ended}
     result = replace(result, provenance={**result.provenance, "served": told})
-    return ServedRun(result, float(flown.truth.t[-1]), flown.ended, session.latest)
+    return ServedRun(result, seconds, flown.ended, session.latest)

@@ -21,6 +21,7 @@ from bench.flight.steering import Commands
 
 _BLOCK = 1 << 16
 _PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
+_ALONE = 2.0  # that a client has to begin in while another one waits [s]
 
 
 class ClientSession(ABC):
@@ -43,6 +44,7 @@ class ClientSession(ABC):
         self.rate = rate if 0 < rate < math.inf else 0.0
         self._line: socket.socket | None = None
         self._come = list[Any]()
+        self._begins_until: float | None = None  # no other one is looked at until then; None: it has begun
         self._begun = math.nan
         self.latest = 0.0
         """Largest delay behind the rate [s]."""
@@ -77,18 +79,23 @@ class ClientSession(ABC):
         """Whether a message has begun to come and not ended."""
 
     def wait(self, say: Callable[[str], object]) -> None:
-        """Wait for a client that begins as it should; others are told why not."""
+        """Wait for a client that begins as it should; others are told why not.
+
+        One that does not begin keeps the line until its patience is over, or another one comes.
+        """
         while True:
             self._line, address = self._server.accept()
             say(f"a client has come from {address[0]}")
             self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._come.clear()
+            self._begins_until = time.monotonic() + _ALONE
             try:
                 self.begin()
             except EstimatorStoppedError as error:
                 say(f"{error}; waiting for another")
                 self.ended = self.commands.ended = ""
             else:
+                self._begins_until = None
                 return
 
     def close(self, words: str, *, good: bool) -> None:
@@ -128,9 +135,14 @@ class ClientSession(ABC):
         """Return the next message, None if none is read by ``due``; meanwhile send away who else comes."""
         assert self._line is not None
         while not self._come:
-            if (left := due - time.monotonic()) <= 0:
+            now = time.monotonic()
+            if (left := due - now) <= 0:
                 return None
-            ready = select.select([self._line, self._server], [], [], left)[0]
+            alone = 0.0 if self._begins_until is None else self._begins_until - now
+            places = [self._line] if alone > 0 else [self._line, self._server]
+            ready = select.select(places, [], [], min(left, alone) if alone > 0 else left)[0]
+            if self._server in ready and self._begins_until is not None:
+                self.refuse(f"has not begun in {_ALONE:g} s, and another one waits")
             if self._server in ready:
                 self._send_away()
             if self._line in ready:

@@ -48,6 +48,9 @@ def check_solution(found: object) -> NavSolution:
     parts = {name: _rebuild(kind, name, getattr(found, name)) for name, kind in _PARTS.items()}
     solution = _rebuild(NavSolution, "", found, **parts)
     _check_codes(solution.innovations)
+    names = solution.extra_names
+    if twice := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise ValueError(f"extra_names has {twice[0]!r} twice; each names a column")
     beyond = np.abs(solution.lla[:, 0]) > _POLE
     beyond &= np.isfinite(solution.lla[:, 0])
     if beyond.any():

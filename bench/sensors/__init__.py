@@ -12,6 +12,7 @@ import numpy as np
 from bench import disk_arrays
 from bench.arrays import FloatArray
 from bench.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
+from bench.errors import ConfigError
 from bench.instruments import INSTRUMENTS
 from bench.sensor_specs import SensorsSpec
 from bench.sensors import faults, gnss, imu, initial, sky
@@ -41,10 +42,16 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     ValueError
         If a sensor is faster than the truth, a figure of the IMU is missing, there is no magnetic model for
         the date, or a sensor needs the air and the truth has no air data.
+    ConfigError
+        If the flight is too short for a row of each sensor, and a solution.
     """
-    for name, unit in {"gnss": spec.gnss, **{name: getattr(spec, name) for name in INSTRUMENTS}}.items():
-        if unit is not None:
-            check_duration(name, truth.t, unit.rate)
+    units = {"gnss": spec.gnss, **{name: getattr(spec, name) for name in INSTRUMENTS}}
+    rates = {name: unit.rate for name, unit in units.items() if unit is not None}
+    try:
+        for name, rate in {**rates, "output": spec.output_rate}.items():
+            check_duration(name, truth.t, rate)
+    except ValueError as error:
+        raise ConfigError(f"{error}; it needs a longer flight or a higher rate") from None
     measured = sense_piece(truth, spec, SensorDraws(seed, run))
     instants = select_output_times(truth.t, spec.output_rate, measured.outages)
     events = [(start, end, "gnss_outage", "GNSS outage", "gnss") for start, end in measured.outages]

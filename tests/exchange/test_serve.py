@@ -23,7 +23,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import bench
 from bench import closed_loop, config, rotation, serving
 from bench.cli import commands, main
-from bench.errors import ConfigError
+from bench.errors import ConfigError, EstimatorStoppedError
 from bench.exchange import flight_client
 from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_client import FlightClient
@@ -323,6 +323,40 @@ def test_a_second_client_is_told_that_another_flies(tmp_path):
             FlightClient(server.port)
         list(turns)
     assert first.end == "the flight is over"
+    assert server.join().ended == ""
+
+
+def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, capsys, monkeypatch):
+    """A flight too short for a fix has nothing to judge: no traceback, of a client as of a profile."""
+    monkeypatch.setattr("bench.exchange.client_session._PATIENCE", 0.1)
+    slow = {"sensors.gnss": "l1-code", "guidance.period_s": 0.25}
+    server = Server(path, slow, gives="commands")
+    with socket.create_connection(("127.0.0.1", server.port)) as line:
+        line.sendall(frame(16, 1.0))
+        line.recv(1 << 16)
+    with pytest.raises(EstimatorStoppedError) as caught:
+        server.join()
+    assert str(caught.value) == (
+        "the client has closed the connection after 0.3 s, nothing can be judged: "
+        "gnss: no epoch at 1 Hz within 0.3 s of truth; it needs a longer flight or a higher rate"
+    )
+    tiny = write_straight(tmp_path / "tiny.toml", 0.5)
+    tiny.write_text(tiny.read_text().replace('[guidance]\nnavigation = "loose-15"\n', ""))
+    given = ["--set", "sensors.gnss=l1-code", "--set", "evaluation.from_s=0.0", "-o", str(tmp_path / "out")]
+    assert main(["run", str(tiny), *given]) == 2
+    assert "gnss: no epoch at 1 Hz within 0.5 s" in capsys.readouterr().err
+
+
+def test_a_silent_client_shuts_nobody_out(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.exchange.client_session._ALONE", 0.2)
+    server = Server(write_straight(tmp_path / "straight.toml", 2.0), {"duration_s": 2.0}, patience=60.0)
+    with socket.create_connection(("127.0.0.1", server.port)) as silent:
+        silent.sendall(frame(16, 1.0)[:7])
+        begun = time.monotonic()
+        with FlightClient(server.port) as second:
+            list(second.turns())
+        assert time.monotonic() - begun < 30.0
+        assert b"has not begun in 0.2 s, and another one waits" in read_to_end(silent)
     assert server.join().ended == ""
 
 

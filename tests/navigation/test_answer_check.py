@@ -50,6 +50,9 @@ WRONG = {
     "innovations.code is 99; it is an index into the": lambda x: replace(
         x, innovations=replace(x.innovations, code=put(x.innovations.code, 0, 99))
     ),
+    "extra_names has 'a' twice": lambda x: replace(
+        x, extra_names=("a", "a"), extra=np.ones((len(x), 2)), extra_sd=np.ones((len(x), 2))
+    ),
     "run() must return a NavSolution; got dict": lambda x: {},
 }
 
