@@ -87,28 +87,39 @@ def fault_delay(case: Case) -> dict[str, float | None]:
 
 
 def fault_alarm_share(case: Case) -> dict[str, float | None]:
-    """Share of the updates by the sensor during the fault that were refused, or came while an event stood.
+    """Share of the time of the fault in which its sensor was refused or an event stood, by whole seconds.
 
-    Of fixes and ranges those of the position: who refuses only their velocities follows them. Absent of an
-    estimator that does not use the sensor.
+    Of a second in which some updates were used it is the share of the others. Of fixes and ranges those of
+    the position count: who refuses only their velocities follows them. Absent of an estimator that does not
+    use the sensor.
     """
     found: dict[str, float | None] = {}
     for key, fault in case.faults.items():
+        stop = min(fault.end, float(case.t[-1]))
+        seconds = np.arange(np.ceil(fault.start - SAME_INSTANT), np.floor(stop + SAME_INSTANT))
         own = [one for one in case.alarms if _concerns(fault, one)]
-        events = [one for one in own if one.end is not None]
         updates = [one for one in own if one.end is None]
         updates = [one for one in updates if one.name in POSITION_UPDATES] or updates
-        t = np.unique(np.concatenate([np.empty(0), *(one.asked for one in updates)]))
-        if events and not len(t):
-            t = np.arange(np.ceil(fault.start - SAME_INSTANT), case.t[-1])
-        t = t[_is_active(fault, t) & (t < case.t[-1])]
-        alarmed = np.isin(t, np.concatenate([np.empty(0), *(one.t for one in updates)]))
-        for one in events:
-            assert one.end is not None
-            alarmed |= (t >= one.t[0] - SAME_INSTANT) & (t <= one.end + SAME_INSTANT)
-        if len(t):
+        asked, refused = (
+            np.unique(np.concatenate([np.empty(0), *(getattr(one, which) for one in updates)]))
+            for which in ("asked", "t")
+        )
+        count, lost = (_count_in(seconds, t) for t in (asked, refused))
+        alarmed = lost / np.maximum(count, 1.0)
+        for one in own:
+            if one.end is not None:
+                alarmed[(seconds > one.t[0] - 1.0) & (seconds <= one.end + SAME_INSTANT)] = 1.0
+        if own and len(seconds):
             found[key] = float(alarmed.mean())
     return found
+
+
+def _count_in(seconds: FloatArray, t: FloatArray) -> FloatArray:
+    """Return how many instants (M,) are in each whole second (K,)."""
+    return (
+        np.diff([np.searchsorted(t, edge - SAME_INSTANT) for edge in (seconds, seconds + 1.0)], axis=0)[0]
+        * 1.0
+    )
 
 
 def fault_max_h(case: Case) -> dict[str, float | None]:
