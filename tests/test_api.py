@@ -63,7 +63,15 @@ def test_run_is_fly_sense_navigate_judge(profile):
     np.testing.assert_array_equal(result.errors["loose-15"].pos_n, errors.pos_n)
     judged = result.metrics["loose-15"]
     assert {name: judged[name] for name in metrics} == metrics
-    words = {"unmodelled", "verdict", "verdict_text", "coverage_text", "drift_text", "outside"}
+    words = {
+        "unmodelled",
+        "verdict",
+        "verdict_reason",
+        "verdict_text",
+        "coverage_text",
+        "drift_text",
+        "outside",
+    }
     assert judged.keys() - metrics.keys() == words
     assert result.seed == 3
     assert result.provenance["inputs"]["truth"]
