@@ -96,7 +96,8 @@ def fault_alarm_share(case: Case) -> dict[str, float | None]:
     found: dict[str, float | None] = {}
     for key, fault in case.faults.items():
         stop = min(fault.end, float(case.t[-1]))
-        seconds = np.arange(np.ceil(fault.start - SAME_INSTANT), np.floor(stop + SAME_INSTANT))
+        first, last = np.ceil(fault.start - SAME_INSTANT), np.floor(stop + SAME_INSTANT)
+        seconds = np.arange(first, last, dtype=np.float64)
         own = [one for one in case.alarms if _concerns(fault, one)]
         updates = [one for one in own if one.end is None]
         updates = [one for one in updates if one.name in POSITION_UPDATES] or updates
@@ -116,10 +117,8 @@ def fault_alarm_share(case: Case) -> dict[str, float | None]:
 
 def _count_in(seconds: FloatArray, t: FloatArray) -> FloatArray:
     """Return how many instants (M,) are in each whole second (K,)."""
-    return (
-        np.diff([np.searchsorted(t, edge - SAME_INSTANT) for edge in (seconds, seconds + 1.0)], axis=0)[0]
-        * 1.0
-    )
+    first, last = (np.searchsorted(t, edge - SAME_INSTANT) for edge in (seconds, seconds + 1.0))
+    return np.asarray(last - first, np.float64)
 
 
 def fault_max_h(case: Case) -> dict[str, float | None]:
