@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import sys
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
@@ -16,9 +17,11 @@ from bench import store
 from bench.campaigns.plan import describe_software, find_module_files
 from bench.errors import ConfigError, WorkersLostError
 from bench.specs import EstimatorChoice
+from bench.wording import one_line
 
 _CONNECT = 20.0  # longest time to reach the scheduler [s]
 _PATIENCE = 120.0  # longest time without any worker [s]
+_KEPT = "what is finished is kept, --resume continues"
 
 
 class ClusterPool:
@@ -47,7 +50,10 @@ class ClusterPool:
             import distributed
         except ImportError:
             raise ConfigError("--scheduler needs dask: pip install 'ins-gnss-bench[cluster]'") from None
+        from distributed.comm.core import CommClosedError
+
         self.lost: tuple[type[BaseException], ...] = (distributed.KilledWorker, CancelledError)
+        self._address, self._gone = address, (CommClosedError, RuntimeError, TimeoutError)
         try:
             self._client: Any = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
         except (OSError, ValueError) as error:
@@ -66,7 +72,23 @@ class ClusterPool:
     @property
     def workers(self) -> int:
         """Number of threads of all workers."""
-        return max(1, int(sum(self._client.nthreads().values())))
+        return max(1, self._count_threads())
+
+    def _count_threads(self) -> int:
+        with self._reach():
+            return int(sum(self._client.nthreads().values()))
+
+    @contextlib.contextmanager
+    def _reach(self) -> Iterator[None]:
+        """Raise WorkersLostError if the scheduler is gone."""
+        try:
+            yield
+        except Exception as error:
+            if not isinstance(error, self._gone) and self._client.status != "closed":
+                raise
+            raise WorkersLostError(
+                f"{self._address}: the Dask scheduler is gone: {one_line(str(error))}; {_KEPT}"
+            ) from None
 
     def __enter__(self) -> ClusterPool:
         return self
@@ -77,30 +99,32 @@ class ClusterPool:
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Begin a call of a function in a worker whose software is that of the driver."""
-        future: Future[Any] = self._executor.submit(_call, self._software, function, *arguments)
+        with self._reach():
+            future: Future[Any] = self._executor.submit(_call, self._software, function, *arguments)
         return future
 
     def recover(self) -> tuple[str, bool]:
-        """Return how a worker ended; the scheduler goes on with the others."""
+        """Return how a worker ended; the scheduler goes on with the others, unless it has ended itself."""
+        self._count_threads()
         return "its workers ended, each time it was tried", False
 
     def check(self) -> None:
-        """Raise WorkersLostError if there has been no worker for minutes."""
-        if self._client.nthreads():
+        """Raise WorkersLostError if the scheduler is gone, or has had no worker for minutes."""
+        if self._count_threads():
             self._seen = time.monotonic()
         elif time.monotonic() - self._seen > _PATIENCE:
-            raise WorkersLostError(
-                f"no worker for {_PATIENCE:g} s; what is finished is kept, --resume continues"
-            )
+            raise WorkersLostError(f"no worker for {_PATIENCE:g} s; {_KEPT}")
 
     def share(self, keys: Sequence[str]) -> None:
         """Write truths of the driver's cache into those of other machines, once for each."""
         for key in keys:
-            machines = self._client.run(_find_truth, key)
+            with self._reach():
+                machines = self._client.run(_find_truth, key)
             without = {machine: worker for worker, (machine, found) in machines.items() if not found}
             truth = store.read_truth(key) if without else None
             if truth is not None:
-                self._client.run(store.write_truth, key, truth, workers=list(without.values()))
+                with self._reach():
+                    self._client.run(store.write_truth, key, truth, workers=list(without.values()))
 
     def _check_software(self, address: str) -> None:
         try:

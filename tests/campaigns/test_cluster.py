@@ -22,6 +22,7 @@ import pytest
 
 import bench
 from bench.campaigns import cluster
+from bench.campaigns.journal import NAME
 from bench.campaigns.pools import SerialExecutor
 from bench.errors import ConfigError, WorkersLostError
 from bench.specs import EstimatorChoice
@@ -41,7 +42,7 @@ from bench.navigation.models.loose_tight import Loose as Own
 
 @contextlib.contextmanager
 def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
-    """Start a scheduler and workers that cannot import what is in the present folder."""
+    """Start a scheduler, the first process, and workers that cannot import what is in the present folder."""
     address = place / "address.json"
     common = ["--scheduler-file", str(address), "--no-dashboard", "--dashboard-address", "127.0.0.1:0"]
     commands = [["scheduler", "--host", "127.0.0.1", "--port", "0", *common]]
@@ -63,7 +64,7 @@ def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[
         found = json.loads(address.read_text())["address"]
         with distributed.Client(found, set_as_default=False) as client:
             client.wait_for_workers(count, timeout=60)
-        yield found, started[1:]
+        yield found, started
 
 
 def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch):
@@ -74,7 +75,7 @@ def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     options: dict[str, Any] = {"estimators": ["shipped:Own"]}
-    with start(tmp_path / "elsewhere", 2) as (address, workers):
+    with start(tmp_path / "elsewhere", 2) as (address, processes):
         with monkeypatch.context() as patch:
             patch.setattr(cluster, "describe_software", lambda: {"bench": "0.0.0"})
             with pytest.raises(ConfigError, match=r"bench .*, here 0\.0\.0; equal versions are needed"):
@@ -82,14 +83,70 @@ def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch)
 
         def lose(progress: Any) -> None:
             if progress.new == 2:
-                workers[0].kill()
+                processes[1].kill()
 
         result = bench.campaign("short.toml", 6, scheduler=address, out="spread", progress=lose, **options)
-        assert workers[0].poll() is not None
+        assert processes[1].poll() is not None
     assert (result.finished, result.failed) == (6, {})
     bench.campaign("short.toml", 6, executor=SerialExecutor(), out="here", **options)
     assert (tmp_path / "spread/runs.parquet").read_bytes() == (tmp_path / "here/runs.parquet").read_bytes()
     assert pq.read_table("here/runs.parquet").num_rows == 6
+
+
+@pytest.mark.long
+def test_a_scheduler_that_ends_costs_nothing_that_is_finished(tmp_path, monkeypatch):
+    (tmp_path / "short.toml").write_text(PROFILE)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    with start(tmp_path / "elsewhere", 1) as (address, processes):
+
+        def lose(progress: Any) -> None:
+            if progress.new == 2:
+                processes[0].kill()
+
+        with pytest.raises(WorkersLostError, match=r"the Dask scheduler is gone: .*--resume continues$"):
+            bench.campaign("short.toml", 40, scheduler=address, out="spread", progress=lose)
+    done = len((tmp_path / "spread" / NAME).read_bytes().splitlines())
+    assert 2 <= done < 40
+    result = bench.campaign("short.toml", 40, executor=SerialExecutor(), out="spread", resume=True)
+    assert (result.finished, result.failed) == (40, {})
+
+
+def test_the_end_of_the_scheduler_is_told_wherever_it_shows():
+    closed = distributed.comm.CommClosedError
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise closed("ConnectionPool closing.")
+
+    pool = object.__new__(cluster.ClusterPool)
+    pool._address, pool._gone, pool._seen, pool._software = (
+        "tcp://x:1",
+        (closed,),
+        0.0,
+        {},
+    )
+    pool._client = SimpleNamespace(nthreads=fail, run=fail, status="running")
+    pool._executor = SimpleNamespace(submit=fail)
+    for ask in (
+        lambda: pool.workers,
+        pool.check,
+        pool.recover,
+        lambda: pool.submit(int),
+        lambda: pool.share(["k"]),
+    ):
+        with pytest.raises(WorkersLostError) as caught:
+            ask()
+        assert str(caught.value) == (
+            "tcp://x:1: the Dask scheduler is gone: ConnectionPool closing.; "
+            "what is finished is kept, --resume continues"
+        )
+
+    def raise_own(*_: Any) -> None:
+        raise ValueError("no scheduler's fault")
+
+    pool._executor = SimpleNamespace(submit=raise_own)
+    with pytest.raises(ValueError, match="fault"):
+        pool.submit(int)
 
 
 def find_guide_lines(port: int) -> list[str]:
