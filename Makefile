@@ -20,7 +20,7 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 
-.PHONY: run test long lint kernels check perf oracle minima lock mutants guide pictures docs
+.PHONY: run test long short lint kernels check perf oracle minima lock mutants guide pictures docs
 
 run: .venv/core
 	$(BIN)/bench run figure-eight --force
@@ -33,6 +33,11 @@ test: .venv/ready
 
 long: .venv/ready
 	$(BIN)/pytest -m long -n auto --maxprocesses=4 --dist worksteal
+
+# short tests that use every dependency, with the numba that is installed: BENCH_PLAIN_KERNELS=1 asks for its
+# public parts alone, NUMBA_BOUNDSCHECK=1 checks every index of a kernel
+short: .venv/ready
+	$(BIN)/pytest $(MINIMA) -m 'not long and not slow' -n auto --maxprocesses=4 --dist worksteal
 
 lint: .venv/ready
 	$(BIN)/ruff check .

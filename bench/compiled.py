@@ -9,6 +9,9 @@ The first run compiles what it uses, once. A kernel that another one calls becom
 machine code and a file of its own only where Python calls it, too. What a filter may need and seldom does is
 no part: it is called by its address (`bench.call_at`). numba carries every array of a tuple through every use
 of the tuple: kernels take small tuples.
+
+All this uses numba's inner parts (`bench.inner_numba`). Where they are other ones than these, or
+``BENCH_PLAIN_KERNELS`` is set, kernels are plain: ``njit(cache=True)`` and loops, with the same bits.
 """
 
 from __future__ import annotations
@@ -21,14 +24,15 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, cached_property, update_wrapper
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
+from bench.inner_numba import compilers, summed_files
 from bench.places import PACKAGE, cache_folder
 
 _UNUSED_DAYS = 30
@@ -37,22 +41,7 @@ _WORD = re.compile(r"\w+")
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": False}
 _TRIED = ("0.68",)
 """Versions of numba whose inner parts are known; another one compiles everything, without shortcuts."""
-_IDLE_PASSES = {
-    "WithLifting",
-    "InlineClosureLikes",
-    "RewriteSemanticConstants",
-    "DeadBranchPrune",
-    "RewriteDynamicRaises",
-    "MakeFunctionToJitFunction",
-    "InlineInlinables",
-    "FindLiterallyCalls",
-    "LiteralUnroll",
-    "LiteralPropagationSubPipelinePass",
-    "InlineOverloads",
-    "NopythonRewrites",
-    "NoPythonSupportedFeatureValidation",
-    "DumpParforDiagnostics",
-}
+_PLAIN = "BENCH_PLAIN_KERNELS"
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
@@ -74,15 +63,21 @@ class Kernel:
     @cached_property
     def dispatcher(self) -> Any:
         """The function as numba knows it."""
-        import numba
-
         choose_cache()
         _time_compiling()
-        shortcut: Any = {"pipeline_class": _compilers()[0]} if _takes_shortcuts() else {}
+        return _make_plain()(self.py_func) if is_plain() else self.made
+
+    @cached_property
+    def made(self) -> Any:
+        """The function as numba knows it, made with numba's inner parts."""
+        import numba
+
+        shortcut: Any = {"pipeline_class": compilers()[0]} if _takes_shortcuts() else {}
         made = numba.njit(**self._options, **shortcut)(self.py_func)
-        known = made._cache._cache_file
-        base = known._index_name.removesuffix(".nbi")
-        made._cache._cache_file = _summed_files()(known._cache_path, base, known._source_stamp)
+        if self._options["cache"]:
+            known = made._cache._cache_file
+            base = known._index_name.removesuffix(".nbi")
+            made._cache._cache_file = summed_files()(known._cache_path, base, known._source_stamp)
         return made
 
     @cached_property
@@ -91,8 +86,8 @@ class Kernel:
         import numba
 
         if not _takes_shortcuts():
-            return self.dispatcher
-        own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": _compilers()[1]}
+            return self.made
+        own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": compilers()[1]}
         part: Any = numba.njit(**self._options | own)(self.py_func)
         unliteral: Any = numba.types.unliteral
         find = part.get_call_template
@@ -112,139 +107,73 @@ class Kernel:
 
 @cache
 def _takes_shortcuts() -> bool:
-    """Return whether :func:`_compilers` fits the installed numba."""
+    """Return whether `bench.inner_numba.compilers` fits the installed numba."""
     import numba
 
     return numba.__version__.rpartition(".")[0] in _TRIED
 
 
 @cache
-def _compilers() -> tuple[type, type]:
-    """Return the compiler of kernels, and that of a kernel as a part of another one.
+def is_plain() -> bool:
+    """Return whether kernels are plain: as the environment asks, or where numba's inner parts are others."""
+    if os.environ.get(_PLAIN):
+        return True
+    tried = _find_folder() / "tried"
+    try:
+        _try_inner_parts(compiles=not tried.exists())
+    except Exception as error:  # whatever is not there, or is another one
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        print(f"bench: kernels are plain, and filters slower, with this numba: {reason}", file=sys.stderr)
+        return True
+    with suppress(OSError):  # a cache that can only be read
+        tried.parent.mkdir(parents=True, exist_ok=True)
+        tried.touch()
+    return False
 
-    Half of numba's passes look for what no kernel has: closures, branches of other types, array expressions.
-    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimised and
-    made into machine code at once with all its parts.
+
+def _try_inner_parts(*, compiles: bool) -> None:
+    """Make what stands for all kernels; raise an exception if that does not work.
+
+    It also ``compiles`` and is called the first time that a cache folder is used.
     """
-    from numba.core.codegen import JITCodeLibrary
-    from numba.core.compiler import Compiler, Flags
-    from numba.core.compiler_machinery import PassManager
+    import numba
 
-    class SetFlags(Flags):
-        """Flags by what is set of them: numba asks for a hash of all, default or not, at every operator."""
+    from bench.call_at import call_at
+    from bench.vector_rows import LANES, add_row
 
-        def __hash__(self) -> int:
-            return len(self._values)
+    setattr(numba.config, "CACHE_DIR", str(_find_folder()))  # noqa: B010
+    part = Kernel(_add_number, no_cpython_wrapper=True)
 
-        def __eq__(self, other: object) -> bool:
-            same = isinstance(other, SetFlags) and self._values == other._values
-            return same or bool(super().__eq__(other))  # type: ignore[no-untyped-call]
+    def call(at, rows):  # type: ignore[no-untyped-def]
+        add_row(rows, 0, 2.0, rows, 1, 0, LANES)
+        return part(rows) + call_at(at, rows)
 
-    class Whole(Compiler):
-        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
-            args, returns, flags, names = rest
-            if library is None:
-                library = Sealed(target.codegen(), "kernel")  # type: ignore[no-untyped-call]
-                library.enable_object_caching()
-            kept = SetFlags(flags)  # type: ignore[no-untyped-call]
-            super().__init__(typing, target, library, args, returns, kept, names)  # type: ignore[no-untyped-call]
+    inner, whole = part.made, Kernel(call, cache=False).made
+    if not compiles:
+        return
+    rows = np.arange(2.0 * LANES).reshape(2, LANES)
+    found = whole(_find_code(inner, (numba.typeof(rows),)), rows)
+    if found != 2 or not np.array_equal(rows[0], 2.0 + 3.0 * np.arange(LANES) + 2.0 * LANES):
+        raise ValueError("a kernel gives wrong numbers")
 
-        def define_pipelines(self) -> list[Any]:
-            """Return numba's passes, less those that find nothing to do."""
-            lean = PassManager("kernel")
-            (whole,) = super().define_pipelines()  # type: ignore[no-untyped-call]
-            lean.passes = [one for one in whole.passes if one[0].__name__ not in _IDLE_PASSES]
-            lean.finalize()
-            return [lean]
 
-    class Sealed(JITCodeLibrary):
-        def _optimize_final_module(self) -> None:
-            """Let only the kernel be seen from outside: its parts then lie in it, or take what they use.
-
-            numba's first passes are left out: they are for the counting of references.
-            """
-            import llvmlite.binding as llvm
-
-            for one in self._final_module.functions:
-                if not one.is_declaration and one.linkage == llvm.Linkage.linkonce_odr:
-                    one.linkage = llvm.Linkage.internal
-            passes, builder = self._codegen._module_pass_manager()
-            passes.run(self._final_module, builder)
-
-    class Library(JITCodeLibrary):
-        def _optimize_final_module(self) -> None:
-            """Leave it to the whole."""
-
-        def _finalize_final_module(self) -> None:
-            self._finalized = True
-
-        @property
-        def codegen(self) -> Any:
-            return self
-
-        def set_env(self, name: str, environment: object) -> None:
-            """Forget what machine code would need."""
-
-    class Part(Whole):
-        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
-            library = library or Library(target.codegen(), "part")  # type: ignore[no-untyped-call]
-            super().__init__(typing, target, library, *rest)
-
-    return Whole, Part
+def _add_number(rows):  # type: ignore[no-untyped-def]
+    for k in range(rows.shape[1]):
+        rows[0, k] += 1.0
+    return 1
 
 
 @cache
-def _summed_files() -> type:
-    """Return the files of numba's cache with a sum in each: what is damaged is told once and made again."""
-    import pickle
+def _make_plain() -> Callable[..., Any]:
+    """Return what makes plain kernels, which name each other as numba's own."""
+    import numba
+    from numba.extending import typeof_impl
 
-    from numba.core.caching import IndexDataCacheFile
+    @typeof_impl.register(Kernel)
+    def find_type(value: Kernel, context: object) -> Any:
+        return numba.typeof(value.dispatcher)
 
-    files: Any = IndexDataCacheFile
-
-    class SummedFiles(files):  # type: ignore[misc]
-        def _write(self, path: str, value: object) -> None:
-            data = self._dump(value)
-            with self._open_for_write(path) as file:
-                file.write(hashlib.sha256(data).digest() + data)
-
-        def _read(self, path: str) -> Any:
-            whole = Path(path).read_bytes()
-            if hashlib.sha256(whole[32:]).digest() != whole[:32]:
-                raise ValueError(f"{path} is damaged")
-            return pickle.loads(whole[32:])
-
-        def _save_index(self, overloads: object) -> None:
-            self._write(self._index_path, (self._source_stamp, overloads))
-
-        def _load_index(self) -> Any:
-            try:
-                stamp, overloads = self._read(self._index_path)
-            except FileNotFoundError:
-                return {}
-            except Exception:
-                _tell_damage(self._cache_path)
-                return {}
-            return overloads if stamp == self._source_stamp else {}
-
-        def _save_data(self, name: str, data: object) -> None:
-            self._write(self._data_path(name), data)
-
-        def _load_data(self, name: str) -> Any:
-            try:
-                return self._read(self._data_path(name))
-            except OSError:  # numba compiles again
-                raise
-            except Exception:
-                _tell_damage(self._cache_path)
-                return None
-
-    return SummedFiles
-
-
-@cache
-def _tell_damage(folder: str) -> None:
-    print(f"bench: compiled code in {folder} is damaged; it is compiled again", file=sys.stderr)
+    return cast(Callable[..., Any], numba.njit(cache=True, error_model="numpy"))
 
 
 def kernel(function: _Function) -> _Function:
@@ -298,8 +227,11 @@ _CLOCK = _CompileClock()
 
 @cache
 def _time_compiling() -> None:
-    """Have numba tell the clock when it compiles."""
-    from numba.core import event
+    """Have numba tell the clock when it compiles; a numba that does not has no times."""
+    try:
+        from numba.core import event
+    except ImportError:
+        return
 
     class Listener(event.Listener):
         def on_start(self, event: object) -> None:
@@ -366,23 +298,58 @@ def _holds_integers(kind: type) -> bool:
     return {"int"} == {getattr(one, "__forward_arg__", one) for one in hints}
 
 
+_NUMBERS: dict[Any, int] = {}  # of plain kernels that are called by address, each in its caller
+
+
+def make_caller(kernels: Iterable[Callable[..., int]]) -> Callable[..., int]:
+    """Return what calls one of these kernels by its address (`bench.call_at`); a plain one by its number."""
+    if not is_plain():
+        from bench.call_at import call_at
+
+        return cast(Callable[..., int], call_at)
+    import numba
+
+    compile_ = numba.njit(error_model="numpy")
+    caller: Any = None
+    for number, one in enumerate(kernels, 1):
+        _NUMBERS[one] = number
+        caller = compile_(_make_choice(number, one, caller))
+    return cast(Callable[..., int], caller)
+
+
+def _make_choice(number: int, own: Callable[..., int], others: Any) -> Callable[..., int]:
+    def call_last(at: int, *arguments: Any) -> int:
+        return own(*arguments)
+
+    def call(at: int, *arguments: Any) -> int:
+        return own(*arguments) if at == number else others(at, *arguments)
+
+    return call_last if others is None else call
+
+
 def find_address(function: Callable[..., object], types: KernelTypes) -> int:
-    """Return where the machine code of an inner kernel for arguments of such types lies (`bench.call_at`)."""
+    """Return where the machine code of an inner kernel for arguments of such types lies (`make_caller`)."""
+    if is_plain():
+        return _NUMBERS[function]
     at = types.addresses.get(function)
     if at is None:
         dispatcher = cast(Kernel, function).dispatcher
-        dispatcher.compile(types.kinds)
-        found = dispatcher.overloads[types.kinds]
-        at = int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
-        types.addresses[function] = at
+        at = types.addresses[function] = _find_code(dispatcher, types.kinds)
     return at
+
+
+def _find_code(dispatcher: Any, kinds: tuple[Any, ...]) -> int:
+    dispatcher.compile(kinds)
+    found = dispatcher.overloads[kinds]
+    return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
 
 def _hash_sources() -> str:
     import numba
 
     digest = hashlib.sha256()
-    for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _name_cpu()):
+    bounds = f"bounds {os.environ.get('NUMBA_BOUNDSCHECK', '')}"
+    for part in (numba.__version__, np.__version__, sys.version, platform.machine(), _name_cpu(), bounds):
         digest.update(part.encode())
     for name, text in sorted(_compiled_sources().items()):
         digest.update(name.encode() + text)
@@ -415,6 +382,12 @@ def _name_cpu() -> str:
 
 
 @cache
+def _find_folder() -> Path:
+    own = os.environ.get("NUMBA_CACHE_DIR")
+    return (Path(own) if own else cache_folder("kernels")) / _hash_sources()
+
+
+@cache
 def choose_cache() -> Path:
     """Set the cache folder of numba and remove folders unused for 30 days; return the folder.
 
@@ -422,10 +395,11 @@ def choose_cache() -> Path:
     """
     import numba
 
-    own = os.environ.get("NUMBA_CACHE_DIR")
-    folder = (Path(own) if own else cache_folder("kernels")) / _hash_sources()
+    folder = _find_folder()
+    if is_plain():
+        folder = folder.with_name(f"{folder.name}-plain")
     setattr(numba.config, "CACHE_DIR", str(folder))  # noqa: B010 - numba types its settings as constants
-    if own:
+    if "NUMBA_CACHE_DIR" in os.environ:
         return folder
     if folder.exists():
         try:

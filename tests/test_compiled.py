@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from bench import compiled, earth, places
-from bench.call_at import call_at
+from tests import kernel_modes
 
 ANSWER = """
 import sys, shutil, pathlib
@@ -65,6 +65,7 @@ def flip(data: bytes) -> bytes:
     return data[:middle] + bytes([data[middle] ^ 0x55]) + data[middle + 1 :]
 
 
+@pytest.mark.skipif(compiled.is_plain(), reason="numba's own files have no sums")
 def test_damaged_compiled_code_is_told_once_and_compiled_again(tmp_path):
     """Cut short, emptied, one bit-flipped byte, of index or code; then the cache is whole."""
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"}
@@ -148,9 +149,12 @@ def add_kernel(number, to):
     return 7
 
 
+call = compiled.make_caller([add_kernel])
+
+
 @compiled.kernel
 def call_kernel(at, number, to):
-    return call_at(at, number, to)
+    return call(at, number, to)
 
 
 @compiled.kernel
@@ -162,7 +166,8 @@ def test_a_kernel_is_compiled_by_itself_only_where_its_address_is_asked_for():
     """With the shortcuts it has no machine code as a part of another one; by its address it does the same."""
     total = np.zeros(1)
     assert contain_kernel(1.5, total) == 7
-    assert bool(add_kernel.dispatcher.signatures) != compiled._takes_shortcuts()
+    shortcuts = compiled._takes_shortcuts() and not compiled.is_plain()
+    assert bool(add_kernel.dispatcher.signatures) != shortcuts
     at = compiled.find_address(add_kernel, compiled.types_of(1.5, total))
     assert len(add_kernel.dispatcher.signatures) == 1
     assert call_kernel(at, 1.5, total) == 7
@@ -191,6 +196,7 @@ def test_types_are_those_of_numba_and_equal_ones_are_one():
     assert compiled.types_of(Pair(table, 1)) is compiled.types_of(Pair(np.ones((2, 2)), 7))
 
 
+@pytest.mark.skipif(compiled.is_plain(), reason="plain kernels are compiled with all that they may call")
 def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
     """In a process of its own: a barometer was read, no magnetometer and no satellites."""
     code = """
@@ -208,32 +214,61 @@ assert made == [True, False, False], made
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-STRAPDOWN = """
-import sys
-import numpy as np
-from bench import compiled
-compiled._TRIED = tuple(sys.argv[1:])
-from bench.navigation.mechanization import propagate
-turn, push = np.full((9, 3), 1e-3), np.full((9, 3), -2e-2)
-end = propagate(np.array([0.8, 0.2, 300.0]), np.array([30.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0]),
-                np.full(9, 0.01), turn, push)[-1]
-print(compiled._takes_shortcuts(), end.tobytes().hex())
+OTHER = "from bench import compiled; compiled._TRIED = ()"
+RENAMED = """
+from numba.core.caching import IndexDataCacheFile
+begin = IndexDataCacheFile.__init__
+def begin_otherwise(self, *arguments, **named):
+    begin(self, *arguments, **named)
+    self._other_name = self.__dict__.pop("_index_name")
+IndexDataCacheFile.__init__ = begin_otherwise
 """
 
 
-def test_a_numba_whose_parts_are_not_known_compiles_the_same(tmp_path):
-    """Without the shortcuts none of numba's inner parts is touched, and the bits are the same."""
+@pytest.mark.skipif(compiled.is_plain(), reason="these kernels are plain")
+def test_a_numba_whose_parts_are_not_known_compiles_the_same(tmp_path, capsys):
+    """Without the shortcuts; plain where an inner part has another name, and where it is asked for."""
+    kernel_modes.main()
+    plain, shortcuts, known = capsys.readouterr().out.split(" ", 2)
+    assert (plain, known[:3]) == ("False", "21 ")
+    for name, change, asked, mode in (
+        ("other", OTHER, "", "False"),
+        ("renamed", RENAMED, "", "True"),
+        ("asked", "", "1", "True"),
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", "tests.kernel_modes", change],
+            cwd=places.PACKAGE.parent,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / name), "BENCH_PLAIN_KERNELS": asked},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == f"{mode} {name != 'other' and shortcuts} {known}"
+        told = "bench: kernels are plain, and filters slower, with this numba: AttributeError: "
+        assert done.stderr.startswith(told) == (name == "renamed")
+
+
+@pytest.mark.long
+@pytest.mark.skipif(compiled.is_plain(), reason="these kernels are plain")
+def test_plain_kernels_give_filters_the_same_bits(tmp_path):
+    """Every sensor, and what filters are made of; compiling it takes two minutes."""
     said = [
         subprocess.run(
-            [sys.executable, "-c", STRAPDOWN, *tried],
-            env=os.environ | {"BENCH_CACHE": str(tmp_path / str(len(tried)))},
+            [sys.executable, "-m", "tests.kernel_modes", "", "loose-22", "tight", "smoother", "ukf"],
+            cwd=places.PACKAGE.parent,
+            env=os.environ | {"BENCH_PLAIN_KERNELS": asked},
             capture_output=True,
             text=True,
             check=True,
-        ).stdout.split()
-        for tried in (compiled._TRIED, ())
+        ).stdout.splitlines()
+        for asked in ("", "1")
     ]
-    assert said[1] == ["False", said[0][1]]
+    assert said[0][0].startswith("False ")
+    assert said[1][0].startswith("True ")
+    assert len(said[0]) == 6
+    assert said[0][1:] == said[1][1:]
 
 
 def test_nothing_is_collected_while_numba_compiles():

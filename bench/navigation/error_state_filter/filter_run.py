@@ -9,7 +9,6 @@ import numpy as np
 
 from bench import disk_arrays
 from bench.arrays import FloatArray, IntArray, read_only
-from bench.call_at import call_at
 from bench.compiled import inner, kernel
 from bench.data import Events, InitialState, NavSolution, no_events, no_innovations
 from bench.navigation.engine.earthbound import Earthbound
@@ -30,6 +29,7 @@ from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     SATELLITE_ROWS,
     SENSORS,
+    call_rows,
 )
 from bench.navigation.error_state_filter.measurement_update import Gate, use_kernel
 from bench.navigation.error_state_filter.propagation import (
@@ -43,7 +43,12 @@ from bench.navigation.error_state_filter.propagation import (
     pending_for,
     work_for,
 )
-from bench.navigation.error_state_filter.ranges.ranging import SkyRows, place_fillers, renew_kernel
+from bench.navigation.error_state_filter.ranges.ranging import (
+    SkyRows,
+    call_satellites,
+    place_fillers,
+    renew_kernel,
+)
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels, narrow, widen
 from bench.navigation.error_state_filter.rough_heading import add_arm
 from bench.navigation.error_state_filter.schedule import Schedule
@@ -174,9 +179,9 @@ def _fusion_kernel(
             if action != USE:
                 fill = fillers[kind]
                 if kind == SATELLITE_ROWS:
-                    made: int = call_at(fill, row, first, site, sky)
+                    made: int = call_satellites(fill, row, first, site, sky)
                 else:
-                    made = call_at(fill, row, first, site)
+                    made = call_rows(fill, row, first, site)
                 pending.live[slot] = made
             if action != MEASURE:
                 made = pending.live[slot]

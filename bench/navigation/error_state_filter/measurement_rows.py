@@ -27,7 +27,7 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.compiled import inner
+from bench.compiled import inner, make_caller
 from bench.earth import EARTH_RATE, radii_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel, late_rows_kernel
 from bench.navigation.error_state_filter.corrections import (
@@ -322,3 +322,5 @@ ROWS: dict[int, Callable[..., int]] = {
 
 The filter calls them by address, so that only those of the records there are get compiled.
 """
+call_rows = make_caller(ROWS.values())
+"""Call one of them by its address."""

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from bench.arrays import FloatArray
-from bench.call_at import call_at
 from bench.compiled import kernel
 from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
@@ -40,6 +39,7 @@ from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
     POSITION,
     SENSORS,
+    call_rows,
 )
 from bench.navigation.error_state_filter.measurement_update import opened_states
 from bench.navigation.error_state_filter.propagation import (
@@ -107,7 +107,7 @@ def _predict_kernel(
             now.state[i] = truths[s, i]
         for i in range(3):
             work.last[0, i] = w_ib_b[i] - truths[s, 10 + i]
-        made: int = call_at(fill, 0, 0, site)
+        made: int = call_rows(fill, 0, 0, site)
         for i in range(made):
             z[s, i] = pending.z[i]
         least = min(least, made)

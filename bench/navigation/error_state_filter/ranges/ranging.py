@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.arrays import FloatArray, IntArray
-from bench.compiled import find_address, inner, types_of
+from bench.compiled import find_address, inner, make_caller, types_of
 from bench.data import GnssObservations
 from bench.earth import WGS84, radii_kernel
 from bench.navigation.engine.session import Growing, require, require_rows
@@ -337,3 +337,7 @@ def satellites_kernel(epoch: int, first: int, site: Site, sky: SkyRows) -> int:
             pending.tags[row + i, 2], pending.tags[row + i, 3] = 0, 1
         row += 2
     return row - first
+
+
+call_satellites = make_caller([satellites_kernel])
+"""Call it by its address."""
