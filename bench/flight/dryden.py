@@ -57,6 +57,8 @@ _LEAST, _LOW, _HIGH = (
 _LONG = 1750.0  # scale above [ft]
 _STALE = 0.005  # filters are made anew when scale or step changed by more than this part
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(20)  # exact for polynomials to the 39th power
+_LEADING, _SIGNS = [1, 1, 0], np.array([-1.0, 1.0, -1.0])
+"""Component of each eigenvector of the noise whose sign is fixed, and that sign."""
 _MOVING = 0.5  # the direction of a slower path through the air is not looked at [m/s]
 
 
@@ -162,7 +164,9 @@ def _discretize_chain(length: float, tail: float, step: float) -> tuple[FloatArr
     )
     inside = pulse[:, :-1]
     values, vectors = np.linalg.eigh((inside * (0.5 * step / length * _WEIGHTS)) @ inside.T)
-    return phi, vectors * np.sqrt(np.maximum(values, 0.0))
+    # the signs of eigenvectors are free; fixed they do not hang on the last digits of a processor
+    signs = _SIGNS * np.where(vectors[_LEADING, range(3)] < 0.0, -1.0, 1.0)
+    return phi, vectors * signs * np.sqrt(np.maximum(values, 0.0))
 
 
 def _phi_1(x: FloatArray) -> FloatArray:
