@@ -19,7 +19,7 @@ from tests.campaigns.test_campaign import PROFILE
 class Overflowing:
     """Is lost after 10 s with values that no number holds, in its innovations and velocities."""
 
-    z, S, vel = 1e200, 1e-300, np.inf
+    z, S, vel = 1e140, 1e-300, np.inf
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         found = load("loose-15", {}).run(sensors, initial)
