@@ -339,6 +339,7 @@ def test_python_ins_frames_have_its_columns_its_degrees_and_the_sample_before_th
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The copy keyword is deprecated")  # python-ins under pandas 3
+@pytest.mark.filterwarnings("ignore:.*invalid escape sequence")  # python-ins where it is compiled at import
 def test_python_ins_runs_on_what_its_readme_says(run, export, monkeypatch):
     _, truth, sensed = run
     out = export("python-ins", "--with", "truth")
