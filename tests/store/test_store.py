@@ -657,11 +657,13 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
 
 
 MAKE_NO_TRUTH = {
+    "call_at": "calls kernels that are listed",
     "compiled": "makes machine code of functions that are listed",
     "disk_arrays": "where arrays lie, not what they hold",
     "durable": "writes files",
     "errors": "messages",
     "files": "refuses files",
+    "inner_numba": "makes machine code of functions that are listed",
     "instruments": "of the sensors",
     "moved": "names that other programs import",
     "orbit_sets": "of the receivers",
@@ -669,6 +671,7 @@ MAKE_NO_TRUTH = {
     "places": "where files lie",
     "scratch": "folders for a while",
     "spawned": "starts processes",
+    "vector_rows": "makes machine code of functions that are listed",
     "wording": "messages",
 }
 """Modules that flights and tracks import and truth does not depend on -> why."""
