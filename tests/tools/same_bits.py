@@ -41,7 +41,6 @@ heading_deg = 85.0
 [wind]
 from_deg = 250.0
 speed_mps = 5.0
-turbulence = "light"
 [[leg]]
 kind = "straight"
 duration_s = 12.0
@@ -138,7 +137,7 @@ def command(line: str) -> tuple[int, str]:
     """Return the exit status and the masked output of a command, 80 columns wide."""
     from bench.__main__ import main
 
-    output, before = io.StringIO(), sys.argv
+    output, before = io.TextIOWrapper(io.BytesIO(), encoding="utf-8"), sys.argv
     sys.argv = ["bench", *line.split()]
     status: Any = 0
     try:
@@ -148,7 +147,8 @@ def command(line: str) -> tuple[int, str]:
         status = end.code
     finally:
         sys.argv = before
-    return int(status or 0), mask(output.getvalue())
+    output.seek(0)
+    return int(status or 0), mask(output.read())
 
 
 def names_of_filters() -> list[str]:

@@ -27,12 +27,13 @@ def test_what_is_compiled_ahead_is_there_in_a_run(tmp_path):
     use = ["figure-eight-matched", "-e", "gnss-only"]
     said = bench("warm", *use, kernels=kernels)
     count = int(re.match(r"Compiled (\d+) kernels in [\d.]+ s: ", said)[1])
-    assert len(list(kernels.rglob("*.nbc"))) == count > 2
+    trial = len(list(kernels.rglob("compiled._add_number*.nbc")))  # of numba, before the first kernel
+    assert len(list(kernels.rglob("*.nbc"))) - trial == count > 2
     legs = 'leg=[{kind = "straight", duration_s = 15.0}]'
     changes = (legs, "duration_s=15", "evaluation.from_s=5", "gnss_outage=[]")
     short = [word for change in changes for word in ("--set", change)]
     bench("run", *use, *short, "--no-rrd", "--no-report", kernels=kernels)
-    assert len(list(kernels.rglob("*.nbc"))) == count
+    assert len(list(kernels.rglob("*.nbc"))) - trial == count
 
 
 def test_where_nothing_is_left_to_compile_it_says_so(monkeypatch, capsys):
