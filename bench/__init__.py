@@ -47,11 +47,8 @@ Randomness
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-from bench.moved import MovedModules
 
 __version__ = "0.1.0"
 
@@ -196,8 +193,6 @@ _PUBLIC = {
 }
 
 __all__ = ["__version__", *_PUBLIC]
-
-sys.meta_path.append(MovedModules())
 
 if not TYPE_CHECKING:  # a checker of types sees the imports above, and no name that is not there
 

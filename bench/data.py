@@ -11,14 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bench.arrays import BoolArray, FloatArray, IntArray, as_float, read_only
 from bench.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
 from bench.instruments import INSTRUMENTS, InstrumentReports
-from bench.moved import moved_from
 from bench.sensor_specs import DEFAULT_DATE, AssumedSpecs
 
 _LLA = ("lat_rad", "lon_rad", "alt_m")
@@ -411,7 +409,3 @@ class Sensed(Rebuilt):
     truth: SensorTruth
     events: Events  # outages and faults of this run
     sky: SkyView | None = None  # of a measurement-level receiver
-
-
-if not TYPE_CHECKING:
-    __getattr__ = moved_from(__name__)

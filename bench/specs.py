@@ -6,12 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from bench import flight_specs, sensor_specs
 from bench.errors import ConfigError
 from bench.flight_specs import Flight
-from bench.moved import moved_from
 from bench.sensor_specs import SensorsSpec
 from bench.spawned import machine_memory
 from bench.units import SAME_INSTANT
@@ -172,7 +170,3 @@ class Profile:
         estimators = ", ".join(one.label for one in self.estimators)
         head = f"{self.name!r}, seed {self.seed}: {self.flight.label}"
         return f"<Profile {head}; sensors {', '.join(names)}; estimators {estimators}>"
-
-
-if not TYPE_CHECKING:
-    __getattr__ = moved_from(__name__, flight_specs, sensor_specs)

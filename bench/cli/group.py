@@ -15,7 +15,6 @@ import click
 from bench import __version__
 from bench.cli import completion
 from bench.errors import BUG, DONE, NEGATIVE, STATUSES
-from bench.moved import OPTIONS
 from bench.wording import replace_control
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -137,21 +136,10 @@ table_option = click.option(
 )
 
 
-def _refuse_replaced(ctx: click.Context, param: click.Parameter, given: bool) -> None:
-    if given:
-        raise click.UsageError(f"{param.opts[0]} is now {OPTIONS[param.opts[0]]}", ctx)
-
-
 def code_option(file: str) -> Decorator:
     """Return the option --allow-code of a verb that reads this kind of file."""
     text = f"let the {file} run the code it names (use = 'module:Class' or 'command:...')"
-    old: dict[str, Any] = {"is_flag": True, "hidden": True, "expose_value": False}
-
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        replaced = click.option("--allow-commands", callback=_refuse_replaced, **old)(function)
-        return click.option("--allow-code", is_flag=True, help=text)(replaced)
-
-    return decorate
+    return click.option("--allow-code", is_flag=True, help=text)
 
 
 LIMITS = ("timeout", "memory", "output", "in_process")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from bench.config.listing import list_aircraft, list_estimators, list_legs, list_profiles, list_sensors
-from bench.moved import moved_from
 
 __all__ = ["list_aircraft", "list_estimators", "list_legs", "list_profiles", "list_sensors", "load_profile"]
 
@@ -18,4 +17,4 @@ else:
             from bench.config.profile import load_profile
 
             return load_profile
-        return moved_from(__name__)(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

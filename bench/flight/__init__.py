@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
 
 from bench.data import Trajectory
 from bench.flight.belief import Belief
 from bench.flight.summary import Summary, summarise
 from bench.flight_specs import FlightSpec, ScriptSpec
-from bench.moved import moved_from
 
 __all__ = ["Summary", "fly", "fly_pieces", "summarise"]
 
@@ -43,7 +41,3 @@ def fly_pieces(
     if spec.aircraft.foreign is not None:
         return fly_in_child(spec, f"aircraft {spec.aircraft.name}", progress, seconds)
     return recorder.fly_pieces(spec, progress, seconds, belief=belief)
-
-
-if not TYPE_CHECKING:
-    __getattr__ = moved_from(__name__)

@@ -322,8 +322,6 @@ def test_a_profile_runs_no_class_unless_told(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "ran").exists()
     assert config.load_profile("his.toml", allow_code=True).estimators[1].use == "his:Filter"
     assert config.load_profile("his.toml", estimators=["his:Filter"]).estimators[0].use == "his:Filter"
-    assert main(["run", "his.toml", "--allow-commands"]) == 2
-    assert "--allow-commands is now --allow-code" in capsys.readouterr().err
 
 
 def test_a_class_that_ends_the_interpreter_is_a_failed_estimator(tmp_path, monkeypatch, capsys):
