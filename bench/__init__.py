@@ -88,7 +88,7 @@ if TYPE_CHECKING:
         list_sensors as list_sensors,
         load_profile as load_profile,
     )
-    from bench.data import (
+    from bench.core.records.data import (
         ErrorSeries as ErrorSeries,
         Events as Events,
         InitialState as InitialState,
@@ -98,7 +98,7 @@ if TYPE_CHECKING:
         SensorData as SensorData,
         Trajectory as Trajectory,
     )
-    from bench.errors import (
+    from bench.core.words.exceptions import (
         BenchError as BenchError,
         ConfigError as ConfigError,
         EstimatorError as EstimatorError,
@@ -111,14 +111,14 @@ if TYPE_CHECKING:
     from bench.recording import write_recording as write_recording
     from bench.report.paper import plot_result as plot_result
     from bench.report.writing import write_figures as write_figures, write_report as write_report
-    from bench.run_result import RunResult as RunResult
+    from bench.core.records.run_result import RunResult as RunResult
     from bench.saving import save as save
     from bench.serving import serve as serve
-    from bench.specs import Guard as Guard, Profile as Profile
+    from bench.core.records.specs import Guard as Guard, Profile as Profile
     from bench.store import load as load, to_arrow as to_arrow, to_pandas as to_pandas
     from bench.store.filter_state import resume_filter as resume_filter, save_filter as save_filter
     from bench.studies.conducting import study as study
-    from bench.findings import StudyResult as StudyResult
+    from bench.core.records.findings import StudyResult as StudyResult
     from bench.store.study_folder import load_study as load_study
 
 _PUBLIC = {
@@ -170,25 +170,25 @@ _PUBLIC = {
     "write_recording": "bench.recording",
     "write_report": "bench.report.writing",
     "write_suite": "bench.campaigns.card",
-    "BenchError": "bench.errors",
+    "BenchError": "bench.core.words.exceptions",
     "Campaign": "bench.campaigns.running",
     "Card": "bench.campaigns.card",
-    "ConfigError": "bench.errors",
-    "ErrorSeries": "bench.data",
+    "ConfigError": "bench.core.words.exceptions",
+    "ErrorSeries": "bench.core.records.data",
     "Estimator": "bench.navigation.estimator",
-    "EstimatorError": "bench.errors",
-    "Events": "bench.data",
-    "FlightError": "bench.errors",
-    "Guard": "bench.specs",
-    "InitialState": "bench.data",
-    "Innovations": "bench.data",
-    "NavSolution": "bench.data",
-    "Profile": "bench.specs",
-    "RunResult": "bench.run_result",
-    "Sensed": "bench.data",
-    "SensorData": "bench.data",
-    "StudyResult": "bench.findings",
-    "Trajectory": "bench.data",
+    "EstimatorError": "bench.core.words.exceptions",
+    "Events": "bench.core.records.data",
+    "FlightError": "bench.core.words.exceptions",
+    "Guard": "bench.core.records.specs",
+    "InitialState": "bench.core.records.data",
+    "Innovations": "bench.core.records.data",
+    "NavSolution": "bench.core.records.data",
+    "Profile": "bench.core.records.specs",
+    "RunResult": "bench.core.records.run_result",
+    "Sensed": "bench.core.records.data",
+    "SensorData": "bench.core.records.data",
+    "StudyResult": "bench.core.records.findings",
+    "Trajectory": "bench.core.records.data",
     "Tuning": "bench.campaigns.tuning",
 }
 

@@ -7,8 +7,8 @@ import signal
 import sys
 from types import FrameType
 
-from bench.errors import INTERRUPTED, MACHINE
-from bench.plain_output import find_lost, let_streams_write_all
+from bench.core.words.exceptions import INTERRUPTED, MACHINE
+from bench.core.words.plain_output import find_lost, let_streams_write_all
 
 
 def main() -> None:

@@ -21,11 +21,11 @@ import numpy as np
 from bench import pipeline, store
 from bench.config import load_profile
 from bench.config.listing import CatalogEntry
-from bench.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
-from bench.errors import ConfigError
-from bench.run_result import RunResult
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
-from bench.stages import Watcher
+from bench.core.records.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Watcher
 
 if TYPE_CHECKING:
     from bench.evaluation.noise_curves import AllanResult
@@ -78,11 +78,12 @@ def run(
     guard : Guard
         What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
     progress : callable or None
-        Called with what is going on (`bench.stages.Stage`, whose ``str`` says it), whenever that changes.
+        Called with what is going on (`bench.core.words.stages.Stage`, whose ``str`` says it), whenever that
+        changes.
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
         If the profile or an argument is wrong, if an estimator cannot be built, and if the aircraft cannot be
         loaded, trimmed or flown.
     """
@@ -149,7 +150,8 @@ def navigate(
 ) -> NavSolution:
     """Run an estimator, a built-in name or ``module:Class``, and return its solution.
 
-    Errors as for :func:`run`, and `bench.errors.EstimatorFailedError` if it raises or its process ends.
+    Errors as for :func:`run`, and `bench.core.words.exceptions.EstimatorFailedError` if it raises or its
+    process ends.
     """
     return pipeline.navigate(EstimatorChoice(use, use, dict(options or {}), guard=guard), data, initial)
 
@@ -182,7 +184,7 @@ def open_filter(
 
     Raises
     ------
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If there is no such filter, an option is wrong, or it cannot run in pieces.
     """
     from bench.navigation.open_filters import PieceFilter

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench.data import (
+from bench.core.records.data import (
     AirData,
     EventRow,
     Events,
@@ -26,26 +26,26 @@ from bench.data import (
     no_events,
     no_innovations,
 )
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.sensor_specs import SensorsSpec
+from bench.core.records.specs import CLIENT, Guidance, Profile
+from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.words.wording import one_line
 from bench.evaluation.failures import FAILED, describe_error
 from bench.exchange.client_session import ClientSession
 from bench.exchange.loading import load_estimators
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.steering import Commanded, Commands
-from bench.flight_specs import FlightSpec
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.piecewise import join_events, join_solutions, join_tables
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
-from bench.sensor_specs import SensorsSpec
 from bench.sensors import SensedPiece, sense_piece
 from bench.sensors.draws import SensorDraws
 from bench.signals.terrain import ground_at
-from bench.specs import CLIENT, Guidance, Profile
 from bench.store import cached_truth, join_pieces
-from bench.wording import one_line
 
 Watch = Callable[[Trajectory], object] | None
 """Is given each piece of the truth before it is sensed."""
@@ -213,9 +213,9 @@ def fly(
 
     Raises
     ------
-    bench.errors.FlightError
+    bench.FlightError
         If the aircraft cannot be loaded or trimmed. What happens later is an event "crash" of the truth.
-    bench.errors.EstimatorError, bench.errors.ConfigError
+    bench.EstimatorError, bench.ConfigError
         If the filter cannot be built, or has never answered.
     """
     assert profile.guidance is not None
@@ -248,7 +248,7 @@ def check_legs(profile: Profile) -> None:
 
     Raises
     ------
-    bench.errors.FlightError
+    bench.FlightError
         If they need longer, or cannot be flown.
     """
     from bench import flight

@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays, pipeline, store
-from bench.arrays import BoolArray, FloatArray
-from bench.compiled import watch_compiling
+from bench import pipeline, store
 from bench.config.checks import is_autopilot
 from bench.config.log import LogSpec, load_log
-from bench.data import (
+from bench.core.compilation.compiled import watch_compiling
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import (
     Events,
     GnssFixes,
     GnssObservations,
@@ -28,7 +30,10 @@ from bench.data import (
     SensorData,
     no_sensor_truth,
 )
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.words.stages import Stages, Watcher
 from bench.evaluation import validity
 from bench.evaluation.coverage import measure_coverage
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
@@ -46,10 +51,6 @@ from bench.exchange.log_records import LogRecords, divide_intervals, read_record
 from bench.exchange.log_start import find_start
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
-from bench.run_result import RunResult
-from bench.specs import AUTOPILOT, DEFAULT_GUARD, Guard
-from bench.stages import Stages, Watcher
-from bench.units import SAME_INSTANT
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
@@ -106,9 +107,9 @@ def read_log(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If a file is missing or wrong; the message names file and row.
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If an estimator cannot be built, or needs data that the log does not have.
     """
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
@@ -189,7 +190,7 @@ def navigate_log(
     places : int
         Number of places of each outage.
     progress : callable or None
-        Called with what is going on (`bench.stages.Stage`), whenever that changes.
+        Called with what is going on (`bench.core.words.stages.Stage`), whenever that changes.
 
     Returns
     -------
@@ -199,7 +200,7 @@ def navigate_log(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError
+    bench.ConfigError, bench.EstimatorError
         As for :func:`read_log`, if the start or an outage does not fit the recording, and if no estimator can
         start.
     """

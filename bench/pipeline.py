@@ -11,9 +11,10 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-from bench import disk_arrays, store
-from bench.compiled import read_compile_time, watch_compiling
-from bench.data import (
+from bench import store
+from bench.core.compilation.compiled import read_compile_time, watch_compiling
+from bench.core.files import disk_arrays
+from bench.core.records.data import (
     ErrorSeries,
     InitialState,
     NavSolution,
@@ -24,16 +25,16 @@ from bench.data import (
     ShowFlight,
     Trajectory,
 )
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.records.flight_specs import FlightSpec, TableSpec
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.run_result import RunResult
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.records.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
+from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.words.stages import FLYING, Stages, Watcher
 from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
 from bench.exchange.loading import load_estimators
-from bench.flight_specs import FlightSpec, TableSpec
-from bench.instruments import INSTRUMENTS
 from bench.navigation import built_in, estimator
-from bench.run_result import RunResult
-from bench.sensor_specs import AssumedSpecs
-from bench.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
-from bench.stages import FLYING, Stages, Watcher
 
 
 def fly(
@@ -50,9 +51,9 @@ def fly(
 
     Raises
     ------
-    bench.errors.FlightError
+    bench.FlightError
         If the aircraft cannot be loaded, trimmed or flown.
-    bench.errors.ConfigError
+    bench.ConfigError
         If a trajectory table cannot be used.
     """
     if profile.guidance is not None:
@@ -74,7 +75,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
     summarize = partial(_summarize, profile)
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress, None).truth])
-    sources = ("evaluation/replay.py", "navigation/mechanization.py")
+    sources = ("bench/evaluation/replay.py", "bench/navigation/mechanization.py")
     pieces = partial(_fly_pieces, profile, progress, None, [])
     return store.cached_summary(profile.flight, pieces, summarize, sources)
 
@@ -126,9 +127,9 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
 
     Raises
     ------
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If there is no such estimator, its options are wrong, or it does not return a valid solution.
-    bench.errors.EstimatorFailedError
+    bench.core.words.exceptions.EstimatorFailedError
         If its ``run`` raises an exception.
     """
     return estimator.answer(build_estimator(choice), choice.label, data, initial)
@@ -200,13 +201,13 @@ def run(
         running the filter again without what may be to blame (`bench.causes`). None: again only if it is
         built in; False: neither.
     progress : callable or None
-        Called with what is going on (`bench.stages.Stage`), whenever that changes.
+        Called with what is going on (`bench.core.words.stages.Stage`), whenever that changes.
     show : callable or None
         Given the flight piece by piece while it is flown; all of it if it comes from the cache.
 
     Raises
     ------
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If no estimator can start, as well as for :func:`build_estimators`.
     """
     stages = Stages(progress)
@@ -369,9 +370,8 @@ def find_truth_key(profile: Profile, run: int = 0) -> str:
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
     """Tell whether a filter runs again to find out why its claim is broken; one from a file cannot."""
-    if choice.use.startswith("file:"):
-        return False
-    return choice.use in built_in.BUILT_IN if causes is None else causes
+    asked = choice.use in built_in.BUILT_IN if causes is None else causes
+    return asked and not choice.use.startswith("file:")
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:
@@ -413,11 +413,11 @@ def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
 
     Raises
     ------
-    bench.errors.EstimatorError, bench.errors.ConfigError
+    bench.EstimatorError, bench.ConfigError
         As for :func:`build_estimator`, and if a record that one needs is missing or it refuses a sensor.
     """
-    labels = [choice.label for choice in profile.estimators]
-    built = dict(zip(labels, load_estimators(profile.estimators), strict=True))
+    chosen = profile.estimators
+    built = dict(zip([one.label for one in chosen], load_estimators(chosen), strict=True))
     for label, one in built.items():
         estimator.check_needs(one, label, _list_records(profile), specs=profile.sensors.assumed)
     return built

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import durable, store
-from bench.errors import ConfigError, NothingToShowError, ViewsFailedError
-from bench.run_result import RunResult
-from bench.wording import one_line
+from bench import store
+from bench.core.files import durable
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError, NothingToShowError, ViewsFailedError
+from bench.core.words.wording import one_line
 
 
 def save(
@@ -37,11 +38,11 @@ def save(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the folder cannot be made or must not be replaced, or the result has no records.
     OSError
         If the results cannot be written; nothing is left behind.
-    bench.errors.ViewsFailedError
+    bench.core.words.exceptions.ViewsFailedError
         If the recording or the report failed; the results are written.
     """
     folder = Path(folder)

@@ -10,15 +10,15 @@ from typing import Any, Literal
 
 from bench import closed_loop, pipeline
 from bench.config.served import load_served
-from bench.errors import ConfigError, EstimatorStoppedError
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import CLIENT, Profile
+from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.exchange.streaming import listen, parse_address
 from bench.flight.steering import Commands
-from bench.flight_specs import FlightSpec
-from bench.run_result import RunResult
-from bench.specs import CLIENT, Profile
 
 Gives = Literal["estimate", "commands"]
 
@@ -79,13 +79,13 @@ def serve(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the profile or an argument is wrong, or pymavlink is not there.
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If an estimator of the profile cannot be built.
-    bench.errors.FlightError
+    bench.FlightError
         If the aircraft cannot be loaded or trimmed.
-    bench.errors.EstimatorStoppedError
+    bench.core.words.exceptions.EstimatorStoppedError
         If the flight ended before it can be judged.
     OSError
         If the address cannot be used.

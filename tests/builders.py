@@ -10,9 +10,9 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from scipy.special import gammaincinv, ndtri, stdtrit
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
-from bench.data import NavSolution, Sensed, Trajectory, no_air, no_controls, no_events
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import NavSolution, Sensed, Trajectory, no_air, no_controls, no_events
 from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.error_series import error_series
 from bench.navigation import mechanization

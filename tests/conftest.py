@@ -15,12 +15,12 @@ import pytest
 
 from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import Sensed, Trajectory
+from bench.core.files.places import cache_folder
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.flight_specs import FlightSpec
 from bench.flight import fly
 from bench.flight.truth import Stretch
-from bench.flight_specs import FlightSpec
-from bench.places import cache_folder
-from bench.random_streams import stream
 from bench.sensors import draws
 from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import rotation
+from bench.core.mathematics import rotation
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.log_pipeline import Session, find_start, read_log
 from bench.navigation.estimator import answer
 from bench.navigation.mechanization import propagate
-from bench.units import STANDARD_GRAVITY
 
 LOG = Path(__file__).parent / "logs" / "drive.toml"
 SPANS = (10, 20)  # [s]

@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench import durable, saving, store
+from bench import saving, store
 from bench.baselines import checking
 from bench.baselines.baseline_file import read_baseline, write_baseline
 from bench.baselines.checking import _write_change as write_change
@@ -41,9 +41,10 @@ from bench.campaigns.card import Card, Line
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.pools import SerialExecutor
 from bench.campaigns.running import Progress
-from bench.errors import BenchError
+from bench.core.files import durable
+from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
+from bench.core.words.exceptions import BenchError
 from bench.report import card_page
-from bench.scratch import LOCK, PREFIX, remove_abandoned
 from bench.store import truth_cache
 
 PROFILE = """

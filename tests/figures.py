@@ -24,8 +24,8 @@ import numpy as np
 
 from bench import pipeline
 from bench.config import list_profiles, load_profile
+from bench.core.records.specs import EstimatorChoice
 from bench.navigation.built_in import BUILT_IN
-from bench.specs import EstimatorChoice
 
 EVERY_ESTIMATOR = "all-sensors"
 """The profile that every built-in estimator flies, those that its file does not name included."""

@@ -37,7 +37,9 @@ from bench.cli.group import commands  # noqa: F401  (what a verb loads is loaded
 from bench.config import library, load_profile
 from bench.config.datasheets import SENSORS
 from bench.config.log import SourceSpec, load_log
-from bench.errors import BUG, BenchError
+from bench.core.files.places import PACKAGE
+from bench.core.records.flight_specs import TableSpec
+from bench.core.words.exceptions import BUG, BenchError
 from bench.exchange import almanac
 from bench.exchange.exports import gather
 from bench.exchange.log_records import read_records
@@ -46,8 +48,6 @@ from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.observations import read_observations
 from bench.exchange.solutions import read_solution
 from bench.exchange.trajectory import read_trajectory
-from bench.flight_specs import TableSpec
-from bench.places import PACKAGE
 from bench.store import parquet
 from tests import fuzz_answers
 from tests.data import gnss_file

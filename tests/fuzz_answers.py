@@ -16,9 +16,9 @@ import numpy as np
 
 import bench
 from bench import pipeline, store
-from bench.data import Events, Innovations, NavSolution
-from bench.errors import BenchError
-from bench.specs import Guard
+from bench.core.records.data import Events, Innovations, NavSolution
+from bench.core.records.specs import Guard
+from bench.core.words.exceptions import BenchError
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import print_result
 from tests.faults import PROFILE

@@ -26,17 +26,17 @@ from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable,
 from bench.config.sheet import MOST, Sheet, SpecTable
 from bench.config.sky_sheet import SkyTable
 from bench.config.tables import Range
-from bench.errors import STATUSES, ConfigError
+from bench.core.mathematics.units import from_si
+from bench.core.records.fields import figures_of, triad_figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.words.exceptions import STATUSES, ConfigError
+from bench.core.words.wording import as_toml, read_words
 from bench.evaluation.metrics import METRICS
 from bench.exchange.exports import FORMATS
-from bench.fields import figures_of, triad_figures_of
-from bench.instruments import INSTRUMENTS
 from bench.navigation import options
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
-from bench.sensor_specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.units import from_si
-from bench.wording import as_toml, read_words
 from bench.workbench.guide import FOLDER
 
 Lines = Iterator[str]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import rotation
-from bench.data import AirData, Trajectory, no_controls, no_events
-from bench.earth import EARTH_RATE, gravity_n
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import EARTH_RATE, gravity_n
+from bench.core.records.data import AirData, Trajectory, no_controls, no_events
 from bench.navigation import mechanization
 
 DEG = np.pi / 180

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 
 
 def body_rates(t):

@@ -18,10 +18,10 @@ import numpy as np
 if __name__ == "__main__":
     exec(" ".join(sys.argv[1:2]))
 
-from bench import compiled
-from bench.arrays import FloatArray
-from bench.earth import gravity_kernel
-from bench.wide_rows import add_row, row_sums, scale_row, set_row, wide
+from bench.core.compilation import compiled
+from bench.core.compilation.wide_rows import add_row, row_sums, scale_row, set_row, wide
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import gravity_kernel
 
 PATTERN = [[0, 3], [1], [], [0, 1, 2, 3]]
 UPPER = 3

@@ -21,9 +21,9 @@ from bench.campaigns.groups import Group, gather
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.plan import plan_runs
 from bench.campaigns.worker import CHANNELS
+from bench.core.files.file_checks import read_json
+from bench.core.records.specs import Profile
 from bench.evaluation.ensemble_consistency import TOLERATED
-from bench.files import read_json
-from bench.specs import Profile
 from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants
 

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.signal import lfilter
 
-from bench import earth, rotation
-from bench.data import Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import TableSpec
 from bench.exchange.trajectory import read_trajectory
-from bench.flight_specs import TableSpec
 from bench.navigation.error_state_filter.vehicle_motion import SHAKING_SD, SLIP_FORCE
 from bench.navigation.error_state_filter.vehicle_states import SQUAT_SD
 from bench.navigation.options import FusionOptions

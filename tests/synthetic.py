@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.data import AirData, Controls, Trajectory, no_events
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import AirData, Controls, Trajectory, no_events
 
 ORIGIN = np.array([np.deg2rad(47.0), np.deg2rad(11.0), 1200.0])
 

@@ -7,7 +7,7 @@ import pytest
 import bench
 from bench import pipeline
 from bench.cli import commands
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 FUNCTIONS = {
     "allan": "measure_allan",

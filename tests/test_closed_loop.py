@@ -12,13 +12,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench import closed_loop, config, pipeline, store
 from bench.cli import main
 from bench.config.listing import list_profiles
-from bench.data import NavSolution
-from bench.errors import ConfigError, EstimatorError
+from bench.core.records.data import NavSolution
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.flight import fly_pieces
 from bench.flight.belief import Belief, NavEstimate
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Taxi
-from bench.flight_specs import FlightSpec
 from bench.navigation.open_filters import PieceFilter
 from tests.flight.plans import plan, short_plan
 from tests.flight.test_legs_ground import KINDS, standing

@@ -13,12 +13,15 @@ import numba
 import numpy as np
 import pytest
 
-from bench import compiled, earth, places
+from bench.core.compilation import compiled
+from bench.core.files import places
+from bench.core.mathematics import earth
 from tests import kernel_modes
 
 ANSWER = """
 import sys, shutil, pathlib
-from bench import compiled, earth
+from bench.core.compilation import compiled
+from bench.core.mathematics import earth
 print(earth.radii_kernel(0.0)[1], compiled.choose_cache())
 """
 
@@ -53,7 +56,7 @@ def test_a_constant_changed_in_another_module_is_seen(tmp_path, variable):
     before, first = answer(folder, cache, variable)
     again, same = answer(folder, cache, variable)
     assert (again, same) == (before, first)
-    earth = folder / "bench" / "earth.py"
+    earth = folder / "bench/core/mathematics/earth.py"
     earth.write_text(earth.read_text().replace('"WGS-84", 6378137.0', '"WGS-84", 6378138.0'))
     after, second = answer(folder, cache, variable)
     assert (before, after) == (6378137.0, 6378138.0)
@@ -96,13 +99,13 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
     monkeypatch.setattr(compiled, "PACKAGE", folder / "bench")
     before = compiled._hash_sources()
     for name in (
-        "navigation/error_state_filter/schedule.py",
-        "navigation/error_state_filter/state_processes.py",
-        "data.py",
-        "sensor_specs.py",
-        "units.py",
+        "bench/navigation/error_state_filter/schedule.py",
+        "bench/navigation/error_state_filter/state_processes.py",
+        "bench/core/records/data.py",
+        "bench/core/records/sensor_specs.py",
+        "bench/core/mathematics/units.py",
     ):
-        path = folder / "bench" / name
+        path = folder / name
         path.write_text(path.read_text() + "\n# changed\n")
         after = compiled._hash_sources()
         assert after != before, name
@@ -214,7 +217,7 @@ assert made == [True, False, False], made
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-OTHER = "from bench import compiled; compiled._TRIED = ()"
+OTHER = "from bench.core.compilation import compiled; compiled._TRIED = ()"
 RENAMED = """
 from numba.core.caching import IndexDataCacheFile
 begin = IndexDataCacheFile.__init__

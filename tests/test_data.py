@@ -5,11 +5,11 @@ import pickle
 import numpy as np
 import pytest
 
-from bench.arrays import as_float, as_kind, read_only
-from bench.data import Events, ImuData, NavSolution, SensorData, Trajectory, no_events
-from bench.instruments import BaroData
-from bench.random_streams import stream
-from bench.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
+from bench.core.mathematics.arrays import as_float, as_kind, read_only
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import Events, ImuData, NavSolution, SensorData, Trajectory, no_events
+from bench.core.records.instruments import BaroData
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
 from tests.synthetic import still
 
 

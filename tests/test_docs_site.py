@@ -51,7 +51,7 @@ def test_every_public_name_is_told_with_its_errors(site):
     one = page.partition("### run\n")[2].partition("### ")[0]
     assert "profile: str | Path | Profile," in one
     assert "**Raises**" in one
-    assert "bench.errors.FlightError" in one
+    assert "bench.FlightError" in one
     arrays = page.partition("### NavSolution\n")[2].partition("### ")[0]
     assert r"\[m/s\], n" in arrays
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
+from bench.core.mathematics import earth
 
 ELLIPSOIDS = [earth.WGS84, earth.PZ90_11, earth.KRASOVSKY_1940, earth.INTERNATIONAL_1924]
 RNG = np.random.default_rng(5)

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 
 GUIDE = PACKAGE / "guide" / "extending.md"
 
@@ -59,7 +59,7 @@ TAB = Toy(
     new={
         "bench/plots/tabs/laser_heights.py": """
 from bench.plots.content import Content, Tab
-from bench.findings.series import FIX, Plot, draw_line
+from bench.core.records.findings.series import FIX, Plot, draw_line
 
 
 def _plots(content: Content):
@@ -137,7 +137,7 @@ class Weave(AtSpeed):
 
 IMU_TERM = Toy(
     inserted={
-        "bench/sensor_specs.py": [
+        "bench/core/records/sensor_specs.py": [
             (
                 "    @property\n    def instability_sd(self)",
                 '    shear_sd: float = triad_figure(_ANGLES, _ANGLES, error="shear", default=0.0)\n\n',
@@ -184,7 +184,7 @@ INSTRUMENT = Toy(
         "bench/sensors/laser.py": '''
 import numpy as np
 
-from bench.instruments import LaserData
+from bench.core.records.instruments import LaserData
 
 
 def report(truth, on_board, draws):
@@ -198,7 +198,7 @@ def report(truth, on_board, draws):
 '''
     },
     inserted={
-        "bench/instruments.py": [
+        "bench/core/records/instruments.py": [
             (
                 "@declared\nclass RadarData(",
                 '''@declared
@@ -285,7 +285,7 @@ LASER = AidingSensor(
 STUDY = Toy(
     new={
         "bench/studies/coin.py": """
-from bench.findings import Findings, FindingTable
+from bench.core.records.findings import Findings, FindingTable
 from bench.studies.study import Count, StudyOptions, StudyWorkers
 
 
@@ -317,7 +317,7 @@ EVALUATION = Toy(
                 '    until_s: Annotated[float, between(0, 86400)] = 86400.0\n    """Count until then."""\n',
             )
         ],
-        "bench/specs.py": [
+        "bench/core/records/specs.py": [
             (
                 "\n    @property\n    def first(self)",
                 '    end: float = field(default=86400.0, metadata={"key": "until_s"})  # [s]\n',

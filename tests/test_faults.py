@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench import durable
-from bench.scratch import LOCK
+from bench.core.files import durable
+from bench.core.files.scratch import LOCK
 
 PACKAGE = Path(bench.__file__).parent
 
@@ -110,7 +110,7 @@ def test_only_one_module_writes_what_stays():
 AUDITED = """
 import os, sys
 kept, outside = sys.argv[1], []
-allowed = "/bench/durable.py", "/bench/scratch.py", "/bench/campaigns/journal.py"
+allowed = "/bench/core/files/durable.py", "/bench/core/files/scratch.py", "/bench/campaigns/journal.py"
 
 def hook(event, arguments):
     if event == "open":

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import AfterValidator, BaseModel
 
-from bench.errors import ConfigError
-from bench.fields import declared, figure
+from bench.core.records.fields import declared, figure
+from bench.core.words.exceptions import ConfigError
 from bench.navigation.options import Limit
 from tests import guide_tables
 from tests.guide_tables import find_pages, rewrite_page

@@ -12,8 +12,8 @@ import pytest
 import bench
 from bench.cli import main
 from bench.config.listing import list_plugin_problems
-from bench.errors import ConfigError
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import ConfigError
 
 FILTER = """
 import pathlib

@@ -12,18 +12,18 @@ from numpy.testing import assert_array_equal
 from bench import store
 from bench.config import fault_tables, list_sensors
 from bench.config.datasheets import SENSORS
+from bench.core.files.places import PACKAGE
+from bench.core.mathematics.units import to_si
+from bench.core.records.fields import columns_of, figures_of
+from bench.core.records.instruments import INSTRUMENTS, InstrumentReports, InstrumentSpecs
+from bench.core.records.run_result import RunResult
+from bench.core.records.sensor_specs import Fault
 from bench.exchange import exports, frames
 from bench.exchange.exports import column_files
-from bench.fields import columns_of, figures_of
-from bench.instruments import INSTRUMENTS, InstrumentReports, InstrumentSpecs
 from bench.navigation.estimator import RECORDS
-from bench.places import PACKAGE
 from bench.plots.content import Content
 from bench.plots.tabs.flight_data import FLIGHT
-from bench.run_result import RunResult
-from bench.sensor_specs import Fault
 from bench.sensors import sense
-from bench.units import to_si
 from tests.weaving import units
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import psutil
 import pytest
 
-from bench.errors import BenchError
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import BenchError
 from tests.mutants.__main__ import EQUIVALENT, examine, main, read_equivalent
 from tests.mutants.sites import draw, find_mutants
 from tests.mutants.trial import Trial
@@ -143,7 +143,7 @@ def test_what_tests_notice_and_what_they_do_not(tree, tmp_path, capsys):
 def test_a_copy_of_bench_holds_what_its_tests_need(tmp_path):
     copy = Trial(PACKAGE.parent, tmp_path).root
     for name in (
-        "bench/earth.py",
+        "bench/core/mathematics/earth.py",
         "aircraft/systems/guidance.xml",
         "tests/conftest.py",
         "pyproject.toml",

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from bench.core.files.places import PACKAGE
+from bench.core.words.palette import FIXES, SLOTS, choose_looks
 from bench.navigation.built_in import BUILT_IN
-from bench.palette import FIXES, SLOTS, choose_looks
-from bench.places import PACKAGE
 
 COLOURS = (*SLOTS, FIXES)
 GROUNDS = {"light": ("#ffffff", "#f6f8fa"), "dark": ("#0f1318", "#181d24")}

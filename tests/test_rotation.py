@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation
+from bench.core.mathematics import rotation
 
 RNG = np.random.default_rng(11)
 ANGLES = np.column_stack(

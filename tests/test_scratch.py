@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from bench import scratch
+from bench.core.files import scratch
 
 HOLD = """
 import sys, time
 from pathlib import Path
-from bench.scratch import make_scratch, set_aside
+from bench.core.files.scratch import make_scratch, set_aside
 place = Path(sys.argv[1])
 with make_scratch(place) as folder:
     (folder / "new").mkdir()

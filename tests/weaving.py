@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import rotation
-from bench.data import AirData, Controls, Trajectory, no_events
-from bench.instruments import BaroSpec
+from bench.core.mathematics import rotation
+from bench.core.records.data import AirData, Controls, Trajectory, no_events
+from bench.core.records.instruments import BaroSpec
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from bench.navigation import mechanization
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 
 DEG = np.pi / 180
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from bench.baselines.verdict_rows import OTHER_TRUTH, Verdict
-from bench.wording import one_line
+from bench.core.words.wording import one_line
 
 MOVED = "{}: the flight is not that of the baseline; record it again with the code of before"
 """Sentence on a profile whose truth, or a log whose sensor data, are not those of its baseline."""

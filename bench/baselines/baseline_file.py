@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench import durable
 from bench.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
-from bench.errors import ConfigError
-from bench.files import read_json
+from bench.core.files import durable
+from bench.core.files.file_checks import read_json
+from bench.core.words.exceptions import ConfigError
 
 LEAST_DRAWS = 20
 """Fewest draws of a baseline."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bench import durable
 from bench.baselines.baseline_file import (
     CPU,
     LEAST_DRAWS,
@@ -23,9 +22,10 @@ from bench.baselines.verdict_rows import LOOKS, UncorrectedVerdict, Verdict, com
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
 from bench.config.checks import is_code
-from bench.errors import ConfigError
-from bench.specs import DEFAULT_GUARD, Guard
-from bench.wording import suggest
+from bench.core.files import durable
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
 
 DIRECTORY = Path("tests/baselines")
 """Default folder of the baselines of ``bench check``."""

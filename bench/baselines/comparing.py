@@ -21,10 +21,10 @@ from bench.baselines.experiments import (
 )
 from bench.baselines.verdict_rows import ERROR, SAME, UncorrectedVerdict, Verdict, Word, compare, decide
 from bench.campaigns.stored import load_campaign
-from bench.errors import ConfigError
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.metrics import find_metric
-from bench.run_result import RunResult
-from bench.wording import format_number
 
 ONE_DRAW = "one draw: no interval"
 """Note of a verdict on single runs."""
@@ -72,7 +72,7 @@ def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If there are fewer than two, one of them holds no results, or two have nothing in common.
     """
     if len(folders) < 2:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 DIGITS = 5
 """Digits of the figures of a column that its digest holds."""

@@ -17,14 +17,14 @@ from bench.baselines.digests import digest_record
 from bench.campaigns.worker import describe_error, get_truth
 from bench.config import load_profile
 from bench.config.toml_file import read_toml
-from bench.data import ErrorSeries
-from bench.errors import ConfigError
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.metrics import find_metric
 from bench.pipeline import build_estimator
-from bench.run_result import RunResult
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard
-from bench.units import SAME_INSTANT
 
 STRETCHES = 20
 """A recording has one draw of noise; it is cut into this many stretches, each of which counts as one."""
@@ -95,7 +95,7 @@ def open_experiment(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError
+    bench.ConfigError, bench.EstimatorError
         If it is missing or wrong.
     """
     if source.endswith(".toml") and "imu" in read_toml(Path(source), source):

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
-from bench import durable
 from bench.baselines.verdict_rows import Verdict
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line
 from bench.evaluation.required_metrics import MET, Finding
-from bench.wording import one_line
 
 
 def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False) -> None:

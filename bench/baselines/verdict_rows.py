@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
 from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.evaluation import regression
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.regression import Change

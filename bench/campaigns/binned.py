@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 _SMALLEST = 1e-3  # values below it share bins of equal width; above, bins grow in proportion
 _LARGEST = 1e8

@@ -14,8 +14,8 @@ from pydantic import Field
 from bench.config.checks import is_code
 from bench.config.tables import ROWS, Table, check_table
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.wording import quote_toml
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import quote_toml
 
 Values = Mapping[str, Any]
 """Dotted keys of a profile, as --set takes them, and their values."""

@@ -13,10 +13,10 @@ from bench.campaigns.campaign_file import format_value
 from bench.campaigns.groups import PERCENTILES, Done, Group
 from bench.campaigns.plan import Condition, Plan
 from bench.campaigns.worker import CHANNELS
+from bench.core.mathematics.units import unit_of
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.ensemble import CONFIDENCE
 from bench.evaluation.metrics import find_metric
-from bench.units import unit_of
 
 RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 """Names of the tables."""

@@ -35,13 +35,13 @@ from bench.campaigns.plan import Plan, hash_estimator, plan_campaign
 from bench.campaigns.running import Progress, run_campaign
 from bench.config.profile import make_choice
 from bench.config.tables import ROWS, Table, check_table
-from bench.errors import ConfigError
+from bench.core.files.file_checks import read_json
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import make_frame, write_sentences, write_table
+from bench.core.words.wording import one_line
 from bench.evaluation.required_metrics import MET, Finding
 from bench.exchange.solution_folder import share_equal_files, write_sensors
-from bench.files import read_json
-from bench.notebook import make_frame, write_sentences, write_table
-from bench.specs import DEFAULT_GUARD, Guard
-from bench.wording import one_line
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -174,7 +174,7 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the folder exists.
     OSError
         If a file cannot be written; nothing is left behind.
@@ -243,7 +243,7 @@ def make_card(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError
+    bench.ConfigError, bench.EstimatorError
         If an estimator cannot be built, or two have one name.
     KeyboardInterrupt
         If it was interrupted; ``runs`` has what was finished.
@@ -349,7 +349,7 @@ def verify_card(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the suite is not that of the card, or the card does not say what it ran.
     """
     if not card.use:

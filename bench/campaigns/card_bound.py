@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from bench import pipeline
-from bench.errors import ConfigError
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.held import bound_in_range, variance_of
 from bench.evaluation.linear.terms import check_sensors
-from bench.specs import Profile
-from bench.units import SAME_INSTANT
 
 _STATES = {"accuracy": (0, 1), "height": (2,), "velocity": (3, 4, 5), "tilt": (6, 7), "heading": (8,)}
 """Topic -> the states whose variances add up."""

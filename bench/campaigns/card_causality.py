@@ -18,11 +18,11 @@ from bench.campaigns.card_lines import UNPROVEN, Line, Rows
 from bench.campaigns.card_suite import LATE, Suite
 from bench.campaigns.plan import Plan
 from bench.campaigns.worker import hash_answers
-from bench.data import NavSolution, SensorData
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.core.records.data import NavSolution, SensorData
+from bench.core.records.specs import EstimatorChoice, Profile
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
+from bench.core.words.wording import one_line
 from bench.navigation.causality import LookAhead, measure_look_ahead
-from bench.specs import EstimatorChoice, Profile
-from bench.wording import one_line
 
 _INSTANTS = 3  # at which the future is changed, of the flight whose fixes come late
 _OTHERS, _INSTANTS_THERE = 2, 2  # further flights, and their instants

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
 from bench.campaigns.card import Card
 from bench.campaigns.card_lines import CONVENTIONS, COUNT, SAME, SHARE, Line, write_figure
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import ensemble
 from bench.evaluation.regression import Change, average_changes, decide
 

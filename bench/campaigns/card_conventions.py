@@ -10,7 +10,7 @@ from bench import pipeline
 from bench.campaigns.card_lines import CONVENTIONS, Line, Rows
 from bench.campaigns.card_suite import Suite
 from bench.campaigns.plan import Plan
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.verdict import BROKEN
 from bench.navigation.built_in import BUILT_IN

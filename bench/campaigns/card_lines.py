@@ -8,16 +8,16 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from bench.arrays import FloatArray
 from bench.campaigns.card_suite import SuiteFlight
 from bench.config.tables import ROWS, Table
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import one_line
 from bench.evaluation import ensemble
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.ensemble_consistency import TOLERATED
 from bench.evaluation.error_series import TITLES
 from bench.evaluation.linear.quantities import count_freedom
 from bench.evaluation.regression import average_changes
-from bench.wording import one_line
 
 _LEAST = 2  # draws that have an interval
 ERRORS = {

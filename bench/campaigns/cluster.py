@@ -15,9 +15,9 @@ from typing import Any
 
 from bench import store
 from bench.campaigns.plan import describe_software, find_module_files
-from bench.errors import ConfigError, WorkersLostError
-from bench.specs import EstimatorChoice
-from bench.wording import one_line
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import ConfigError, WorkersLostError
+from bench.core.words.wording import one_line
 
 _CONNECT = 20.0  # longest time to reach the scheduler [s]
 _PATIENCE = 120.0  # longest time without any worker [s]

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 Costs = Callable[[FloatArray], FloatArray]
 """Logarithms of factors (n,) -> cost of each draw (D,)."""

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
 from bench.campaigns.binned import BinnedRuns
 from bench.campaigns.journal import Journal
 from bench.campaigns.plan import Cell, Condition, Plan, PlannedRun
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, decode
-from bench.specs import EvaluationWindow
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.specs import EvaluationWindow
 
 MOST_EXACT = 2000
 """Runs of a group whose instants are all kept in memory; beyond, percentiles come from fixed bins."""

@@ -16,8 +16,8 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from bench import durable
 from bench.campaigns.worker import CHANNELS
+from bench.core.files import durable
 from bench.evaluation.metrics import find_metric
 
 NAME = "journal.jsonl"

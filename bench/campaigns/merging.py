@@ -8,7 +8,7 @@ from typing import Any
 
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 
 def merge_campaigns(campaigns: Mapping[str, Campaign]) -> Campaign:
@@ -24,7 +24,7 @@ def merge_campaigns(campaigns: Mapping[str, Campaign]) -> Campaign:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If they have no condition in common.
     """
     (name, first), *_ = campaigns.items()

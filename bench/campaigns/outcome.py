@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
 from bench.campaigns.groups import Group
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number, one_line
 from bench.evaluation import ensemble, regression
 from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
-from bench.wording import format_number, one_line
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 """Metrics whose squares are averaged over the runs."""

@@ -25,10 +25,10 @@ from bench.campaigns.campaign_file import (
     read_campaign_file,
 )
 from bench.config import load_profile
-from bench.errors import ConfigError
-from bench.flight_specs import FlightSpec
-from bench.places import PACKAGE
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
+from bench.core.files.places import PACKAGE
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
+from bench.core.words.exceptions import ConfigError
 
 _BLOCK = 1 << 20  # [byte]
 _MOST_NAMED = 200  # files that wrappers name

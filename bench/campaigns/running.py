@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import bench
-from bench import durable, pipeline, store
+from bench import pipeline, store
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
 from bench.campaigns.groups import gather
@@ -22,13 +22,14 @@ from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
 from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
 from bench.config.library import name_profile
-from bench.errors import ConfigError, FlightError
+from bench.core.files import durable
+from bench.core.files.scratch import make_scratch
+from bench.core.files.spawned import Printed
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError, FlightError
+from bench.core.words.notebook import make_frame, write_sentences, write_table
 from bench.evaluation.ensemble import Comparison
 from bench.evaluation.required_metrics import Finding, judge_runs, list_requirements
-from bench.notebook import make_frame, write_sentences, write_table
-from bench.scratch import make_scratch
-from bench.spawned import Printed
-from bench.specs import DEFAULT_GUARD, Guard
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
@@ -171,7 +172,7 @@ def campaign(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
         If no run can begin, or the folder cannot be used.
     """
     if resume and (out is None or force):
@@ -240,7 +241,7 @@ def run_campaign(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
         As for :func:`campaign`.
     OSError
         If the journal cannot be written; ``resume`` continues from there.

@@ -16,7 +16,7 @@ from bench.campaigns.groups import PERCENTILES
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
 from bench.campaigns.worker import CHANNELS
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency import MeanNis
 from bench.evaluation.ensemble import Comparison, Estimate
 from bench.evaluation.ensemble_consistency import Consistency
@@ -128,7 +128,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the folder is not that of a campaign, or is damaged.
     """
     folder = Path(folder)
@@ -202,7 +202,7 @@ def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the campaign has several conditions or no such run.
     """
     if len(campaign.conditions) > 1:

@@ -11,23 +11,24 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from bench import disk_arrays, log_pipeline, pipeline
-from bench.arrays import BoolArray, FloatArray
+from bench import log_pipeline, pipeline
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.heap import keep_freed_memory
 from bench.campaigns.worker import RunTask, choose_step, describe_error, get_truth, measure
 from bench.config import load_profile
 from bench.config.datasheets import MODIFIED, SENSORS
 from bench.config.library import find_profile
-from bench.errors import ConfigError
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import Guard, Profile
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import ensemble
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.error_series import error_series, find_covered_epochs, select_epochs
 from bench.evaluation.log_score import score_claims, score_innovations
-from bench.run_result import RunResult
-from bench.specs import Guard, Profile
 from bench.store import truth_key
-from bench.units import SAME_INSTANT
 
 Goal = Literal["consistency", "rmse"]
 Figures = Mapping[str, float]

@@ -11,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from bench import durable
-from bench.arrays import FloatArray
 from bench.campaigns.factor_search import REACH, FoundFactor, search_factors
 from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, HeldOutScore, LogTrial, ProfileTrial, Trial
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.specs import DEFAULT_GUARD, Guard
-from bench.wording import format_number, suggest
+from bench.core.files import durable
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number, suggest
 
 DEFAULT_FACTORS = (
     "imu.gyro.noise",
@@ -152,7 +152,7 @@ def tune(
 
     Raises
     ------
-    bench.errors.ConfigError, bench.errors.EstimatorError, bench.errors.FlightError
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
         If the source, the estimator or a factor is wrong, or a draw cannot be judged.
     """
     with ProcessPool(jobs or count_processors()) as pool:

@@ -13,18 +13,18 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline, store
-from bench.arrays import FloatArray
 from bench.campaigns.heap import keep_freed_memory
-from bench.data import ErrorSeries, NavSolution, Trajectory
-from bench.errors import BenchError
+from bench.core.files.spawned import Printed
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import BenchError
+from bench.core.words.wording import one_line
 from bench.evaluation.consistency import nis_by_sensor
 from bench.evaluation.ensemble import sum_repetition
 from bench.evaluation.error_series import heading_sd, select_epochs
-from bench.run_result import RunResult
-from bench.spawned import Printed
-from bench.specs import Profile
-from bench.units import SAME_INSTANT
-from bench.wording import one_line
 
 _PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 

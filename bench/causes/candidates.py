@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+from bench.core.records.fields import figures_of, triad_figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import SensorsSpec, TriadSpec, VibrationSpec
 from bench.evaluation.linear.terms import list_sources
-from bench.fields import figures_of, triad_figures_of
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import SensorsSpec, TriadSpec, VibrationSpec
 
 TRIADS = {"gyro": "gyro", "accel": "accelerometer"}
 """Field of `ImuSpec` -> how its errors begin."""
@@ -55,7 +55,7 @@ SKY_ERRORS: Mapping[str, tuple[str, ...]] = {
     "flicker of the receiver's clock": ("clock_h_m1",),
     "g-sensitivity of the receiver's clock": ("clock_g",),
 }
-"""The same of the ranges of a receiver at measurement level -> figures of `bench.sensor_specs.SkySpec`."""
+"""The same of the ranges of a receiver at measurement level -> figures of `sensor_specs.SkySpec`."""
 _OF_BOTH = ("GNSS latency", "lag of the receiver under acceleration")  # of fixes and of ranges
 _CLOCK = ("flicker of the receiver's clock", "g-sensitivity of the receiver's clock")
 

@@ -8,17 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays, sensors
+from bench import sensors
 from bench.causes.candidates import list_candidates
 from bench.causes.search import advise, describe_causes, find_causes
-from bench.data import NavSolution, SensorData, Trajectory
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.core.files import disk_arrays
+from bench.core.records.data import NavSolution, SensorData, Trajectory
+from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.evaluation.block_nees import BlockNees, judge_blocks
 from bench.evaluation.error_series import TITLES, error_series
 from bench.navigation import estimator
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodelled
-from bench.sensor_specs import AssumedSpecs, SensorsSpec
-from bench.specs import EstimatorChoice
 
 LOST = dict.fromkeys(TITLES, BlockNees(3, np.inf, 0.0, np.inf, 0.0))
 """The claims of a filter that ended without a solution."""

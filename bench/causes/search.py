@@ -16,13 +16,13 @@ from functools import reduce
 import numpy as np
 
 from bench.causes.candidates import SKY_ERRORS, WANDER, Candidate
+from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.wording import format_number
 from bench.evaluation.block_nees import BlockNees, find_broken_block
 from bench.evaluation.error_series import TITLES
 from bench.navigation import built_in, estimator
 from bench.navigation.forward_filters import FORWARD
-from bench.sensor_specs import AssumedSpecs, SensorsSpec
-from bench.specs import EstimatorChoice
-from bench.wording import format_number
 
 LEAST = 0.30
 """Part of the excess NEES that a cause takes [1]."""

@@ -13,10 +13,10 @@ from typing import Any
 
 import click
 
-from bench.cli import campaigning, flights, receiver_files, records, serving_flights, starting, studying
+from bench.cli import campaigning, flights, receiver_files, recorded_data, serving_flights, starting, studying
 from bench.cli.group import commands
-from bench.errors import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
-from bench.wording import replace_control
+from bench.core.words.exceptions import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
+from bench.core.words.wording import replace_control
 
 # each module adds verbs
 __all__ = [
@@ -25,7 +25,7 @@ __all__ = [
     "flights",
     "main",
     "receiver_files",
-    "records",
+    "recorded_data",
     "serving_flights",
     "starting",
     "studying",

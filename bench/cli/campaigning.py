@@ -29,7 +29,7 @@ from bench.cli.group import (
     set_option,
     strict_option,
 )
-from bench.errors import DONE, INTERRUPTED, NEGATIVE
+from bench.core.words.exceptions import DONE, INTERRUPTED, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

@@ -18,7 +18,7 @@ def _list_profiles() -> Iterable[str]:
 
 
 def _list_estimators() -> Iterable[str]:
-    from bench.installed import find_installed
+    from bench.core.files.installed import find_installed
     from bench.navigation.built_in import BUILT_IN
 
     return [*BUILT_IN, *find_installed("estimators", BUILT_IN)]

@@ -34,7 +34,7 @@ from bench.cli.group import (
     strict_option,
     table_option,
 )
-from bench.errors import DONE, NEGATIVE
+from bench.core.words.exceptions import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

@@ -14,15 +14,15 @@ import click
 
 from bench import __version__
 from bench.cli import completion
-from bench.errors import BUG, DONE, NEGATIVE, STATUSES
-from bench.wording import replace_control
+from bench.core.words.exceptions import BUG, DONE, NEGATIVE, STATUSES
+from bench.core.words.wording import replace_control
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from bench.run_result import RunResult
+    from bench.core.records.run_result import RunResult
 
 _LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
 STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
@@ -147,8 +147,8 @@ LIMITS = ("timeout", "memory", "output", "in_process")
 
 
 def make_guard(given: dict[str, Any]) -> Any:
-    """Take the `LIMITS` out of the parameters of a verb and return them as a `bench.specs.Guard`."""
-    from bench.specs import DEFAULT_GUARD, Guard
+    """Take the `LIMITS` out of the parameters of a verb and return them as a `specs.Guard`."""
+    from bench.core.records.specs import DEFAULT_GUARD, Guard
 
     timeout, memory, output, in_process = (given.pop(name) for name in LIMITS)
     return Guard(

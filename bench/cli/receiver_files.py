@@ -17,7 +17,7 @@ from bench.cli.group import (
     new_console,
     out_option,
 )
-from bench.errors import DONE, NEGATIVE
+from bench.core.words.exceptions import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

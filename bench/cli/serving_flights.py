@@ -20,7 +20,7 @@ from bench.cli.group import (
     set_option,
     strict_option,
 )
-from bench.errors import DONE, NEGATIVE
+from bench.core.words.exceptions import DONE, NEGATIVE
 
 
 @commands.command(epilog=STATUS)

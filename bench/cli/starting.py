@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from bench.cli.group import STATUS, commands, new_console, rates_option
-from bench.errors import DONE
+from bench.core.words.exceptions import DONE
 
 _KINDS = "estimator", "check", "log", "aircraft", "schemas"
 

@@ -19,7 +19,7 @@ from bench.cli.group import (
     seed_option,
     set_option,
 )
-from bench.errors import DONE, NEGATIVE, UNDECIDED, ConfigError
+from bench.core.words.exceptions import DONE, NEGATIVE, UNDECIDED, ConfigError
 
 _SHARED = {"overrides": set_option, "seed": seed_option}
 """Options of studies that other verbs have, too."""

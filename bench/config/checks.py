@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from bench.config.profile_tables import ExperimentTable, RequirementTable
+from bench.core.files.installed import find_installed
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.specs import AUTOPILOT, EstimatorChoice
+from bench.core.words.wording import quantity, suggest
 from bench.evaluation.required_metrics import is_metric
-from bench.installed import find_installed
-from bench.instruments import INSTRUMENTS
 from bench.navigation.built_in import BUILT_IN
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import AUTOPILOT, EstimatorChoice
-from bench.wording import quantity, suggest
 
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """Label of an estimator, a part of the names of its files."""

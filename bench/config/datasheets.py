@@ -22,12 +22,19 @@ from bench.config.sheet import (
 from bench.config.sky_sheet import SkyTable, read_sky
 from bench.config.tables import ROWS, Table, between, check_table, collect_errors
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.fields import XYZ, triad_figures_of
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import AxisFigures, GnssSpec, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.units import from_si, to_si
-from bench.wording import quantity, suggest
+from bench.core.mathematics.units import from_si, to_si
+from bench.core.records.fields import XYZ, triad_figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import (
+    AxisFigures,
+    GnssSpec,
+    ImuSpec,
+    ThermalSpec,
+    TriadSpec,
+    VibrationSpec,
+)
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import quantity, suggest
 
 MODIFIED = ", modified"
 """Follows the name of a unit of which a figure was replaced."""

@@ -9,10 +9,10 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from bench.config.profile_tables import ExperimentTable, ScriptTable, TrackTable, TrajectoryTable
-from bench.errors import ConfigError, FlightError
+from bench.core.records.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
+from bench.core.words.exceptions import ConfigError, FlightError
+from bench.core.words.wording import quantity, suggest, tell_where
 from bench.flight.model_files import LONGEST_SCRIPT, class_of, script_facts, system_files
-from bench.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
-from bench.wording import quantity, suggest, tell_where
 
 _TABLES = (".csv", ".parquet")
 _TRACKS = (".gpx", ".kml", ".igc", ".nmea")

@@ -11,12 +11,12 @@ from pydantic import AfterValidator, Field, TypeAdapter, create_model
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between
-from bench.fields import figures_of
-from bench.instruments import INSTRUMENTS
-from bench.orbit_sets import LETTERS, SYSTEM_NAMES
-from bench.sensor_specs import Fault, GnssSpec, ImuSpec
-from bench.units import to_si
-from bench.wording import quantity
+from bench.core.mathematics.units import to_si
+from bench.core.records.fields import figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.orbit_sets import LETTERS, SYSTEM_NAMES
+from bench.core.records.sensor_specs import Fault, GnssSpec, ImuSpec
+from bench.core.words.wording import quantity
 
 _LAST = (32, 24, 36, 63)
 """Number of the last satellite by system: their ICDs."""

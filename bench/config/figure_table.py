@@ -9,10 +9,10 @@ import numpy as np
 
 from bench.config.listing import find_sheets
 from bench.config.toml_file import read_toml
-from bench.fields import triad_figures_of
-from bench.sensor_specs import TriadSpec
-from bench.units import from_si, to_si
-from bench.wording import format_number
+from bench.core.mathematics.units import from_si, to_si
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.wording import format_number
 
 ASSUMED = "*"
 """Follows a figure that no source states."""

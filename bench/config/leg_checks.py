@@ -12,13 +12,13 @@ from pathlib import Path
 from bench.config.listing import PROFILES
 from bench.config.profile_tables import ProfileTable
 from bench.config.sheet import convert_figures
-from bench.errors import ConfigError
+from bench.core.records.flight_specs import AircraftSpec, Leg, LegStart, Runway, TerrainSpec
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import quantity, tell_where
 from bench.flight.legs.keys import check_leg
 from bench.flight.legs.runway import TakeOff
-from bench.flight_specs import AircraftSpec, Leg, LegStart, Runway, TerrainSpec
 from bench.signals.terrain import ENDINGS, describe_terrain, ground_at
-from bench.specs import EstimatorChoice
-from bench.wording import quantity, tell_where
 
 
 def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

@@ -13,9 +13,9 @@ from pydantic import Field, create_model, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.config.tables import ROWS, Table, between
+from bench.core.mathematics.units import to_si
+from bench.core.records.flight_specs import Leg
 from bench.flight.legs.keys import KeyedField, keys_of
-from bench.flight_specs import Leg
-from bench.units import to_si
 
 
 class DeclaredTable(Table):

@@ -22,11 +22,11 @@ from bench.config.profile_tables import SEVERITY, Altitude, Category, Speed
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, Table, between, check_table
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.flight_specs import AircraftSpec, ForeignSpec, RunwaySpec
-from bench.installed import find_folders
-from bench.specs import Profile
-from bench.wording import one_line, quantity, suggest, tell_where
+from bench.core.files.installed import find_folders
+from bench.core.records.flight_specs import AircraftSpec, ForeignSpec, RunwaySpec
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line, quantity, suggest, tell_where
 
 
 class _Position(Table):

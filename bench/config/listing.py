@@ -10,16 +10,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.config.toml_file import read_toml
-from bench.fields import figures_of, triad_figures_of
+from bench.core.files.installed import find_folders, find_installed, list_problems
+from bench.core.files.places import PACKAGE
+from bench.core.mathematics.units import split_unit
+from bench.core.records.fields import figures_of, triad_figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import GnssSpec, TriadSpec
+from bench.core.words.wording import quantity
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
-from bench.installed import find_folders, find_installed, list_problems
-from bench.instruments import INSTRUMENTS
 from bench.navigation.built_in import BUILT_IN
-from bench.places import PACKAGE
-from bench.sensor_specs import GnssSpec, TriadSpec
-from bench.units import split_unit
-from bench.wording import quantity
 
 PROFILES = PACKAGE / "profiles"
 CATALOG = PACKAGE / "catalog"

@@ -18,12 +18,12 @@ from bench.config.overrides import DatasheetChanges, override, split_overrides
 from bench.config.profile import choose_estimators, describe_choice, less_empty, make_choices
 from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
-from bench.errors import ConfigError
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import DEFAULT_DATE, AssumedSpecs
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import as_toml
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, EvaluationWindow, Guard
-from bench.wording import as_toml
 
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config.datasheets import MODIFIED, SENSORS
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 Figures = Mapping[str, Mapping[str, Any]]
 """Kind of sensor -> ``table.key`` of its datasheet -> value, in the unit of the key."""

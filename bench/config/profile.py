@@ -34,14 +34,22 @@ from bench.config.profile_tables import (
 from bench.config.sheet import convert_figures
 from bench.config.tables import check_table, collect_errors
 from bench.config.toml_file import check_kind, read_toml
-from bench.errors import ConfigError
+from bench.core.records.flight_specs import (
+    AircraftSpec,
+    Flight,
+    FlightSpec,
+    Gust,
+    Runway,
+    TerrainSpec,
+    WindLayer,
+)
+from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
+from bench.core.records.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
 from bench.flight import legs
-from bench.flight_specs import AircraftSpec, Flight, FlightSpec, Gust, Runway, TerrainSpec, WindLayer
-from bench.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.signals.air import SEA_LEVEL_PRESSURE
 from bench.signals.magnetic import decimal_year
-from bench.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
-from bench.wording import suggest
 
 _OUTSIDE = ("file:", "command:")
 _DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter

@@ -16,10 +16,10 @@ from bench.config.fault_tables import FaultTable
 from bench.config.leg_tables import DeclaredTable, build_leg_type
 from bench.config.sheet import make_table_type
 from bench.config.tables import ROWS, Table, between
-from bench.flight_specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
-from bench.instruments import INSTRUMENTS
+from bench.core.records.flight_specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.specs import EvaluationWindow
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.specs import EvaluationWindow
 
 Seconds = Annotated[float, between(*SECONDS)]
 Altitude = Annotated[float, between(*ALTITUDES)]

@@ -17,12 +17,12 @@ from bench.config.log_tables import LogTable
 from bench.config.profile_tables import ScriptTable, TrajectoryTable, make_profile_table
 from bench.config.sheet import SpecTable
 from bench.config.tables import Range
-from bench.fields import figures_of, triad_figures_of
+from bench.core.records.fields import figures_of, triad_figures_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.wording import read_words
 from bench.flight import legs
 from bench.flight.legs.keys import keys_of
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import TriadSpec
-from bench.wording import read_words
 
 Schema = dict[str, Any]
 DIALECT = "http://json-schema.org/draft-07/schema#"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.config.profile import load_profile
-from bench.specs import CLIENT, Profile
+from bench.core.records.specs import CLIENT, Profile
 
 
 def load_served(

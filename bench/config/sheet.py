@@ -8,9 +8,9 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, create_model
 
 from bench.config.tables import Table, between
-from bench.fields import figures_of
-from bench.units import from_si, to_si
-from bench.wording import quantity
+from bench.core.mathematics.units import from_si, to_si
+from bench.core.records.fields import figures_of
+from bench.core.words.wording import quantity
 
 Grade = Literal["consumer", "industrial", "tactical", "navigation", "synthetic"]
 Confidence = Literal["datasheet", "front page", "maker", "quoted", "table"]

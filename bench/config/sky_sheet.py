@@ -13,10 +13,10 @@ from pydantic_core import PydanticCustomError
 
 from bench.config.sheet import convert_figures, make_table_type
 from bench.config.tables import ROWS, collect_errors
-from bench.errors import ConfigError
-from bench.orbit_sets import GLONASS, GPS, SYSTEM_NAMES, GlonassSets, KeplerSets, parse_systems
-from bench.sensor_specs import SkySpec
-from bench.units import STANDARD_GRAVITY
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.orbit_sets import GLONASS, GPS, SYSTEM_NAMES, GlonassSets, KeplerSets, parse_systems
+from bench.core.records.sensor_specs import SkySpec
+from bench.core.words.exceptions import ConfigError
 
 _DAY = 86400.0
 _EPOCH = date(1980, 1, 6)

@@ -10,8 +10,8 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from bench.errors import MOST_MESSAGES, ConfigError
-from bench.wording import as_toml, describe_error, suggest
+from bench.core.words.exceptions import MOST_MESSAGES, ConfigError
+from bench.core.words.wording import as_toml, describe_error, suggest
 
 _T = TypeVar("_T", bound=BaseModel)
 

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.errors import ConfigError
-from bench.files import check_file
+from bench.core.files.file_checks import check_file
+from bench.core.words.exceptions import ConfigError
 
 MOST_BYTES = 10_000_000
 """Largest TOML file that is read [byte]."""

@@ -7,7 +7,7 @@ from itertools import permutations, product
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.evaluation.motion_fit import MotionFit, Stretches, fit_motion
 
 _STRETCHES = 6  # tried in the first round: those in which the velocity changes most

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import ErrorSeries, NavSolution
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries, NavSolution
 from bench.evaluation.claims import find_nees_band
 from bench.evaluation.consistency import count_independent
 from bench.evaluation.error_series import (
@@ -18,7 +19,6 @@ from bench.evaluation.error_series import (
     normalized_squares,
     select_epochs,
 )
-from bench.units import SAME_INSTANT
 
 
 @dataclass(frozen=True, slots=True)

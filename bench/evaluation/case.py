@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, Events, NavSolution, OffPath, SensorTruth
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import SAME_INSTANT, split_unit
+from bench.core.records.data import ErrorSeries, Events, NavSolution, OffPath, SensorTruth
+from bench.core.records.fields import XYZ
+from bench.core.records.sensor_specs import AssumedSpecs, Fault
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency import SensorNis, count_independent, nis_by_sensor
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.error_series import as_slice, heading_sd, select_epochs, variances
 from bench.evaluation.poses import Poses
-from bench.fields import XYZ
-from bench.sensor_specs import AssumedSpecs, Fault
-from bench.specs import EvaluationWindow
-from bench.units import SAME_INSTANT, split_unit
 
 Outages = Sequence[tuple[float, float]]
 

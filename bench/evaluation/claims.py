@@ -11,11 +11,11 @@ from typing import Literal
 
 import numpy as np
 
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.evaluation.case import Case
 from bench.evaluation.consistency import chi2_quantile, count_independent, mean_band, mean_nis
 from bench.evaluation.error_series import BLOCKS
 from bench.evaluation.failures import FAILED
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 AXES = ("n", "e", "d")
 Edge = Literal["low", "high"]

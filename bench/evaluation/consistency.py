@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import Innovations
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import Innovations
 
 NIS_PROBABILITY = 0.999
 """Probability of the band of a mean NIS [1]."""

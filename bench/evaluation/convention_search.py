@@ -15,8 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import NavSolution, Trajectory
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.words.wording import format_number
 from bench.evaluation.block_nees import BlockNees, find_broken_block, measure_nees
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.error_series import (
@@ -27,8 +29,6 @@ from bench.evaluation.error_series import (
     select_epochs,
 )
 from bench.evaluation.known_conventions import Answers, Convention, compare, list_conventions, move
-from bench.units import SAME_INSTANT
-from bench.wording import format_number
 
 _TENFOLD = 10.0
 _CHANCE = 1e-6  # of naming a convention where there is none, by its constants alone

@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import NavSolution, SensorData
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import NavSolution, SensorData
 from bench.evaluation.error_series import TITLES, VALUES, find_answered_epochs
-from bench.units import SAME_INSTANT
 
 ENOUGH = 0.99
 """Share of the instants that each block of a solution has to answer [1]."""

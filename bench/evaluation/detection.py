@@ -13,11 +13,11 @@ from functools import partial
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import HOUR, SAME_INSTANT
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import Fault
 from bench.evaluation.case import Alarms, Case
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import Fault
-from bench.units import HOUR, SAME_INSTANT
 
 _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
     "gnss": ("gnss", "pseudorange", "range_rate"),

@@ -23,11 +23,11 @@ from typing import Literal
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.sensor_specs import ImuSpec
 from bench.evaluation.case import Case, find_outage_rows
-from bench.sensor_specs import ImuSpec
-from bench.units import STANDARD_GRAVITY
 
 RADIUS = 6_371_000.0  # mean radius of the Earth [m]
 SCHULER = math.sqrt(STANDARD_GRAVITY / RADIUS)  # [rad/s]

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Innovations
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Innovations
+from bench.core.words.notebook import ShownFigure
+from bench.core.words.wording import format_number
 from bench.evaluation import regression
 from bench.evaluation.consistency import MeanNis, SensorNis, mean_band, mean_nis
-from bench.notebook import ShownFigure
-from bench.wording import format_number
 
 CONFIDENCE = 0.95
 """Confidence of an interval [1]."""

@@ -20,7 +20,7 @@ from typing import Literal
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray, as_float
+from bench.core.mathematics.arrays import FloatArray, IntArray, as_float
 from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, SensorNis, mean_band, mean_nis
 
 LEAST_RUNS = 40

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import ErrorSeries
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import ensemble
 from bench.evaluation.consistency import MeanNis, SensorNis, mean_nis, nis_by_sensor
 from bench.evaluation.ensemble import Comparison, Course, Estimate, Growth, Whiteness
 from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 from bench.evaluation.error_series import BLOCKS, claimed_blocks, estimated_blocks
-from bench.run_result import RunResult
-from bench.specs import EvaluationWindow
-from bench.units import SAME_INSTANT
 
 SIGMAS = 3.0
 """Errors within so many standard deviations count as covered."""

@@ -9,11 +9,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray, read_only
-from bench.compiled import kernel
-from bench.data import ErrorSeries, NavSolution, Trajectory
-from bench.units import SAME_INSTANT
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, read_only
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
 
 _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 
@@ -50,7 +51,7 @@ def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
     Returns
     -------
     errors : ErrorSeries
-        Estimate minus truth: pos_n [m] (first order, :func:`bench.earth.difference_n`),
+        Estimate minus truth: pos_n [m] (first order, :func:`bench.core.mathematics.earth.difference_n`),
         vel_n [m/s], phi_n [rad] with ``C_nb_est = exp([phi_n x]) C_nb_true``.
 
     Raises

@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, NavSolution, no_innovations
-from bench.errors import EstimatorError, EstimatorFailedError, EstimatorStoppedError, FilterTraceback
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, NavSolution, no_innovations
+from bench.core.words.exceptions import (
+    EstimatorError,
+    EstimatorFailedError,
+    EstimatorStoppedError,
+    FilterTraceback,
+)
 
 FAILED, TRACEBACK = "failed", "traceback"
 """Kinds of events: there is no solution, for the reason in the text; where in the code it was raised."""

@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.coverage import carry_on, find_excused, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.metrics import METRICS, CarriedSolution, judge_epochs
-from bench.specs import EvaluationWindow
-from bench.units import SAME_INSTANT
 
 _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
 """How the names of metrics begin that the errors of the fixes themselves would spoil."""

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from bench.data import Events
+from bench.core.records.data import Events
+from bench.core.records.findings.looks import LOOKS, VerdictLook, find_look
+from bench.core.words.wording import format_number
 from bench.evaluation import verdict
 from bench.evaluation.required_metrics import MISSED
 from bench.evaluation.verdict import (
@@ -16,8 +18,6 @@ from bench.evaluation.verdict import (
     format_distance,
     format_share,
 )
-from bench.findings.looks import LOOKS, VerdictLook, find_look
-from bench.wording import format_number
 
 NEES = (
     "NEES, normalized estimation error squared: squared error over claimed variance, in the mean the number "

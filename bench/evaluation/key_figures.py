@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.core.words.wording import format_number
 from bench.evaluation.metric_words import find_words
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.verdict import find_bounds
-from bench.wording import format_number
 
 Measured = Mapping[str, Mapping[str, Any]]
 """Estimator -> metric -> value."""

@@ -14,9 +14,9 @@ from itertools import product
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
 from bench.evaluation.error_series import BLOCKS, interpolate_truth
 
 POS, VEL, PHI = BLOCKS["pos"], BLOCKS["vel"], BLOCKS["phi"]

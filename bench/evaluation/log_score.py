@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import ErrorSeries, Innovations, NavSolution
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import ErrorSeries, Innovations, NavSolution
 from bench.evaluation.error_series import BLOCKS, claimed_blocks
 
 

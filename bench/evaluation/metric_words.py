@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.words.wording import format_number
 from bench.evaluation.metrics import METRICS, Metric, find_metric
-from bench.instruments import INSTRUMENTS
-from bench.wording import format_number
 
 POSITION, MOTION, HONESTY = "Position", "Velocity and attitude", "Honesty of the claim"
 OUTAGES, FAULTS, FILTER, OTHER = "Without GNSS", "Faults", "What the filter did", "Other"

@@ -13,9 +13,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, NavSolution, OffPath, SensorData, SensorTruth, Trajectory
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import SAME_INSTANT, unit_of
+from bench.core.records.data import ErrorSeries, NavSolution, OffPath, SensorData, SensorTruth, Trajectory
+from bench.core.records.sensor_specs import AssumedSpecs, Fault
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.wording import one_line
 from bench.evaluation import claims, detection, drift_laws, path_errors, total_system
 from bench.evaluation.case import NO_TIMES, Case, Outages, build_case, cut_case
 from bench.evaluation.coverage import Coverage, carry_on, find_excused, find_silent_epochs, measure_coverage
@@ -31,10 +35,6 @@ from bench.evaluation.error_series import (
 )
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.poses import Poses, lengths
-from bench.sensor_specs import AssumedSpecs, Fault
-from bench.specs import EvaluationWindow
-from bench.units import SAME_INSTANT, unit_of
-from bench.wording import one_line
 
 Value = float | None
 Values = Mapping[str, Value]

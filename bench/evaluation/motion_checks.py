@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.evaluation.axis_search import Axes, describe_axes, find_axes
 from bench.evaluation.motion_fit import NAMES, MotionFit, Stretches, find_stretches, fit_motion
 from bench.evaluation.recorded_motion import Check, RecordedMotion
-from bench.units import STANDARD_GRAVITY
 
 SIGMAS = 5.0
 """A deviation counts beyond this many of its standard deviations."""

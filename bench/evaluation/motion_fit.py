@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import kernel
-from bench.earth import EARTH_RATE, gravity_n, matrix_en
-from bench.rotation import from_rotvec, matrix, skew
-from bench.units import STANDARD_GRAVITY
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.earth import EARTH_RATE, gravity_n, matrix_en
+from bench.core.mathematics.rotation import from_rotvec, matrix, skew
+from bench.core.mathematics.units import STANDARD_GRAVITY
 
 NAMES = (
     *("gyro_bias_x", "gyro_bias_y", "gyro_bias_z"),  # [rad/s]

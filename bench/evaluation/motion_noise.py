@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import ImuData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.evaluation.recorded_motion import Check
 from bench.evaluation.rest_noise import assume_noise
-from bench.sensor_specs import ImuSpec
 
 SEGMENT = 4.0
 """Length of the stretches whose spectra are averaged [s]."""

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings import FindingTable, make_table
+from bench.core.records.sensor_specs import ImuSpec
+from bench.core.words.notebook import ShownFigure
+from bench.core.words.wording import format_number
 from bench.evaluation.drift_laws import RAYLEIGH_95, RAYLEIGH_MEDIAN, drift_sd
 from bench.evaluation.ensemble import estimate_quantile
-from bench.findings import FindingTable, make_table
-from bench.notebook import ShownFigure
-from bench.sensor_specs import ImuSpec
-from bench.wording import format_number
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,10 +13,10 @@ from typing import Literal
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import CONFIDENCE, SAME, Estimate
 from bench.evaluation.regression import Change, estimate_change, half_log_of_mean
-from bench.wording import format_number
 
 Word = Literal["better", "worse", "same", "undecided"]
 

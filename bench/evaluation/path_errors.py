@@ -14,10 +14,10 @@ from typing import Literal
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import DEG
 from bench.evaluation.case import Case
 from bench.evaluation.poses import align, centroid, lengths
-from bench.units import DEG
 
 TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
 """Part of a name -> time between the poses of a relative error [s]."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray, read_only
-from bench.compiled import inner, kernel
-from bench.data import ErrorSeries, NavSolution
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, read_only
+from bench.core.records.data import ErrorSeries, NavSolution
 
 _PACE = 1.0  # a relative error begins every so many seconds [s]
 

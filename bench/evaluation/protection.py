@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import BoolArray, FloatArray
-from bench.data import GnssObservations, NavSolution
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import GnssObservations, NavSolution
 
 HORIZONTAL, VERTICAL = 6.18, 5.33
 """Constants of DO-229: a risk of 5e-9 in the plane and of 1e-7 along a line, two-sided."""

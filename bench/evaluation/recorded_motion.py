@@ -7,10 +7,10 @@ from functools import partial
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssFixes, ImuData
-from bench.earth import matrix_en, to_ecef
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.earth import matrix_en, to_ecef
+from bench.core.records.data import GnssFixes, ImuData
 
 STILL = 0.2
 """Ground speed below which a vehicle counts as standing still [m/s]."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 
 Scale = Callable[[FloatArray], FloatArray]
 """Maps means over draws (...,) to what is compared (...,): the larger, the worse."""

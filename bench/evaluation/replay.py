@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.data import Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Trajectory
 from bench.navigation.mechanization import propagate
 
 STRETCH = 600.0

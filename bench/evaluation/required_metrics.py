@@ -14,9 +14,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import Estimate, estimate_rate
 from bench.evaluation.metrics import find_metric
-from bench.wording import format_number
 
 MET, MISSED, UNDECIDED = "met", "missed", "undecided"
 EVERY = "*"

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import HOUR
 from bench.evaluation.ensemble import Estimate, estimate_fraction, estimate_rate
 from bench.evaluation.required_metrics import MET, MISSED, UNDECIDED
-from bench.units import HOUR
 
 WITHIN, OUTSIDE_PER_HOUR = 0.95, 1e-5
 """Required: share of the flight time within RNP, and probability of an hour with more than twice RNP."""

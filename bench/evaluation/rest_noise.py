@@ -11,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray, IntArray
-from bench.data import ImuData
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.evaluation.noise_curves import format_noise_figures
 from bench.evaluation.recorded_motion import Check
-from bench.sensor_specs import ImuSpec, TriadSpec
 
 TAU = 1.0
 """Averaging time of the Allan deviation [s]: a bias changes little within it."""

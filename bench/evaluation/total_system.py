@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.data import OffPath
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import OffPath
 from bench.evaluation.case import Case
 
 Part = Literal["tse", "fte", "nse"]

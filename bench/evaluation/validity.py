@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import GnssFixes, ImuData
-from bench.earth import gravity_n, matrix_en, to_ecef
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import gravity_n, matrix_en, to_ecef
+from bench.core.records.data import GnssFixes, ImuData
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.words.wording import format_number
 from bench.evaluation.motion_checks import GRAVITY_OFF, SHIFT_OFF, SIGMAS, check_motion, guess_force_unit
 from bench.evaluation.recorded_motion import Check, RecordedMotion
-from bench.instruments import INSTRUMENTS
-from bench.wording import format_number
 
 TILT_OFF = np.deg2rad(20.0)
 """Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.core.words.wording import format_number
 from bench.evaluation.coverage import Coverage
 from bench.evaluation.drift_laws import RAYLEIGH_95
 from bench.evaluation.error_series import (
@@ -18,7 +19,6 @@ from bench.evaluation.error_series import (
     TITLES,
 )
 from bench.evaluation.required_metrics import MET, MISSED, judge_run
-from bench.wording import format_number
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
 """Verdicts by the errors: larger than claimed, smaller, neither is shown by this run."""

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
 from bench.config.log import SourceSpec
-from bench.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
-from bench.errors import ConfigError, EstimatorError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
+from bench.core.records.specs import AUTOPILOT
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.exchange.imports.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
 from bench.exchange.imports.unreadable import explain_missing
 from bench.exchange.solutions import ForeignSolution, resample
-from bench.specs import AUTOPILOT
 
 NEAR = 0.5
 """Longest interval between rows of an estimate that is bridged [s]: loggers write 8 to 100 a second."""

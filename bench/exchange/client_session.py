@@ -14,8 +14,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any, NoReturn
 
-from bench.data import InitialState, NavSolution, SensorData
-from bench.errors import EstimatorStoppedError
+from bench.core.records.data import InitialState, NavSolution, SensorData
+from bench.core.words.exceptions import EstimatorStoppedError
 from bench.exchange.streaming import wait_until
 from bench.flight.steering import Commands
 

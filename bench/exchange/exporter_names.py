@@ -11,7 +11,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from bench.units import split_unit
+from bench.core.mathematics.units import split_unit
 
 FORWARD_LEFT_UP = (180.0, 0.0, 0.0)
 """Roll, pitch, yaw of axes forward, left, up [deg]."""

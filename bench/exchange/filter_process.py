@@ -24,14 +24,9 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import disk_arrays
-from bench.errors import EstimatorError, EstimatorFailedError, EstimatorStoppedError, FilterTraceback
-from bench.exchange.filter_server import ANSWER, REQUEST, watch
-from bench.exchange.record_messages import RecordMessage, read_message
-from bench.navigation.engine.record_cuts import without_orbits
-from bench.scratch import make_scratch
-from bench.sensor_specs import AssumedSpecs
-from bench.spawned import (
+from bench.core.files import disk_arrays
+from bench.core.files.scratch import make_scratch
+from bench.core.files.spawned import (
     LOOK,
     PATIENCE,
     Printed,
@@ -41,7 +36,17 @@ from bench.spawned import (
     end_group,
     measure_cpu,
 )
-from bench.specs import EstimatorChoice, Guard
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.records.specs import EstimatorChoice, Guard
+from bench.core.words.exceptions import (
+    EstimatorError,
+    EstimatorFailedError,
+    EstimatorStoppedError,
+    FilterTraceback,
+)
+from bench.exchange.filter_server import ANSWER, REQUEST, watch
+from bench.exchange.record_messages import RecordMessage, read_message
+from bench.navigation.engine.record_cuts import without_orbits
 
 _START = """import sys
 sys.path[:] = {path!r}

@@ -29,13 +29,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import disk_arrays
-from bench.data import InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.core.files import disk_arrays
+from bench.core.files.places import PACKAGE
+from bench.core.records.data import InitialState, NavSolution, SensorData
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.exchange.record_messages import RecordMessage, read_message
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
-from bench.places import PACKAGE
 
 REQUEST = struct.Struct("<IQI")
 """Begin of a request: sizes of its text, of its body, and of the path of the file that holds the body."""

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 
 _POINT = re.compile(r"\s*([^,\s]+)\s*,\s*([^,\s]+)\s*,\s*([^,\s]+)\s*")
 _COLUMNS = ("gps_time", "lat_deg", "lon_deg", "alt_m")

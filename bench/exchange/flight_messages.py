@@ -12,8 +12,8 @@ from binascii import crc_hqx
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from bench.core.records.instruments import INSTRUMENTS
 from bench.exchange.frames import FIX, IMU, SYNC
-from bench.instruments import INSTRUMENTS
 
 VERSION = 1
 """Of the messages. It changes when an old client would misunderstand one; more kinds do not change it."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import InitialState, NavSolution, SensorData
+from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.exchange import flight_messages as messages
 from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_messages import FlightFrame, FrameReader, pack

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import ConfigError
+from bench.core.files.places import PACKAGE
+from bench.core.mathematics.units import ENDINGS
+from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line, quote_toml
 from bench.exchange.mat_file import find_structure, read_mat
-from bench.places import PACKAGE
-from bench.sensor_specs import GAUSS_MARKOV_PEAK
-from bench.units import ENDINGS
-from bench.wording import one_line, quote_toml
 
 _ONE = "bias_correlation"  # a figure that a datasheet has once for all axes
 _FIELDS: Mapping[str, Mapping[str, tuple[str, str]]] = {
@@ -49,7 +49,7 @@ def read_imu_sheet(path: Path, structure: str) -> str:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the file cannot be read, or has no such structure.
     """
     fields = find_structure(read_mat(path), structure, path.name)

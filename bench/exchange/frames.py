@@ -4,7 +4,7 @@ A frame, little-endian:
 
     offset  bytes  content
     0       2      0xAA 0x55
-    2       1      kind: 1 IMU; the others are `bench.instruments.Instrument.frame`: 2 barometer,
+    2       1      kind: 1 IMU; the others are `bench.core.records.instruments.Instrument.frame`: 2 barometer,
                    3 magnetometer, 4 airspeed, 5 radar altimeter, 6 odometer, 7 heading
     3       1      n, length of the payload
     4       4      number of the frame, from 0, unsigned
@@ -32,11 +32,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import ImuData, SensorData
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import ImuData, SensorData
+from bench.core.records.instruments import INSTRUMENTS
 from bench.exchange.exports.nmea import make_fix_sentences
 from bench.exchange.exports.outgoing import ExportData
-from bench.instruments import INSTRUMENTS
 
 SYNC = b"\xaa\x55"
 IMU, FIX = 1, 8

@@ -6,10 +6,10 @@ import sys
 from collections.abc import Iterable
 from typing import Protocol, Self, runtime_checkable
 
+from bench.core.records.specs import EstimatorChoice
 from bench.navigation import built_in
 from bench.navigation.built_in import BUILT_IN
 from bench.navigation.estimator import Estimator
-from bench.specs import EstimatorChoice
 
 
 def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:

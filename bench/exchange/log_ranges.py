@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
 from bench.config.log import SourceSpec
-from bench.data import GnssObservations, SkyView
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import GnssObservations, SkyView
+from bench.core.records.sensor_specs import GnssSpec, SkySpec
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
 from bench.exchange.rows import LogRows
 from bench.navigation.engine.kept_rows import take_rows
-from bench.sensor_specs import GnssSpec, SkySpec
 from bench.sensors.sky import find_loop_noise, make_processing
 from bench.signals import receiver
 from bench.signals.orbits import C

@@ -15,11 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.config.log import RANGES, LogSpec, SourceSpec
-from bench.data import GnssFixes, GnssObservations, ImuData, SkyView
-from bench.errors import ConfigError
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.rotation import from_euler, multiply, rotate
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import GnssFixes, GnssObservations, ImuData, SkyView
+from bench.core.records.instruments import INSTRUMENTS, BaroData
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import imports
 from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.imports.navego_structures import list_sensors
@@ -28,12 +31,9 @@ from bench.exchange.record_clock import check_order, meet_week, unwrap_week
 from bench.exchange.row_selection import drop_others, drop_repeated, drop_unreported
 from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
-from bench.instruments import INSTRUMENTS, BaroData
 from bench.navigation.engine.kept_rows import take_rows
-from bench.rotation import from_euler, multiply, rotate
 from bench.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
 from bench.signals.orbits import DAY
-from bench.units import SAME_INSTANT
 
 MOST_INSTANTS = 400_000
 """Most instants of a solution, each of some kB: 11 hours at 10 Hz."""

@@ -14,16 +14,24 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import BoolArray, FloatArray, IntArray
 from bench.config.log import LogSpec
-from bench.data import GnssFixes, InitialState
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.rotation import (
+    conjugate,
+    from_euler,
+    from_rotvec,
+    matrix,
+    multiply,
+    rotate,
+    to_euler,
+)
+from bench.core.records.data import GnssFixes, InitialState
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.log_records import LogRecords
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.start.leveling import bias_sd
-from bench.rotation import conjugate, from_euler, from_rotvec, matrix, multiply, rotate, to_euler
 from bench.signals.magnetic import field_n
 
 HOVER = 4.0

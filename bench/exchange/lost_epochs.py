@@ -11,11 +11,11 @@ from datetime import datetime, timedelta
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssObservations
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssObservations
+from bench.core.records.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.observations import ObservationFile
-from bench.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
 from bench.signals import orbit_tables, orbits, receiver
 from bench.signals.processing import Processing
 from bench.signals.receiver import ReceiverSolution

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
-from bench.files import check_file
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 
 MOST_BYTES = 1_000_000_000
 """Largest size of a file, and of its compressed variables when unpacked [byte]."""

@@ -19,16 +19,16 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
-from bench.data import InitialState, NavSolution, SensorData, Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import InitialState, NavSolution, SensorData, Trajectory
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.client_session import ClientSession
 from bench.flight.steering import Commands, SurfaceCommand
 from bench.navigation.engine.record_cuts import nothing_known
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.signals.air import impact_pressure, standard_atmosphere
-from bench.units import STANDARD_GRAVITY
 
 PORT = 4560
 """Where PX4 looks for its simulator."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 _MEMORY = 10800.0
 """Time after which the errors of fixes have lost all but 1/e of their correlation [s]; assumed. Errors of the

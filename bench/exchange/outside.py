@@ -23,14 +23,8 @@ from typing import IO
 
 import numpy as np
 
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
-from bench.errors import ConfigError, EstimatorError
-from bench.evaluation.failures import make_failed_solution
-from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
-from bench.exchange.solutions import FileEstimator, carry_rows, check_unit, read_solution
-from bench.navigation.estimator import Estimator, construct
-from bench.scratch import make_scratch
-from bench.spawned import (
+from bench.core.files.scratch import make_scratch
+from bench.core.files.spawned import (
     LOOK,
     PATIENCE,
     Printed,
@@ -40,7 +34,13 @@ from bench.spawned import (
     end_group,
     find_last_line,
 )
-from bench.specs import DEFAULT_GUARD, EstimatorChoice, Guard
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
+from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.evaluation.failures import make_failed_solution
+from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
+from bench.exchange.solutions import FileEstimator, carry_rows, check_unit, read_solution
+from bench.navigation.estimator import Estimator, construct
 
 PROGRAM, STDERR = "program", "stderr"
 """Kinds of events: how the program ended; the end of what it wrote to stderr."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.data import ErrorSeries, GnssFixes, NavSolution, SensorData
+from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, SensorData
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.fixes import antenna_errors

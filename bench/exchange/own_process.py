@@ -14,12 +14,12 @@ from typing import Any, Self
 
 import numpy as np
 
-from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError, EstimatorFailedError
+from bench.core.files.spawned import Printed
+from bench.core.records.data import EventRow, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
 from bench.exchange.filter_process import FilterProcess, pack_specs, take_process
-from bench.sensor_specs import AssumedSpecs
-from bench.spawned import Printed
-from bench.specs import EstimatorChoice
 
 _LEAST = 60.0  # time to start a process and import a module [s]
 

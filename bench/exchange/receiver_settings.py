@@ -8,10 +8,10 @@ from math import radians
 from pathlib import Path
 from typing import get_args
 
-from bench.errors import ConfigError
+from bench.core.records.orbit_sets import parse_systems
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.fix_truth import read_truth
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
-from bench.orbit_sets import parse_systems
 from bench.signals import delays
 from bench.signals.processing import CORRECTIONS, Ionosphere, Processing
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.errors import ConfigError
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rows import LogRows
 from bench.signals.orbits import WEEK
 

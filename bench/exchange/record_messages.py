@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import read_only
-from bench.data import (
+from bench.core.mathematics.arrays import read_only
+from bench.core.records.data import (
     Events,
     GnssFixes,
     GnssObservations,
@@ -33,9 +33,9 @@ from bench.data import (
     NavSolution,
     SensorData,
 )
-from bench.fields import Record, columns_of
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import AssumedSpecs
+from bench.core.records.fields import Record, columns_of
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import AssumedSpecs
 
 ALIGNED = 8
 """Every array begins at a multiple of this in the body [byte]."""
@@ -196,7 +196,8 @@ class RecordMessage:
             self.size += ALIGNED - over
 
     def write(self, path: Path) -> None:
-        """Write the body to a new ``.npy`` file, an array of bytes, which `bench.disk_arrays.map_file` opens.
+        """Write the body to a new ``.npy`` file, an array of bytes, which
+        `bench.core.files.disk_arrays.map_file` opens.
 
         Raises
         ------

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
 from bench.config.log import NAV, ReferenceSpec, SourceSpec
-from bench.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
-from bench.earth import difference_n, matrix_en
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import difference_n, matrix_en
+from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.error_series import select_epochs
 from bench.evaluation.failures import describe_failure
 from bench.evaluation.fixes import point_errors
@@ -36,7 +37,6 @@ from bench.exchange.solutions import (
 )
 from bench.exchange.table_files import check_times, read_table
 from bench.exchange.trajectory import KINDS
-from bench.specs import EvaluationWindow
 
 _TABLE = {
     **GNSS,

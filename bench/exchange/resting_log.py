@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.noise_curves import INDEPENDENT
 from bench.exchange.table_files import find_first, group, read_table
 

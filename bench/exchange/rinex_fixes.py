@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import durable, earth
-from bench.arrays import FloatArray, IntArray
-from bench.data import GnssFixes, GnssObservations, SkyView
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import GnssFixes, GnssObservations, SkyView
+from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
 from bench.exchange.nees_band import find_band
@@ -24,7 +26,6 @@ from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.exchange.rinex.one_receiver import merge_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
-from bench.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.signals import dilution, orbits, receiver, smoothing
 from bench.signals.processing import Processing
 
@@ -248,7 +249,8 @@ class RinexFixes:
         ]
 
     def write_csv(self, path: Path, datum: str = "WGS-84") -> None:
-        """Write one row per epoch as CSV; times in GPS time, positions in one of `bench.earth.DATUMS`.
+        """Write one row per epoch as CSV; times in GPS time, positions in one of
+        `bench.core.mathematics.earth.DATUMS`.
 
         Raises
         ------

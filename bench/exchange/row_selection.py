@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.exchange.rows import LogRows
 
 HELD = 0.05

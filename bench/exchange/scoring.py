@@ -14,8 +14,9 @@ import numpy as np
 from bench import store
 from bench.config import fault_tables
 from bench.config.checks import LABEL
-from bench.data import ErrorSeries, NavSolution, Trajectory
-from bench.errors import ConfigError
+from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import metrics
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.coverage import measure_coverage
@@ -24,7 +25,6 @@ from bench.evaluation.required_metrics import list_requirements
 from bench.evaluation.verdict import BROKEN, add_verdict
 from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
-from bench.run_result import RunResult
 from bench.sensors.timing import select_output_times
 
 

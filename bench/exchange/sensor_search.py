@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import ENDINGS, STANDARD_GRAVITY, split_unit
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import imports
 from bench.exchange.exporter_names import make_plain, match_exporter
 from bench.exchange.imports.navego_structures import list_sensors
 from bench.exchange.rows import BARO, GNSS, IMU, MOST_ROWS
 from bench.exchange.table_files import list_columns, read_columns
-from bench.units import ENDINGS, STANDARD_GRAVITY, split_unit
 
 _TABLES = (".csv", ".parquet", ".mat")
 TEXT = ".txt"

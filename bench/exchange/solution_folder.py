@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import durable
-from bench.data import ImuData, InitialState, NavSolution, SensorData
-from bench.errors import ConfigError, EstimatorError
+from bench.core.files import durable
+from bench.core.records.data import ImuData, InitialState, NavSolution, SensorData
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.exchange.exports.column_files import write as write_tables
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.solutions import FileEstimator

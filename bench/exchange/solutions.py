@@ -17,10 +17,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
-from bench.errors import ConfigError, EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.coverage import carry_positions
 from bench.evaluation.error_series import NOT_COVERED
 from bench.evaluation.failures import FAILED
@@ -34,7 +35,6 @@ from bench.exchange.table_files import (
     read_table,
 )
 from bench.exchange.trajectory import KINDS, check_positions, normalize_quaternions
-from bench.units import SAME_INSTANT
 
 INTERPOLATED, CARRIED = "interpolated", "carried_on"
 """Kinds of events: instants between rows, and what is taken there."""

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.exports import ExportData
 from bench.exchange.frames import make_messages
 

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.files import disk_arrays
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import FACTORS, split_unit
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.mat_file import Value, find_structure, get_vector, read_mat
-from bench.files import check_file
-from bench.units import FACTORS, split_unit
 
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""

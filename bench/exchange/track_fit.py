@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 _DEGREE, _DERIVATIVE = 5, 3
 _KNOT_RATE = 2.0  # most knots per second: a vehicle's acceleration changes no faster than the fixes show

@@ -14,16 +14,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import EventRow
-from bench.earth import matrix_en, to_ecef, to_geodetic
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.mathematics.rotation import conjugate, continuous, from_matrix, multiply, rotate, to_rotvec
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import EventRow
+from bench.core.records.flight_specs import TrackSpec
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_count
 from bench.exchange.track_files import LEAST_FIXES, FixSeries
 from bench.exchange.track_fit import TrackFit, fit_track
-from bench.flight_specs import TrackSpec
-from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate, to_rotvec
-from bench.units import STANDARD_GRAVITY
-from bench.wording import format_count
 
 _RATE = 20.0  # rows per second of the motion
 _OUTLIER = 6.0  # a fix further off, in robust standard deviations, is left out

@@ -19,10 +19,21 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import EventRow, Events, Trajectory
-from bench.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.earth import EARTH_RATE, matrix_en, to_ecef, to_geodetic
+from bench.core.mathematics.rotation import (
+    conjugate,
+    continuous,
+    from_euler,
+    from_matrix,
+    multiply,
+    rotate,
+    to_rotvec,
+)
+from bench.core.mathematics.units import FACTORS, STANDARD_GRAVITY, split_unit
+from bench.core.records.data import EventRow, Events, Trajectory
+from bench.core.records.flight_specs import TableSpec, TrackSpec
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.table_files import (
     TableColumns,
     check_times,
@@ -35,9 +46,6 @@ from bench.exchange.track_files import READERS, order_fixes, read_track
 from bench.exchange.track_motion import TableMotion, doubt_degrees, make_motion
 from bench.flight.increments import Motion
 from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
-from bench.flight_specs import TableSpec, TrackSpec
-from bench.rotation import conjugate, continuous, from_euler, from_matrix, multiply, rotate, to_rotvec
-from bench.units import FACTORS, STANDARD_GRAVITY, split_unit
 
 MOST_ROWS = 3_000_000
 """Most rows of a table, and most samples of its truth: two hours at 400 Hz."""

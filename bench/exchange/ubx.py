@@ -14,11 +14,11 @@ from typing import BinaryIO
 
 import numpy as np
 
-from bench.errors import ConfigError
+from bench.core.files.file_checks import check_file
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.observations import ObservationFile
 from bench.exchange.rinex.unpacking import BLOCK, UnpackingError, open_binary
-from bench.files import check_file
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.signals.orbits import DAY, WEEK
 
 _SYNC = b"\xb5\x62\x02\x15"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 
-from bench.data import Trajectory
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec, ScriptSpec
 from bench.flight.belief import Belief
 from bench.flight.summary import Summary, summarise
-from bench.flight_specs import FlightSpec, ScriptSpec
 
 __all__ = ["Summary", "fly", "fly_pieces", "summarise"]
 

@@ -17,14 +17,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import NavSolution, Trajectory
-from bench.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import NavSolution, Trajectory
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, smoothstep
-from bench.units import SAME_INSTANT
 
 Mode = Literal["held", "state"]
 

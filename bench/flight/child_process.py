@@ -21,11 +21,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-from bench.data import Trajectory
-from bench.errors import FlightError
-from bench.flight_specs import FlightSpec, ScriptSpec
-from bench.scratch import make_scratch
-from bench.spawned import count_work, find_last_line, measure_cpu
+from bench.core.files.scratch import make_scratch
+from bench.core.files.spawned import count_work, find_last_line, measure_cpu
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec, ScriptSpec
+from bench.core.words.exceptions import FlightError
 
 PATIENCE = 60.0
 """CPU time that a child may use, or time that it may idle, before it does something else [s]."""

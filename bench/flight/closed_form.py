@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE, gravity_n, radii
-from bench.units import STANDARD_GRAVITY
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE, gravity_n, radii
+from bench.core.mathematics.units import STANDARD_GRAVITY
 
 _DEG = np.pi / 180
 

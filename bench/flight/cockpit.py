@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.earth import matrix_en, to_ecef, to_geodetic
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.words.exceptions import FlightError
 from bench.flight.belief import Belief
 from bench.flight.dryden import LIGHT
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
 from bench.flight.trimming import INTEGRATORS, ON_WHEELS
-from bench.flight_specs import FlightSpec
 from bench.signals.terrain import ground_at
 
 SURFACES = ("aileron", "elevator", "rudder")

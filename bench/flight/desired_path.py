@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import OffPath, Trajectory
-from bench.earth import matrix_en, to_ecef
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.earth import matrix_en, to_ecef
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import OffPath, Trajectory
+from bench.core.records.flight_specs import FlightSpec
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.off_track import measure_off_track
-from bench.flight_specs import FlightSpec
-from bench.units import SAME_INSTANT
 
 _ALONG = 0.035  # an approach is on its centreline when its track is first so close to it [rad]
 _CAPTURED = 20.0  # below the height it began at, an approach is on its glide path [m]

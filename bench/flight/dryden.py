@@ -17,12 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray, join_last
+from bench.core.mathematics.arrays import FloatArray, join_last
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.flight_specs import FlightSpec
 from bench.flight.executive import find_property
 from bench.flight.jsbsim_units import FT
 from bench.flight.shaping import GUIDANCE_RATE
-from bench.flight_specs import FlightSpec
-from bench.random_streams import stream
 
 GUSTS = ("u", "v", "w", "p", "q", "r")
 """Columns of gusts: [m/s] and [rad/s]."""

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.errors import FlightError
+from bench.core.files.scratch import PREFIX, make_scratch
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.flight_specs import AircraftSpec, ScriptSpec
+from bench.core.words.exceptions import FlightError
 from bench.flight.model_files import LONGEST_SCRIPT, NAME, copy_aircraft, copy_script, read_xml, write_xml
-from bench.flight_specs import AircraftSpec, ScriptSpec
-from bench.random_streams import stream
-from bench.scratch import PREFIX, make_scratch
 
 _SCRATCH_PATH = re.compile(rf"[^\s\"'<>]*/{re.escape(PREFIX)}[^/\s]*/")
 _PROPERTY = re.compile(r"[A-Za-z0-9_/.\[\]-]+")

@@ -13,8 +13,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bench.arrays import FloatArray
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Leg
+from bench.core.words.exceptions import FlightError
 from bench.flight.executive import find_property, load_aircraft
 from bench.flight.jsbsim_units import FT, POUND
 from bench.flight.legs.climbs import Climb, Descend
@@ -29,7 +30,6 @@ from bench.flight.trimming import (
     run_engines,
     trim_aircraft,
 )
-from bench.flight_specs import AircraftSpec, FlightSpec, Leg
 
 _DT = 0.0025
 _HEAVY = 6000.0  # [kg]

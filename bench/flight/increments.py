@@ -22,9 +22,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray, join_last, split_last
-from bench.earth import EARTH_RATE, gravity_n, matrix_en, to_geodetic
-from bench.rotation import conjugate, continuous, cross, from_euler, multiply, rotate, to_rotvec
+from bench.core.mathematics.arrays import FloatArray, join_last, split_last
+from bench.core.mathematics.earth import EARTH_RATE, gravity_n, matrix_en, to_geodetic
+from bench.core.mathematics.rotation import (
+    conjugate,
+    continuous,
+    cross,
+    from_euler,
+    multiply,
+    rotate,
+    to_rotvec,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from bench.flight.jsbsim_units import POUND, SLUG
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")

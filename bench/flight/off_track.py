@@ -6,12 +6,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import Trajectory
-from bench.earth import matrix_en, to_ecef
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.earth import matrix_en, to_ecef
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec
 from bench.flight.legs.tracks import PointToPoint
 from bench.flight.shaping import G
-from bench.flight_specs import FlightSpec
 
 _ROLL = 5.0  # by which a turn begins before its arc and ends after it [s]
 

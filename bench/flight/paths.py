@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.shaping import G, Steps, clip, roll_time, smoothstep, ticks
 

@@ -12,8 +12,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from bench.data import EventRow, Trajectory
-from bench.errors import FlightError
+from bench.core.records.data import EventRow, Trajectory
+from bench.core.records.flight_specs import FlightSpec, ScriptSpec
+from bench.core.words.exceptions import FlightError
 from bench.flight.belief import Belief
 from bench.flight.dryden import through_turbulence
 from bench.flight.executive import load_aircraft, load_script, say_in_one_line
@@ -27,7 +28,6 @@ from bench.flight.state_log import NEIGHBOURS, StateLog
 from bench.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.flight.truth import Stretch, make_truth
 from bench.flight.wind import Weather
-from bench.flight_specs import FlightSpec, ScriptSpec
 from bench.signals.terrain import ground_at
 
 _Part = TypeVar("_Part")

@@ -13,14 +13,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import EventRow
-from bench.earth import EARTH_RATE
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import EventRow
+from bench.core.words.exceptions import FlightError
 from bench.flight.increments import Motion, earth_relative, step_increments
 from bench.flight.jsbsim_units import FT
 from bench.flight.truth import Stretch
-from bench.units import STANDARD_GRAVITY
 
 _HARD = 10.0 * FT  # sink rate a landing gear is made for [m/s], 14 CFR 25.473(a)(2), the most of 23.473(d)
 _ROLLING = 2.0  # ground speed at which a structure on the ground is no longer parked [m/s], assumed

@@ -13,14 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import FlightSpec, Leg
+from bench.core.words.exceptions import FlightError
 from bench.flight.belief import Belief
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.legs.keys import AtSpeed
 from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.trimming import Trim
 from bench.flight.wind import Weather
-from bench.flight_specs import FlightSpec, Leg
 
 __all__ = ["Cockpit", "FlownLeg", "describe", "engage", "fly_legs"]
 

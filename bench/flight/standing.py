@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import SURFACES
 from bench.flight.jsbsim_units import FT
 from bench.flight.trimming import (

@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray, split_last
-from bench.data import EventRow
-from bench.earth import matrix_en, to_geodetic
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray, split_last
+from bench.core.mathematics.earth import matrix_en, to_geodetic
+from bench.core.mathematics.rotation import conjugate, continuous, from_matrix, multiply, rotate
+from bench.core.records.data import EventRow
+from bench.core.words.exceptions import FlightError
 from bench.flight.executive import find_property
 from bench.flight.increments import Motion, at_point, derivative, from_states
 from bench.flight.jsbsim_units import FT, INCH, KT, PSF, RANKINE, RPM
 from bench.flight.shaping import GUIDANCE_RATE
 from bench.flight.truth import Stretch
-from bench.rotation import conjugate, continuous, from_matrix, multiply, rotate
 
 NEIGHBOURS = 3
 """Steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments."""

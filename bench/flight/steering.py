@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import astuple, dataclass
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import Leg
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit
 from bench.flight.shaping import GUIDANCE_RATE, Steps
-from bench.flight_specs import Leg
 
 
 @dataclass(frozen=True, slots=True)

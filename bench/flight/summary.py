@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.earth import difference_n
-from bench.flight_specs import TerrainSpec
-from bench.rotation import to_euler
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import difference_n
+from bench.core.mathematics.rotation import to_euler
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import TerrainSpec
 from bench.signals.terrain import ground_at
-from bench.units import STANDARD_GRAVITY
 
 
 def summarise(truth: Trajectory) -> dict[str, Any]:

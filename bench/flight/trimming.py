@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.rotation import conjugate, from_euler, rotate
+from bench.core.words.exceptions import FlightError
 from bench.flight.jsbsim_units import FT
 from bench.flight.wind import set_wind
-from bench.rotation import conjugate, from_euler, rotate
 
 # alpha, sideslip, roll [rad], aileron, elevator, throttle: what 1 stands for in a search, and the travel
 _SCALE = np.array([0.1, 0.1, 0.1, 0.1, 0.1, 1.0])

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import AirData, Controls, EventRow, Events, Trajectory
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import AirData, Controls, EventRow, Events, Trajectory
 from bench.flight.increments import Motion, earth_relative, step_increments, true_integrals
 from bench.flight.shaping import GUIDANCE_RATE
 

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.flight_specs import FlightSpec, Gust
 from bench.flight.jsbsim_units import FT
-from bench.flight_specs import FlightSpec, Gust
-from bench.units import SAME_INSTANT
 
 _LOCAL_FRAME = 3  # of a cosine gust: north, east, down
 _LEAST_NORTH = 0.01 * FT  # [m/s]

@@ -8,11 +8,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.data import STATES, Events, Innovations, NavSolution
-from bench.fields import Record, columns_of
-from bench.wording import one_line
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import STATES, Events, Innovations, NavSolution
+from bench.core.records.fields import Record, columns_of
+from bench.core.words.wording import one_line
 
 _Kind = TypeVar("_Kind", bound=Record)
 

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from bench.errors import EstimatorError
-from bench.installed import find_class
+from bench.core.files.installed import find_class
+from bench.core.words.exceptions import EstimatorError
+from bench.core.words.wording import as_toml
 from bench.navigation.estimator import Estimator, catch_exit, construct
 from bench.navigation.forward_filters import FORWARD
-from bench.wording import as_toml
 
 if TYPE_CHECKING:
     from bench.navigation.options import Options

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import NavSolution, SensorData
-from bench.units import SAME_INSTANT
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import NavSolution, SensorData
 
 _KEPT = ("t", "t_arrival", "dt", "valid", "sat", "system", "frequency", "epoch_start", "klobuchar", "gps_t0")
 """Columns of records that stay as they are: when something was measured, and of what."""

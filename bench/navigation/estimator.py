@@ -13,12 +13,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench.data import InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError, EstimatorFailedError
-from bench.instruments import INSTRUMENTS
+from bench.core.records.data import InitialState, NavSolution, SensorData
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
+from bench.core.words.wording import one_line, suggest
 from bench.navigation.answer_check import check_solution
-from bench.sensor_specs import AssumedSpecs
-from bench.wording import one_line, suggest
 
 
 class Estimator(Protocol):

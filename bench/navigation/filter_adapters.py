@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.data import InitialState, NavSolution, SensorData
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.record_cuts import nothing_known
 

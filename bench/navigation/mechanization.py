@@ -1,6 +1,7 @@
 """Strapdown mechanization in the local level frame: one kernel per record.
 
-A-5.1.2 to A-5.1.4 in north, east, down on the WGS 84 ellipsoid with normal gravity (`bench.earth`):
+A-5.1.2 to A-5.1.4 in north, east, down on the WGS 84 ellipsoid with normal gravity
+(`bench.core.mathematics.earth`):
 
     lat'  = v_N / (R_M + h)      lon' = v_E / ((R_P + h) cos lat)      h' = -v_D
     v_n'  = C_nb f_b + g_n - (2 w_ie_n + w_en_n) x v_n
@@ -18,9 +19,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray, as_float
-from bench.compiled import kernel
-from bench.earth import EARTH_RATE, WGS84, gravity_kernel, radii_kernel
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import FloatArray, as_float
+from bench.core.mathematics.earth import EARTH_RATE, WGS84, gravity_kernel, radii_kernel
 
 STATE_SIZE = 10
 _A = WGS84.a

@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import same_array
-from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics.arrays import same_array
+from bench.core.records.data import EventRow, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
+from bench.core.words.exceptions import EstimatorError
+from bench.core.words.wording import one_line
 from bench.navigation.engine.piecewise import InPieces, RunsInPieces
 from bench.navigation.engine.record_cuts import (
     aiding_records,
@@ -29,8 +31,6 @@ from bench.navigation.engine.record_cuts import (
 from bench.navigation.engine.session import Kept, Replaced, SessionState, rebuild
 from bench.navigation.estimator import accept
 from bench.navigation.start import alignment
-from bench.sensor_specs import AssumedSpecs
-from bench.wording import one_line
 
 _LONGEST = 200  # characters of an error in a message
 

@@ -20,8 +20,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from bench.core.words.wording import as_toml, describe_error, read_words, suggest
 from bench.navigation.forward_filters import FORWARD
-from bench.wording import as_toml, describe_error, read_words, suggest
 
 
 @dataclass(frozen=True)

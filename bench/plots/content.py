@@ -9,9 +9,10 @@ from math import radians
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.data import (
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import (
     AirData,
     Controls,
     ErrorSeries,
@@ -24,12 +25,11 @@ from bench.data import (
     no_controls,
     no_events,
 )
-from bench.errors import NothingToShowError
+from bench.core.records.findings.series import Plot, Rows, shorten
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import NothingToShowError
+from bench.core.words.palette import Colour, DrawnLook, choose_looks
 from bench.evaluation.total_system import locate_path
-from bench.findings.series import Plot, Rows, shorten
-from bench.palette import Colour, DrawnLook, choose_looks
-from bench.run_result import RunResult
-from bench.units import SAME_INSTANT
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from bench.config.listing import find_unit
-from bench.instruments import INSTRUMENTS
-from bench.run_result import RunResult
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.run_result import RunResult
 
 
 def list_facts(result: RunResult) -> Iterable[str]:

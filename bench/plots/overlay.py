@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.data import Trajectory
-from bench.errors import ConfigError
-from bench.run_result import RunResult
+from bench.core.records.data import Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
 
 _T = TypeVar("_T")
 
@@ -24,7 +24,7 @@ def merge_results(results: Mapping[str, RunResult]) -> RunResult:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If they are not of the same flight or log.
     """
     (name, first), *others = results.items()

@@ -7,14 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import split_unit
+from bench.core.records.findings import series
+from bench.core.records.findings.series import AXIS_COLOURS, FIX, Plot, Series
+from bench.core.records.orbit_sets import SYSTEM_NAMES
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.findings import series
-from bench.findings.series import AXIS_COLOURS, FIX, Plot, Series
-from bench.orbit_sets import SYSTEM_NAMES
 from bench.plots.tabs.satellites import draw_satellites, plot_sky
-from bench.units import split_unit
 
 SIGMA = "±3σ, as computed"
 _WORDS = {

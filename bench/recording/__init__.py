@@ -14,16 +14,17 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from bench import disk_arrays, durable, store
-from bench.arrays import FloatArray
-from bench.errors import ConfigError, NothingToShowError
+from bench import store
+from bench.core.files import disk_arrays, durable
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings import series
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError, NothingToShowError
 from bench.evaluation.headline import find_best
-from bench.findings import series
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
-from bench.recording import drawing, layout, sky_view, space, words
+from bench.recording import drawing, layout, recording_text, sky_view, space
 from bench.recording.drawing import TIMELINE
-from bench.run_result import RunResult
 
 
 def write(path: Path, name: str, result: RunResult) -> None:
@@ -43,7 +44,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
     ------
     OSError
         If the file cannot be written.
-    bench.errors.NothingToShowError
+    bench.core.words.exceptions.NothingToShowError
         If there is no truth and no estimator has a motion to show.
     """
     content = gather_content(result)
@@ -69,7 +70,7 @@ def write(path: Path, name: str, result: RunResult) -> None:
         stream.send_recording_name(f"{name}, seed {result.seed}, run {result.run}" if known else name)
         space.send(stream, result.more.get("scene", {}), content)
         disk_arrays.release()
-        words.send(stream, result, content)
+        recording_text.send(stream, result, content)
         for by_label in plots.values():
             for plot in chain.from_iterable(chain.from_iterable(by_label.values())):
                 drawing.send(stream, plot, shades)
@@ -91,9 +92,9 @@ def write_recording(folder: str | Path, out: str | Path | None = None, *, force:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If it is not a results folder, or ``out`` is another kind of file, or there already.
-    bench.errors.NothingToShowError
+    bench.core.words.exceptions.NothingToShowError
         If no solution has a motion to show.
     OSError
         If the file cannot be written; an existing file is left unchanged.

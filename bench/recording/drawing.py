@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from bench.arrays import FloatArray
-from bench.findings.series import Plot, Series, Shade, select_rows, take_logarithms
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings.series import Plot, Series, Shade, select_rows, take_logarithms
 
 TIMELINE = "flight_time"
 

@@ -11,15 +11,15 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from bench import durable
-from bench.arrays import BoolArray, FloatArray
-from bench.errors import NothingToShowError
+from bench.core.files import durable
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.findings.series import BAND, FIX, Plot, round_number
+from bench.core.words.exceptions import NothingToShowError
+from bench.core.words.wording import format_number
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.findings.series import BAND, FIX, Plot, round_number
 from bench.plots import receiver_plots
 from bench.recording import drawing, layout, sky_view
 from bench.recording.drawing import TIMELINE
-from bench.wording import format_number
 
 TRACK, MAP = "/track", "/map/fixes"
 """Entities of the fixes from above (x east, y south [m]) and on the map."""
@@ -32,7 +32,7 @@ def write_fixes(path: Path, solved: RinexFixes) -> None:
     ------
     OSError
         If the file cannot be written.
-    bench.errors.NothingToShowError
+    bench.core.words.exceptions.NothingToShowError
         If there is no fix, or none where the truth tells the place.
     """
     good = find_shown(solved)

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from bench.findings.series import Plot, Rows
+from bench.core.records.findings.series import Plot, Rows
 from bench.plots.content import Tab
 from bench.plots.tabs import TABS
 from bench.plots.tabs.comparison import COMPARISON

@@ -13,13 +13,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.data import NavSolution, ShowFlight, Trajectory
-from bench.findings.series import ESTIMATORS, TRUTH
-from bench.palette import Colour
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import NavSolution, ShowFlight, Trajectory
+from bench.core.records.findings.series import ESTIMATORS, TRUTH
+from bench.core.records.specs import IN_FLIGHT
+from bench.core.words.palette import Colour
 from bench.recording.drawing import TIMELINE
-from bench.specs import IN_FLIGHT
 
 _STEP = 1.0  # between two points of a path, and two values of a plot [s]
 _MOST = 60  # points of a line, which is sent again with each: then the next one begins

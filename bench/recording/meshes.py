@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 Triangles = np.ndarray[Any, np.dtype[np.int64]]
 Mesh = tuple[FloatArray, Triangles, Triangles]

@@ -8,12 +8,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import SkyView, Trajectory
-from bench.findings.series import thin
-from bench.orbit_sets import name_satellite
-from bench.palette import Colour
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import SkyView, Trajectory
+from bench.core.records.findings.series import thin
+from bench.core.records.orbit_sets import name_satellite
+from bench.core.words.palette import Colour
 from bench.plots.content import Content
 from bench.plots.tabs.satellites import USED, find_epochs
 from bench.recording.drawing import TIMELINE

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import FloatArray
-from bench.data import NavSolution, Trajectory
-from bench.findings.series import (
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.findings.series import (
     AXIS_COLOURS,
     BAND,
     FIX,
@@ -23,11 +24,11 @@ from bench.findings.series import (
     round_number,
     thin,
 )
-from bench.palette import Colour
+from bench.core.records.specs import IN_FLIGHT
+from bench.core.words.palette import Colour
 from bench.plots.content import Content
 from bench.recording.drawing import TIMELINE, entity
 from bench.recording.meshes import MESHES
-from bench.specs import IN_FLIGHT
 
 _CALM = 0.1  # less wind has no arrow [m/s]
 _OBSTACLE = 15.0  # take-off and landing distances count to this height [m]

@@ -10,22 +10,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench import store
-from bench.arrays import FloatArray
 from bench.campaigns.outcome import POOLED, Outcome
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import unit_of
+from bench.core.records.findings import series
+from bench.core.records.findings.looks import find_look
+from bench.core.records.findings.series import Plot, Series
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.palette import Colour
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metric_words import find_words, name_metric
 from bench.evaluation.metrics import find_metric
-from bench.findings import series
-from bench.findings.looks import find_look
-from bench.findings.series import Plot, Series
-from bench.palette import Colour
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot
-from bench.specs import EvaluationWindow
-from bench.units import unit_of
-from bench.wording import format_number
 
 _MOST_CONDITIONS = 6  # that have plots
 _MOST_NAMED = 4  # seeds and units in the head of the page

@@ -7,13 +7,13 @@ from datetime import datetime
 from pathlib import Path
 from statistics import median
 
-from bench import durable
 from bench.campaigns.card import Card, describe_suite
 from bench.campaigns.card_lines import CONVENTIONS, Line
-from bench.findings.looks import find_look
+from bench.core.files import durable
+from bench.core.records.findings.looks import find_look
+from bench.core.words.wording import format_number
 from bench.report import page
 from bench.report.forest import RatioRow, draw_ratios
-from bench.wording import format_number
 
 _TITLES = {
     "coverage": "Does it answer?",
@@ -51,7 +51,7 @@ def write_card(path: Path, card: Card) -> None:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If a file is there that bench did not write.
     OSError
         If the file cannot be written; an existing file is left unchanged.

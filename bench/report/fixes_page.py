@@ -8,14 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bench.core.mathematics.units import HOUR
+from bench.core.records.findings.looks import find_look
+from bench.core.records.findings.series import Plot
+from bench.core.words.wording import format_number
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.findings.looks import find_look
-from bench.findings.series import Plot
 from bench.plots import receiver_plots
 from bench.report import page, svg
 from bench.signals.orbits import DAY
-from bench.units import HOUR
-from bench.wording import format_number
 
 _LONG = 7200.0  # a longer record has an axis of hours [s]
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import NamedTuple
 
-from bench.wording import format_number
+from bench.core.words.wording import format_number
 
 _WIDTH, _ROW, _LEFT, _FOOT = 520, 18, 160, 24  # [pixels]
 _EDGE = 12  # between the area and the right edge [pixels]

@@ -7,14 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench import durable, store
+from bench import store
 from bench.campaigns.stored import load_campaign
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.records.findings.looks import find_look
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.headline import make_headline
-from bench.findings.looks import find_look
 from bench.report import page
 from bench.store.study_folder import load_study
-from bench.wording import format_number
 
 INDEX = "index.html"
 

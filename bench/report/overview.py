@@ -6,11 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from bench import disk_arrays, earth
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.findings import series
-from bench.findings.series import Plot, Series, Shade
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.findings import series
+from bench.core.records.findings.series import Plot, Series, Shade
 from bench.plots.content import Content
 from bench.report import svg
 

@@ -12,22 +12,22 @@ from typing import Any, NamedTuple
 
 import bench
 from bench import store
-from bench.errors import ConfigError
+from bench.core.files.places import PACKAGE
+from bench.core.records.findings import series
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.palette import write_variables
+from bench.core.words.wording import replace_control
 from bench.evaluation import verdict
 from bench.evaluation.headline import NEES, make_headline
 from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
-from bench.findings import series
-from bench.palette import write_variables
-from bench.places import PACKAGE
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
 from bench.report import overview, svg
-from bench.run_result import RunResult
-from bench.wording import replace_control
 
 _INTRODUCTIONS = {
     "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",

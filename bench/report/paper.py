@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
-from bench import durable
-from bench.errors import ConfigError
-from bench.findings import series
-from bench.findings.series import Plot, Shade
-from bench.palette import Colour, find_light
+from bench.core.files import durable
+from bench.core.records.findings import series
+from bench.core.records.findings.series import Plot, Shade
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.palette import Colour, find_light
+from bench.core.words.wording import suggest
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
-from bench.run_result import RunResult
-from bench.wording import suggest
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from bench.campaigns.card import Card
     from bench.campaigns.running import Campaign
-    from bench.findings import StudyResult
+    from bench.core.records.findings import StudyResult
 
 _T = TypeVar("_T")
 

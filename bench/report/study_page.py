@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from bench.findings import FindingTable, StudyResult
-from bench.findings.series import Plot
-from bench.notebook import format_cell
+from bench.core.mathematics.units import split_unit
+from bench.core.records.findings import FindingTable, StudyResult
+from bench.core.records.findings.series import Plot
+from bench.core.words.notebook import format_cell
 from bench.report import page
 from bench.report.page import CaptionedPlot
-from bench.units import split_unit
 
 _LONG = 40  # text in a cell that is broken into lines
 

@@ -12,10 +12,10 @@ from html import escape
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.findings.series import FIX, Plot, Series, Shade, round_number, take_logarithms
-from bench.palette import Colour, find_slot
-from bench.wording import replace_control
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.findings.series import FIX, Plot, Series, Shade, round_number, take_logarithms
+from bench.core.words.palette import Colour, find_slot
+from bench.core.words.wording import replace_control
 
 WIDTH, HEIGHT = 420, 170
 """Size of a plot with its numbers [pixels]."""

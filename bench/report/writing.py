@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import durable, store
+from bench import store
 from bench.campaigns.stored import load_campaign
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.words.exceptions import ConfigError
 from bench.report import campaign_page, index, page, paper, study_page
 from bench.store.study_folder import load_study
 
@@ -40,7 +41,7 @@ def write_report(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If there are no results, or a file is there that bench did not write, or ``out`` is there.
     OSError
         If a file cannot be written; an existing file is left unchanged.

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
-from bench.errors import ConfigError
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import SensorsSpec
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import SensorsSpec
+from bench.core.words.exceptions import ConfigError
 from bench.sensors import faults, gnss, imu, initial, sky
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import check_duration, select_output_times

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.instruments import AirspeedData, AirspeedSpec
-from bench.sensor_specs import SensorsSpec
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.instruments import AirspeedData, AirspeedSpec
+from bench.core.records.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.instruments import BaroData, BaroSpec
-from bench.sensor_specs import SensorsSpec
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.instruments import BaroData, BaroSpec
+from bench.core.records.sensor_specs import SensorsSpec
 from bench.sensors import static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler

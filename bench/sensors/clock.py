@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import Trajectory
-from bench.sensor_specs import SkySpec
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import SkySpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import rate_at
 from bench.signals import allan

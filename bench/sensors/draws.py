@@ -12,11 +12,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.random_streams import stream
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.random_streams import stream
+from bench.core.mathematics.units import SAME_INSTANT
 from bench.sensors.processes import simulate_gauss_markov
 from bench.sensors.timing import find_rows
-from bench.units import SAME_INSTANT
 
 _Kept = TypeVar("_Kept")
 

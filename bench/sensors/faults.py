@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssFixes, ImuData
-from bench.instruments import InstrumentData
-from bench.sensor_specs import Fault, GnssSpec, ImuSpec, TriadSpec
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssFixes, ImuData
+from bench.core.records.instruments import InstrumentData
+from bench.core.records.sensor_specs import Fault, GnssSpec, ImuSpec, TriadSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import find_interval_rows
 

@@ -8,12 +8,13 @@ from functools import cache
 
 import numpy as np
 
-from bench import disk_arrays, earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import GnssFixes, Trajectory
-from bench.orbit_sets import GPS
-from bench.sensor_specs import Fault, GnssSpec
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssFixes, Trajectory
+from bench.core.records.orbit_sets import GPS
+from bench.core.records.sensor_specs import Fault, GnssSpec
 from bench.sensors import faults
 from bench.sensors.draws import SensorDraws
 from bench.sensors.timing import find_outage_rows

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import ImuData, Trajectory
-from bench.sensor_specs import ImuSpec, TriadSpec
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import ImuData, Trajectory
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu_terms, vibration
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import choose_bias_stages

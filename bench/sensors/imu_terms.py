@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import Trajectory
-from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import apply_lag
 from bench.signals.air import TOP, standard_atmosphere, to_geopotential

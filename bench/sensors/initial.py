@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.data import InitialState, Trajectory
-from bench.sensor_specs import SensorsSpec
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import InitialState, Trajectory
+from bench.core.records.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 
 

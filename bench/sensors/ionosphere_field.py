@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import kernel
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.signals.least_squares import SHELL, find_pierce_points
 from bench.signals.look import Look
 

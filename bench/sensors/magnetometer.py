@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
-from bench.instruments import MagData, MagSpec
-from bench.sensor_specs import SensorsSpec
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.instruments import MagData, MagSpec
+from bench.core.records.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.signals.magnetic import field_n

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.compiled import kernel
-from bench.sensor_specs import TriadSpec
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.sensor_specs import TriadSpec
 from bench.signals import allan
 
 # Correlation times of the flicker stages over that of the triad [1]. At least three are needed to stay within

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
-from bench.flight_specs import TerrainSpec
-from bench.instruments import RadarData, RadarSpec
-from bench.sensor_specs import SensorsSpec
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import TerrainSpec
+from bench.core.records.instruments import RadarData, RadarSpec
+from bench.core.records.sensor_specs import SensorsSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler
 from bench.signals.terrain import ground_at

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
-from bench.instruments import INSTRUMENTS
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.instruments import INSTRUMENTS
 from bench.sensors.draws import SensorDraws
 from bench.sensors.processes import apply_lag
 

@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import GnssFixes, GnssObservations, SkyView, Trajectory
-from bench.orbit_sets import SYSTEM_NAMES
-from bench.sensor_specs import Fault, GnssSpec, SkySpec
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssFixes, GnssObservations, SkyView, Trajectory
+from bench.core.records.orbit_sets import SYSTEM_NAMES
+from bench.core.records.sensor_specs import Fault, GnssSpec, SkySpec
 from bench.sensors import faults
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.instruments import BaroData, BaroSpec, StaticPressureSpec
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT, STANDARD_GRAVITY
+from bench.core.records.data import Trajectory
+from bench.core.records.instruments import BaroData, BaroSpec, StaticPressureSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.sampling import Sampler, round_to
 from bench.signals import air
-from bench.units import SAME_INSTANT, STANDARD_GRAVITY
 
 _REFERENCE = 298.15  # temperature of the calibration [K]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.units import SAME_INSTANT
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
 
 
 def find_epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.compiled import kernel
-from bench.data import AirData, Trajectory
-from bench.sensor_specs import VibrationSpec
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import AirData, Trajectory
+from bench.core.records.sensor_specs import VibrationSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.imu_terms import compute_oscillator_step
 

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import Trajectory
-from bench.orbit_sets import GLONASS, GlonassSets, KeplerSets
-from bench.sensor_specs import SkySpec
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import Trajectory
+from bench.core.records.orbit_sets import GLONASS, GlonassSets, KeplerSets
+from bench.core.records.sensor_specs import SkySpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.signals import orbits

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.instruments import AirspeedSpec
-from bench.units import STANDARD_GRAVITY
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.instruments import AirspeedSpec
 
 SEA_LEVEL_PRESSURE = 101325.0  # [Pa]
 SEA_LEVEL_TEMPERATURE = 288.15  # [K]

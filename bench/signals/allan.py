@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray, IntArray
+from bench.core.mathematics.arrays import FloatArray, IntArray
 
 Covariance = Callable[[FloatArray], FloatArray]
 """Generalised covariance of an angle: lag h >= 0 [s] -> k [unit^2]."""

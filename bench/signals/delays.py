@@ -7,10 +7,10 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.compiled import kernel
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.signals.orbits import L1, C
-from bench.units import STANDARD_GRAVITY
 
 ZENITH_TROPOSPHERE = 2.638  # at sea level [m], B-10: 8.8 ns
 TROPOSPHERE_SCALE = 7500.0  # scale height [m], B-10

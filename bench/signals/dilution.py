@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.orbit_sets import LETTERS
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.orbit_sets import LETTERS
 from bench.signals.least_squares import invert
 
 _SYSTEMS = len(LETTERS)
@@ -35,7 +35,8 @@ def compute_dop(
     los_n : (K, 3) array
         Unit vectors receiver to satellite, n.
     system : (K,) array of int
-        Code of `bench.orbit_sets`: a clock offset for each system present; TDOP is that of the first.
+        Code of `bench.core.records.orbit_sets`: a clock offset for each system present; TDOP is that of the
+        first.
     use : (K,) array of bool or None
         Rows to use; None: all.
     """

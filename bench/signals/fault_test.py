@@ -6,7 +6,7 @@ from math import erfc
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 
 _FAULT = 30.0  # up to about which size faults are equally likely [m]; assumed, 30 to 1000 find the same ones
 _SIZES = np.linspace(0.0, 12.0, 1201)  # of a standard normal variable [1]

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import on_arrays
-from bench.orbit_sets import LETTERS
+from bench.core.compilation.compiled import on_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.orbit_sets import LETTERS
 from bench.signals.delays import range_kernel, range_rate_kernel
 from bench.signals.fault_test import find_alarms
 from bench.signals.orbits import GPS_EARTH_RATE
@@ -278,7 +278,7 @@ def solve_positions(
     sd : (K,) array
         Standard deviation of each pseudorange [m], without what is ``shared``.
     system : (K,) array of int
-        Code of `bench.orbit_sets`; each has its own clock offset.
+        Code of `bench.core.records.orbit_sets`; each has its own clock offset.
     use : (K,) array of bool or None
         Rows that may be used; None: all.
     start_e : (M, 3) array or None

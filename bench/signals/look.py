@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import on_arrays
+from bench.core.compilation.compiled import on_arrays
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.signals.delays import (
     compute_ntcm,
     klobuchar_kernel,

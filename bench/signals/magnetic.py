@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import earth
-from bench.arrays import FloatArray, as_float
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, as_float
 
 FIRST_YEAR, LAST_YEAR = 2010.0, 2030.0
 """Dates with coefficients: WMM2010 to WMM2025, five years each [decimal years]."""

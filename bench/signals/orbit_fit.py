@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.orbit_sets import KEPLER, STATE, GlonassSets, KeplerSets
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.orbit_sets import KEPLER, STATE, GlonassSets, KeplerSets
 from bench.signals import orbits
 from bench.signals.orbits import C
 

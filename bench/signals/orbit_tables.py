@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.orbit_sets import OrbitTable
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.orbit_sets import OrbitTable
 from bench.signals.orbits import EARTH_RATES, GRAVITY, C, SatelliteStates
 
 NODES = 10

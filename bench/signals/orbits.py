@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 
 C = 299792458.0  # speed of light [m/s], exact
 WEEK, DAY = 604800.0, 86400.0  # [s]

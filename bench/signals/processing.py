@@ -7,8 +7,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.orbit_sets import BEIDOU
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.orbit_sets import BEIDOU
 from bench.signals.delays import STANDARD, Mapping, SurfaceAir, Troposphere
 
 CORRECTIONS = ("sagnac", "relativity", "group-delay", "troposphere", "ionosphere", "clocks")

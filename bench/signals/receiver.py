@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssFixes, GnssObservations
-from bench.orbit_sets import (
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssFixes, GnssObservations
+from bench.core.records.orbit_sets import (
     BEIDOU,
     GALILEO,
     GLONASS,

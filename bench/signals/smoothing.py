@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.signals.orbits import C
 
 _GAP = 3.5  # longest step over the usual one [1]: a few lost epochs do not end an arc; assumed

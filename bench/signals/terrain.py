@@ -17,11 +17,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.earth import difference_n, radii
-from bench.errors import ConfigError
-from bench.files import check_file
-from bench.flight_specs import Runway, TerrainSpec
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import difference_n, radii
+from bench.core.records.flight_specs import Runway, TerrainSpec
+from bench.core.words.exceptions import ConfigError
 
 ENDINGS = (".hgt", ".asc")
 """Endings of the files that can be read."""

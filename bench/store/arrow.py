@@ -6,9 +6,9 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bench.errors import BenchError
-from bench.notebook import load_pandas
-from bench.run_result import RunResult
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import BenchError
+from bench.core.words.notebook import load_pandas
 from bench.store.columns import flatten
 from bench.store.parquet import to_table
 from bench.store.results import list_aiding
@@ -39,7 +39,7 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
 
     Raises
     ------
-    bench.errors.BenchError
+    bench.BenchError
         If the result has no such record or estimator.
     """
     import pyarrow as pa
@@ -66,7 +66,7 @@ def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> A
 
     Raises
     ------
-    bench.errors.BenchError
+    bench.BenchError
         Also if pandas is not installed.
     """
     load_pandas()

@@ -13,10 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench import durable
-from bench.errors import ConfigError
-from bench.places import cache_folder
-from bench.scratch import lock_folder, remove_abandoned
+from bench.core.files import durable
+from bench.core.files.places import cache_folder
+from bench.core.files.scratch import lock_folder, remove_abandoned
+from bench.core.words.exceptions import ConfigError
 
 LIMIT = "BENCH_CACHE_GB"
 """Environment variable: the largest size of the truth cache [GB]."""

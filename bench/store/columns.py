@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from bench.data import GnssObservations, Innovations, NavSolution, SensorTruth, Trajectory
-from bench.fields import Column, columns_of
-from bench.instruments import INSTRUMENTS
-from bench.units import unit_of
+from bench.core.mathematics.units import unit_of
+from bench.core.records.data import GnssObservations, Innovations, NavSolution, SensorTruth, Trajectory
+from bench.core.records.fields import Column, columns_of
+from bench.core.records.instruments import INSTRUMENTS
 
 Layout = Mapping[str, Column]
 """Field of a record -> its columns."""

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import bench
-from bench.errors import BenchError, ConfigError
-from bench.files import check_file, read_json
-from bench.specs import EvaluationWindow
+from bench.core.files.file_checks import check_file, read_json
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import BenchError, ConfigError
 from bench.store import parquet
 
 FORMAT = 1

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 import bench
-from bench import durable
-from bench.errors import EstimatorError
+from bench.core.files import durable
+from bench.core.files.file_checks import check_file
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import EstimatorError
+from bench.core.words.wording import one_line
 from bench.exchange.loading import load_estimators
-from bench.files import check_file
 from bench.navigation.open_filters import PieceFilter
-from bench.specs import EstimatorChoice
 from bench.store.start_document import assumed_document, read_assumed_specs
-from bench.wording import one_line
 
 FORMAT = 3
 _MOST_BYTES = 2_000_000_000

@@ -10,9 +10,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import bench
-from bench import durable
-from bench.errors import ConfigError
-from bench.scratch import LOCK, lock_folder, make_scratch, set_aside
+from bench.core.files import durable
+from bench.core.files.scratch import LOCK, lock_folder, make_scratch, set_aside
+from bench.core.words.exceptions import ConfigError
 
 MARK = ".bench.json"
 """File that marks a folder as written by bench: version, kind, and the names of all files written."""

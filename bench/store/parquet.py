@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench import disk_arrays, durable
-from bench.fields import Column
+from bench.core.files import disk_arrays, durable
+from bench.core.records.fields import Column
 from bench.store.columns import Layout, layout_of, take_block
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 import bench
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 
 PACKAGES = ("numpy", "scipy", "numba", "jsbsim")
 """Packages whose version can change a result."""

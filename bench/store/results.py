@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bench import durable
-from bench.arrays import FloatArray
-from bench.data import (
+from bench.core.files import durable
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import (
     AirData,
     Controls,
     ErrorSeries,
@@ -33,10 +33,10 @@ from bench.data import (
     Trajectory,
     no_sensor_truth,
 )
-from bench.errors import ConfigError
-from bench.fields import columns_of
-from bench.instruments import INSTRUMENTS, InstrumentData
-from bench.run_result import RunResult
+from bench.core.records.fields import columns_of
+from bench.core.records.instruments import INSTRUMENTS, InstrumentData
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
 from bench.store import columns, parquet
 from bench.store.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
 from bench.store.start_document import (

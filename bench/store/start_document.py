@@ -13,9 +13,9 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import GnssFixes, GnssObservations, ImuData, InitialState, SensorData
-from bench.sensor_specs import AssumedSpecs
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import GnssFixes, GnssObservations, ImuData, InitialState, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 
 START = "sensors-start.json"
 
@@ -26,7 +26,7 @@ def make_start_document(data: SensorData, initial: InitialState) -> dict[str, An
     ``initial``: time, position, velocity, attitude and their covariance (9, 9) of (pos_n m, vel_n m/s,
     phi_n rad) errors; null means not known. ``antenna_b_m``: GNSS antenna from the IMU, forward, right, down.
     ``ground_alt_m``: ellipsoidal height of the runway. ``assumed``: the datasheets by kind of sensor, with
-    the fields of `bench.sensor_specs`. ``date``: decimal year.
+    the fields of `bench.core.records.sensor_specs`. ``date``: decimal year.
     """
     return {
         "initial": write_initial_state(initial),

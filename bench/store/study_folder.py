@@ -13,9 +13,9 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench import store
 from bench.config.tables import ROWS
-from bench.files import read_json
-from bench.findings import Findings, FindingTable, StudyResult
-from bench.findings.series import Plot, Series
+from bench.core.files.file_checks import read_json
+from bench.core.records.findings import Findings, FindingTable, StudyResult
+from bench.core.records.findings.series import Plot, Series
 
 _Numbers = list[float | None]
 _Line = Annotated[int, Field(ge=0)]
@@ -85,7 +85,7 @@ def save_study(folder: Path, result: StudyResult, *, force: bool = False) -> Non
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the folder cannot be made or must not be replaced.
     OSError
         If a file cannot be written; nothing is left behind.
@@ -130,7 +130,7 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If the folder is not that of a study, or is damaged.
     """
     folder = Path(folder)

@@ -20,11 +20,11 @@ from typing import IO, Any
 
 import numpy as np
 
-from bench import disk_arrays, durable
-from bench.data import AirData, Controls, Events, Trajectory
-from bench.flight_specs import Flight, FlightSpec, ScriptSpec
-from bench.places import PACKAGE, cache_folder
-from bench.scratch import LOCK, make_scratch
+from bench.core.files import disk_arrays, durable
+from bench.core.files.places import cache_folder, locate_source
+from bench.core.files.scratch import LOCK, make_scratch
+from bench.core.records.data import AirData, Controls, Events, Trajectory
+from bench.core.records.flight_specs import Flight, FlightSpec, ScriptSpec
 from bench.store.cache_size import hold_entry, read_hashed, read_limit, trim_cache, write_hashed
 from bench.store.provenance import list_versions
 
@@ -41,27 +41,32 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 """Columns in which a piece repeats the last row of the piece before."""
 
 _SOURCES = (
-    "flight",
-    "exchange/mat_file.py",
-    "exchange/table_files.py",
-    "exchange/track_files.py",
-    "exchange/track_fit.py",
-    "exchange/track_motion.py",
-    "exchange/trajectory.py",
-    "signals/terrain.py",
-    "fields.py",
-    "units.py",
-    "rotation.py",
-    "earth.py",
-    "arrays.py",
-    "data.py",
-    "flight_specs.py",
-    "random_streams.py",
+    "bench/flight",
+    "bench/exchange/mat_file.py",
+    "bench/exchange/table_files.py",
+    "bench/exchange/track_files.py",
+    "bench/exchange/track_fit.py",
+    "bench/exchange/track_motion.py",
+    "bench/exchange/trajectory.py",
+    "bench/signals/terrain.py",
+    "bench/core/records/fields.py",
+    "bench/core/mathematics/units.py",
+    "bench/core/mathematics/rotation.py",
+    "bench/core/mathematics/earth.py",
+    "bench/core/mathematics/arrays.py",
+    "bench/core/records/data.py",
+    "bench/core/records/flight_specs.py",
+    "bench/core/mathematics/random_streams.py",
 )
-"""Files of the package that truth depends on."""
+"""Files and folders that truth depends on."""
 
-
-_LOOP = ("closed_loop.py", "instruments.py", "navigation", "sensors", "signals")
+_LOOP = (
+    "bench/closed_loop.py",
+    "bench/core/records/instruments.py",
+    "bench/navigation",
+    "bench/sensors",
+    "bench/signals",
+)
 """The same where an estimate flies."""
 
 
@@ -138,7 +143,7 @@ def cached_summary(
     entry = cache_folder("truth") / truth_key(spec)
     digest = hashlib.sha256()
     for name in sources:
-        digest.update((PACKAGE / name).read_bytes())
+        digest.update(locate_source(name).read_bytes())
     path = entry / f"summary-{digest.hexdigest()[:32]}.json"
     if _is_sound(entry):
         with contextlib.suppress(OSError, ValueError):  # absent or changed: compute it again
@@ -157,10 +162,10 @@ def truth_key(spec: Flight, flown_by: Sequence[str] = ()) -> str:
     values, files = _list_inputs(spec)
     if flown_by:
         values["flown_by"] = list(flown_by)
-        files += [PACKAGE / name for name in _LOOP]
+        files += map(locate_source, _LOOP)
     digest = hashlib.sha256()
     digest.update(json.dumps({**values, "versions": list_versions()}, sort_keys=True).encode())
-    for root in (*files, *(PACKAGE / name for name in _SOURCES)):
+    for root in (*files, *map(locate_source, _SOURCES)):
         for path in _list_files(root):
             digest.update(f"{root.name}/{path.relative_to(root)}\0{path.stat().st_size}\0".encode())
             with path.open("rb") as file:

@@ -18,13 +18,15 @@ import numpy as np
 from pydantic import Field
 from scipy.integrate import solve_ivp
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.mathematics.units import ARCSEC, DEG, HOUR
+from bench.core.records.findings import Findings, FindingTable, make_table, series
+from bench.core.records.findings.series import Plot
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.route_errors import RADIUS, allowed_heading_error, cross_track_error
-from bench.findings import Findings, FindingTable, make_table, series
-from bench.findings.series import Plot
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav
@@ -40,8 +42,6 @@ from bench.navigation.register.attitude_errors import (
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.vector_matching import match_vectors, misalignment
 from bench.studies.study import Count, Numbers, Positive, Seed, StudyOptions, StudyWorkers
-from bench.units import ARCSEC, DEG, HOUR
-from bench.wording import format_number
 
 _ROWS = 9  # instants of the course in the table
 _STEP = 0.01  # of the quaternions [s]

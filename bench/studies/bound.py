@@ -16,7 +16,11 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline, sensors
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import DEG
+from bench.core.records.findings import Findings, FindingTable, series
+from bench.core.records.findings.series import Plot
+from bench.core.records.specs import Profile
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.held import (
     LINEAR,
@@ -27,10 +31,7 @@ from bench.evaluation.linear.held import (
     variance_of,
 )
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, compare_draws
-from bench.findings import Findings, FindingTable, series
-from bench.findings.series import Plot
 from bench.navigation.estimator import Estimator
-from bench.specs import Profile
 from bench.studies.drawn_errors import (
     Draws,
     UnitFlight,
@@ -40,7 +41,6 @@ from bench.studies.drawn_errors import (
     split_draws,
 )
 from bench.studies.study import Count, StudyWorkers, UnitOptions, Words, ask_each
-from bench.units import DEG
 
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 

@@ -16,18 +16,18 @@ from typing import Any, cast
 import numpy as np
 
 from bench import pipeline, sensors
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings import Findings, FindingTable, series
+from bench.core.records.findings.series import Plot, Series
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.palette import Colour
 from bench.evaluation.linear.error_budget import Budget, split_errors
 from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import check_aiding
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
-from bench.findings import Findings, FindingTable, series
-from bench.findings.series import Plot, Series
 from bench.navigation.models.loose_tight import Loose
-from bench.palette import Colour
-from bench.specs import Profile
 from bench.studies.drawn_errors import (
     Draws,
     UnitFlight,

@@ -18,10 +18,10 @@ from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.config.listing import CATALOG, list_missing_figures
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.fields import triad_figures_of
-from bench.sensor_specs import TriadSpec
-from bench.units import from_si, to_si
+from bench.core.mathematics.units import from_si, to_si
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.exceptions import ConfigError
 
 CLASSES = ("consumer", "industrial", "tactical", "navigation")
 """Classes of IMUs, from cheap to dear. The catalog has no prices."""

@@ -10,12 +10,12 @@ from typing import Any
 
 from bench import store
 from bench.campaigns.pools import count_processors
-from bench.errors import ConfigError
-from bench.findings import Findings, StudyResult
+from bench.core.records.findings import Findings, StudyResult
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
 from bench.store.study_folder import save_study
 from bench.studies import STUDIES, StudyEntry
 from bench.studies.study import Progress, StudyWorkers, make_command, read_options
-from bench.wording import suggest
 
 
 def find_study(name: str) -> tuple[StudyEntry, Any]:
@@ -59,7 +59,7 @@ def study(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If there is no such study, an option is wrong, or the folder cannot be made.
     """
     entry, module = find_study(name)

@@ -9,16 +9,16 @@ from functools import lru_cache
 import numpy as np
 
 from bench import pipeline, sensors
-from bench.arrays import FloatArray
 from bench.config import load_profile
-from bench.data import Trajectory
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import Trajectory
+from bench.core.records.specs import EstimatorChoice, Profile
 from bench.evaluation.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator
-from bench.specs import EstimatorChoice, Profile
 from bench.studies.study import read_settings
-from bench.units import SAME_INSTANT
 
 INTERVAL = 1.0
 """Between the instants of a study [s]."""

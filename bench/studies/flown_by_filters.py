@@ -15,20 +15,23 @@ from typing import Any
 
 import numpy as np
 
-from bench import closed_loop, earth, pipeline
-from bench.arrays import FloatArray
+from bench import closed_loop, pipeline
 from bench.config import load_profile
-from bench.data import Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import Trajectory
+from bench.core.records.findings import Findings, FindingTable, make_table
+from bench.core.records.findings.series import ESTIMATORS, Plot, draw_line
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import Quantile, estimate_quantile, pool_rmse
 from bench.evaluation.error_series import error_series
 from bench.evaluation.total_system import PARTS, resolve_along
-from bench.findings import Findings, FindingTable, make_table
-from bench.findings.series import ESTIMATORS, Plot, draw_line
 from bench.flight.desired_path import measure_steered
 from bench.flight.legs.landing import Flare
-from bench.flight_specs import FlightSpec
-from bench.specs import Profile
 from bench.studies.study import (
     FLOWN_BY,
     Count,
@@ -38,8 +41,6 @@ from bench.studies.study import (
     ask_each,
     refuse_navigation,
 )
-from bench.units import SAME_INSTANT
-from bench.wording import format_number
 
 _SMALLEST = 1e-3  # misses below this are alike [m]
 

@@ -17,13 +17,13 @@ from typing import Literal
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.navigation.models.classic import navigator, observation_model, process_model
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Earth, Nav
 from bench.navigation.models.classic.process_model import Sigmas
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 Phase = Literal["s-turns", "straight", "turn", "climb"]
 """What is flown once GNSS is lost; before, S-turns."""

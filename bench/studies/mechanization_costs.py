@@ -16,19 +16,19 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
-from bench.findings import Findings, FindingTable, series
-from bench.findings.series import Plot, Series
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
+from bench.core.records.findings import Findings, FindingTable, series
+from bench.core.records.findings.series import Plot, Series
+from bench.core.words.palette import Colour
 from bench.flight.closed_form import SwingingFlight
 from bench.navigation import mechanization
 from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
 from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
-from bench.palette import Colour
 from bench.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
-from bench.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]
 _VECTOR, _PICARD = "rotation-vector", "two-quaternions"

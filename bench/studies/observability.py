@@ -15,8 +15,11 @@ from typing import Any
 import numpy as np
 
 from bench import sensors
-from bench.arrays import BoolArray, FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.core.records.findings import Findings, FindingTable, series
+from bench.core.records.findings.series import Plot
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.directions import (
     Observed,
     describe_direction,
@@ -24,12 +27,9 @@ from bench.evaluation.linear.directions import (
     observe,
 )
 from bench.evaluation.linear.held import bound_flight
-from bench.findings import Findings, FindingTable, series
-from bench.findings.series import Plot
 from bench.studies.drawn_errors import UnitFlight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
 from bench.studies.study import StudyWorkers, UnitOptions, Words, ask_each
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
 _BEFORE, _AFTER, _LATE = 240, 400, 1800  # of the reference flight [s]

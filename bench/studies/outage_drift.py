@@ -16,22 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, rotation, store
-from bench.arrays import FloatArray
+from bench import pipeline, store
 from bench.campaigns.worker import fly, get_truth
 from bench.config import load_profile
-from bench.errors import ConfigError, EstimatorFailedError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.findings import Findings
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError, EstimatorFailedError
 from bench.evaluation.drift_laws import split_drift
 from bench.evaluation.error_series import error_series
 from bench.evaluation.failures import make_failed_solution
-from bench.findings import Findings
-from bench.specs import Profile
 from bench.studies.catalog_units import find_units
 from bench.studies.outage_grades import fill_grades, plot_grades, predict_grades, tell_grades
 from bench.studies.outage_growth import Drift, pair_units
 from bench.studies.outage_tables import fill_drifts, plot_drifts, tell_drifts
 from bench.studies.study import Count, Durations, FlightOptions, Positive, StudyWorkers, Words
-from bench.units import SAME_INSTANT
 
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]

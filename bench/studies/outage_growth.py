@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.evaluation.ensemble import estimate_quantile, pool_rmse
 from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
 from bench.studies.outage_grades import find_time

@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.findings import FindingTable, make_table, series
+from bench.core.records.findings.series import Plot, Series
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.paired_draws import PairedRatio
-from bench.findings import FindingTable, make_table, series
-from bench.findings.series import Plot, Series
 from bench.studies.catalog_units import CatalogImu
 from bench.studies.outage_grades import find_time
 from bench.studies.outage_growth import Drift
 from bench.studies.study import format_estimate
-from bench.units import SAME_INSTANT
-from bench.wording import format_number
 
 Drifts = Mapping[tuple[str, str], Drift]
 """Unit and phase -> its drift."""

@@ -21,13 +21,13 @@ from pydantic import Field
 
 from bench import log_pipeline
 from bench.config.log import is_log
-from bench.errors import ConfigError, EstimatorError
+from bench.core.records.findings import Findings, FindingTable, make_table, series
+from bench.core.records.findings.series import Plot, Series
+from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.core.words.wording import one_line
 from bench.evaluation.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.regression import average_changes, decide
-from bench.findings import Findings, FindingTable, make_table, series
-from bench.findings.series import Plot, Series
 from bench.studies.study import Settings, StudyOptions, StudyWorkers, Words, format_estimate, read_settings
-from bench.wording import one_line
 
 _LEAST = 3  # logs that tell how much ratios scatter
 

@@ -12,16 +12,16 @@ import numpy as np
 
 from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import NavSolution, Trajectory
+from bench.core.mathematics.units import HOUR, STANDARD_GRAVITY
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.specs import Profile
 from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
 from bench.navigation.engine.record_cuts import take_piece
 from bench.navigation.open_filters import PieceFilter
-from bench.specs import Profile
 from bench.studies import rnp
 from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.study import StudyWorkers
 from bench.studies.watched_flights import WatchedFlight
-from bench.units import HOUR, STANDARD_GRAVITY
 
 _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 10 Hz
     "leg": [

@@ -6,13 +6,13 @@ from typing import get_args
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import DEG
 from bench.navigation.models.classic import observation_model, process_model
 from bench.navigation.models.classic.extrapolation import Curve, extrapolate
 from bench.navigation.models.classic.process_model import Sigmas
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
 from bench.studies.register_measures import RowFinding, below, near
-from bench.units import DEG
 
 _GRADE = GRADES["grade-3"]
 _GROWN = {

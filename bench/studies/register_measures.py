@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.evaluation.route_errors import cross_track_error
 from bench.flight.closed_form import SwingingFlight
@@ -27,7 +28,6 @@ from bench.studies.mechanization_costs import (
     radii_error,
     simulate_accelerometers,
 )
-from bench.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 
 
 class Bounded(NamedTuple):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from bench.errors import ConfigError
-from bench.places import PACKAGE
-from bench.scratch import make_scratch
+from bench.core.files.places import PACKAGE
+from bench.core.files.scratch import make_scratch
+from bench.core.words.exceptions import ConfigError
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench.findings import Findings, FindingTable
+from bench.core.records.findings import Findings, FindingTable
 from bench.studies.register_measures import RowFinding
 from bench.studies.register_proofs import find_root, group_tests, run_tests
 from bench.studies.register_rows import ROWS

@@ -18,21 +18,21 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from bench import earth
-from bench.arrays import FloatArray
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.core.records.findings import Findings, FindingTable, make_table, series
+from bench.core.records.findings.series import Plot
+from bench.core.records.sensor_specs import ImuSpec
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number, suggest
 from bench.evaluation import drift_laws
 from bench.evaluation.drift_laws import SCHULER
-from bench.findings import Findings, FindingTable, make_table, series
-from bench.findings.series import Plot
 from bench.navigation import mechanization
-from bench.sensor_specs import ImuSpec
 from bench.studies.catalog_units import find_units
 from bench.studies.study import Durations, Positive, StudyOptions, StudyWorkers, Words
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
-from bench.wording import format_number, suggest
 
 _UG, _DEG_H = 1e-6 * STANDARD_GRAVITY, DEG / HOUR
 _STEP = 0.1  # of the simulation [s]

@@ -23,10 +23,15 @@ import numpy as np
 from pydantic import Field
 
 from bench import closed_loop, pipeline
-from bench.arrays import FloatArray
 from bench.config import load_profile
-from bench.data import NavSolution, Sensed, Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import HOUR, SAME_INSTANT
+from bench.core.records.data import NavSolution, Sensed, Trajectory
+from bench.core.records.findings import Findings, FindingTable
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number, suggest
 from bench.evaluation.ensemble import Estimate, estimate_fraction, estimate_rate, pool_quantile
 from bench.evaluation.error_series import error_series
 from bench.evaluation.protection import (
@@ -50,12 +55,9 @@ from bench.evaluation.required_performance import (
     judge_rate,
     judge_share,
 )
-from bench.findings import Findings, FindingTable
 from bench.flight.desired_path import measure_off_path
-from bench.flight_specs import FlightSpec
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_rows
-from bench.specs import Profile
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import (
     FLOWN_BY,
@@ -68,8 +70,6 @@ from bench.studies.study import (
     refuse_navigation,
 )
 from bench.studies.watched_flights import WatchedFlight, align_flights, tell_crashes
-from bench.units import HOUR, SAME_INSTANT
-from bench.wording import format_number, suggest
 
 _NM = 1852.0  # [m]
 _INTERVAL = 1.0  # between the instants of a run [s]

@@ -21,14 +21,15 @@ from bench.campaigns.plan import plan_campaign
 from bench.config import load_profile
 from bench.config.library import find_datasheet
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
+from bench.core.files.places import PACKAGE
+from bench.core.mathematics.units import unit_of
+from bench.core.records.findings import Findings, FindingTable, make_table, series
+from bench.core.records.findings.series import Plot, Series
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensemble import Estimate, pool_rmse
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
 from bench.evaluation.required_metrics import Looks
-from bench.findings import Findings, FindingTable, make_table, series
-from bench.findings.series import Plot, Series
-from bench.places import PACKAGE
 from bench.studies.study import (
     Count,
     StudyWorkers,
@@ -37,7 +38,6 @@ from bench.studies.study import (
     ask_each,
     format_estimate,
 )
-from bench.units import unit_of
 
 _SHOWN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings import FindingTable, series
+from bench.core.records.findings.series import Plot
 from bench.evaluation.ensemble import CONFIDENCE
 from bench.evaluation.required_performance import Watched, estimate_per_run
-from bench.findings import FindingTable, series
-from bench.findings.series import Plot
 
 PLANES = ("horizontal", "vertical")
 """What is watched, in order."""

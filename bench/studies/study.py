@@ -19,11 +19,11 @@ from bench.campaigns.plan import plan_campaign
 from bench.campaigns.pools import ExecutorPool, ProcessPool, open_pool
 from bench.campaigns.running import Campaign, run_campaign
 from bench.campaigns.running import Progress as Runs
-from bench.errors import ConfigError, WorkersLostError
+from bench.core.records.findings import Findings, join_findings
+from bench.core.words.exceptions import ConfigError, WorkersLostError
+from bench.core.words.wording import as_toml, describe_error, format_number, suggest
 from bench.evaluation.ensemble import Estimate
-from bench.findings import Findings, join_findings
 from bench.studies.catalog_units import find_units
-from bench.wording import as_toml, describe_error, format_number, suggest
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -142,7 +142,7 @@ def ask_each(
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         With a line for each unit and flight that is wrong.
     """
     find_units(study, options.units or ())
@@ -219,7 +219,7 @@ class StudyWorkers:
 
         Raises
         ------
-        bench.errors.WorkersLostError
+        bench.core.words.exceptions.WorkersLostError
             If an item ended its worker each time.
         """
         found: dict[int, _Result] = {}

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from bench.core.records.findings import FindingTable, make_table, series
+from bench.core.records.findings.series import Plot, Series
 from bench.evaluation.ensemble import estimate_quantile
 from bench.evaluation.metrics import find_metric
 from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED, describe_limit
-from bench.findings import FindingTable, make_table, series
-from bench.findings.series import Plot, Series
 from bench.studies.catalog_units import CLASSES, CatalogImu
 from bench.studies.study import format_estimate
 from bench.studies.unit_limits import VarianceShares

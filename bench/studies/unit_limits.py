@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from bench import pipeline, sensors
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.linear.error_budget import split_errors
 from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import bound_flight, check_aiding, variance_of
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
 from bench.studies.drawn_errors import UnitFlight, key_instants, output_times
-from bench.wording import format_number
 
 _PARTS: Mapping[str, str] = {
     "gyro": "the IMU",

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import SAME, Estimate, estimate_rate, pool_rmse
 from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
 from bench.evaluation.required_metrics import MET, UNDECIDED, Finding
 from bench.studies.catalog_units import CLASSES
-from bench.wording import format_number
 
 _LEAST = 2  # draws that have an interval
 

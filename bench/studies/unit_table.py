@@ -20,7 +20,8 @@ from bench.campaigns.campaign_file import CampaignSpec
 from bench.campaigns.plan import plan_campaign
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
-from bench.errors import ConfigError
+from bench.core.records.findings import Findings
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.required_metrics import (
     Looks,
@@ -30,7 +31,6 @@ from bench.evaluation.required_metrics import (
     list_requirements,
     take_value,
 )
-from bench.findings import Findings
 from bench.studies.catalog_units import CatalogImu, find_units
 from bench.studies.drawn_errors import UnitFlight
 from bench.studies.study import (

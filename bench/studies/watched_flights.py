@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, slots=True)

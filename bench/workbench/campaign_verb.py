@@ -21,13 +21,13 @@ from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_di
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
 from bench.config.profile import make_choice
+from bench.core.records.findings import FindingTable
+from bench.core.records.specs import Guard
+from bench.core.words.notebook import ShownFigure
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.metric_words import find_words, name_metric
-from bench.findings import FindingTable
-from bench.notebook import ShownFigure
 from bench.report import card_page, page
 from bench.report.writing import write_report
-from bench.specs import Guard
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.printing import print_findings, print_table

@@ -20,8 +20,8 @@ from bench.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH, Verdict, W
 from bench.campaigns.pools import count_processors
 from bench.config.listing import PROFILES
 from bench.config.log import is_datasheet
-from bench.errors import ConfigError
-from bench.findings import FindingTable
+from bench.core.records.findings import FindingTable
+from bench.core.words.exceptions import ConfigError
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.log_campaign import list_recordings

@@ -11,18 +11,19 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench import durable, store
+from bench import store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.stored import load_campaign
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.records.findings.looks import find_look
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.key_figures import is_key_figure
 from bench.evaluation.metric_words import name_metric
-from bench.findings.looks import find_look
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
 from bench.saving import save
-from bench.wording import format_number
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.flight_verbs import print_end
 from bench.workbench.printing import print_findings, print_table

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from bench.wording import replace_control
+from bench.core.words.wording import replace_control
 
 _WIDTH = 80  # of a screen that does not say how wide it is
 

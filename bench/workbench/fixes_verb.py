@@ -11,11 +11,11 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.errors import ConfigError
+from bench.core.records.findings import FindingTable, make_table
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import rinex_fixes
 from bench.exchange.receiver_settings import solve_rinex
 from bench.exchange.rinex.lines import find_kind
-from bench.findings import FindingTable, make_table
 from bench.store.folders import check_file
 from bench.workbench.printing import MOST_ROWS, print_findings
 
@@ -70,7 +70,7 @@ def solve_fixes(
             solved.write_csv(out, datum)
             sentences.append(f"fixes in {datum}: {out}")
         if report is not None:
-            from bench import durable
+            from bench.core.files import durable
 
             durable.write(report, fixes_page.make_page(solved))
             sentences.append(f"Report: {report}")

@@ -14,11 +14,11 @@ from rich.console import Console
 from bench import config, store
 from bench.baselines.junit import check_required, write_requirements
 from bench.config.served import load_served
-from bench.data import ShowFlight
+from bench.core.records.data import ShowFlight
+from bench.core.records.run_result import RunResult
+from bench.core.words.stages import FLYING, Stage, Watcher
+from bench.core.words.wording import one_line
 from bench.evaluation.required_metrics import judge_result
-from bench.run_result import RunResult
-from bench.stages import FLYING, Stage, Watcher
-from bench.wording import one_line
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings
 

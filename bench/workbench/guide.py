@@ -12,9 +12,9 @@ from rich.console import Console
 from rich.markdown import Markdown
 from rich.pager import Pager
 
-from bench.errors import ConfigError
-from bench.places import PACKAGE
-from bench.wording import suggest
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
 
 FOLDER = PACKAGE / "guide"
 """One Markdown file per topic; its ``README.md`` lists them."""
@@ -34,7 +34,7 @@ def read_topics() -> dict[str, str]:
 
 def list_topics(console: Console) -> None:
     """Print every topic with a description of one line."""
-    from bench.findings import make_table  # numbers, which who reads a page does without
+    from bench.core.records.findings import make_table  # numbers, which who reads a page does without
     from bench.workbench.printing import print_table
 
     rows = list(read_topics().items())

@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
 from bench.config.log import LogSpec, StartSpec
-from bench.errors import ConfigError, EstimatorError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.exchange.log_records import LogRecords
 from bench.exchange.log_start import HOVER, choose_stretch, find_start
 from bench.log_pipeline import Session
 from bench.navigation.start import alignment
 from bench.navigation.start.leveling import LEAST_REST
-from bench.specs import EvaluationWindow
 
 _SILENT = 0.5  # an IMU silent for longer is a new start [s]
 _EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench import durable
 from bench.baselines.checking import DIRECTORY
 from bench.baselines.pinning import find_requirement
 from bench.campaigns.campaign_file import CampaignTable
 from bench.config.checks import is_code
 from bench.config.schemas import DIALECT, SCHEMAS, make_schema
-from bench.errors import ConfigError
-from bench.wording import one_line
+from bench.core.files import durable
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line
 from bench.workbench import check_verb
 
 _CLASS = "StartingPoint"
@@ -115,7 +115,7 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
 
     Raises
     ------
-    bench.errors.BenchError
+    bench.BenchError
         If a file is there already, or the estimator cannot be built; nothing is left behind then.
     """
     profile, workflow = DIRECTORY / "short.toml", Path(".github/workflows/accuracy.yml")

@@ -17,13 +17,18 @@ from typing import Any, TypeVar
 import numpy as np
 from rich.console import Console
 
-from bench import durable
-from bench.arrays import FloatArray
 from bench.config.external_truth import find_jsbsim_root, has_guidance, list_root_aircraft
 from bench.config.library import read_jsbsim_aircraft
 from bench.config.listing import JSBSIM, NAME, list_aircraft_folders
-from bench.data import Trajectory
-from bench.errors import ConfigError, FlightError
+from bench.core.files import durable
+from bench.core.files.spawned import count_work, measure_cpu
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.rotation import to_euler
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import AircraftSpec, ForeignSpec
+from bench.core.words.exceptions import ConfigError, FlightError
+from bench.core.words.wording import suggest
 from bench.flight.child_process import fly_in_child
 from bench.flight.gain_design import (
     BANK,
@@ -34,11 +39,6 @@ from bench.flight.gain_design import (
     plan_acceptance,
     prepare_aircraft,
 )
-from bench.flight_specs import AircraftSpec, ForeignSpec
-from bench.rotation import to_euler
-from bench.spawned import count_work, measure_cpu
-from bench.units import STANDARD_GRAVITY
-from bench.wording import suggest
 
 _Result = TypeVar("_Result")
 _PATTERN = "c172x"  # where what is not designed comes from: the guidance system

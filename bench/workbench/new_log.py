@@ -11,10 +11,13 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from bench import durable
 from bench.config.log import LogSpec, load_log
-from bench.data import ImuData
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.files.file_checks import check_file, read_json
+from bench.core.mathematics.units import split_unit
+from bench.core.records.data import ImuData
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.recorded_motion import Check, RecordedMotion
 from bench.evaluation.rest_noise import assume_vibration
 from bench.evaluation.validity import check_recording
@@ -25,11 +28,8 @@ from bench.exchange.imports.contents import Contents
 from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
-from bench.files import check_file, read_json
 from bench.navigation.start.course import LEAST_SPEED
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.units import split_unit
-from bench.wording import one_line, quote_toml
 from bench.workbench.log_starts import ChosenStart, choose_start
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS

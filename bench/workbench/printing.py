@@ -16,9 +16,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from bench.findings import FindingTable
-from bench.findings.looks import LOOKS
-from bench.notebook import ShownFigure, format_cell
+from bench.core.records.findings import FindingTable
+from bench.core.records.findings.looks import LOOKS
+from bench.core.words.notebook import ShownFigure, format_cell
 
 MOST_ROWS = 40  # of a table that are printed
 _WIDEST_TEXT = 24  # a column of text in a table too wide for the console

@@ -11,14 +11,14 @@ from rich.console import Console
 
 from bench import api, config, log_pipeline, store
 from bench.config.checks import is_code
-from bench.errors import ConfigError
+from bench.core.records.findings import FindingTable
+from bench.core.records.run_result import RunResult
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import ShownFigure
+from bench.core.words.wording import one_line
 from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.evaluation.outages import DRIFT_MEANING, tabulate_drifts
-from bench.findings import FindingTable
-from bench.notebook import ShownFigure
-from bench.run_result import RunResult
-from bench.sensor_specs import TriadSpec
-from bench.wording import one_line
 from bench.workbench import result_table
 from bench.workbench.flight_verbs import (
     RUNS,

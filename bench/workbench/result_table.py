@@ -9,14 +9,14 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench.data import NavSolution
+from bench.core.records.data import NavSolution
+from bench.core.records.findings import FindingTable
+from bench.core.words.notebook import ShownFigure
+from bench.core.words.wording import format_number
 from bench.evaluation import headline, verdict
 from bench.evaluation.headline import Headline, list_stops, make_headline
 from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
 from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
-from bench.findings import FindingTable
-from bench.notebook import ShownFigure
-from bench.wording import format_number
 from bench.workbench.printing import print_table
 
 ROOM = 14

@@ -11,13 +11,13 @@ from rich.console import Console
 from bench import config
 from bench.config.figure_table import ASSUMED, tabulate_figures
 from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
-from bench.findings import FindingTable, make_table
+from bench.core.records.findings import FindingTable, make_table
+from bench.core.records.specs import Profile
+from bench.core.words.notebook import ShownFigure
+from bench.core.words.wording import one_line
 from bench.navigation.built_in import BUILT_IN
-from bench.notebook import ShownFigure
 from bench.signals.terrain import read_grid
-from bench.specs import Profile
 from bench.studies import STUDIES
-from bench.wording import one_line
 from bench.workbench.printing import print_table, print_tables
 
 _DEG = 180 / math.pi

@@ -7,8 +7,8 @@ from pathlib import Path
 from rich.console import Console
 
 from bench import store
-from bench.errors import ConfigError
-from bench.wording import one_line
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line
 from bench.workbench.flight_verbs import RUNS, describe_run, print_end, print_result
 
 

@@ -9,14 +9,14 @@ with which the axes of the tilts in P turn. The barometer is not used.
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
-from bench.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Events, InitialState, Innovations, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.error_state import dynamics
 from bench.navigation.mechanization import propagate
 from bench.navigation.start import alignment
-from bench.sensor_specs import AssumedSpecs
 
 SENSORS = ("gnss_position", "gnss_velocity")
 BIASES = (("gyro_bias", "rad_s"), ("accel_bias", "m_s2"))

@@ -12,7 +12,7 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from bench import store
-from bench.findings import StudyResult
+from bench.core.records.findings import StudyResult
 from bench.report.writing import write_report
 from bench.studies.conducting import study
 from bench.studies.study import Progress

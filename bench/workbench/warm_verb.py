@@ -9,12 +9,12 @@ from pathlib import Path
 from rich.console import Console
 
 from bench import config, pipeline
-from bench.compiled import choose_cache
-from bench.errors import ConfigError
+from bench.core.compilation.compiled import choose_cache
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Profile
+from bench.core.words.exceptions import ConfigError
 from bench.flight.legs.level import Straight
-from bench.flight_specs import FlightSpec
 from bench.navigation.built_in import BUILT_IN
-from bench.specs import EstimatorChoice, EvaluationWindow, Profile
 
 _EVERY_SENSOR = "all-sensors"
 """The shipped profile with the sensors that any built-in estimator uses."""
@@ -37,7 +37,7 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
 
     Raises
     ------
-    bench.errors.ConfigError
+    bench.ConfigError
         If there is no such profile, or it has no built-in estimator.
     """
     base = config.load_profile(_EVERY_SENSOR)

@@ -15,7 +15,7 @@ import bench
 from bench.campaigns import card, running
 from bench.campaigns.card_suite import LATE, QUICK
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.specs import Guard
+from bench.core.records.specs import Guard
 from tests.measured import stamp, write_measured
 
 _PLAIN = "s-turns-matched"

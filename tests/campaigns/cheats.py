@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 import bench
-from bench import earth, rotation
-from bench.data import Events, InitialState, NavSolution, SensorData
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Events, InitialState, NavSolution, SensorData
 from bench.navigation.built_in import load
 
 QUIET_S = 14.0

@@ -35,7 +35,8 @@ from bench.campaigns.outcome import Outcome, Pair, _pool_nis, compare
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
-from bench.errors import INTERRUPTED, MACHINE, ConfigError
+from bench.core.words.exceptions import INTERRUPTED, MACHINE, ConfigError
+from bench.core.words.wording import format_number
 from bench.evaluation.consistency import NIS_PROBABILITY, mean_band
 from bench.evaluation.ensemble import Estimate, compare_rmse
 from bench.evaluation.error_series import heading_sd, select_epochs
@@ -43,7 +44,6 @@ from bench.recording import drawing
 from bench.report import campaign_page
 from bench.report.index import find_folders, write_index
 from bench.report.page import name_metric
-from bench.wording import format_number
 from bench.workbench import record_verbs
 
 PROFILE = """

@@ -17,8 +17,8 @@ from bench.campaigns.binned import BinnedRuns
 from bench.campaigns.plan import plan_runs
 from bench.campaigns.pools import SerialExecutor
 from bench.cli import main
-from bench.errors import ConfigError
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import ConfigError
 from tests.campaigns.test_campaign import PROFILE
 
 CAMPAIGN = """

@@ -14,14 +14,14 @@ import pytest
 import scipy.stats
 
 import bench
-from bench import rotation
 from bench.campaigns import card, card_comparison, card_lines, running
 from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
 from bench.config import load_profile
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.regression import average_changes
 from bench.exchange.solution_folder import name_draw
 from bench.report.card_page import write_card

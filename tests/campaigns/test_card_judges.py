@@ -20,10 +20,10 @@ from bench.campaigns.card_comparison import compare_cards, name_cards
 from bench.campaigns.card_lines import SAME, SHARE, Line, write_figure
 from bench.campaigns.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
 from bench.config import load_profile
-from bench.errors import EstimatorFailedError
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import EstimatorFailedError
 from bench.evaluation.regression import Change
 from bench.navigation.causality import LookAhead
-from bench.specs import EstimatorChoice
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_card_lines import make_card, make_line
 

@@ -13,7 +13,7 @@ from bench.campaigns import card_lines as lines
 from bench.campaigns.card import AGAINST, Card, LostDraw, read_card
 from bench.campaigns.card_lines import Line
 from bench.campaigns.card_suite import SuiteFlight
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.quantities import count_freedom
 
 FLIGHT, HURT = SuiteFlight("f", "p"), SuiteFlight("g", "p", {}, "f")

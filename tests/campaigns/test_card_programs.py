@@ -13,7 +13,7 @@ import bench
 from bench.campaigns import card, running
 from bench.campaigns.card_suite import Suite, SuiteFlight
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 from tests.campaigns.test_campaign import PROFILE
 
 COMPILER = shutil.which("c++") or shutil.which("g++")

@@ -24,8 +24,8 @@ import bench
 from bench.campaigns import cluster
 from bench.campaigns.journal import NAME
 from bench.campaigns.pools import SerialExecutor
-from bench.errors import ConfigError, WorkersLostError
-from bench.specs import EstimatorChoice
+from bench.core.records.specs import EstimatorChoice
+from bench.core.words.exceptions import ConfigError, WorkersLostError
 from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 

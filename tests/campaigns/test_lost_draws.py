@@ -10,7 +10,7 @@ import pytest
 import bench
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.trials import ProfileTrial
-from bench.data import InitialState, NavSolution, SensorData
+from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.navigation.built_in import load
 from bench.report.writing import write_report
 from tests.campaigns.test_campaign import PROFILE

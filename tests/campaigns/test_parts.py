@@ -41,8 +41,8 @@ from bench.campaigns.journal import Journal
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign, _Counter
 from bench.campaigns.worker import CHANNELS, choose_step, decode, encode
-from bench.errors import ConfigError
-from bench.specs import EstimatorChoice, EvaluationWindow, Guard
+from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError
 
 # --- batches and pools ------------------------------------------------------------------------------------
 

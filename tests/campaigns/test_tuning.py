@@ -21,11 +21,11 @@ from bench.campaigns.trials import HeldOutScore, LogTrial, ProfileTrial, measure
 from bench.campaigns.worker import RunTask
 from bench.cli import main
 from bench.config import load_profile
-from bench.data import ErrorSeries, Innovations, no_innovations
-from bench.errors import ConfigError
+from bench.core.files.places import PACKAGE
+from bench.core.records.data import ErrorSeries, Innovations, no_innovations
+from bench.core.records.specs import DEFAULT_GUARD
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.places import PACKAGE
-from bench.specs import DEFAULT_GUARD
 from bench.store import truth_key
 from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import bench
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 
 WRONG = {"gyro": 5.0, "accel": 0.4, "pos": 0.3, "vel": 4.0}
 """Times the noise on board, in the datasheets that the filter assumes."""

@@ -20,13 +20,13 @@ import numpy as np
 from bench import config, pipeline, sensors
 from bench.causes.candidates import list_candidates
 from bench.causes.search import Causes, find_causes
-from bench.data import Trajectory
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import AssumedSpecs, Fault, SensorsSpec
+from bench.core.records.specs import Profile
 from bench.evaluation.block_nees import BlockNees, find_broken_block, judge_blocks
 from bench.evaluation.error_series import error_series
 from bench.navigation import built_in, estimator
-from bench.sensor_specs import AssumedSpecs, Fault, SensorsSpec
-from bench.specs import Profile
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
 
 USE, OPTIONS = "loose-15", {"covariance_hz": 10.0}
 _OVERRIDES: Mapping[str, Any] = {

@@ -22,7 +22,7 @@ import bench
 from bench import pipeline, recording, store
 from bench.cli import main
 from bench.cli.group import commands, end_run
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from bench.report import page as report_page
 from bench.store import parquet
 from bench.workbench import viewer
@@ -226,7 +226,7 @@ def test_list_legs_says_what_each_key_may_be(capsys):
 MINE = """
 import dataclasses
 import numpy as np
-from bench import earth
+from bench.core.mathematics import earth
 from bench.navigation.models.loose_tight import Loose
 
 class Mine(Loose):
@@ -610,7 +610,7 @@ def test_help_imports_nothing_heavy(tmp_path):
     for arguments in (["--help"], ["run", "--help"], []):
         loaded = modules(arguments, tmp_path)
         assert "bench.cli" in loaded
-        assert not loaded & {"numpy", "pydantic", "rich", "numba", "pyarrow", "bench.data"}
+        assert not loaded & {"numpy", "pydantic", "rich", "numba", "pyarrow", "bench.core.records.data"}
 
 
 def test_the_list_imports_only_what_it_uses(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from click.shell_completion import ShellComplete
 
 from bench.cli import commands, main
-from bench.wording import suggest
+from bench.core.words.wording import suggest
 
 
 def complete(*words: str) -> list[str]:

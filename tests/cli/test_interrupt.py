@@ -13,7 +13,7 @@ import pytest
 
 from bench import pipeline
 from bench.cli import main
-from bench.compiled import choose_cache
+from bench.core.compilation.compiled import choose_cache
 from tests.cli.test_cli import PROFILE
 
 COMMAND = [sys.executable, "-m", "bench", "run", "short.toml"]

@@ -6,7 +6,7 @@ import pytest
 
 import bench
 from bench.cli import commands, main
-from bench.errors import WRONG
+from bench.core.words.exceptions import WRONG
 from tests.test_api import SHORT
 
 

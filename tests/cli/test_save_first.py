@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench import log_pipeline, plain_output, serving
+from bench import log_pipeline, serving
 from bench.baselines import checking
 from bench.campaigns import card, running
 from bench.campaigns.card_suite import Suite, SuiteFlight
@@ -24,7 +24,8 @@ from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.trials import HeldOutScore
 from bench.campaigns.tuning import Tuning
 from bench.cli import main
-from bench.errors import DONE, MACHINE, NEGATIVE
+from bench.core.words import plain_output
+from bench.core.words.exceptions import DONE, MACHINE, NEGATIVE
 from bench.evaluation.ensemble import Estimate
 from bench.report import allan_picture
 from bench.studies import requirements

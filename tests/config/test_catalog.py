@@ -13,9 +13,9 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.config.figure_table import tabulate_figures
-from bench.errors import ConfigError
-from bench.instruments import INSTRUMENTS
-from bench.sensor_specs import ThermalSpec
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import ThermalSpec
+from bench.core.words.exceptions import ConfigError
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
 from bench.studies.catalog_units import find_typical

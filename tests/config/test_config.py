@@ -21,14 +21,14 @@ from bench.config.datasheets import read_imu
 from bench.config.log import load_log
 from bench.config.overrides import split_overrides
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
-from bench.fields import triad_figures_of
+from bench.core.files.places import PACKAGE
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.exceptions import ConfigError
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import FigureEight, Turn
 from bench.navigation.built_in import BUILT_IN
-from bench.places import PACKAGE
-from bench.sensor_specs import TriadSpec
 
 SHIPPED = [row.name for row in config.list_profiles()]
 

@@ -11,8 +11,8 @@ import pytest
 from bench import config
 from bench.cli import main
 from bench.config.datasheets import SENSORS
-from bench.errors import ConfigError
-from bench.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
+from bench.core.records.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
+from bench.core.words.exceptions import ConfigError
 from bench.navigation.built_in import load
 
 PROFILE = """

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from bench import config, earth
-from bench.flight_specs import Runway
+from bench import config
+from bench.core.mathematics import earth
+from bench.core.records.flight_specs import Runway
 from tests.config.test_config import errors, write
 
 RUNWAY_LEGS = [

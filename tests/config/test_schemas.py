@@ -12,7 +12,7 @@ import jsonschema
 import pytest
 
 from bench.config.schemas import SCHEMAS
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 
 AIRCRAFT = PACKAGE.parent / "aircraft"
 LOGS = PACKAGE.parent / "tests" / "logs"

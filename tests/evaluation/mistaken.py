@@ -17,11 +17,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench import config, pipeline
-from bench.data import NavSolution, Sensed, Trajectory
+from bench.core.records.data import NavSolution, Sensed, Trajectory
+from bench.core.records.specs import Profile
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.verdict import BROKEN, add_verdict
 from bench.navigation import built_in, estimator
-from bench.specs import Profile
 
 USE = "loose-15"
 MATCHED = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white", "sensors.baro": "matched-walk"}

@@ -13,10 +13,10 @@ import numpy as np
 
 import bench
 from bench.config.listing import list_profiles
-from bench.data import GnssFixes, ImuData
+from bench.core.records.data import GnssFixes, ImuData
+from bench.core.records.instruments import BaroData
 from bench.evaluation.recorded_motion import Check
 from bench.evaluation.validity import check_recording
-from bench.instruments import BaroData
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.data import AirData, Controls, Innovations, NavSolution, Trajectory, no_events, no_innovations
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import (
+    AirData,
+    Controls,
+    Innovations,
+    NavSolution,
+    Trajectory,
+    no_events,
+    no_innovations,
+)
 
 COV = np.diag([4.0, 4.0, 9.0, 0.04, 0.04, 0.09, 1e-4, 1e-4, 4e-4])
 

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from bench.data import Events, OffPath
+from bench.core.records.data import Events, OffPath
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.case import bias_errors, build_case, collect_alarms, cut_case, find_outage_rows
 from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import error_series
-from bench.specs import EvaluationWindow
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
-from bench.data import Innovations, no_innovations
+from bench.core.records.data import Innovations, no_innovations
 from bench.evaluation.consistency import (
     chi2_quantile,
     mean_band,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
+from bench.core.mathematics import earth
 from bench.evaluation import convention_search
 from bench.evaluation.block_nees import BlockNees
 from bench.evaluation.convention_search import Mistake

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import bench
-from bench import earth, pipeline
+from bench import pipeline
+from bench.core.mathematics import earth
 from bench.evaluation import convention_search, known_conventions
 from bench.evaluation.convention_search import find_mistakes
 from bench.evaluation.error_series import interpolate_truth

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import bench
-from bench import disk_arrays, earth
 from bench.cli import main
-from bench.data import InitialState, NavSolution, SensorData
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth
+from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.evaluation import coverage
 from bench.evaluation.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
 from bench.evaluation.error_series import find_answered_epochs, find_covered_epochs

@@ -12,7 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench.data import Events, Innovations, NavSolution, no_innovations
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import Events, Innovations, NavSolution, no_innovations
+from bench.core.records.sensor_specs import Fault
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.evaluation.case import Alarms, collect_alarms
 from bench.evaluation.consistency import nis_by_sensor
@@ -29,10 +32,7 @@ from bench.evaluation.detection import (
     measure_delay,
 )
 from bench.navigation.models.loose_tight import Loose
-from bench.sensor_specs import Fault
 from bench.sensors import sense
-from bench.specs import EvaluationWindow
-from bench.units import SAME_INSTANT
 from tests.weaving import units, weaving
 
 STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))

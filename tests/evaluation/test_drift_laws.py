@@ -10,12 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from bench import rotation
+from bench.core.mathematics import rotation
+from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.evaluation import drift_laws
 from bench.evaluation.drift_laws import RADIUS, drift_sd
 from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
-from bench.sensor_specs import AssumedSpecs
-from bench.units import DEG, STANDARD_GRAVITY
 from tests.weaving import GNSS, IMU
 
 QUIET = replace(

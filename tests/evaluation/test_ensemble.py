@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import beta, binom, chi2, norm
 from scipy.stats import t as student
 
-from bench.data import Innovations
+from bench.core.records.data import Innovations
 from bench.evaluation import ensemble
 from bench.evaluation.consistency import SensorNis
 

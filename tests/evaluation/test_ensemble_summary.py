@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import bench
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import ensemble
 from bench.evaluation.ensemble_summary import compare_estimators, summarize_runs
-from bench.specs import EvaluationWindow
 
 FROM_S = 10.0
 WINDOW = EvaluationWindow(FROM_S)

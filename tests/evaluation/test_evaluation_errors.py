@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
-from bench import rotation
+from bench.core.mathematics import rotation
 from bench.evaluation import error_series as error_series_file
 from bench.evaluation.consistency import mean_band
 from bench.evaluation.error_series import (

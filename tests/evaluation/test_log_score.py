@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
-from bench.data import Innovations
+from bench.core.records.data import Innovations
 from bench.evaluation.error_series import error_series
 from bench.evaluation.log_score import score_claims, score_innovations
 from tests.evaluation.solutions import weaving_truth, without, wrong_solution

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import rotation
-from bench.data import Events, Innovations, SensorTruth, no_innovations
+from bench.core.mathematics import rotation
+from bench.core.mathematics.units import unit_of
+from bench.core.records.data import Events, Innovations, SensorTruth, no_innovations
+from bench.core.records.sensor_specs import AssumedSpecs, Fault
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.evaluation.metrics import METRICS, find_metric, judge
-from bench.sensor_specs import AssumedSpecs, Fault
-from bench.specs import EvaluationWindow
-from bench.units import unit_of
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 from tests.weaving import units
 

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from bench import earth
+from bench.core.mathematics import earth
 from bench.evaluation import motion_fit
 from bench.evaluation.motion_fit import Stretches, find_stretches, fit_motion
 

@@ -12,8 +12,8 @@ from bench.campaigns.groups import Group
 from bench.campaigns.plan import Condition, plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.config.listing import list_profiles
+from bench.core.records.specs import EvaluationWindow
 from bench.navigation import built_in
-from bench.specs import EvaluationWindow
 from tests import nees_table
 
 RNG = np.random.default_rng(5)

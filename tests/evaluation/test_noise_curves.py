@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.evaluation import noise_curves
 from bench.evaluation.noise_curves import (
     AllanCurve,
@@ -18,7 +19,6 @@ from bench.evaluation.noise_curves import (
     measure_model,
     measure_record,
 )
-from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 
 
 def make_curve(tau, measured, low=0.0, high=np.inf):

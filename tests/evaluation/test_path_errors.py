@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import earth, rotation
-from bench.data import Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Trajectory
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.metrics import judge
 from bench.evaluation.poses import align
-from bench.specs import EvaluationWindow
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 SPEED, LENGTH = 50.0, 100.0

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.evaluation import consistency, error_series
 from bench.evaluation.error_series import error_series as find_errors
 from bench.evaluation.poses import Poses, align

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
-from bench.data import GnssFixes, ImuData
+from bench.core.mathematics import earth
+from bench.core.records.data import GnssFixes, ImuData
 from bench.evaluation.motion_noise import assume_motion_noise, measure_motion_noise
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.evaluation.rest_noise import assume_noise, measure_rest_noise, measure_vibration

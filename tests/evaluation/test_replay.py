@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench.data import Trajectory, no_events
+from bench.core.records.data import Trajectory, no_events
 from bench.evaluation.replay import STRETCH, Replay
 from bench.navigation import mechanization
 from tests.synthetic import still

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.required_metrics import (
     MET,
     MISSED,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.data import ImuData
+from bench.core.records.data import ImuData
 from bench.evaluation.recorded_motion import RecordedMotion
 from bench.evaluation.rest_noise import LEAST, measure_rest_noise, measure_vibration
 from tests.exchange import drives

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import config, earth, pipeline
-from bench.data import NavSolution, OffPath
+from bench import config, pipeline
+from bench.core.mathematics import earth
+from bench.core.records.data import NavSolution, OffPath
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics, total_system
 from bench.evaluation.case import build_case
 from bench.evaluation.error_series import error_series
 from bench.evaluation.total_system import locate_path, resolve
 from bench.flight.desired_path import measure_off_path
-from bench.specs import EvaluationWindow
 
 
 @pytest.fixture(scope="module")

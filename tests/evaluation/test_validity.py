@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
+from bench.core.mathematics import earth
+from bench.core.records.instruments import BaroData
 from bench.evaluation import validity
 from bench.evaluation.recorded_motion import RecordedMotion
-from bench.instruments import BaroData
 
 
 def test_times_that_go_back_and_gaps_are_counted_by_rows():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bench import sensors
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import fixes
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import EvaluationWindow
 from tests.weaving import units, weaving
 
 

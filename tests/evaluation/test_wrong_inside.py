@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bench import rotation
-from bench.data import NavSolution, Sensed
+from bench.core.mathematics import rotation
+from bench.core.records.data import NavSolution, Sensed
 from bench.evaluation.convention_search import find_mistakes
 from bench.navigation import built_in
 from tests.evaluation import mistaken

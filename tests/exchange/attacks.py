@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.data import NavSolution, no_innovations
+from bench.core.records.data import NavSolution, no_innovations
 
 RUNS = []  # of all instances in this process
 

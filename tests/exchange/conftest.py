@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.data import Sensed, Trajectory
+from bench.core.records.data import Sensed, Trajectory
 from tests.exchange.exported import make_run
 
 

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
+from bench.core.records.flight_specs import TableSpec
 from bench.exchange.trajectory import read_trajectory
-from bench.flight_specs import TableSpec
 from bench.store import join_pieces
 
 ORIGIN = np.array([np.deg2rad(47.0), np.deg2rad(11.0), 600.0])

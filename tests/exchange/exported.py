@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from bench import config, sensors, store
-from bench.data import Sensed, Trajectory
+from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.evaluation.error_series import select_epochs
-from bench.run_result import RunResult
-from bench.specs import EvaluationWindow
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 

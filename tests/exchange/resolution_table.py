@@ -11,12 +11,12 @@ from math import radians, tan
 import numpy as np
 import pymap3d
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.flight_specs import TrackSpec
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.track_files import FixSeries
 from bench.exchange.track_motion import make_motion
-from bench.flight_specs import TrackSpec
 
 G = 9.80665
 FLIGHTS: dict[

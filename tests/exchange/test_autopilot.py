@@ -12,15 +12,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, log_pipeline, rotation
+from bench import log_pipeline
 from bench.cli import main
 from bench.config.log import SourceSpec, load_log
-from bench.errors import WRONG, ConfigError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.instruments import BaroData, RadarData
+from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot, log_start, own_judge
 from bench.exchange.imports.contents import tell_innovations, turn_quaternion
 from bench.exchange.log_records import _find_ground, read_records, set_altimeter
 from bench.exchange.log_start import choose_stretch, find_magnetic_heading, find_start
-from bench.instruments import BaroData, RadarData
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.signals.magnetic import field_n
@@ -160,7 +161,7 @@ def test_a_real_estimate_agrees_with_the_receiver_that_it_used(tmp_path):
     session = log_pipeline.Session(spec, records, find_start(records, spec))
     data = session.make_data(np.ones(len(session.fixes), np.bool_), session.fixes.t[::5])
     solution = own.run(data, session.initial)
-    off = np.hypot(*bench.earth.difference_n(solution.lla, session.fixes.lla[::5])[:, :2].T)
+    off = np.hypot(*bench.core.mathematics.earth.difference_n(solution.lla, session.fixes.lla[::5])[:, :2].T)
     assert np.median(off) < 1.0
     assert np.max(off) < 4.0
 
@@ -176,7 +177,7 @@ def begin(heading_from="", own=None, still=5, **more):
     """The start of a record with a fix each second and an IMU at 10 Hz; ``still``: fixes with a velocity."""
     t, n = np.arange(12.0), np.arange(12)
     ones = np.ones((12, 1, 1))
-    fixes = bench.data.GnssFixes(
+    fixes = bench.core.records.data.GnssFixes(
         t, t, t != 2.0, earth.displace(np.tile(AT, (12, 1)), np.outer(t, [1.0, 0.0, 0.0])),
         np.where(n[:, None] < still, np.nan, np.outer(t, [0.6, 0.8, 0.0])), ones * np.diag([0.5, 0.6, 0.7]),
         ones * np.diag([0.02, 0.1, 0.2]), n,
@@ -185,7 +186,9 @@ def begin(heading_from="", own=None, still=5, **more):
     force = rotation.rotate(rotation.conjugate(rotation.from_euler(0.1, -0.2, 0.0)), [0.0, 0.0, -0.98])
     shaken = np.where(at[:, None] > 5.05, 1.0, -1.0) * [0.05, 0.02, 0.01]
     felt = np.where((at[:, None] > 3.05) & (at[:, None] < 7.05), force + shaken, [0.3, 0.3, 0.3])
-    imu = bench.data.ImuData(at, np.full(120, 0.1), np.ones(120, np.bool_), np.zeros((120, 3)), felt)
+    imu = bench.core.records.data.ImuData(
+        at, np.full(120, 0.1), np.ones(120, np.bool_), np.zeros((120, 3)), felt
+    )
     start = {"at": 1.5, "align_for": 4.0, "attitude": (0.0, 0.0, np.pi / 2), "tilt_sd": 0.02}
     start |= {"heading_sd": 0.3, "heading_from": heading_from, "drift_sd": 0.0} | more
     accel = SimpleNamespace(accel=None)
@@ -368,10 +371,10 @@ def test_a_repeated_innovation_is_one(tmp_path):
     assert_allclose(table.nis, [0.25, 1.0])
 
 
-def make_fixes(t: np.ndarray, heights: np.ndarray) -> bench.data.GnssFixes:
+def make_fixes(t: np.ndarray, heights: np.ndarray) -> bench.core.records.data.GnssFixes:
     n = len(t)
     lla = np.column_stack([np.zeros((n, 2)), heights])
-    return bench.data.GnssFixes(
+    return bench.core.records.data.GnssFixes(
         t, t, np.ones(n, np.bool_), lla, np.zeros((n, 3)), np.zeros((n, 3, 3)), np.zeros((n, 3, 3)),
         np.zeros(n, np.int64),
     )  # fmt: skip
@@ -434,7 +437,9 @@ def test_an_outage_is_judged_by_the_fix_that_ends_it():
     made = wrong_solution(truth, pos_n=wrong, cov=cov)
     fixes = replace(make_fixes(t, np.zeros(5)), lla=truth.lla[(10 * t).astype(int)])
     still = np.zeros((len(truth), 3))
-    imu = bench.data.ImuData(truth.t, np.full(len(truth), 0.1), np.ones(len(truth), np.bool_), still, still)
+    imu = bench.core.records.data.ImuData(
+        truth.t, np.full(len(truth), 0.1), np.ones(len(truth), np.bool_), still, still
+    )
     data = SimpleNamespace(antenna_b=np.zeros(3), imu=imu)
     outages = [*own_judge.find_outages(fixes), (10.0, 11.0), (3.0, 10.5)]  # no answer at the end, no fix
     (drift,) = own_judge.measure_outages(made, fixes, data, outages)
@@ -488,7 +493,7 @@ def test_a_core_of_ekf2_has_records_of_its_own_five_numbers_on(tmp_path):
     own = autopilot.read_estimate(SourceSpec(path, "dataflash"), 1)
     assert_allclose(angles_of(own.motion)[0], [3.0, -4.0, 50.0], rtol=1e-5)
     home = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 100.0])
-    ned = bench.earth.difference_n(own.motion.lla, np.broadcast_to(home, (3, 3)))
+    ned = bench.core.mathematics.earth.difference_n(own.motion.lla, np.broadcast_to(home, (3, 3)))
     assert_allclose(ned, [[20.0, -30.0, -7.0]] * 3, atol=1e-3)
     assert_allclose(own.motion.vel_n[0], [1.0, 2.0, -0.5])
     assert_allclose(own.biases[1][0, :3], np.deg2rad([0.1, -0.2, 0.3]), rtol=1e-6)
@@ -516,7 +521,9 @@ def test_before_ekf2_positions_count_from_home_and_gates_are_numbers(tmp_path):
     path = write_flash(tmp_path / "x.bin", kinds, rows)
     own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
     home = np.array([[np.deg2rad(50.0), np.deg2rad(30.0), 100.0]])
-    assert_allclose(bench.earth.difference_n(own.motion.lla, home), [[20.0, -30.0, -7.0]], atol=1e-3)
+    assert_allclose(
+        bench.core.mathematics.earth.difference_n(own.motion.lla, home), [[20.0, -30.0, -7.0]], atol=1e-3
+    )
     found = {
         name: own.innovations.nis[own.innovations.code == k][0]
         for k, name in enumerate(own.innovations.sensor)
@@ -543,7 +550,7 @@ def test_the_estimate_of_px4_before_2017(tmp_path):
     path = write_flash(tmp_path / "x.px4log", kinds, rows)
     own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
     home = np.array([np.deg2rad(47.0), np.deg2rad(8.0), 493.0])
-    ned = bench.earth.difference_n(own.motion.lla[:2], np.broadcast_to(home, (2, 3)))
+    ned = bench.core.mathematics.earth.difference_n(own.motion.lla[:2], np.broadcast_to(home, (2, 3)))
     assert_allclose(ned, [[20.0, -30.0, -7.0], [20.0, -30.0, -12.0]], atol=1e-3)
     assert np.isnan(own.motion.lla[2]).all()
     assert_allclose(own.motion.vel_n[0], [1.0, 2.0, -0.5])

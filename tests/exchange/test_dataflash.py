@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 from bench.cli import main
 from bench.config.log import SourceSpec
-from bench.errors import WRONG, ConfigError
+from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot, imports
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.imports.flash_rows import look

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
+from bench.core.mathematics import earth
 
 KYIV = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 0.0])
 

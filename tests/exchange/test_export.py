@@ -21,12 +21,13 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation, store
+from bench import store
 from bench.cli import main
-from bench.data import InitialState
-from bench.errors import ExportError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import InitialState
+from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports import FORMATS, gather, local, write
-from bench.sensor_specs import GAUSS_MARKOV_PEAK
 from tests.exchange.exported import ERROR, make_run, text_rows
 
 SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time

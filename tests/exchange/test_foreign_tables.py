@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.sensor_search import (
     FoundSensor,
     _guess_angle,

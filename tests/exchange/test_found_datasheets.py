@@ -7,8 +7,8 @@ import pytest
 from scipy.io import savemat
 
 from bench.config.datasheets import SENSORS, read_imu
+from bench.core.files.places import PACKAGE
 from bench.exchange.found_datasheets import read_imu_sheet, write_baro_sheet
-from bench.places import PACKAGE
 
 ROW = np.ones((1, 3))
 

@@ -11,7 +11,7 @@ import bench
 from bench.cli import main
 from bench.config.datasheets import SENSORS
 from bench.config.log import load_log
-from bench.errors import BenchError, ConfigError
+from bench.core.words.exceptions import BenchError, ConfigError
 from bench.exchange import almanac, imports
 from bench.exchange.resting_log import read_resting_log
 from bench.exchange.rinex.ephemerides import read_navigation

@@ -25,7 +25,7 @@ from scipy.io import savemat
 
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports import bags
 from bench.exchange.log_records import read_records
 from tests.exchange import drives

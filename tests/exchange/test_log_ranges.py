@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 import bench
-from bench import config, earth, sensors
+from bench import config, sensors
 from bench.config.log import RANGES, SourceSpec, load_log
-from bench.errors import ConfigError, EstimatorError
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.exchange import exports
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.log_ranges import read_ranges
 from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, read_log
 from bench.navigation.built_in import load
-from bench.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion
 from bench.store import make_start_document
@@ -237,7 +238,7 @@ def test_epochs_whose_place_nothing_tells_are_left_out_with_a_word(flown, tmp_pa
     assert "left out" not in " ".join(rows.notes)
     assert len(np.unique(back.t)) == (seen < 60.5).sum()
     none = replace(fixes, t=fixes.t + 1000.0)
-    with pytest.raises(bench.errors.ExportError, match="the place of none is known"):
+    with pytest.raises(bench.core.words.exceptions.ExportError, match="the place of none is known"):
         export(tmp_path, replace(sensed.data, fixes=none), sensed.initial)
 
 
@@ -328,7 +329,7 @@ def test_what_a_frozen_receiver_repeats_is_left_out(flown, tmp_path):
 
 def test_a_run_without_ranges_has_no_rinex(flown, tmp_path):
     _, sensed, _ = flown
-    with pytest.raises(bench.errors.ExportError, match="its receiver must be one with"):
+    with pytest.raises(bench.core.words.exceptions.ExportError, match="its receiver must be one with"):
         export(tmp_path, replace(sensed.data, observations=None), sensed.initial)
 
 

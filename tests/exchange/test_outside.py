@@ -19,12 +19,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import config, pipeline, store
 from bench.cli import main
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation import metrics
 from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
 from bench.navigation import estimator
-from bench.specs import EstimatorChoice, EvaluationWindow, Guard
 from tests.cli.test_cli import PROFILE
 
 HERE = Path(__file__).parent

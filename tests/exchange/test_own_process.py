@@ -24,12 +24,17 @@ import bench
 from bench import pipeline, sensors
 from bench.campaigns.plan import plan_runs
 from bench.config import load_profile
-from bench.data import InitialState, SensorData
-from bench.errors import ConfigError, EstimatorError, EstimatorFailedError, EstimatorStoppedError
+from bench.core.records.data import InitialState, SensorData
+from bench.core.records.fields import Record
+from bench.core.records.specs import EstimatorChoice, Guard
+from bench.core.words.exceptions import (
+    ConfigError,
+    EstimatorError,
+    EstimatorFailedError,
+    EstimatorStoppedError,
+)
 from bench.exchange import filter_process, filter_server
 from bench.exchange.record_messages import RecordMessage, read_message
-from bench.fields import Record
-from bench.specs import EstimatorChoice, Guard
 from tests.builders import assert_same_solution
 from tests.cli.test_cli import PROFILE
 from tests.synthetic import turning

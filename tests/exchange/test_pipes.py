@@ -11,7 +11,7 @@ import pytest
 from bench import store
 from bench.baselines.baseline_file import read_baseline
 from bench.config.toml_file import read_toml
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports import bags, text, ulog
 from bench.exchange.mat_file import read_mat
 from bench.exchange.rinex.lines import open_lines

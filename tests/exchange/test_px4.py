@@ -13,8 +13,8 @@ from pyulog import ULog
 
 from bench.cli import main
 from bench.config.log import SourceSpec, load_log
-from bench.earth import difference_n
-from bench.errors import WRONG, ConfigError
+from bench.core.mathematics.earth import difference_n
+from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot, imports
 from bench.exchange.imports import ulog, ulog_motion
 from bench.exchange.imports.ulog import find_undulation, measure_cover

@@ -15,14 +15,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GPS
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import nees_band
 from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex import ephemerides, observations
 from bench.exchange.rinex.lines import gps_seconds
-from bench.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.signals import orbits
 from bench.signals.delays import compute_ntcm, zenith_troposphere
 from bench.signals.look import Look, share_errors

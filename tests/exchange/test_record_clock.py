@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from bench import log_pipeline
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.validity import check_recording
 from bench.exchange.log_records import read_records
 from bench.exchange.record_clock import find_week, unwrap_week

@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, rotation
 from bench.cli import main
-from bench.data import GnssFixes, Reference
-from bench.errors import ConfigError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import GnssFixes, Reference
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.error_series import select_epochs
 from bench.exchange.log_start import find_start
 from bench.exchange.reference import _make_covariance, check_reference

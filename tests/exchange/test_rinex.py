@@ -17,12 +17,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import durable, earth
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import KEPLER, STATE
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import almanac, rinex_fixes
 from bench.exchange.rinex import codes, ephemerides, lines, observations
-from bench.orbit_sets import KEPLER, STATE
 from bench.plots.receiver_plots import find_middle
 from bench.signals.processing import ErrorBudget, Processing
 from tests.data import gnss_file

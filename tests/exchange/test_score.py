@@ -15,15 +15,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import config, earth, rotation, store
+from bench import config, store
 from bench.cli import main
 from bench.config import fault_tables
-from bench.data import NavSolution
-from bench.errors import ConfigError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import NavSolution
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import metrics
 from bench.evaluation.verdict import add_verdict
 from bench.exchange.solutions import FileEstimator, carry_rows, read_solution, resample
-from bench.specs import EvaluationWindow
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
 from tests.exchange.exported import LOST
@@ -398,7 +399,7 @@ def test_a_huge_table_is_refused_in_bounded_memory(tmp_path):
             file.write("".join(f"{n},47,11,1\n" for n in range(k, k + 100_000)))
     code = (
         "import resource, sys; from pathlib import Path; from bench.exchange.solutions import read_solution\n"
-        "from bench.errors import ConfigError\n"
+        "from bench.core.words.exceptions import ConfigError\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         f"try: read_solution(Path({str(path)!r}))\n"
         "except ConfigError as error: print(error)\n"

@@ -15,12 +15,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.precise_orbits import make_tables, read_orbits, read_precise_orbits
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
 from bench.signals import orbit_tables, orbits, receiver
 from bench.signals.orbits import C
 from tests.data import gnss_file, stored_gnss_file

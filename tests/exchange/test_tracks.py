@@ -12,8 +12,10 @@ import pymap3d
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import cli, earth, rotation
-from bench.errors import ConfigError
+from bench import cli
+from bench.core.mathematics import earth, rotation
+from bench.core.records.flight_specs import TableSpec, TrackSpec
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import track_files
 from bench.exchange.track_files import FixSeries, order_fixes, read_track
 from bench.exchange.track_fit import _find_least, fit_track
@@ -31,7 +33,6 @@ from bench.exchange.trajectory import read_trajectory
 from bench.flight import fly
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import STurns
-from bench.flight_specs import TableSpec, TrackSpec
 from bench.store.truth_cache import join_pieces
 from tests.exchange.resolution_table import FLIGHTS, RATES, find_off
 from tests.flight.inertial import replay

@@ -18,12 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from bench import cli, pipeline
 from bench.config import load_profile
-from bench.data import Trajectory
-from bench.earth import to_ecef
-from bench.errors import ConfigError
+from bench.core.mathematics.earth import to_ecef
+from bench.core.mathematics.rotation import multiply, to_rotvec
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import TableSpec
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import trajectory
-from bench.flight_specs import TableSpec
-from bench.rotation import multiply, to_rotvec
 from bench.store import parquet as parquet_file
 from bench.store.truth_cache import join_pieces, truth_key
 from tests.flight.inertial import inertial, largest_difference, navigate, replay

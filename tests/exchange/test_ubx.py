@@ -10,10 +10,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.ubx import read_ubx
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.signals import orbits, smoothing
 from tests.data import stored_gnss_file
 

@@ -15,11 +15,11 @@ from pyulog import ULog
 import bench
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import WRONG, ConfigError
+from bench.core.records.instruments import HeadingData, MagData
+from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot, exports, imports
 from bench.exchange.exports.ulog_replay import read_definitions
 from bench.exchange.log_records import read_records
-from bench.instruments import HeadingData, MagData
 from bench.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.exchange import mat_file
 from bench.exchange.rinex import precise_orbits, unpacking
 from bench.exchange.rinex.lines import find_kind

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from bench.workbench.new_aircraft import _find_shipped, find_design
 
 

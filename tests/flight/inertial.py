@@ -1,7 +1,7 @@
 """A plain free-inertial navigator in the inertial frame, to replay truth with.
 
-Shares normal gravity (`bench.earth.gravity_kernel`) and the rate and figure of the Earth with the bench; the
-geodetic latitude, the integration and the attitude are its own.
+Shares normal gravity (`bench.core.mathematics.earth.gravity_kernel`) and the rate and figure of the Earth
+with the bench; the geodetic latitude, the integration and the attitude are its own.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from typing import Any
 import numba
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray, read_only
-from bench.compiled import choose_cache
-from bench.data import Trajectory
-from bench.earth import EARTH_RATE, WGS84, gravity_kernel, matrix_en, to_ecef
+from bench.core.compilation.compiled import choose_cache
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray, read_only
+from bench.core.mathematics.earth import EARTH_RATE, WGS84, gravity_kernel, matrix_en, to_ecef
+from bench.core.records.data import Trajectory
 
 _A, _E2 = WGS84.a, WGS84.e2
 
@@ -23,7 +23,7 @@ choose_cache()
 
 
 def kernel(function: Any) -> Any:
-    """Compile a function that may make arrays, unlike those of `bench.compiled`."""
+    """Compile a function that may make arrays, unlike those of `bench.core.compilation.compiled`."""
     return numba.njit(cache=True, error_model="numpy")(function)
 
 

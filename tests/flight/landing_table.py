@@ -9,7 +9,7 @@ import sys
 
 import numpy as np
 
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from tests.flight.test_legs_ground import LANDING, land_in, measure_landing
 
 SEEDS = range(21, 33)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.flight.trimming import Trim, TrimCondition, place, present_accelerations, trim_aircraft
 
 G = 9.80665  # standard gravity [m/s^2]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from bench.instruments import AirspeedSpec, BaroSpec, StaticPressureSpec
+from bench.core.records.instruments import AirspeedSpec, BaroSpec, StaticPressureSpec
 from bench.sensors import airspeed, static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.signals import air

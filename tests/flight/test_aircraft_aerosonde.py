@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.errors import FlightError
+from bench.core.words.exceptions import FlightError
 from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT
 from bench.flight.trimming import TrimCondition, place, trim_aircraft

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation
 from bench.config import load_profile
 from bench.config.library import read_aircraft
-from bench.errors import FlightError
+from bench.core.mathematics import rotation
+from bench.core.words.exceptions import FlightError
 from bench.flight import fly
 from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT

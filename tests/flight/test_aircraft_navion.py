@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation
 from bench.config.library import find_aircraft, read_aircraft
-from bench.data import Trajectory
+from bench.core.mathematics import rotation
+from bench.core.records.data import Trajectory
 from bench.flight import fly
 from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT

@@ -18,9 +18,11 @@ import pytest
 
 from bench import cli
 from bench.config import list_aircraft, load_profile
-from bench.data import Trajectory
-from bench.earth import difference_n, displace
-from bench.errors import ConfigError, FlightError
+from bench.core.mathematics.earth import difference_n, displace
+from bench.core.mathematics.rotation import rotate, to_euler
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
+from bench.core.words.exceptions import ConfigError, FlightError
 from bench.flight import child_process, fly, fly_pieces, recorder, trimming
 from bench.flight.executive import load_aircraft
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
@@ -28,8 +30,6 @@ from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.model_files import copy_aircraft
 from bench.flight.trimming import TrimCondition, move_surfaces, place, run_engines, trim_aircraft
-from bench.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
-from bench.rotation import rotate, to_euler
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT, fly_here

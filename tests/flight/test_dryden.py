@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from bench.config import load_profile
+from bench.core.mathematics.random_streams import stream
 from bench.flight import fly
 from bench.flight.dryden import (
     GUSTS,
@@ -22,7 +23,6 @@ from bench.flight.executive import load_aircraft
 from bench.flight.jsbsim_units import FT
 from bench.flight.legs.level import Straight
 from bench.flight.trimming import TrimCondition, present_accelerations, trim_aircraft, wait
-from bench.random_streams import stream
 from tests.flight.gust_spectra import CENTRES, SPAN, measure, shaping
 from tests.flight.plans import AEROSONDE, plan
 

@@ -17,15 +17,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, rotation
-from bench.arrays import FloatArray
 from bench.config import load_profile
-from bench.data import Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec
 from bench.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.flight.legs.level import Straight
 from bench.flight.legs.runway import Static, TakeOff
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
-from bench.flight_specs import FlightSpec
 from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, rotation
 from bench.config import load_profile
-from bench.errors import FlightError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.flight_specs import Gust, WindLayer
+from bench.core.words.exceptions import FlightError
 from bench.flight import fly
 from bench.flight.legs.climbs import Climb
 from bench.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
 from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
 from bench.flight.legs.turns import STurns, Turn
-from bench.flight_specs import Gust, WindLayer
 from tests.flight.plans import AEROSONDE, plan, roll, truth_of, turned
 
 # --- by heading ---------------------------------------------------------------------------------------

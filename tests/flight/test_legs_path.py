@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, rotation
-from bench.errors import FlightError
+from bench.core.mathematics import earth, rotation
+from bench.core.words.exceptions import FlightError
 from bench.flight import fly
 from bench.flight.legs.level import Straight
 from bench.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints

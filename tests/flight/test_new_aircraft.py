@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import cli, rotation
+from bench import cli
 from bench.config import load_profile
 from bench.config.library import read_jsbsim_aircraft
 from bench.config.listing import PROFILES
-from bench.data import Events
-from bench.errors import FlightError
+from bench.core.mathematics import rotation
+from bench.core.records.data import Events
+from bench.core.words.exceptions import FlightError
 from bench.flight import fly
 from bench.flight.executive import load_aircraft
 from bench.flight.gain_design import (

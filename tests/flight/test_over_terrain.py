@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
 from bench.config import load_profile
-from bench.errors import ConfigError, FlightError
+from bench.core.records.instruments import RadarSpec
+from bench.core.words.exceptions import ConfigError, FlightError
 from bench.flight.legs.level import Straight
 from bench.flight.legs.tracks import Point, TerrainFollowing, clear_heights
-from bench.instruments import RadarSpec
 from bench.sensors import radar
 from bench.sensors.draws import SensorDraws
 from bench.signals.terrain import describe_terrain, ground_at

@@ -20,19 +20,20 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, pipeline, rotation
+from bench import pipeline
 from bench.config import load_profile
-from bench.data import Trajectory
-from bench.errors import FlightError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import Profile
+from bench.core.words.exceptions import FlightError
 from bench.flight import Summary, fly, fly_pieces, summarise
 from bench.flight.increments import Motion, at_point, step_increments
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
 from bench.flight.recorder import simulation_step
 from bench.flight.truth import Stretch
-from bench.flight_specs import FlightSpec
 from bench.navigation import mechanization
-from bench.specs import Profile
 from bench.store.truth_cache import truth_pieces
 from tests.flight.inertial import inertial, largest_difference, navigate
 from tests.flight.plans import FIGURE_EIGHT, plan, short_plan, truth_of

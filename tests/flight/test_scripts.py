@@ -17,15 +17,15 @@ import pytest
 
 from bench import cli
 from bench.config import load_profile
-from bench.data import Trajectory
-from bench.earth import to_ecef
-from bench.errors import ConfigError, FlightError
+from bench.core.mathematics.earth import to_ecef
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import ScriptSpec
+from bench.core.words.exceptions import ConfigError, FlightError
 from bench.flight import fly, recorder
 from bench.flight.executive import silent_log
 from bench.flight.increments import from_states
 from bench.flight.jsbsim_units import FT
 from bench.flight.model_files import class_of, script_facts
-from bench.flight_specs import ScriptSpec
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import fly_here
@@ -100,8 +100,8 @@ def test_truth_is_a_fixed_point_of_the_body_while_the_tanks_empty(take_off, tmp_
     motion = from_states(
         1 / 400, rows[:, 11], FT * rows[:, 12:15], FT * rows[:, 15:18], rows[:, 6:9], rows[:, 9:11]
     )
-    from bench.earth import matrix_en
-    from bench.rotation import rotate
+    from bench.core.mathematics.earth import matrix_en
+    from bench.core.mathematics.rotation import rotate
 
     lever_b = travel * [1.0, -1.0, 1.0]
     lever_n = rotate(motion.q_nb, lever_b)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.data import Trajectory
-from bench.errors import FlightError
+from bench.core.records.data import Trajectory
+from bench.core.words.exceptions import FlightError
 from bench.flight import fly
 from bench.flight.legs.climbs import Climb, Descend
 from bench.flight.legs.level import Straight

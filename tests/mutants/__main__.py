@@ -24,9 +24,9 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from pathlib import Path
 
-from bench.errors import BenchError
-from bench.places import PACKAGE, cache_folder
-from bench.scratch import make_scratch
+from bench.core.files.places import PACKAGE, cache_folder
+from bench.core.files.scratch import make_scratch
+from bench.core.words.exceptions import BenchError
 from tests.mutants.executed import Executed, find_file, measure
 from tests.mutants.plugin import CHOSEN
 from tests.mutants.sites import Mutant, draw, find_mutants

@@ -22,7 +22,7 @@ from pathlib import Path
 import coverage
 from coverage import CoverageData
 
-from bench.errors import BenchError
+from bench.core.words.exceptions import BenchError
 from tests.mutants.plugin import CONTEXT, REPORTED, SHARED
 from tests.mutants.sites import Place, walk
 from tests.mutants.trial import Trial

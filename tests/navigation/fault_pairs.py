@@ -18,10 +18,10 @@ import numpy as np
 
 from bench import sensors
 from bench.config import load_profile
-from bench.data import NavSolution, SensorData, Trajectory
+from bench.core.records.data import NavSolution, SensorData, Trajectory
+from bench.core.records.sensor_specs import Fault, SensorsSpec
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
-from bench.sensor_specs import Fault, SensorsSpec
 from tests.weaving import units, weaving
 
 BEGIN = 25.0

@@ -24,14 +24,21 @@ from scipy.special import stdtrit
 
 import bench
 from bench import pipeline
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import (
+    AssumedSpecs,
+    ImuSpec,
+    SensorsSpec,
+    ThermalSpec,
+    TriadSpec,
+    VibrationSpec,
+)
+from bench.core.records.specs import Profile
 from bench.evaluation import consistency, ensemble_consistency
 from bench.evaluation.consistency import SensorNis
 from bench.evaluation.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
-from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.specs import Profile
 from tests.measured import SHOWN, stamp, write_measured
 
 FOLDER = Path(bench.__file__).parent

@@ -13,18 +13,19 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, pipeline, rotation, sensors
+from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import Trajectory, no_air, no_controls, no_events
-from bench.errors import ConfigError, EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Trajectory, no_air, no_controls, no_events
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
-from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
-from bench.specs import EvaluationWindow
 from tests.builders import at_rest, band, put
 from tests.weaving import DEG, IMU, units, weaving
 

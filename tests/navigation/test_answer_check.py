@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.data import Events, NavSolution
-from bench.errors import EstimatorFailedError
+from bench.core.records.data import Events, NavSolution
+from bench.core.words.exceptions import EstimatorFailedError
 from bench.navigation.answer_check import LARGEST, check_solution
 from bench.navigation.built_in import load
 from bench.navigation.estimator import accept, find_same

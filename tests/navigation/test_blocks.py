@@ -13,7 +13,9 @@ from scipy.integrate import cumulative_simpson
 
 from bench import sensors
 from bench.config import load_profile
-from bench.data import InitialState
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import InitialState
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.navigation.error_state_filter import corrections, propagation
 from bench.navigation.error_state_filter.aiding_sensors import AIDING
 from bench.navigation.error_state_filter.error_state import GYRO
@@ -21,8 +23,6 @@ from bench.navigation.error_state_filter.imu_states import EVERY_ERROR
 from bench.navigation.error_state_filter.state_blocks import index_of, state_model
 from bench.navigation.error_state_filter.state_processes import CUBE, STEADY, WARMTH, Block, States
 from bench.navigation.models.loose_tight import Loose
-from bench.random_streams import stream
-from bench.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu
 from bench.sensors.draws import SensorDraws
 from tests.builders import first_rows

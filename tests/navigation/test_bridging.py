@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.data import GnssFixes, ImuData
+from bench.core.records.data import GnssFixes, ImuData
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import count_lost, find_beyond, name_ranges
 from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
-from bench.sensor_specs import ImuSpec, TriadSpec
 from tests.builders import put, take
 
 UNIT = ImuSpec("unit", TriadSpec(range=2.0), TriadSpec(range=50.0))

@@ -14,9 +14,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from bench import earth, pipeline, rotation, sensors
+from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
 from bench.navigation.error_state_filter import antenna_rows, corrections, error_state

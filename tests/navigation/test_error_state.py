@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, rotation
+from bench.core.compilation.wide_rows import widened
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation import mechanization
 from bench.navigation.error_state_filter import corrections, error_state
-from bench.units import STANDARD_GRAVITY
-from bench.wide_rows import widened
 
 DIGITS = mpmath.mp.clone()
 DIGITS.dps = 30

@@ -18,13 +18,13 @@ from numpy.testing import assert_array_equal
 
 import bench
 from bench import sensors
-from bench.data import NavSolution
-from bench.errors import EstimatorError
+from bench.core.records.data import NavSolution
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation import metrics
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import check_needs
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import EvaluationWindow
 from tests.builders import assert_same_solution
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
@@ -34,7 +34,7 @@ FLIGHT, UNITS = (30.0,), units()
 
 STANDING = '''
 import numpy as np
-from bench.data import NavSolution
+from bench.core.records.data import NavSolution
 
 class Standing:
     """Stays where it starts, ever less sure."""
@@ -420,8 +420,16 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         (".here:Class", {}, "no estimator '.here:Class'; there are"),
         ("not_a_lab:Class", {}, "estimator 'not_a_lab:Class': no module 'not_a_lab' on the Python path"),
         ("bench.nowhere:Class", {}, "no module 'bench.nowhere' on the Python path"),
-        ("bench.data:Nothing", {}, "bench.data has no class 'Nothing' with a method run"),
-        ("bench.data:NavSolution", {}, "bench.data has no class 'NavSolution' with a method run"),
+        (
+            "bench.core.records.data:Nothing",
+            {},
+            "bench.core.records.data has no class 'Nothing' with a method run",
+        ),
+        (
+            "bench.core.records.data:NavSolution",
+            {},
+            "bench.core.records.data has no class 'NavSolution' with a method run",
+        ),
         (
             "loose-15",
             {"gate": 1},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.navigation.error_state_filter import (
     error_state,
     measurement_rows,

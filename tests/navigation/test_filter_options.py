@@ -13,17 +13,18 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from bench import earth, pipeline, rotation, sensors
+from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import GnssFixes, ImuData, Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import GnssFixes, ImuData, Trajectory
+from bench.core.records.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
+from bench.core.records.sensor_specs import ThermalSpec
 from bench.evaluation import error_series as judge
-from bench.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
 from bench.navigation.models.loose_tight import Loose, Passage, Tight
-from bench.sensor_specs import ThermalSpec
 from bench.signals.magnetic import field_n
 from tests.builders import first_rows, take
 from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving

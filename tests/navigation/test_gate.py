@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.errors import EstimatorError
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.built_in import load
 from bench.navigation.engine.gate import (
     LOST,

@@ -16,9 +16,11 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
-from bench import earth, sensors
-from bench.data import GnssFixes, Trajectory, no_air, no_controls, no_events
-from bench.errors import EstimatorError
+from bench import sensors
+from bench.core.mathematics import earth
+from bench.core.records.data import GnssFixes, Trajectory, no_air, no_controls, no_events
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation import metrics
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
@@ -28,7 +30,6 @@ from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack
 from bench.navigation.start.singer import singer_kernel, track_work
-from bench.specs import EvaluationWindow
 from tests.builders import band, student
 from tests.weaving import GNSS, units, weaving
 

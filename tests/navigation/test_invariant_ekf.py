@@ -9,7 +9,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm, logm
 
-from bench import rotation, sensors
+from bench import sensors
+from bench.core.mathematics import rotation
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.models.invariant_ekf import InvariantFlight

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bench.core.compilation.wide_rows import widened
 from bench.navigation.engine.gate import DRIFTED, LOST, STEPPED, growth
 from bench.navigation.engine.kalman import nis_kernel, open_all_kernel, open_kernel, update_kernel
 from bench.navigation.engine.late_updates import (
@@ -20,7 +21,6 @@ from bench.navigation.engine.late_updates import (
     late_updates,
     settle_kernel,
 )
-from bench.wide_rows import widened
 
 N = 16
 

@@ -9,17 +9,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, pipeline
+from bench import pipeline
 from bench.config import load_profile
+from bench.core.mathematics import earth
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.error_series import error_series
-from bench.fields import triad_figures_of
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.estimator import find_same
 from bench.navigation.models.loose_tight import Loose
-from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
-from bench.specs import EvaluationWindow
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student
 
 RUNS = 40

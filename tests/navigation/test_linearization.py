@@ -14,8 +14,9 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bench import rotation, sensors
-from bench.instruments import (
+from bench import sensors
+from bench.core.mathematics import rotation
+from bench.core.records.instruments import (
     INSTRUMENTS,
     AirspeedData,
     AirspeedSpec,
@@ -24,11 +25,11 @@ from bench.instruments import (
     OdometerSpec,
     RadarSpec,
 )
+from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.models.loose_tight import Passage
 from bench.navigation.start.steady_course import Gyros
-from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from tests.builders import put, take
 from tests.navigation.test_tight import UNITS as WITH_SKY
 from tests.weaving import DEG, units, weaving

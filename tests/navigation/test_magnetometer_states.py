@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from bench import sensors
+from bench.core.records.instruments import MagSpec
 from bench.evaluation.error_series import error_series
-from bench.instruments import MagSpec
 from bench.navigation.built_in import load
 from tests.builders import ensemble, put
 from tests.weaving import DEG, units, weaving

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.navigation import mechanization
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation, sensors
-from bench.data import Events, GnssFixes, InitialState, Innovations, no_innovations
-from bench.errors import EstimatorError
+from bench import sensors
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Events, GnssFixes, InitialState, Innovations, no_innovations
+from bench.core.records.sensor_specs import AxisFigures, GnssSpec, ImuSpec, TriadSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.piecewise import join_events, refuse, take_after
 from bench.navigation.engine.record_cuts import (
@@ -31,7 +33,6 @@ from bench.navigation.start.fix_track import unknown_arm
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
 from bench.navigation.start.refused_fixes import RefusedFixes
-from bench.sensor_specs import AxisFigures, GnssSpec, ImuSpec, TriadSpec
 from tests.builders import put, take
 from tests.weaving import units, weaving
 

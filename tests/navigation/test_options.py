@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from bench.config import load_profile
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.options import (
     ClassicOptions,

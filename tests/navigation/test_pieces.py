@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config, disk_arrays, sensors
-from bench.errors import EstimatorError
+from bench import config, sensors
+from bench.core.files import disk_arrays
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation import built_in
 from bench.navigation.start import restart
 from tests.builders import assert_same_solution, at_rest, put, take

@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import earth, rotation, sensors
+from bench import sensors
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.consistency import mean_nis, nis_by_sensor
 from bench.evaluation.error_series import error_series
 from bench.exchange.log_records import read_records
@@ -22,7 +24,6 @@ from bench.exchange.log_start import find_start
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
-from bench.sensor_specs import ImuSpec, TriadSpec
 from tests import twin
 from tests.builders import band, student
 from tests.exchange import drives, test_log_formats

@@ -9,9 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from bench import rotation, sensors
+from bench import sensors
+from bench.core.mathematics import rotation
+from bench.core.records.instruments import OdometerSpec, RadarSpec
 from bench.evaluation.error_series import error_series
-from bench.instruments import OdometerSpec, RadarSpec
 from bench.navigation.error_state_filter import measurement_rows, propagation
 from bench.navigation.error_state_filter.error_state import feedback_kernel
 from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model

@@ -15,8 +15,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import earth, pipeline, rotation, sensors
+from bench import pipeline, sensors
 from bench.config import load_profile
+from bench.core.mathematics import earth, rotation
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine import timeline

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from bench import sensors
+from bench.core.records.sensor_specs import Fault
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.ranges import satellite_states
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Passage, Tight
-from bench.sensor_specs import Fault
 from tests.builders import band, ensemble
 from tests.navigation.test_tight import SKY, shifted, taken
 from tests.weaving import units, weaving

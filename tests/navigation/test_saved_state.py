@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.errors import ConfigError, EstimatorError
+from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.store import filter_state
 from tests.navigation.test_pieces import opened, pieces, record
 

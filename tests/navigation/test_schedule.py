@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench.data import ImuData
-from bench.errors import EstimatorError
-from bench.instruments import BaroData
+from bench.core.records.data import ImuData
+from bench.core.records.instruments import BaroData
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter import schedule as schedule_module
 from bench.navigation.error_state_filter.aiding_sensors import BARO

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.navigation.engine.record_cuts import take_head
 from bench.navigation.engine.session import (
     Growing,

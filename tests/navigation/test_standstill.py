@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.data import ImuData
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec, VibrationSpec
 from bench.navigation.error_state_filter.standstill import StandstillDetector
 from bench.navigation.error_state_filter.vehicle_motion import VehicleSampler
-from bench.sensor_specs import ImuSpec, TriadSpec, VibrationSpec
 from tests.builders import take
 
 DT, G = 0.01, 9.7803253359  # gravity at the equator [m/s^2]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, rotation
 from bench.config import load_profile
-from bench.data import InitialState
-from bench.instruments import (
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import InitialState
+from bench.core.records.instruments import (
     AirspeedData,
     AirspeedSpec,
     BaroSpec,
@@ -22,6 +22,7 @@ from bench.instruments import (
     RadarData,
     RadarSpec,
 )
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, ThermalSpec, TriadSpec
 from bench.navigation.error_state_filter.aiding_sensors import (
     AIRSPEED,
     BARO,
@@ -41,7 +42,6 @@ from bench.navigation.error_state_filter.state_blocks import (
     steady_rows,
 )
 from bench.navigation.options import FusionOptions
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, ThermalSpec, TriadSpec
 from bench.signals.allan import gauss_markov_deviation
 from bench.signals.magnetic import field_n
 

@@ -15,12 +15,19 @@ import pytest
 from scipy import stats
 
 from bench import sensors
-from bench.data import AirData
+from bench.core.records.data import AirData
+from bench.core.records.instruments import (
+    INSTRUMENTS,
+    AirspeedSpec,
+    HeadingSpec,
+    MagSpec,
+    OdometerSpec,
+    RadarSpec,
+)
+from bench.core.records.sensor_specs import Fault
 from bench.evaluation.error_series import error_series
-from bench.instruments import INSTRUMENTS, AirspeedSpec, HeadingSpec, MagSpec, OdometerSpec, RadarSpec
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
-from bench.sensor_specs import Fault
 from tests.weaving import BARO, units, weaving
 
 START, END, LAST = 70.0, 110.0, 180.0

@@ -12,8 +12,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import config, earth, rotation, sensors
-from bench.data import GnssObservations
+from bench import config, sensors
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import GnssObservations
+from bench.core.records.orbit_sets import GLONASS, GPS
+from bench.core.records.sensor_specs import Fault
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.evaluation.consistency import chi2_quantile
 from bench.navigation.built_in import load
@@ -26,12 +30,9 @@ from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.models.loose_tight import Loose, Tight
-from bench.orbit_sets import GLONASS, GPS
-from bench.sensor_specs import Fault
 from bench.sensors.clock import simulate_receiver_clock
 from bench.sensors.draws import SensorDraws
 from bench.signals.delays import zenith_troposphere
-from bench.specs import EvaluationWindow
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.synthetic import still

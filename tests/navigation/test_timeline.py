@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
 from bench.navigation.models.loose_tight import Loose

@@ -9,9 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import pipeline, rotation
-from bench.data import ImuData
-from bench.earth import EARTH_RATE
+from bench import pipeline
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.evaluation.error_series import DIVERGED_SIGMAS, error_series
 from bench.flight import fly
 from bench.flight.legs.level import Straight
@@ -21,9 +24,7 @@ from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.start import steady_course, turn_on, turning_start
-from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.sensors import sense
-from bench.units import STANDARD_GRAVITY
 from tests.builders import Z, at_rest, band, first_rows, take
 from tests.flight.plans import plan
 from tests.navigation import honesty

@@ -14,13 +14,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import config, pipeline, rotation, sensors
-from bench.data import GnssFixes, ImuData
+from bench import config, pipeline, sensors
+from bench.core.mathematics import rotation
+from bench.core.records.data import GnssFixes, ImuData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Loose, Passage, Tight
-from bench.sensor_specs import ImuSpec
 from tests import twin
 from tests.builders import take
 from tests.flight.plans import truth_of

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import pipeline, rotation, sensors
+from bench import pipeline, sensors
 from bench.config import load_profile
-from bench.data import InitialState
+from bench.core.mathematics import rotation
+from bench.core.records.data import InitialState
+from bench.core.records.instruments import MagSpec
 from bench.evaluation.error_series import error_series
-from bench.instruments import MagSpec
 from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose

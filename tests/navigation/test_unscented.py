@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth, rotation, sensors
-from bench.errors import EstimatorError
+from bench import sensors
+from bench.core.mathematics import earth, rotation
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import BARO_BIAS, state_model

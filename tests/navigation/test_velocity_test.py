@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 
 import bench
-from bench import earth, pipeline
-from bench.data import GnssFixes
-from bench.errors import EstimatorError
+from bench import pipeline
+from bench.core.mathematics import earth
+from bench.core.records.data import GnssFixes
+from bench.core.records.sensor_specs import GnssSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.error_series import error_series
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
-from bench.sensor_specs import GnssSpec
 from tests.builders import student
 
 RECEIVER = GnssSpec(

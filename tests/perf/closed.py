@@ -16,7 +16,7 @@ import numpy as np
 
 import bench
 from bench import closed_loop, config, pipeline
-from bench.data import Sensed
+from bench.core.records.data import Sensed
 from bench.exchange.flight_client import FlightClient
 from bench.serving import serve
 

@@ -20,7 +20,7 @@ import numpy as np
 
 import bench
 from bench import pipeline
-from bench.specs import EstimatorChoice, Guard
+from bench.core.records.specs import EstimatorChoice, Guard
 
 FILTERS = Path(__file__).parents[1] / "exchange"
 SLICES = 9

@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from bench import config, pipeline
-from bench.compiled import kernel
-from bench.data import Sensed
+from bench.core.compilation.compiled import kernel
+from bench.core.records.data import Sensed
 from bench.navigation import built_in
 from bench.navigation.error_state_filter import filter_run
 from bench.navigation.error_state_filter.error_state import (

@@ -27,18 +27,19 @@ from rich.console import Console
 from rich.table import Table
 
 import bench
-from bench import config, earth, pipeline, rotation
+from bench import config, pipeline
 from bench.campaigns.heap import keep_freed_memory
-from bench.data import Sensed, Trajectory
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.records.specs import Profile
 from bench.flight.legs.level import Straight
 from bench.flight.legs.turns import Turn
-from bench.flight_specs import FlightSpec
 from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.report import page
-from bench.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.specs import Profile
 from tests.perf import closed
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose
 from rerun.chunk import RrdReader
 
 import bench
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.evaluation.consistency import chi2_quantile
 from bench.recording.drawing import TIMELINE
 

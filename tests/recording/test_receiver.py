@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.cli import main
-from bench.errors import NothingToShowError
+from bench.core.words.exceptions import NothingToShowError
 from bench.recording import column
 from bench.recording.fixes_recording import write_fixes
 from bench.report.fixes_page import make_page

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import durable, earth, recording, rotation, store
-from bench.data import (
+from bench import recording, store
+from bench.core.files import durable
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import (
     AirData,
     Controls,
     ErrorSeries,
@@ -30,15 +32,15 @@ from bench.data import (
     no_events,
     no_innovations,
 )
+from bench.core.records.findings import series
+from bench.core.records.instruments import AirspeedData, BaroData, BaroSpec, MagData
+from bench.core.records.run_result import RunResult
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
+from bench.core.records.specs import IN_FLIGHT
 from bench.evaluation.error_series import error_series
 from bench.evaluation.verdict import add_verdict
-from bench.findings import series
-from bench.instruments import AirspeedData, BaroData, BaroSpec, MagData
 from bench.plots.tabs import comparison
-from bench.recording import drawing, layout, words
-from bench.run_result import RunResult
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
-from bench.specs import IN_FLIGHT
+from bench.recording import drawing, layout, recording_text
 
 ORIGIN = np.array([np.deg2rad(47.26), np.deg2rad(11.34), 1200.0])
 SCALARS = "Scalars:scalars"
@@ -388,7 +390,7 @@ def test_a_stretch_of_slower_rows_is_no_row_of_gaps():
 
 
 def test_verdicts_stand_beside_the_comparison(run):
-    table = words.make_verdict_table(make_result(run)).splitlines()
+    table = recording_text.make_verdict_table(make_result(run)).splitlines()
     assert table[2] == f"| {MAIN} |  | 1.235 | - | 9.3 |"
     assert len(table) == 4
 
@@ -547,7 +549,7 @@ def test_the_pose_is_the_truth_in_the_level_frame_of_the_start(tmp_path, run):
     expected = (earth.to_ecef(far.lla[rows]) - earth.to_ecef(far.lla[0])) @ C_se.T
     assert_allclose(pos, expected, rtol=0, atol=0.005)  # float32 at 40 km
     x, y, z, w = xyzw[-1]
-    C_sb = np.array(  # the definition, scalar last: not by bench.rotation
+    C_sb = np.array(  # the definition, scalar last: not by bench.core.mathematics.rotation
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
             [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
@@ -743,7 +745,7 @@ def test_a_magnetometer_and_an_airspeed_unit_are_drawn_when_they_are_on_board(ru
     with pytest.raises(KeyError):
         recording.column(flight, "/flight/magnetic_field/down", SCALARS)
     on_board = run["profile"]["sensors"] | {"mag": "demo-mag", "airspeed": "demo-pitot"}
-    said = words.make_summary(make_result(run | {"profile": run["profile"] | {"sensors": on_board}}))
+    said = recording_text.make_summary(make_result(run | {"profile": run["profile"] | {"sensors": on_board}}))
     assert "- magnetometer `demo-mag`\n- airspeed unit `demo-pitot`" in said
 
 
@@ -756,21 +758,22 @@ def test_a_flight_without_gnss_and_barometer_is_recorded_too(run, tmp_path):
 
 
 def test_summary_gives_the_numbers_and_what_the_filter_leaves_out(run):
-    text = words.make_summary(make_result(run))
+    text = recording_text.make_summary(make_result(run))
     assert "| pos_rmse_h_m | 1.235 | 1900 |" in text
     assert "| heading_rmse_deg | 0.41 | - |" in text
     assert "pos_rmse_h_m_all" not in text
     assert f"not modelled by **{MAIN}**: gyro scale factor, GNSS Markov errors." in text
     assert "GNSS outage 20 to 26 s" in text
     lost = {"converged": False, "reason": "covariance is not finite at t = 3 s", "nees_mean": None}
-    summary = words.make_summary(make_result(run | {"metrics": {"drift": add_verdict("drift", lost)}}))
+    found = make_result(run | {"metrics": {"drift": add_verdict("drift", lost)}})
+    summary = recording_text.make_summary(found)
     assert "drift did not converge: covariance is not finite" in summary
 
 
 def test_a_hostile_title_is_text(run):
     title = "# [x](http://a) ![i](http://b/c.png) <b>`|*_\u202e\x1b[2J"
     result = make_result({**run, "profile": {**run["profile"], "title": title}})
-    first, *_ = words.make_summary(result).splitlines()
+    first, *_ = recording_text.make_summary(result).splitlines()
     assert first == "# \\# \\[x\\](http://a) \\!\\[i\\](http://b/c.png) \\<b\\>\\`\\|\\*\\_??\\[2J"
 
 
@@ -790,7 +793,7 @@ def test_events_are_told_in_order_of_time(run, flight):
     ("low", "high"), [(-8.0, 8.3), (-0.3, 24.0), (1200.0, 1310.0), (5.0, 5.0), (0.0, 0.0), (-3e-7, 1e-7)]
 )
 def test_limits_hold_all_values_and_waste_little(low, high):
-    from bench.findings.series import Plot, Series
+    from bench.core.records.findings.series import Plot, Series
 
     values = np.array([[99.0 * high + 7.0], [low], [high]])  # the first row lies in the alignment window
     series = Series("value", np.array([0.0, 1.0, 2.0]), values, ("v",), ((0, 0, 0),), (1.0,))

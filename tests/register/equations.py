@@ -7,13 +7,13 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation.engine.integrity import SCHULER_RADIUS
 from bench.navigation.models.classic.navigator import R3, Earth, Nav
 from bench.navigation.models.classic.process_model import Sigmas, per_axis
-from bench.units import STANDARD_GRAVITY
 
 
 def sphere(lat: float, h: float) -> Earth:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.studies.register_flights import fly_step, measure_step
-from bench.units import STANDARD_GRAVITY
 
 
 def test_31_nis_stays_in_its_band_through_a_step_of_2_g():

@@ -10,7 +10,7 @@ import pytest
 
 import bench
 from bench import sensors
-from bench.errors import EstimatorError
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
 from tests.builders import assert_same_solution
 from tests.navigation.test_pieces import drawn_satellites, joined

@@ -10,8 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from bench import rotation, sensors
-from bench.earth import difference_n
+from bench import sensors
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import difference_n
 from bench.navigation.models.classic import Classic22, process_model, square_root
 from bench.navigation.models.classic.covariance_forms import Joseph, make_form
 from bench.navigation.options import ClassicOptions

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
 from bench.evaluation.route_errors import allowed_heading_error, cross_track_error
 from bench.flight.closed_form import SwingingFlight
 from bench.navigation.register.mechanizations import accelerometers, attitude, coning, earth_series

@@ -11,8 +11,11 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from bench import rotation, sensors
-from bench.earth import EARTH_RATE
+from bench import sensors
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.mathematics.units import DEG
+from bench.core.mathematics.units import STANDARD_GRAVITY as G0
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
@@ -27,8 +30,6 @@ from bench.navigation.models.classic.navigator import R3, Nav
 from bench.navigation.register import attitude_errors
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
 from bench.studies.register_linear import draw_consistency
-from bench.units import DEG
-from bench.units import STANDARD_GRAVITY as G0
 from tests.register import equations
 from tests.weaving import IMU, units, weaving
 

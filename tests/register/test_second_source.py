@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation, sensors
-from bench.earth import difference_n
+from bench import sensors
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import difference_n
+from bench.core.mathematics.units import DEG
 from bench.navigation.built_in import load
 from bench.navigation.models.classic import Classic22, filter_loop
 from bench.navigation.models.classic.extrapolation import extrapolate
 from bench.navigation.register import vector_matching
 from bench.studies.register_linear import draw_outage
-from bench.units import DEG
 from tests.weaving import GNSS, units, weaving
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 from bench.report import page
 from tests.test_api import SHORT
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from bench.errors import ConfigError
-from bench.findings import Findings, StudyResult, make_table
-from bench.findings.series import Plot, draw_line
-from bench.notebook import MOST_ROWS, ShownFigure, write_sentences, write_table
+from bench.core.records.findings import Findings, StudyResult, make_table
+from bench.core.records.findings.series import Plot, draw_line
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import MOST_ROWS, ShownFigure, write_sentences, write_table
 
 
 @pytest.fixture

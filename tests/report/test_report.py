@@ -15,10 +15,10 @@ import rerun_cli
 
 import bench
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.records.findings.series import Plot, Series, draw_three_sigma
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.key_figures import list_key_figures
 from bench.evaluation.metric_words import format_metric, group_metrics
-from bench.findings.series import Plot, Series, draw_three_sigma
 from bench.report import page, svg
 from bench.report.forest import RatioRow, draw_ratios
 from tests.test_api import SHORT

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.sensors.draws import SensorDraws
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.data import no_air
-from bench.instruments import AirspeedSpec
-from bench.random_streams import stream
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import no_air
+from bench.core.records.instruments import AirspeedSpec
 from bench.sensors import airspeed
 from bench.sensors.draws import SensorDraws
 from bench.signals import air

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.instruments import BaroSpec
+from bench.core.records.instruments import BaroSpec
 from bench.sensors import baro
 from bench.sensors.draws import SensorDraws
 from tests.builders import band

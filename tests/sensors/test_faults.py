@@ -16,14 +16,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import ndtri
 
 import bench
-from bench import config, earth
+from bench import config
 from bench.config.datasheets import read_gnss
 from bench.config.fault_tables import make_fault
 from bench.config.profile_tables import ExperimentTable
 from bench.config.tables import check_table
-from bench.errors import ConfigError
-from bench.instruments import AirspeedSpec, BaroSpec, MagSpec
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
+from bench.core.mathematics import earth
+from bench.core.records.instruments import AirspeedSpec, BaroSpec, MagSpec
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
+from bench.core.words.exceptions import ConfigError
 from bench.sensors import faults, sense
 from bench.sensors.draws import SensorDraws
 from tests.builders import band

@@ -15,12 +15,12 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import earth, rotation
 from bench.config.datasheets import read_gnss
-from bench.errors import ConfigError
+from bench.core.mathematics import earth, rotation
+from bench.core.records.sensor_specs import GnssSpec
+from bench.core.words.exceptions import ConfigError
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.models.classic.process_model import per_axis
-from bench.sensor_specs import GnssSpec
 from bench.sensors import gnss, sky
 from bench.sensors.draws import SensorDraws
 from tests.builders import band
@@ -278,7 +278,7 @@ def day():
 
 def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
-    from bench.sensor_specs import SkySpec
+    from bench.core.records.sensor_specs import SkySpec
     from bench.sensors.view import compute_view
 
     rows = np.arange(1, len(day.t))

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.sensor_specs import ImuSpec, TriadSpec
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.sensors import imu, processes
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan

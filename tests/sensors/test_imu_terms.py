@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.data import AirData, no_air
-from bench.fields import triad_figures_of
-from bench.random_streams import stream
-from bench.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import AirData, no_air
+from bench.core.records.fields import triad_figures_of
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import imu, imu_terms, processes, vibration
 from bench.sensors.draws import SensorDraws
 from tests.builders import band

@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from bench import earth
+from bench.core.mathematics import earth
 from bench.navigation.error_state_filter.ranges import ionosphere_anchors
 from bench.sensors import ionosphere_field as field
 from bench.signals import least_squares

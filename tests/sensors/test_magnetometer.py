@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import rotation
-from bench.instruments import MagSpec
+from bench.core.mathematics import rotation
+from bench.core.records.instruments import MagSpec
 from bench.sensors import magnetometer, sampling
 from bench.sensors.draws import SensorDraws
 from bench.signals.magnetic import field_n

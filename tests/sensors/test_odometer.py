@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.instruments import OdometerSpec
+from bench.core.records.instruments import OdometerSpec
 from bench.sensors import odometer
 from bench.sensors.draws import SensorDraws
 from tests.synthetic import turning

@@ -14,8 +14,15 @@ from numpy.testing import assert_array_equal
 
 import bench
 from bench.config.datasheets import SENSORS
-from bench.data import AirData, SensorData, Trajectory
-from bench.sensor_specs import AssumedSpecs, ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.records.data import AirData, SensorData, Trajectory
+from bench.core.records.sensor_specs import (
+    AssumedSpecs,
+    ImuSpec,
+    SensorsSpec,
+    ThermalSpec,
+    TriadSpec,
+    VibrationSpec,
+)
 from bench.sensors import sense, sense_piece
 from bench.sensors.draws import SensorDraws
 from bench.sensors.gnss import compute_antenna_motion, rate_at

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import disk_arrays, earth, rotation
-from bench.data import AirData
-from bench.instruments import AirspeedSpec, BaroSpec, HeadingSpec, MagSpec, StaticPressureSpec
-from bench.random_streams import stream
-from bench.sensor_specs import (
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import AirData
+from bench.core.records.instruments import AirspeedSpec, BaroSpec, HeadingSpec, MagSpec, StaticPressureSpec
+from bench.core.records.sensor_specs import (
     AssumedSpecs,
     Fault,
     GnssSpec,

@@ -13,19 +13,20 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config, earth, rotation
+from bench import config
 from bench.config.datasheets import read_gnss
-from bench.data import GnssObservations
-from bench.errors import ConfigError
-from bench.orbit_sets import GLONASS, GPS
-from bench.random_streams import stream
-from bench.sensor_specs import SkySpec
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import GnssObservations
+from bench.core.records.orbit_sets import GLONASS, GPS
+from bench.core.records.sensor_specs import SkySpec
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
 from bench.sensors import clock, gnss, sky, view
 from bench.sensors.draws import SensorDraws
 from bench.signals import allan, delays, orbits, receiver
 from bench.signals.allan import fit_flat_deviation
 from bench.signals.processing import Processing
-from bench.specs import EvaluationWindow
 from tests.builders import band
 from tests.data import gnss_file
 from tests.sensors.given_numbers import respond

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import rotation
-from bench.data import no_air
-from bench.instruments import BaroSpec, StaticPressureSpec
-from bench.random_streams import stream
+from bench.core.mathematics import rotation
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import no_air
+from bench.core.records.instruments import BaroSpec, StaticPressureSpec
 from bench.sensors import static_pressure
 from bench.sensors.draws import SensorDraws
 from bench.signals import air

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench import earth
-from bench.arrays import BoolArray, FloatArray
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.signals import receiver
 from bench.signals.fault_test import find_alarms

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.instruments import AirspeedSpec
+from bench.core.records.instruments import AirspeedSpec
 from bench.signals import air
 
 

@@ -22,10 +22,10 @@ from scipy.special import gammaincinv
 import bench
 from bench.cli import main
 from bench.config.datasheets import read_imu
-from bench.errors import ConfigError
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.noise_curves import fit_noise, format_noise_figures, measure_model
 from bench.exchange.resting_log import read_resting_log
-from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.sensors import processes
 from bench.signals import allan
 
@@ -216,7 +216,7 @@ def test_a_wrong_figure_is_seen(figure, factor):
 
 
 def test_a_skewed_warm_shaken_unit_is_measured_at_rest_along_its_axes():
-    from bench.sensor_specs import ThermalSpec, VibrationSpec
+    from bench.core.records.sensor_specs import ThermalSpec, VibrationSpec
 
     odd = replace(
         FULL,

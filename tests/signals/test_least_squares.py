@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
-from bench.orbit_sets import GLONASS, GPS
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import GLONASS, GPS
 from bench.signals import delays, dilution, fault_test, least_squares, orbits
 from bench.signals.orbits import GPS_EARTH_RATE
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import earth
+from bench.core.mathematics import earth
 from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR, field_n, wmm
 
 # Date, height [km], latitude, longitude [deg], X, Y, Z [nT]. WMM2025: README of WMM2025COF.zip, NOAA NCEI,

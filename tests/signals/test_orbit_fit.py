@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets
 from bench.exchange.rinex.ephemerides import read_navigation
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets
 from bench.signals import orbits
 from bench.signals.orbit_fit import fit_glonass, fit_kepler
 from bench.signals.orbits import WEEK, C

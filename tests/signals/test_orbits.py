@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from bench import earth
+from bench.core.mathematics import earth
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 from bench.signals import dilution, orbits
 from bench.signals.orbits import C
 from tests.data import gnss_file

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.earth import displace
-from bench.errors import ConfigError
-from bench.flight_specs import Runway
+from bench.core.mathematics.earth import displace
+from bench.core.records.flight_specs import Runway
+from bench.core.words.exceptions import ConfigError
 from bench.signals.terrain import describe_terrain, ground_at, read_grid
 from tests.valley import FILE, make_heights, write_grid
 

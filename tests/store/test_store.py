@@ -22,8 +22,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench import config, disk_arrays, store
-from bench.data import (
+from bench import config, store
+from bench.core.files import disk_arrays, places
+from bench.core.records.data import (
     ErrorSeries,
     Events,
     GnssFixes,
@@ -38,10 +39,10 @@ from bench.data import (
     no_events,
     no_innovations,
 )
-from bench.errors import BenchError
-from bench.flight_specs import FlightSpec
-from bench.instruments import AirspeedData, BaroData, MagData
-from bench.run_result import RunResult
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.instruments import AirspeedData, BaroData, MagData
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import BenchError
 from bench.store import cache_size, truth_cache
 from tests.exchange.exported import make_run
 from tests.synthetic import turning
@@ -550,21 +551,21 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
     def said(*sources):
         return store.cached_summary(spec, flights, say, sources)
 
-    first = said("evaluation/replay.py")
+    first = said("bench/evaluation/replay.py")
     assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
-    assert said("evaluation/replay.py") == first
+    assert said("bench/evaluation/replay.py") == first
     assert (calls, flights.count) == ([401], 1)
-    said("evaluation/replay.py", "rotation.py")
+    said("bench/evaluation/replay.py", "bench/core/mathematics/rotation.py")
     assert (calls, flights.count) == ([401] * 2, 1)
     (entry,) = cache.iterdir()
     edits = ('{"samples"', "[]", '{"samples": 3}', "", "x" * 64 + '\n{"samples": 3}')
     for count, text in enumerate(edits, 3):
         for path in entry.glob("summary-*.json"):
             path.write_text(text)
-        assert said("evaluation/replay.py") == first
+        assert said("bench/evaluation/replay.py") == first
         assert (calls, flights.count) == ([401] * count, 1)
     _flip(entry / "lla.npy")
-    assert said("evaluation/replay.py") == first
+    assert said("bench/evaluation/replay.py") == first
     assert (calls, flights.count) == ([401] * (count + 1), 2)
 
 
@@ -657,29 +658,29 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
 
 
 MAKE_NO_TRUTH = {
-    "call_at": "calls kernels that are listed",
-    "compiled": "makes machine code of functions that are listed",
-    "disk_arrays": "where arrays lie, not what they hold",
-    "durable": "writes files",
-    "errors": "messages",
-    "files": "refuses files",
-    "inner_numba": "makes machine code of functions that are listed",
-    "instruments": "of the sensors",
-    "moved": "names that other programs import",
-    "orbit_sets": "of the receivers",
-    "sensor_specs": "of the sensors",
-    "places": "where files lie",
-    "scratch": "folders for a while",
-    "spawned": "starts processes",
-    "vector_rows": "makes machine code of functions that are listed",
-    "wording": "messages",
+    "bench.core.compilation.call_at": "calls kernels that are listed",
+    "bench.core.compilation.compiled": "makes machine code of functions that are listed",
+    "bench.core.files.disk_arrays": "where arrays lie, not what they hold",
+    "bench.core.files.durable": "writes files",
+    "bench.core.words.exceptions": "messages",
+    "bench.core.files.file_checks": "refuses files",
+    "bench.core.compilation.inner_numba": "makes machine code of functions that are listed",
+    "bench.core.records.instruments": "of the sensors",
+    "bench.core.records.orbit_sets": "of the receivers",
+    "bench.core.records.sensor_specs": "of the sensors",
+    "bench.core.files.places": "where files lie",
+    "bench.core.files.scratch": "folders for a while",
+    "bench.core.files.spawned": "starts processes",
+    "bench.core.compilation.vector_rows": "makes machine code of functions that are listed",
+    "bench.core.words.wording": "messages",
 }
 """Modules that flights and tracks import and truth does not depend on -> why."""
 
 
 def test_every_module_that_makes_truth_counts_in_the_key():
     known = modules()
-    todo = [name for name in known if name.split(".")[:2] == ["bench", "flight"]]
+    todo = [name for name in known if name.startswith("bench.flight.")]
+    assert todo, "the flight is found nowhere"
     todo.append("bench.exchange.trajectory")
     found = set()
     while todo:
@@ -687,9 +688,9 @@ def test_every_module_that_makes_truth_counts_in_the_key():
         if name not in found and name != "bench":
             found.add(name)
             todo += imported(name, known[name], known)
-    inside = {known[name].relative_to(PACKAGE).as_posix() for name in found}
-    uncounted = {path for path in inside if not {path, path.split("/")[0]} & {*truth_cache._SOURCES}}
-    assert uncounted == {f"{name}.py" for name in MAKE_NO_TRUTH}
+    sources = [places.locate_source(name) for name in truth_cache._SOURCES]
+    uncounted = {name for name in found if not {known[name], *known[name].parents} & {*sources}}
+    assert uncounted == set(MAKE_NO_TRUTH)
 
 
 def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch):
@@ -726,12 +727,25 @@ def test_the_key_follows_everything_truth_depends_on(spec, tmp_path, monkeypatch
         assert moved(), path.name
     monkeypatch.setattr(truth_cache, "list_versions", lambda: {"jsbsim": "2"})
     assert moved()
-    package = tmp_path / "package"
-    (package / "flight").mkdir(parents=True)
-    monkeypatch.setattr(truth_cache, "PACKAGE", package)
-    assert moved()
-    (package / "flight" / "recorder.py").write_text("step = 1")
-    assert moved()
+
+
+@pytest.mark.parametrize("flown_by", [(), ("a filter",)], ids=["by the truth", "by an estimate"])
+def test_the_key_follows_every_module_that_makes_truth(spec, tmp_path, monkeypatch, flown_by):
+    """A module that is not there is never just left out."""
+    package = tmp_path / "bench"
+    shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__", "*.png", "guide"))
+    monkeypatch.setattr(places, "PACKAGE", package)
+    seen = {truth_cache.truth_key(spec, flown_by)}
+    for name in (*truth_cache._SOURCES, *(truth_cache._LOOP if flown_by else ())):
+        place = places.locate_source(name)
+        for file in [place] if place.is_file() else sorted(place.rglob("*.py"))[-1:]:
+            file.write_bytes(file.read_bytes() + b"\n")
+            key = truth_cache.truth_key(spec, flown_by)
+            assert key not in seen, name
+            seen.add(key)
+    places.locate_source(truth_cache._SOURCES[-1]).unlink()
+    with pytest.raises(ImportError, match=truth_cache._SOURCES[-1]):
+        truth_cache.truth_key(spec, flown_by)
 
 
 def test_entries_nobody_reads_are_removed(cache, spec, truth):

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
-from bench.errors import ConfigError
-from bench.findings import series
+from bench.core.records.findings import series
+from bench.core.words.exceptions import ConfigError
 from bench.studies import alignment_errors
 
 RADIUS = 6_371_000.0

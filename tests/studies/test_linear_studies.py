@@ -14,12 +14,13 @@ from scipy import stats
 
 import bench
 from bench.config import load_profile
-from bench.errors import ConfigError
+from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.core.records.findings import series
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import Observed, describe_direction, find_turns, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
-from bench.findings import series
 from bench.studies import bound as bound_study
 from bench.studies import budget as budget_study
 from bench.studies import observability
@@ -28,7 +29,6 @@ from bench.studies.drawn_errors import key_instants, output_times, split_draws
 from bench.studies.linear_flight import _CLIMB as CLIMB
 from bench.studies.linear_flight import _STEADY as STEADY
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight
-from bench.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 

@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import earth, rotation
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation.register.mechanizations.accelerometers import drift_by_angular_acceleration
 from bench.studies import mechanization_costs
 from bench.studies.mechanization_costs import (
@@ -17,7 +18,6 @@ from bench.studies.mechanization_costs import (
     radii_error,
     simulate_accelerometers,
 )
-from bench.units import STANDARD_GRAVITY
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import bench
-from bench.errors import ConfigError
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.required_performance import JudgedFigure, count_windows
-from bench.specs import EvaluationWindow
 from bench.studies import register_flights, register_proofs, register_rows, rnp
 from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.register_rows import ROWS

@@ -8,11 +8,11 @@ from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_trapezoid
 
 import bench
-from bench import earth
-from bench.errors import ConfigError
-from bench.findings import series
+from bench.core.mathematics import earth
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.findings import series
+from bench.core.words.exceptions import ConfigError
 from bench.studies import requirements
-from bench.units import STANDARD_GRAVITY
 from tests.studies.made_units import write_unit
 
 PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m

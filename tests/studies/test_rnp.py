@@ -12,17 +12,18 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
-from bench import earth, pipeline
+from bench import pipeline
 from bench.config import load_profile
-from bench.data import Events, no_events
-from bench.errors import ConfigError
-from bench.findings import series
+from bench.core.mathematics import earth
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import Events, no_events
+from bench.core.records.findings import series
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
 from bench.flight.legs.tracks import Waypoint, Waypoints
 from bench.flight.off_track import measure_off_track
-from bench.specs import EvaluationWindow
 from bench.studies import rnp, stanford
 from bench.studies.watched_flights import WatchedFlight
-from bench.units import STANDARD_GRAVITY
 
 FLIGHT = """
 aircraft = "aerosonde"

@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
-from bench.errors import ConfigError
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import ConfigError
 from bench.studies import sensitivity
 from bench.studies.sensitivity import Options, Swept, compare_ends, find_values
 from bench.studies.study import read_options

@@ -19,10 +19,10 @@ from rich.console import Console
 import bench
 from bench import store
 from bench.cli.group import commands
-from bench.errors import ConfigError
+from bench.core.records.findings import Findings, FindingTable, join_findings
+from bench.core.records.findings.series import Plot, draw_dots, draw_line
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensemble import Estimate
-from bench.findings import Findings, FindingTable, join_findings
-from bench.findings.series import Plot, draw_dots, draw_line
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.store.study_folder import save_study

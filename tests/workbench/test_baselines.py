@@ -25,13 +25,13 @@ from bench.baselines.experiments import Draw, EstimatorDraw
 from bench.baselines.junit import write_junit
 from bench.baselines.verdict_rows import BY_SEED, OTHER_TRUTH, UNPAIRED, Verdict
 from bench.campaigns.batches import Lost
-from bench.data import ImuData
-from bench.errors import ConfigError
+from bench.core.mathematics.random_streams import stream
+from bench.core.records.data import ImuData
+from bench.core.records.specs import DEFAULT_GUARD, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.metrics import METRICS
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
-from bench.random_streams import stream
-from bench.specs import DEFAULT_GUARD, EvaluationWindow, Guard
 from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli
 

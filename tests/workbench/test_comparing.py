@@ -13,7 +13,7 @@ from bench.baselines.baseline_file import Baseline, EstimatorValues
 from bench.baselines.comparing import Side
 from bench.baselines.verdict_rows import BY_SEED
 from bench.cli import main
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import ensemble
 from tests.test_api import SHORT
 

@@ -15,8 +15,8 @@ from rich.text import Text
 import bench
 from bench import pipeline, store
 from bench.cli import main
-from bench.errors import FlightError
-from bench.wording import one_line, replace_control
+from bench.core.words.exceptions import FlightError
+from bench.core.words.wording import one_line, replace_control
 from bench.workbench.console import PlainConsole
 from tests.cli.test_cli import PROFILE
 from tests.exchange.exported import make_run

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import WRONG
+from bench.core.words.exceptions import WRONG
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 

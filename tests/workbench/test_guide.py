@@ -26,7 +26,7 @@ from bench.baselines.baseline_file import LEAST_DRAWS
 from bench.cli import main
 from bench.cli.group import commands
 from bench.config import load_profile
-from bench.errors import EstimatorError
+from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.metrics import METRICS
 from bench.exchange.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load

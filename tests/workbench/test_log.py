@@ -19,12 +19,13 @@ from pyarrow import parquet
 from scipy.io import savemat
 from scipy.stats import chi2
 
-from bench import rotation, store
+from bench import store
 from bench.cli import main
 from bench.config.log import load_log
-from bench.data import ImuData
-from bench.earth import difference_n
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.earth import difference_n
+from bench.core.records.data import ImuData
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation import validity
 from bench.evaluation.drift_laws import drift_sd
 from bench.evaluation.fixes import judge
@@ -253,7 +254,7 @@ def test_the_standard_deviation_of_the_clock_shift_is_honest():
 
 
 def fixes_of(gnss):
-    from bench.data import GnssFixes
+    from bench.core.records.data import GnssFixes
 
     m = len(gnss["t"])
     cov = np.tile(np.eye(3), (m, 1, 1))

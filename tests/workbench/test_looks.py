@@ -7,9 +7,9 @@ import pytest
 from rich.text import Text
 
 from bench.baselines.verdict_rows import Verdict, Word
+from bench.core.records.findings import FindingTable
+from bench.core.records.findings.looks import LOOKS, find_look
 from bench.evaluation import ensemble_consistency, paired_draws, required_metrics, verdict
-from bench.findings import FindingTable
-from bench.findings.looks import LOOKS, find_look
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings

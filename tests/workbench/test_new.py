@@ -14,13 +14,13 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 
 import bench
-from bench import durable
 from bench.cli import main
-from bench.earth import difference_n, displace
+from bench.core.files import durable
+from bench.core.mathematics.earth import difference_n, displace
+from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
-from bench.specs import EvaluationWindow
 from bench.workbench.new import new_check
 from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
@@ -39,7 +39,7 @@ def test_it_is_the_loose_filter_but_for_its_longer_steps(sensed):
     theirs = Loose(baro=False).run(sensed.data, sensed.initial)
     sd = np.sqrt(np.einsum("kii->ki", theirs.cov))
     assert_allclose(np.sqrt(np.einsum("kii->ki", mine.cov)), sd, rtol=0.01)
-    off = bench.earth.difference_n(mine.lla, theirs.lla)
+    off = bench.core.mathematics.earth.difference_n(mine.lla, theirs.lla)
     assert np.abs(off / sd[:, :3]).max() < 0.02
     assert np.abs((mine.vel_n - theirs.vel_n) / sd[:, 3:6]).max() < 0.02
     assert np.abs((mine.extra - theirs.extra[:, :6]) / theirs.extra_sd[:, :6]).max() < 0.05
@@ -47,7 +47,7 @@ def test_it_is_the_loose_filter_but_for_its_longer_steps(sensed):
     blind = StartingPoint().run(
         type(sensed.data)(**{**columns(sensed.data), "antenna_b": np.zeros(3)}), sensed.initial
     )
-    assert np.abs(bench.earth.difference_n(blind.lla, theirs.lla) / sd[:, :3]).max() > 0.1
+    assert np.abs(bench.core.mathematics.earth.difference_n(blind.lla, theirs.lla) / sd[:, :3]).max() > 0.1
 
 
 def columns(record):

@@ -15,7 +15,7 @@ from scipy.io import savemat
 import bench
 from bench.cli import main
 from bench.config.log import load_log
-from bench.errors import WRONG
+from bench.core.words.exceptions import WRONG
 from bench.evaluation.validity import check_recording
 from bench.exchange.log_records import read_records
 from tests.exchange import drives

@@ -13,12 +13,12 @@ from rich.console import Console
 from bench.baselines.verdict_rows import Verdict
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
+from bench.core.files.places import PACKAGE
+from bench.core.records.findings import FindingTable
+from bench.core.words.notebook import ShownFigure
 from bench.evaluation.ensemble import Estimate
 from bench.evaluation.noise_curves import AllanCurve
 from bench.evaluation.outages import tabulate_drifts
-from bench.findings import FindingTable
-from bench.notebook import ShownFigure
-from bench.places import PACKAGE
 from bench.workbench import record_verbs
 from bench.workbench.campaign_verb import print_campaign
 from bench.workbench.check_verb import tabulate_verdicts

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import bench
-from bench import cli, compiled, pipeline
-from bench.data import Events, no_events
+from bench import cli, pipeline
+from bench.core.compilation import compiled
+from bench.core.records.data import Events, no_events
+from bench.core.words.stages import Stage
 from bench.evaluation.headline import make_headline
 from bench.evaluation.verdict import add_verdict
 from bench.navigation.engine.record_cuts import nothing_known
-from bench.stages import Stage
 from bench.workbench import result_table
 from bench.workbench.console import PlainConsole
 from tests.evaluation.test_verdict import SOUND, verdict

@@ -7,7 +7,7 @@ from io import StringIO
 import numpy as np
 from rich.console import Console
 
-from bench.data import Events, NavSolution
+from bench.core.records.data import Events, NavSolution
 from bench.workbench import result_table
 
 

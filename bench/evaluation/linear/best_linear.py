@@ -15,8 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import SensorData
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import SensorData
 from bench.evaluation.linear.error_budget import ProcessSteps, signals
 from bench.evaluation.linear.gains import measurement_rows
 from bench.evaluation.linear.path import LinearPath
@@ -25,7 +26,6 @@ from bench.navigation.error_state_filter.error_state import CORE, StateLayout
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.error_state_filter.state_processes import STEADY
-from bench.units import SAME_INSTANT
 
 _INDEX = index_of(StateLayout())  # of a filter of the core states alone
 

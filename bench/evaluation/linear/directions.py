@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Trajectory
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import DEG
+from bench.core.records.data import Trajectory
 from bench.evaluation.linear.best_linear import Bound
-from bench.units import DEG
 
 FIGURES = (
     *("tilt north", "tilt east", "heading"),

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
 from bench.evaluation.linear.gains import Gains
 from bench.evaluation.linear.path import FACTORS, LinearPath
 from bench.evaluation.linear.terms import IMU, Constant, ErrorProcess, TruthModel
@@ -22,7 +23,6 @@ from bench.navigation.error_state_filter.measurement_rows import BARO
 from bench.navigation.error_state_filter.propagation import warmth_kernel
 from bench.navigation.error_state_filter.state_blocks import StateModel
 from bench.navigation.error_state_filter.state_processes import WARMTH
-from bench.units import SAME_INSTANT
 
 
 @dataclass(frozen=True, slots=True)

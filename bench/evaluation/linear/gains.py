@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import Innovations, Sensed, SensorData, Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import Innovations, Sensed, SensorData, Trajectory
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.path import LinearPath, make_path
 from bench.navigation.engine.kalman import update_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_kernel
@@ -23,7 +24,6 @@ from bench.navigation.error_state_filter.measurement_rows import (
 from bench.navigation.error_state_filter.state_blocks import Index, StateModel, state_model
 from bench.navigation.models.loose_tight import Fusion, Loose
 from bench.navigation.start.turn_on import find_turn_on
-from bench.units import SAME_INSTANT
 
 KNOWN = (POSITION, VELOCITY, BARO)
 """Sensors of `bench.navigation.error_state_filter.measurement_rows` whose rows there are here."""

@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import ErrorSeries, Sensed, SensorData, Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.units import DEG, SAME_INSTANT
+from bench.core.records.data import ErrorSeries, Sensed, SensorData, Trajectory
+from bench.core.records.sensor_specs import SensorsSpec, TriadSpec
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.best_linear import Bound, bound_errors, find_epochs
 from bench.evaluation.linear.path import make_path
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run
@@ -18,8 +20,6 @@ from bench.evaluation.linear.terms import check_sensors, model_errors
 from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES
 from bench.navigation.models.loose_tight import Fusion
 from bench.navigation.models.smoother import Smoother
-from bench.sensor_specs import SensorsSpec, TriadSpec
-from bench.units import DEG, SAME_INSTANT
 
 LINEAR = 10.0 * DEG
 """Largest standard deviation of an angle in a linear model [rad]: its sine is within 0.5 % of it."""

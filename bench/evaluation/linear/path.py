@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray, IntArray
-from bench.data import Trajectory
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.error_state_filter.error_state import dynamics_kernel, transition_kernel
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensor_specs import ImuSpec
 from bench.sensors.imu_terms import compute_temperature
 
 STEP = 0.1  # longest step: the attitude turns by a few degrees in it [s]

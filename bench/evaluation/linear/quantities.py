@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import gammaincinv
 
-from bench.arrays import FloatArray
-from bench.units import DEG
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import DEG
 
 LEVEL = 0.999
 """Probability of an interval."""

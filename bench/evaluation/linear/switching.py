@@ -6,9 +6,9 @@ from dataclasses import fields, replace
 from typing import Any
 
 from bench import sensors
-from bench.data import Sensed, Trajectory
+from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.sensor_specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.evaluation.linear.terms import INITIAL, Source, list_sources
-from bench.sensor_specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.sensors.draws import SensorDraws
 from bench.sensors.initial import draw_initial_state
 

@@ -15,13 +15,13 @@ from functools import partial
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import Trajectory
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Trajectory
+from bench.core.records.sensor_specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
+from bench.core.words.exceptions import ConfigError
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensor_specs import ImuSpec, SensorsSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.sensors import imu as imu_model
 from bench.sensors import static_pressure, vibration
 from bench.sensors.draws import SensorDraws
@@ -120,7 +120,7 @@ _BARO = {
     "barometer walk": ("bias_walk",),
     "barometer noise": ("white_sd", "quantization"),
 }
-INITIAL = {  # source -> figures of `bench.sensor_specs.SensorsSpec`
+INITIAL = {  # source -> figures of `bench.core.records.sensor_specs.SensorsSpec`
     "initial position": ("initial_pos_sd",),
     "initial velocity": ("initial_vel_sd",),
     "initial tilt": ("initial_tilt_sd",),

@@ -14,12 +14,12 @@ from pathlib import Path
 from textwrap import fill
 from typing import NamedTuple
 
-from bench import durable
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.files.installed import find_installed
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line, suggest
 from bench.exchange.exports.gather import gather
 from bench.exchange.exports.outgoing import FRAMES, ExportData
-from bench.installed import find_installed
-from bench.wording import one_line, suggest
 
 
 class Format(NamedTuple):

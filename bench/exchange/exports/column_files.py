@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import durable
+from bench.core.files import durable
+from bench.core.records.instruments import INSTRUMENTS
 from bench.exchange.exports.outgoing import ExportData
-from bench.instruments import INSTRUMENTS
 from bench.store import parquet, write_json
 from bench.store.columns import Layout
 

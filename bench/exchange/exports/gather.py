@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench import store
-from bench.errors import ExportError
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.outgoing import ExportData, Track
 
 TRUTH, SOLUTION = "truth", "solution:"

@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import durable, rotation
-from bench.errors import ExportError
+from bench.core.files import durable
+from bench.core.mathematics import rotation
+from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.outgoing import ExportData
-from bench.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.store import parquet
 
 FORMATS = {

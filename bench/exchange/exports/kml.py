@@ -8,9 +8,9 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from bench import durable
-from bench.arrays import FloatArray
-from bench.errors import ExportError
+from bench.core.files import durable
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 FORMATS = {"kml": "the fixes on a globe"}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
 
 _ENU_NED = np.array([0.0, np.sqrt(0.5), np.sqrt(0.5), 0.0])  # swaps x and y, reverses z; its own inverse
 _FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])  # half a turn about x

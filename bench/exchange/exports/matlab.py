@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import durable
+from bench.core.files import durable
 from bench.exchange.exports.column_files import describe_table
 from bench.exchange.exports.outgoing import ExportData
 

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import durable, earth, rotation
-from bench.data import GnssFixes
+from bench.core.files import durable
+from bench.core.mathematics import earth, rotation
+from bench.core.records.data import GnssFixes
+from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.exchange.exports.outgoing import ExportData, Track
-from bench.sensor_specs import GAUSS_MARKOV_PEAK
 
 FORMATS = {"navego": "the structures imu, gnss and ref of NaveGo"}
 NEEDS_START = True

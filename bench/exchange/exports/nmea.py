@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import durable
-from bench.arrays import FloatArray
-from bench.data import GnssFixes
+from bench.core.files import durable
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import GnssFixes
 from bench.exchange.exports.outgoing import Calendar, ExportData, thin
 
 FORMATS = {"nmea": "GGA and RMC sentences of the fixes"}

@@ -10,14 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
-from bench.errors import EstimatorError, ExportError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
+from bench.core.words.exceptions import EstimatorError, ExportError
 from bench.exchange.rinex.lines import leap_seconds
 from bench.navigation.engine.kept_rows import take_rows
 from bench.store import make_sensor_data, read_initial_state, write_initial_state
 from bench.store.columns import MOTION, Layout, flatten
-from bench.units import SAME_INSTANT
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
@@ -119,7 +119,7 @@ class ExportData:
         return found
 
     def assumed(self, triad: str) -> Mapping[str, Any]:
-        """Return the figures of "gyro" or "accel" that filters assume, as `bench.sensor_specs.TriadSpec`."""
+        """Return the figures of "gyro" or "accel" that filters assume, as `sensor_specs.TriadSpec`."""
         figures: Mapping[str, Any] = self.start["assumed"]["imu"][triad]
         return figures
 
@@ -172,7 +172,7 @@ class ExportData:
 
         For tools that take the first row as the start, not as the end of an interval.
         """
-        from bench import earth, rotation
+        from bench.core.mathematics import earth, rotation
 
         lla, vel_n, q_nb, sd = self.complete_start()
         t_0 = float(self.start["initial"]["t_s"])

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
 from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet
 
@@ -79,7 +79,7 @@ result = filters.run_feedback_filter(
 def _format_model(out: ExportData, triad: str) -> str:
     """Return the Python call that builds the sensor model of python-ins from the assumed datasheet, in SI."""
     figures = out.assumed(triad)
-    from bench.sensor_specs import GAUSS_MARKOV_PEAK
+    from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
 
     sd, time = figures["bias_instability"] / GAUSS_MARKOV_PEAK, figures["bias_correlation"]
     walk = sd * np.sqrt(2.0 / time) if time else 0.0

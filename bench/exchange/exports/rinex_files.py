@@ -13,14 +13,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import durable, earth
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import on_arrays
-from bench.data import GnssObservations
-from bench.errors import ExportError
+from bench.core.compilation.compiled import on_arrays
+from bench.core.files import durable
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import GnssObservations
+from bench.core.records.orbit_sets import (
+    BEIDOU,
+    GALILEO,
+    GLONASS,
+    GPS,
+    LETTERS,
+    GlonassSets,
+    KeplerSets,
+    name_satellite,
+)
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.rinex.lines import BEIDOU_LATE, leap_seconds
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS, GlonassSets, KeplerSets, name_satellite
 from bench.signals import orbits
 from bench.signals.delays import range_kernel
 from bench.signals.orbit_fit import fit_glonass, fit_kepler

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import GnssFixes
-from bench.errors import ExportError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import GnssFixes
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.local import to_enu, to_flu, to_poses
 from bench.exchange.exports.outgoing import Calendar, ExportData
 

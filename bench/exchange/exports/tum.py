@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import rotation
-from bench.errors import ExportError
+from bench.core.mathematics import rotation
+from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.local import to_poses
 from bench.exchange.exports.outgoing import ExportData
 from bench.store import parquet

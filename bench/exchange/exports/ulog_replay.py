@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import durable
-from bench.arrays import BoolArray, FloatArray
-from bench.errors import ConfigError
+from bench.core.files import durable
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.exports.outgoing import ExportData
-from bench.files import check_file
 from bench.signals.air import standard_atmosphere
 
 FORMATS = {"ulog": "PX4: a log of the sensors for Replay, as --like OWN.ulg of one's own firmware defines it"}

@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.disk_arrays import ROWS
-from bench.errors import ConfigError
+from bench.core.files.disk_arrays import ROWS
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.exchange.table_files import MOST_BYTES
-from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import EventRow, Innovations, no_innovations
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Innovations, no_innovations
+from bench.core.words.exceptions import ConfigError
 
 Vector = tuple[float, float, float]
 AUTOPILOTS = ("ulog", "dataflash")

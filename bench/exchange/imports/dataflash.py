@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import FloatArray, IntArray
-from bench.errors import ConfigError
-from bench.files import check_file
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.words.exceptions import ConfigError
 
 _HEAD = b"\xa3\x95"
 _FMT, _FMT_LENGTH = 128, 89

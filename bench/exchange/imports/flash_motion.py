@@ -12,11 +12,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import EventRow
-from bench.earth import displace
-from bench.errors import ConfigError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import displace
+from bench.core.records.data import EventRow
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports.contents import (
     OwnEstimate,
     OwnMotion,

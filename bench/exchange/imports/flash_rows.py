@@ -17,8 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports.contents import Contents, Vector, day_of_gps, day_of_unix, split_instance
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.rows import MOST_ROWS, LogRows

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.mat_file import find_structure, get_vector, list_structures, read_mat
 from bench.exchange.rows import MOST_ROWS, LogRows
 

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.files import disk_arrays
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import leap_seconds
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES, TableColumns
-from bench.files import check_file
 from bench.signals.orbits import DAY, WEEK
 
 _LINE = 4096  # longest line [characters]

@@ -16,14 +16,14 @@ from pathlib import Path
 import numpy as np
 from pyulog import ULog
 
-from bench.arrays import BoolArray, FloatArray
-from bench.errors import ConfigError
+from bench.core.files.file_checks import check_file
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports import ulog_motion
 from bench.exchange.imports.contents import Contents, OwnMotion, Vector, day_of_unix, split_instance
 from bench.exchange.imports.ulog_motion import Data, stack, times
 from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
-from bench.files import check_file
 from bench.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory

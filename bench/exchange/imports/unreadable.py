@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 _PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from bench.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
+from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 
 SYSTEMS = {"G": GPS, "R": GLONASS, "E": GALILEO, "C": BEIDOU}
 OTHERS = {"J": "QZSS", "S": "SBAS", "I": "NavIC"}

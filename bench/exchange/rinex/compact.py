@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterator
 from typing import TextIO
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 LONGEST = 4096  # characters of a line; 255 observables, more than any receiver writes, fit in one
 _LONGEST_COMPACT = 2 * LONGEST  # the same values with the marks of an epoch that begins anew

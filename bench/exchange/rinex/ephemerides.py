@@ -14,18 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
-from bench.exchange.rinex.lines import (
-    BEIDOU_LATE,
-    Lines,
-    check_version,
-    leap_seconds,
-    open_lines,
-    read_calendar,
-    to_date,
-)
-from bench.orbit_sets import (
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.orbit_sets import (
     BEIDOU,
     GALILEO,
     GLONASS,
@@ -35,6 +25,16 @@ from bench.orbit_sets import (
     GlonassSets,
     KeplerSets,
     OrbitTable,
+)
+from bench.core.words.exceptions import ConfigError
+from bench.exchange.rinex.lines import (
+    BEIDOU_LATE,
+    Lines,
+    check_version,
+    leap_seconds,
+    open_lines,
+    read_calendar,
+    to_date,
 )
 from bench.signals.orbits import WEEK
 

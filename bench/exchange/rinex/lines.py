@@ -11,10 +11,10 @@ from typing import TextIO
 
 import numpy as np
 
-from bench.errors import ConfigError
+from bench.core.files.file_checks import check_file
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.compact import LONGEST, CompactText
 from bench.exchange.rinex.unpacking import UnpackingError, open_text
-from bench.files import check_file
 from bench.signals.orbits import DAY
 
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it

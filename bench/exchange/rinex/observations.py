@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.codes import OTHERS, SYSTEMS, Signal, Signals, find_signals
 from bench.exchange.rinex.compact import LONGEST
 from bench.exchange.rinex.lines import (

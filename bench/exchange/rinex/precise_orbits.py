@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.errors import ConfigError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitTable
+from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.ephemerides import NavigationFile, merge_navigation, read_navigation
 from bench.exchange.rinex.lines import (
     BEIDOU_LATE,
@@ -25,7 +26,6 @@ from bench.exchange.rinex.lines import (
     read_calendar,
     to_date,
 )
-from bench.orbit_sets import GLONASS, LETTERS, SYSTEM_NAMES, OrbitTable
 
 _EPOCH = re.compile(r"\*|EOF")
 _CALENDAR = [(3, 7), (8, 10), (11, 13), (14, 16), (17, 19), (20, 31)]

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bench.errors import ConfigError
+from bench.core.words.exceptions import ConfigError
 
 BLOCK = 1 << 16
 """Read and unpacked at a time, at least [byte]."""

@@ -1,8 +1,8 @@
 """The legs a flight is made of.
 
-A leg is one frozen dataclass, `bench.flight_specs.Leg`, in a module of this folder: its fields are the keys
-of a profile (`bench.flight.legs.keys`), its docstring says what it does, ``fly`` flies it. Nothing else lists
-it.
+A leg is one frozen dataclass, `bench.core.records.flight_specs.Leg`, in a module of this folder: its fields
+are the keys of a profile (`bench.flight.legs.keys`), its docstring says what it does, ``fly`` flies it.
+Nothing else lists it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import pkgutil
 from collections.abc import Iterator
 from importlib import import_module
 
-from bench.flight_specs import Leg
+from bench.core.records.flight_specs import Leg
 
 
 def _declared() -> Iterator[type[Leg]]:

@@ -6,11 +6,11 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import ALTITUDES, CLIMBS, LegStart
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, ClimbRate, Key, write_key
 from bench.flight.shaping import Steps, smooth, ticks
-from bench.flight_specs import ALTITUDES, CLIMBS, LegStart
 
 _CLIMB_CHANGE = 1.0  # fastest change of a climb set-point [m/s^2]
 _NEAR_ALT = 2.0  # an altitude is reached within [m]

@@ -14,9 +14,9 @@ from dataclasses import MISSING, dataclass, field, fields
 from types import NoneType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-from bench.flight_specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
-from bench.units import from_si, unit_of
-from bench.wording import quantity
+from bench.core.mathematics.units import from_si, unit_of
+from bench.core.records.flight_specs import BANKS, CLIMBS, SECONDS, SPEEDS, AircraftSpec, Leg, LegStart
+from bench.core.words.wording import quantity
 
 SIDES: Mapping[str, int] = {"right": 1, "left": -1, "shorter": 0}
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from itertools import chain, repeat
 from typing import Annotated
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import SURFACES, Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp
 from bench.flight.legs.keys import Key, format_deg, side_of
@@ -24,7 +25,6 @@ from bench.flight.legs.runway import (
 )
 from bench.flight.paths import Follower, SegmentPath
 from bench.flight.shaping import Steps, roll_time, smooth, ticks, wait
-from bench.flight_specs import SECONDS, Leg, LegStart
 
 _ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
 _FINAL_BANK = math.radians(30.0)  # of an approach [rad]

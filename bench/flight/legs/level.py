@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, Key, Seconds, Speed
 from bench.flight.shaping import GUIDANCE_RATE, Steps, smooth, wait
-from bench.flight_specs import SECONDS, Leg, LegStart
 
 _NEAR_SPEED = 0.5  # an airspeed is reached within [m/s]
 _PATIENCE = 120.0  # for an airspeed to settle [s]

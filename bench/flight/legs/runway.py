@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import Annotated
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import SECONDS, AircraftSpec, Leg, LegStart, Runway, RunwaySpec
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.climbs import climb_ramp, level_off
 from bench.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of
 from bench.flight.paths import SegmentPath
 from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, ticks, wait
-from bench.flight_specs import SECONDS, AircraftSpec, Leg, LegStart, Runway, RunwaySpec
 
 POWER = 2.0  # in which brakes are released and power is set [s]
 PATIENCE = 180.0  # for a take-off run or a landing roll [s]

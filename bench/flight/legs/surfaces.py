@@ -7,11 +7,11 @@ from collections.abc import Generator
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.words.exceptions import FlightError
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import AtSpeed, Key, format_deg, side_of, write_key
 from bench.flight.shaping import GUIDANCE_RATE, Steps, clip, smooth, smoothstep, ticks, wait
-from bench.flight_specs import SECONDS, Leg, LegStart
 
 _HANDOVER = 0.4  # [s]
 _EDGE = 0.15  # a deflection takes to build up [s]

@@ -9,15 +9,15 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.earth import matrix_en, to_ecef, to_geodetic
-from bench.errors import FlightError
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.records.flight_specs import ALTITUDES, SECONDS, LegStart
+from bench.core.words.exceptions import FlightError
+from bench.core.words.wording import format_count
 from bench.flight.cockpit import Cockpit, Plane
 from bench.flight.legs.keys import SIDES, AtSpeed, Bank, Key, format_deg
 from bench.flight.paths import Heights, SegmentPath, SmoothHeights, follow, run_in, turn_radius
 from bench.flight.shaping import Steps
-from bench.flight_specs import ALTITUDES, SECONDS, LegStart
-from bench.wording import format_count
 
 _GROUND_STEP = 20.0  # at which the ground below a way is looked at [m]
 _CLIMB_SHARE = 0.7  # of the climb of the aircraft that a way along the ground may need

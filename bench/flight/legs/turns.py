@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from bench.errors import FlightError
+from bench.core.records.flight_specs import LegStart
+from bench.core.words.exceptions import FlightError
+from bench.core.words.wording import format_count
 from bench.flight.cockpit import Cockpit
 from bench.flight.legs.keys import (
     SIDES,
@@ -19,8 +21,6 @@ from bench.flight.legs.keys import (
     write_key,
 )
 from bench.flight.shaping import G, Steps, roll_time, smooth, ticks, turned_in_roll
-from bench.flight_specs import LegStart
-from bench.wording import format_count
 
 _NEAR_HEADING = math.radians(2.0)  # a heading is reached within [rad]
 _PATIENCE = 120.0  # how much longer than planned a turn may take [s]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import EventRow
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow
 from bench.navigation.engine.session import Kept, SessionState
 
 HIGHEST, FASTEST = 1e7, 1e5

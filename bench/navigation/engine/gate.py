@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import inner, kernel
-from bench.data import EventRow, Innovations, no_innovations
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import EventRow, Innovations, no_innovations
 from bench.navigation.engine.integrity import nis, nis_limit
 from bench.navigation.engine.kalman import nis_kernel
 from bench.navigation.engine.session import Growing, Kept, SessionState

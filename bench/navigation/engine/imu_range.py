@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray
-from bench.data import ImuData
+from bench.core.mathematics.arrays import BoolArray
+from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine.kept_rows import take_rows
-from bench.sensor_specs import ImuSpec
-from bench.units import DEG, STANDARD_GRAVITY
 
 IN_RANGE = 1.0 - 1e-9  # of a range, so that rounding does not hide a sensor that is stuck at it
 _ALL = "all"

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import ImuData
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import ImuData
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.session import Kept, SessionState
 

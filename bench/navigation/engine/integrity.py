@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.units import STANDARD_GRAVITY
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 
 SCHULER_RADIUS = 6_371_000.0  # sphere of the Schuler loop, R3 [m], equations 1.5
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 
 
 @kernel

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import GnssObservations
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import GnssObservations
 
 _Record = TypeVar("_Record")
 _WHOLE = ("epoch_start", "klobuchar", "gps_t0")  # not a column

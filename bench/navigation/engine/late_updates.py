@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner, kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.compilation.wide_rows import add_row, set_row, wide
+from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.navigation.engine.kalman import find_columns_kernel
-from bench.wide_rows import add_row, set_row, wide
 
 DEPTH = 16
 """Most updates that wait: more of them cost each row more than going over P."""
@@ -23,7 +23,7 @@ _SHRINKS = 1e6
 
 
 class LateUpdates(NamedTuple):
-    """Updates that P (n, n) lacks, and the rows under way; matrices are `bench.wide_rows.wide`."""
+    """Updates that P (n, n) lacks, and the rows under way; matrices are `wide_rows.wide`."""
 
     G: FloatArray  # (DEPTH, n) g of each update
     HP: FloatArray  # (6, n) rows of a sub-vector times P

@@ -9,9 +9,9 @@ from typing import Any, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.data import (
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import (
     EventRow,
     Events,
     InitialState,
@@ -20,7 +20,7 @@ from bench.data import (
     SensorData,
     no_innovations,
 )
-from bench.errors import EstimatorError
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.kept_rows import columns
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 

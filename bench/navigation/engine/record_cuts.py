@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssObservations, NavSolution, SensorData
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssObservations, NavSolution, SensorData
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 

@@ -20,9 +20,9 @@ from typing import Annotated, Any, Literal, Self, TypeVar, Union, get_args, get_
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import IntArray
-from bench.data import SensorData
-from bench.sensor_specs import AssumedSpecs
+from bench.core.mathematics.arrays import IntArray
+from bench.core.records.data import SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 
 _T = TypeVar("_T")
 Kept = Annotated[_T, "kept"]
@@ -147,9 +147,12 @@ def fork(value: Any) -> Any:
 
 
 def _copy_array(array: NDArray[Any]) -> NDArray[Any]:
-    """Return a copy, C-ordered and writeable; rows of whole cache lines begin at one (`bench.wide_rows`)."""
+    """Return a copy, C-ordered and writeable; rows of whole cache lines begin at one (`wide_rows`)."""
     if array.ndim == 2 and array.dtype == np.float64:
-        from bench.wide_rows import LANES, widened  # numba, which who lists what there is does without
+        from bench.core.compilation.wide_rows import (  # numba, which who lists what there is does without
+            LANES,
+            widened,
+        )
 
         if array.shape[1] % LANES == 0:
             return widened(array)

@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, take_increasing
-from bench.compiled import kernel
-from bench.data import EventRow, GnssFixes, ImuData
-from bench.instruments import InstrumentData
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, take_increasing
+from bench.core.records.data import EventRow, GnssFixes, ImuData
+from bench.core.records.instruments import InstrumentData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine.imu_range import IN_RANGE, find_beyond, limits
 from bench.navigation.engine.session import Kept, SessionState
-from bench.sensor_specs import ImuSpec
 
 TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
 BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]

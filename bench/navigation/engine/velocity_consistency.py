@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import EventRow, GnssFixes
-from bench.earth import matrix_en, to_ecef
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef
+from bench.core.records.data import EventRow, GnssFixes
+from bench.core.records.sensor_specs import GnssSpec
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.session import Kept, SessionState
-from bench.sensor_specs import GnssSpec
 
 WINDOWS = (10.0, 30.0, 100.0)
 """Times over which positions are compared with velocities [s]; a slow ramp shows over a long one."""

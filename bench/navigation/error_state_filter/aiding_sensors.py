@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray
-from bench.data import GnssFixes, InitialState, SensorData
-from bench.fields import figures_of
-from bench.instruments import (
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import GnssFixes, InitialState, SensorData
+from bench.core.records.fields import figures_of
+from bench.core.records.instruments import (
     AirspeedData,
     AirspeedSpec,
     BaroData,
@@ -30,6 +30,7 @@ from bench.instruments import (
     RadarData,
     RadarSpec,
 )
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import (
     AIRSPEED_ROWS,
@@ -43,7 +44,6 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.options import FixAccuracy
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec
 from bench.signals import air
 from bench.signals.magnetic import field_n
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import Events, Innovations, NavSolution
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import Events, Innovations, NavSolution
 from bench.navigation.error_state_filter.error_state import StateLayout
 
 

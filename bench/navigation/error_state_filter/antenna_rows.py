@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.compiled import inner, kernel
-from bench.earth import EARTH_RATE, gravity_kernel, radii_kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE, gravity_kernel, radii_kernel
 from bench.navigation.error_state_filter.corrections import (
     drive_rows_kernel,
     motion_factors_kernel,

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner, kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation.error_state_filter.error_state import ACCEL, GYRO, PHI
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.units import STANDARD_GRAVITY
 
 RATE_NOISE = 16.3
 """99.9 % of chi-squared of 3: a rate with a square of less, by the variance of a sample, may be noise."""

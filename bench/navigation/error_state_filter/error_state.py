@@ -23,12 +23,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import earth, rotation
-from bench.arrays import FloatArray, IntArray, as_float
-from bench.compiled import inner, kernel
-from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.compilation.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray, IntArray, as_float
+from bench.core.mathematics.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, radii_kernel
 from bench.navigation.mechanization import tilt_between_kernel, turn_kernel
-from bench.wide_rows import LANES, add_row, row_sums, scale_row, set_row, wide
 
 POS, VEL, PHI, GYRO, ACCEL = 0, 3, 6, 9, 12
 """First index of the blocks that every layout begins with."""
@@ -235,7 +235,8 @@ def covariance_kernel(
 
     Those are neither read nor written: :func:`mirror_kernel` fills them. Phi is I + G in its first nine rows
     and diag(decay) in the rest, 1 before the state ``fading``; a state ``drives[d, 0]`` acts on the first
-    nine rows like the bias ``drives[d, 1]`` times ``factor[d]``. P and decay are `bench.wide_rows.wide`.
+    nine rows like the bias ``drives[d, 1]`` times ``factor[d]``. P and decay are
+    `bench.core.compilation.wide_rows.wide`.
 
     With t the first nine states, e the biases and what acts like them, G = [T, U], A_t = (I + T) P_tt and
     A_e = (I + T) P_te + U P_ee:

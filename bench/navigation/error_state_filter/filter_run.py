@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray, IntArray, read_only
-from bench.compiled import inner, kernel
-from bench.data import Events, InitialState, NavSolution, no_events, no_innovations
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.compilation.wide_rows import widened
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray, IntArray, read_only
+from bench.core.records.data import Events, InitialState, NavSolution, no_events, no_innovations
 from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.gate import InnovationLog, Refused, innovations, new_log, refusals
 from bench.navigation.engine.session import (
@@ -58,7 +59,6 @@ from bench.navigation.error_state_filter.state_blocks import (
     first_of_satellites,
 )
 from bench.navigation.error_state_filter.step_entries import GO_ON, MEASURE, OUTPUT, USE
-from bench.wide_rows import widened
 
 LONGEST = 3
 """Most components of a sub-vector."""

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
 from bench.navigation.error_state_filter.error_state import CORE_BLOCKS
 from bench.navigation.error_state_filter.state_processes import (
     ABSOLUTE,
@@ -17,7 +18,6 @@ from bench.navigation.error_state_filter.state_processes import (
     Block,
     States,
 )
-from bench.sensor_specs import AssumedSpecs, ImuSpec, TriadSpec
 from bench.signals import air
 from bench.signals.allan import fit_flat_deviation
 

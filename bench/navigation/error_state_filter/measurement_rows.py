@@ -26,9 +26,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.compiled import inner, make_caller
-from bench.earth import EARTH_RATE, radii_kernel
+from bench.core.compilation.compiled import inner, make_caller
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel, late_rows_kernel
 from bench.navigation.error_state_filter.corrections import (
     correct_kernel,

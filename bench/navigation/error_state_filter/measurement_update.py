@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.compiled import inner
+from bench.core.compilation.compiled import inner
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.navigation.engine.gate import (
     DRIFTED,
     LOST,

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner
+from bench.core.compilation.compiled import inner
+from bench.core.compilation.wide_rows import wide, widened
+from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.navigation.engine.late_updates import LateUpdates, late_updates
 from bench.navigation.engine.session import Growing
 from bench.navigation.engine.timeline import Steps
@@ -35,7 +36,6 @@ from bench.navigation.error_state_filter.error_state import (
 from bench.navigation.error_state_filter.rough_heading import stand_kernel, steady_kernel
 from bench.navigation.error_state_filter.state_blocks import Index, Process
 from bench.navigation.mechanization import STATE_SIZE, body_step_kernel, step_kernel
-from bench.wide_rows import wide, widened
 
 LATE = 0.1  # mean age of the force by which late fixes are compared: half of a delay of 0.2 s [s]
 _SLOW = 0.05
@@ -46,7 +46,7 @@ class FilterState(NamedTuple):
     """The state of the filter: the n + 1 numbers it estimates, and its n error states."""
 
     state: FloatArray  # (n + 1,) navigation state (10), then the values of the states from the gyro bias on
-    P: FloatArray  # (n, n), `bench.wide_rows.wide`
+    P: FloatArray  # (n, n), `bench.core.compilation.wide_rows.wide`
     dx: FloatArray  # (n,) error estimated and not yet fed back
 
 
@@ -139,7 +139,7 @@ class StepWork(NamedTuple):
 
 
 class Work(NamedTuple):
-    """Memory of the kernels, in small tuples (`bench.compiled`)."""
+    """Memory of the kernels, in small tuples (`bench.core.compilation.compiled`)."""
 
     carried: Carried
     step: StepWork

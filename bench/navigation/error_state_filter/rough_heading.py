@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.compiled import inner, kernel
-from bench.earth import EARTH_RATE, radii_kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
 
 WIDE = float(np.deg2rad(30.0))  # sd of a heading from which on one linear filter is not enough [rad]
 UNKNOWN_HEADING_SD = float(np.pi / np.sqrt(3.0))  # a heading anywhere from -180 to 180 deg [rad]

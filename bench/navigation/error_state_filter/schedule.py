@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray, read_only, take_increasing
-from bench.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, read_only, take_increasing
+from bench.core.records.data import EventRow, GnssFixes, GnssObservations, ImuData, InitialState, SensorData
+from bench.core.records.sensor_specs import GnssSpec, ImuSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import Rows, join_rows, make_rows, take_rows
 from bench.navigation.engine.piecewise import refuse
@@ -35,7 +36,6 @@ from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.error_state_filter.step_entries import FREE, IN_ORDER, plan_kernel
 from bench.navigation.options import FixAccuracy
-from bench.sensor_specs import GnssSpec, ImuSpec
 
 
 class StepPlan(NamedTuple):

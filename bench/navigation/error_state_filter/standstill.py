@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import ImuData
-from bench.earth import EARTH_RATE, GAMMA_E
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.earth import EARTH_RATE, GAMMA_E
+from bench.core.records.data import ImuData
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
-from bench.sensor_specs import ImuSpec, TriadSpec
 
 WINDOW = 1.0  # [s]
 VELOCITY_SD = 0.02  # of an aircraft that stands and rocks in the wind [m/s]

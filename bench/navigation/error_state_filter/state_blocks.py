@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray, IntArray
-from bench.data import InitialState, SensorData
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import InitialState, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.error_state_filter.error_state import CORE, CORE_BLOCKS, GYRO, StateLayout
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS, core_states, thermal_figures
 from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE_ERRORS
@@ -31,7 +32,6 @@ from bench.navigation.error_state_filter.state_processes import (
 )
 from bench.navigation.error_state_filter.vehicle_states import vehicle
 from bench.navigation.options import FusionOptions
-from bench.sensor_specs import AssumedSpecs
 
 CHANGES = 100 / 86400  # of the satellites in use, those of the nominal GPS constellation (A-2.1.2) [1/s]
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.arrays import FloatArray
-from bench.sensor_specs import AssumedSpecs
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.sensor_specs import AssumedSpecs
 
 STEADY, WARMTH, ABSOLUTE, SQUARE, CUBE = 6, 7, 8, 14, 20
 """What a state multiplies beside a rate (0 to 2) or specific force (3 to 5): 1, the temperature of the IMU

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import inner, kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.navigation.engine.kept_rows import Rows
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.error_state_filter.measurement_rows import SATELLITE_ROWS

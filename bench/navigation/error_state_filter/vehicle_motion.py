@@ -19,14 +19,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import inner
-from bench.data import ImuData
+from bench.core.compilation.compiled import inner
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import ImuData
 from bench.navigation.engine.imu_sampler import ImuSampler, sum_segments
 from bench.navigation.error_state_filter.error_state import GYRO, PHI, VEL
 from bench.navigation.error_state_filter.propagation import Site
 from bench.navigation.mechanization import matrix_kernel
-from bench.units import STANDARD_GRAVITY
 
 SLIP_FORCE = 1.5  # specific force at which tyres slip twice as much; 7.5 times at 1 g [m/s^2]
 INTERVAL = 0.2  # of the samples; two correlation times of a shaking axle [s]

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import (
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import (
     EventRow,
     Events,
     GnssFixes,
@@ -22,6 +22,7 @@ from bench.data import (
     SensorData,
     no_innovations,
 )
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine import timeline
 from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.kept_rows import join_rows
@@ -38,7 +39,6 @@ from bench.navigation.error_state_filter.aiding_sensors import (
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import GnssOnlyOptions, read_options
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
-from bench.sensor_specs import AssumedSpecs
 
 STATES = tuple(f"acceleration_{axis}_m_s2" for axis in "ned")
 

@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
@@ -34,7 +35,6 @@ from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, 
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
-from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 
 class InvariantEkf:

@@ -19,10 +19,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray, same_array
-from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, same_array
+from bench.core.records.data import EventRow, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.gate import new_trust
 from bench.navigation.engine.imu_sampler import ImuSampler
 from bench.navigation.engine.integrity import nis_limit
@@ -72,7 +73,6 @@ from bench.navigation.start.steady_course import (
     has_large_bias,
 )
 from bench.navigation.start.turn_on import FromTurnOn
-from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 _STRIDE = 1.0  # so far a filter goes at once: planning costs as much as taking some hundred samples [s]
 _LINEAR_DRIFT = float(np.deg2rad(2.0)) / 3600.0  # gyro bias whose free drift is linear for 10 minutes [rad/s]

@@ -20,10 +20,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import disk_arrays
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import inner, kernel
-from bench.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.compilation.wide_rows import LANES, add_row, set_row, wide
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import Events, InitialState, NavSolution, SensorData, no_innovations
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.piecewise import JoinedSolution, KnowsImuErrors
 from bench.navigation.error_state_filter.answers import answers, spread
 from bench.navigation.error_state_filter.corrections import reset_kernel
@@ -40,8 +42,6 @@ from bench.navigation.options import SmootherOptions, read_options
 from bench.navigation.start.steady_course import Gyros, has_large_bias
 from bench.navigation.start.turn_on import smooth_from_turn_on
 from bench.navigation.start.whole_records import run_between_gaps
-from bench.sensor_specs import AssumedSpecs
-from bench.wide_rows import LANES, add_row, set_row, wide
 
 _ROUNDING = 1e-14  # of a scaled variance: what is left of it is rounding
 

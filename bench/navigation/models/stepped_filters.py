@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import EventRow, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import EventRow, InitialState, NavSolution, SensorData
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.piecewise import answer_now
 from bench.navigation.engine.session import Kept, SessionState, require

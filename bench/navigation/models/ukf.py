@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.compiled import kernel
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.compilation.compiled import kernel
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
@@ -60,7 +61,6 @@ from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, 
 from bench.navigation.options import AidingOptions, UnscentedOptions, read_options
 from bench.navigation.start import alignment, headings
 from bench.navigation.start.restart import between_gaps
-from bench.sensor_specs import AssumedSpecs
 
 
 @kernel

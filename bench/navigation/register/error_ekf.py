@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import InitialState, SensorData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import InitialState, SensorData
 from bench.navigation.engine.session import Scratch
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.classic.covariance_forms import WholeForm

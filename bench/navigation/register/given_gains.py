@@ -12,8 +12,9 @@ from abc import abstractmethod
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import InitialState, SensorData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import InitialState, SensorData
 from bench.navigation.engine.session import Kept
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.classic.covariance_forms import WholeForm
@@ -22,7 +23,6 @@ from bench.navigation.models.classic.navigator import Nav, ellipsoid, reduced
 from bench.navigation.models.classic.observation_model import measurement_matrix, measurement_noise
 from bench.navigation.models.classic.process_model import SIZE, Sigmas, model_van_loan, per_axis
 from bench.navigation.options import ComplementaryOptions, LeastSquaresOptions
-from bench.units import STANDARD_GRAVITY
 
 BIAS_TIME, SETTLED = 10.0, 300.0  # of the fixed gain: how long an error of the IMU lasts, and its flight [s]
 _NORTHWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # B of level flight to the north

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
 
 
 class Match(NamedTuple):

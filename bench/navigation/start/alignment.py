@@ -22,8 +22,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.data import InitialState, SensorData
-from bench.errors import EstimatorError
+from bench.core.records.data import InitialState, SensorData
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.record_cuts import newest_sample
 from bench.navigation.engine.session import Kept, SessionState
 from bench.navigation.start.course import align_on_the_move

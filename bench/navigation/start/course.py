@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import GnssFixes, InitialState, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssFixes, InitialState, SensorData
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.error_state_filter.imu_states import thermal_figures

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray, IntArray, read_only
-from bench.data import GnssFixes, Innovations
+from bench.core.mathematics.arrays import FloatArray, IntArray, read_only
+from bench.core.records.data import GnssFixes, Innovations
 from bench.navigation.engine.gate import innovations, new_log, new_trust
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.engine.session import Kept, Scratch, SessionState

@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import BoolArray, FloatArray
-from bench.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Events, GnssFixes, NavSolution, SensorData, no_innovations
+from bench.core.records.sensor_specs import GnssSpec
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.session import Kept, SessionState
@@ -17,7 +18,6 @@ from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.error_state_filter.state_processes import assumed
 from bench.navigation.options import FixAccuracy, GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack, unknown_arm
-from bench.sensor_specs import GnssSpec
 
 _HELD = ("q_nb", "gyro_bias_b", "accel_bias_b", "extra", "extra_sd")
 _BRIEF = 0.1  # rate of decay from which on an error of the fixes is as good as white [1/s]

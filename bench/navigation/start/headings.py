@@ -21,9 +21,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.data import (
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.earth import EARTH_RATE, difference_n
+from bench.core.records.data import (
     EventRow,
     Events,
     InitialState,
@@ -32,7 +33,6 @@ from bench.data import (
     SensorData,
     no_innovations,
 )
-from bench.earth import EARTH_RATE, difference_n
 from bench.navigation.engine.piecewise import (
     InPieces,
     KnowsImuErrors,

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import NavSolution, SensorData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import NavSolution, SensorData
+from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.navigation.engine.imu_range import find_beyond
 from bench.navigation.start.fixes_only import End
-from bench.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 
 
 @dataclass(frozen=True, slots=True)

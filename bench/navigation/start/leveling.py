@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray, IntArray
-from bench.data import EventRow, InitialState, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import EventRow, InitialState, SensorData
+from bench.core.records.sensor_specs import TriadSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
-from bench.sensor_specs import TriadSpec
 
 WINDOW = 1.0  # length of the means that are compared to detect motion [s]
 LEAST_REST = 10.0  # shortest standstill that is used [s]

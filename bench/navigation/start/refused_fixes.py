@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray
-from bench.data import GnssFixes, Innovations
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import GnssFixes, Innovations
+from bench.core.records.sensor_specs import GnssSpec
 from bench.navigation.engine.kept_rows import join_rows
 from bench.navigation.engine.session import Kept, Replaced, SessionState
 from bench.navigation.engine.timeline import TIME_TOLERANCE
@@ -20,7 +21,6 @@ from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance, weigh_fixes
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS
 from bench.navigation.options import FixAccuracy
-from bench.sensor_specs import GnssSpec
 
 SHARE = 0.75
 """Part of the time of a window in which positions are refused."""

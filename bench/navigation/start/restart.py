@@ -19,10 +19,10 @@ from typing import cast
 
 import numpy as np
 
-from bench import earth
-from bench.arrays import FloatArray, same_array
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import FloatArray, same_array
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine import timeline
 from bench.navigation.engine.imu_range import count_lost, name_ranges
 from bench.navigation.engine.piecewise import (

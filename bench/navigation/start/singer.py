@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import inner, kernel
-from bench.earth import difference_kernel, displace_kernel
+from bench.core.compilation.compiled import inner, kernel
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.earth import difference_kernel, displace_kernel
 from bench.navigation.engine.gate import (
     DRIFTED,
     LOST,

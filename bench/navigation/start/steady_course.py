@@ -17,8 +17,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import GnssFixes, ImuData, InitialState, SensorData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import GnssFixes, ImuData, InitialState, SensorData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine.session import Kept, Replaced, SessionState, require
 from bench.navigation.error_state_filter.imu_states import thermal_figures
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
@@ -26,8 +28,6 @@ from bench.navigation.error_state_filter.standstill import WINDOW, StandstillDet
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.error_state_filter.state_processes import Block, States
 from bench.navigation.start.course import LEAST_SPEED
-from bench.sensor_specs import ImuSpec
-from bench.units import STANDARD_GRAVITY
 
 LARGE = float(np.deg2rad(15.0)) / 600.0  # sd of a bias that turns the heading out of what is linear [rad/s]
 FIRST = 20.0  # stretch at the start that tells the bias alone (`turn_on`) [s]

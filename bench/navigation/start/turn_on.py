@@ -17,9 +17,10 @@ from typing import cast
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.engine.piecewise import (
@@ -50,7 +51,6 @@ from bench.navigation.start.steady_course import (
     TURNED_SD,
     gyro_error_sd,
 )
-from bench.sensor_specs import ImuSpec
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
 STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]

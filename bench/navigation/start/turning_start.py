@@ -10,14 +10,14 @@ import math
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import InitialState, SensorData
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import InitialState, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.mechanization import propagate
 from bench.navigation.start.course import LEAST_SPEED
 from bench.navigation.start.steady_course import STRAIGHT, TURNED_SD
-from bench.units import STANDARD_GRAVITY
 
 _PART = 0.5  # sd of the bank over the bank, as a turn may slip and a car has none; assumed
 _STEPS = 10  # of Newton's method, at most

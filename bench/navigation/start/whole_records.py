@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from bench import disk_arrays
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.options import FixAccuracy
@@ -47,7 +47,7 @@ def run_between_gaps(
 
     Raises
     ------
-    bench.errors.EstimatorError
+    bench.EstimatorError
         If the record does not allow the alignment asked for at the start.
     """
     if accuracy is None or sensors.fixes is None or not _has_long_gap(sensors, initial.t):

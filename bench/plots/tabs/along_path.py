@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from bench.core.records.findings.series import BAND, FIX, TRUTH, Plot, Rows, draw_line
+from bench.core.records.specs import IN_FLIGHT
 from bench.evaluation.case import select_path
 from bench.evaluation.total_system import PARTS, resolve_along
-from bench.findings.series import BAND, FIX, TRUTH, Plot, Rows, draw_line
 from bench.plots.content import Content, Tab
-from bench.specs import IN_FLIGHT
 
 _NAMES = {"tse": "total system error", "fte": "flight technical error", "nse": "navigation system error"}
 _COLOURS = {"tse": TRUTH, "fte": BAND, "nse": FIX}

@@ -6,13 +6,21 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import NavSolution
-from bench.findings.series import AXES_B, DRIFTING, TRUTH, Plot, Rows, draw_line, draw_three_sigma
-from bench.instruments import INSTRUMENTS
-from bench.palette import Colour
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.core.records.data import NavSolution
+from bench.core.records.findings.series import (
+    AXES_B,
+    DRIFTING,
+    TRUTH,
+    Plot,
+    Rows,
+    draw_line,
+    draw_three_sigma,
+)
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.words.palette import Colour
 from bench.plots.content import Content, Tab
-from bench.units import STANDARD_GRAVITY
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
 _MG = 1e3 / STANDARD_GRAVITY  # m/s^2 to mg (standard gravity)

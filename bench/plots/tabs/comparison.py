@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import ErrorSeries
-from bench.findings.series import Plot, Rows, draw_line
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import ErrorSeries
+from bench.core.records.findings.series import Plot, Rows, draw_line
 from bench.plots.content import FAR, Content, Tab
 
 LEAST = 1e-3

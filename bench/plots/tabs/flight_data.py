@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from bench import disk_arrays, rotation
-from bench.data import Trajectory
-from bench.findings.series import (
+from bench.core.files import disk_arrays
+from bench.core.mathematics import rotation
+from bench.core.records.data import Trajectory
+from bench.core.records.findings.series import (
     AXES_N,
     AXIS_COLOURS,
     BAND,
@@ -23,7 +24,7 @@ from bench.findings.series import (
     draw_line,
     thin,
 )
-from bench.instruments import INSTRUMENTS, Instrument
+from bench.core.records.instruments import INSTRUMENTS, Instrument
 from bench.plots.content import Content, Tab
 
 

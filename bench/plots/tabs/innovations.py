@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.arrays import BoolArray
-from bench.data import Innovations
-from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
-from bench.findings.series import (
+from bench.core.mathematics.arrays import BoolArray
+from bench.core.records.data import Innovations
+from bench.core.records.findings.series import (
     AXES_N,
     BAND,
     MOST_ROWS,
@@ -22,8 +21,9 @@ from bench.findings.series import (
     draw_line,
     shorten,
 )
-from bench.instruments import INSTRUMENTS
-from bench.palette import Colour
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.words.palette import Colour
+from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
 from bench.plots.content import Content, Tab
 
 _MEASURED = {

@@ -7,19 +7,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.data import SkyView
-from bench.findings.series import (
-    AXIS_COLOURS,
-    SLOW,
-    Plot,
-    Rows,
-    Series,
-    draw_dots,
-    draw_line,
-)
-from bench.orbit_sets import SYSTEM_NAMES, name_satellite
-from bench.palette import Colour
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.records.data import SkyView
+from bench.core.records.findings.series import AXIS_COLOURS, SLOW, Plot, Rows, Series, draw_dots, draw_line
+from bench.core.records.orbit_sets import SYSTEM_NAMES, name_satellite
+from bench.core.words.palette import Colour
 from bench.plots.content import Content, Tab
 from bench.signals import dilution
 

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import rotation, sensors
+from bench import sensors
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
+from bench.core.mathematics import rotation
+from bench.core.records.instruments import BaroSpec
+from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from bench.evaluation.error_series import error_series
 from bench.evaluation.linear import gains, terms
 from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epochs
@@ -21,11 +24,9 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.path import make_path
 from bench.evaluation.linear.switching import keep_source, sense_alone
 from bench.evaluation.linear.terms import model_errors
-from bench.instruments import BaroSpec
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.measurement_rows import BARO as MEASURED_BARO
 from bench.navigation.error_state_filter.measurement_rows import POSITION, VELOCITY
-from bench.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from tests.builders import band
 from tests.synthetic import still, turning
 from tests.weaving import BARO, DEG, IMU, units, weaving

@@ -10,15 +10,15 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
-from bench.errors import ConfigError
+from bench.core.records.instruments import BaroSpec, StaticPressureSpec
+from bench.core.records.sensor_specs import Fault, GnssSpec, ImuSpec, TriadSpec, VibrationSpec
+from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear import error_budget, gains, held, quantities, terms
 from bench.evaluation.linear.best_linear import find_epochs
 from bench.evaluation.linear.path import FACTORS, make_path
 from bench.evaluation.linear.terms import IMU, Constant, ErrorProcess
-from bench.instruments import BaroSpec, StaticPressureSpec
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensor_specs import Fault, GnssSpec, ImuSpec, TriadSpec, VibrationSpec
 from bench.sensors.imu_terms import compute_temperature
 from tests.synthetic import turning
 from tests.weaving import units

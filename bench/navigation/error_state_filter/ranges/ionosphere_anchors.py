@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.compiled import inner
+from bench.core.compilation.compiled import inner
+from bench.core.mathematics.arrays import FloatArray
 from bench.signals.least_squares import EARTH_RADIUS, SHELL
 
 _AROUND = 9e5  # from the receiver to the outer anchors [m]: half way to the pierce point at 5 deg

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from bench.core.records.orbit_sets import GPS, SYSTEM_NAMES
+from bench.core.records.sensor_specs import AssumedSpecs, SkySpec
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.state_processes import Block, States, assumed
-from bench.orbit_sets import GPS, SYSTEM_NAMES
-from bench.sensor_specs import AssumedSpecs, SkySpec
 from bench.signals.orbits import C
 
 RANGES = (16, 12, 12, 16)

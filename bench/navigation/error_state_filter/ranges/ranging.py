@@ -18,10 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.arrays import FloatArray, IntArray
-from bench.compiled import find_address, inner, make_caller, types_of
-from bench.data import GnssObservations
-from bench.earth import WGS84, radii_kernel
+from bench.core.compilation.compiled import find_address, inner, make_caller, types_of
+from bench.core.mathematics.arrays import FloatArray, IntArray
+from bench.core.mathematics.earth import WGS84, radii_kernel
+from bench.core.records.data import GnssObservations
+from bench.core.records.sensor_specs import SkySpec
 from bench.navigation.engine.session import Growing, require, require_rows
 from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel
 from bench.navigation.error_state_filter.measurement_rows import (
@@ -39,7 +40,6 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
 from bench.navigation.error_state_filter.ranges.range_states import multipath_sd
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
-from bench.sensor_specs import SkySpec
 from bench.signals import receiver
 from bench.signals.delays import (
     klobuchar_kernel,

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.arrays import BoolArray, FloatArray, IntArray
-from bench.compiled import kernel
-from bench.data import GnssObservations
+from bench.core.compilation.compiled import kernel
+from bench.core.compilation.wide_rows import widened
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import GnssObservations
+from bench.core.records.orbit_sets import name_satellite
 from bench.navigation.engine.session import Replaced, SessionState, fork
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.error_state_filter.measurement_update import Gate
 from bench.navigation.error_state_filter.propagation import FilterState, Pending
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
-from bench.orbit_sets import name_satellite
-from bench.wide_rows import widened
 
 _GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
 _PLACES = np.column_stack([np.cumsum(RANGES) - RANGES, np.cumsum(RANGES)])  # by system: first, and end

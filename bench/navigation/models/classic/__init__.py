@@ -26,8 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from bench.arrays import FloatArray
-from bench.data import EventRow, GnssFixes, InitialState, NavSolution, SensorData
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, GnssFixes, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES, unmodelled
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -39,7 +40,6 @@ from bench.navigation.models.stepped_filters import SteppedPassage
 from bench.navigation.options import ClassicOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.restart import between_gaps
-from bench.sensor_specs import AssumedSpecs
 
 
 def _read_fixes(fixes: GnssFixes, *_: object) -> tuple[FloatArray, FloatArray]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 from bench.navigation.engine.session import Kept, Scratch, SessionState
 from bench.navigation.models.classic import square_root
 from bench.navigation.models.classic.navigator import Nav

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
 from bench.navigation.models.classic.navigator import R3, Earth, Nav
 
 

@@ -11,9 +11,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation.engine.integrity import SCHULER_RADIUS
-from bench.units import STANDARD_GRAVITY
 
 Curve = Literal["line", "parabola", "schuler"]
 

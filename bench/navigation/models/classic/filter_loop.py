@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import EventRow, Events, InitialState, NavSolution, SensorData
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.navigation.engine import timeline
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import correction_period, nis, tolerance, trace_ratio

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE, WGS84, gravity_gradient_kernel, gravity_kernel, radii_kernel
-from bench.units import STANDARD_GRAVITY
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import (
+    EARTH_RATE,
+    WGS84,
+    gravity_gradient_kernel,
+    gravity_kernel,
+    radii_kernel,
+)
+from bench.core.mathematics.units import STANDARD_GRAVITY
 
 R3 = 6_371_000.0  # sphere of the reduced coordinates [m], equations 1.5
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
 from bench.navigation.error_state_filter.measurement_rows import BARO_ROWS, FIX_ROWS
 from bench.navigation.models.classic.navigator import NED_OF_ENU, Earth, Nav, reduced
 from bench.navigation.models.classic.process_model import SIZE, Sigmas, per_axis

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.records.sensor_specs import AssumedSpecs, TriadSpec
 from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix, noise_matrix
 from bench.navigation.models.classic.navigator import Earth, Nav, Vector, reduced
-from bench.sensor_specs import AssumedSpecs, TriadSpec
 
 SIZE = 22
 NOISES = 28

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 Floats = NDArray[np.floating[Any]]
 

@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.data import Events, InitialState, NavSolution, SensorData
-from bench.errors import EstimatorError
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import Events, InitialState, NavSolution, SensorData
+from bench.core.records.sensor_specs import AssumedSpecs, ImuSpec
+from bench.core.words.exceptions import EstimatorError
 from bench.navigation.engine.earthbound import Earthbound
 from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
@@ -34,7 +35,6 @@ from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GraphOptions, read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.whole_records import run_between_gaps
-from bench.sensor_specs import AssumedSpecs, ImuSpec
 
 _SMALL = 0.01  # step of the last pass, in standard deviations
 _LEAST = np.array([1e-7, 1e-6, 1e-10, 1e-8])  # of noise of gyro and accelerometer, of their biases, SI
@@ -60,7 +60,7 @@ class GraphSmoother:
 
         Raises
         ------
-        bench.errors.EstimatorError
+        bench.EstimatorError
             Where :meth:`refuses` says why, and as for an alignment.
         """
         if sensors.fixes is not None and (said := self.refuses(sensors.specs)):

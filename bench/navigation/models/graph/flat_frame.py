@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from bench import earth, rotation
-from bench.arrays import FloatArray
-from bench.data import InitialState
-from bench.earth import EARTH_RATE
-from bench.errors import EstimatorError
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE
+from bench.core.records.data import InitialState
+from bench.core.words.exceptions import EstimatorError
 
 
 def load_gtsam() -> Any:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_simpson
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.navigation.engine.integrity import SCHULER_RADIUS
-from bench.units import STANDARD_GRAVITY
 
 
 @dataclass(frozen=True)

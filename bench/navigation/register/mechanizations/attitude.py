@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
 from bench.navigation.register.mechanizations.vectors import (
     Quaternion,
     Vector,

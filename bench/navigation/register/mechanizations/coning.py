@@ -18,7 +18,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 MOST_SAMPLES = 4
 

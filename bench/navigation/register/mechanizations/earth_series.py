@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bench.earth import EARTH_RATE, GAMMA_E, WGS84, Ellipsoid, gravity_kernel
+from bench.core.mathematics.earth import EARTH_RATE, GAMMA_E, WGS84, Ellipsoid, gravity_kernel
 
 _exact_gravity = gravity_kernel.py_func  # type: ignore[attr-defined]
 

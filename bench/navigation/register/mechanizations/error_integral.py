@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import cumulative_simpson
 
-from bench.arrays import FloatArray
-from bench.rotation import conjugate, multiply
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.rotation import conjugate, multiply
 
 
 def quaternion_error(

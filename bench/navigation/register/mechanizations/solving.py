@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench import rotation
-from bench.arrays import FloatArray, as_float
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray, as_float
 from bench.navigation import mechanization
 from bench.navigation.models.classic.navigator import FRD_OF_FUR
 from bench.navigation.register.mechanizations.attitude import make_attitude

@@ -13,9 +13,9 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from bench import rotation
-from bench.arrays import FloatArray
-from bench.earth import EARTH_RATE, WGS84, matrix_en, to_ecef
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import EARTH_RATE, WGS84, matrix_en, to_ecef
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, turn_matrix
 from bench.navigation.register.mechanizations.earth_series import GRAVITIES, RADII, EarthModel
 from bench.navigation.register.mechanizations.vectors import ZERO, Vector, add, cross, scale, turn
@@ -260,7 +260,7 @@ class Inertial(Ecef):
 
 
 def level_matrix(lat: float, lon: float) -> FloatArray:
-    """Return C_ne (3, 3), Earth-fixed to north, east, down (`bench.earth.matrix_en` transposed)."""
+    """Return C_ne (3, 3), Earth-fixed to north, east, down (`earth.matrix_en` transposed)."""
     s, c, sl, cl = math.sin(lat), math.cos(lat), math.sin(lon), math.cos(lon)
     return np.array([[-s * cl, -s * sl, c], [-sl, cl, 0.0], [-c * cl, -c * sl, -s]])
 

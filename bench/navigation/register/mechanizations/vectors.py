@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from bench.arrays import FloatArray
+from bench.core.mathematics.arrays import FloatArray
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

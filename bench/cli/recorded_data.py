@@ -1,0 +1,275 @@
+"""The verbs of recorded data, results and other tools: navigate, show, fixes, allan, export, score..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.cli import completion
+from bench.cli.group import (
+    FILE,
+    STATUS,
+    commands,
+    end_run,
+    estimator_option,
+    force_option,
+    json_option,
+    new_console,
+    out_option,
+    parse_durations,
+    rates_option,
+    results_options,
+    set_option,
+    strict_option,
+    table_option,
+)
+from bench.core.words.exceptions import DONE, NEGATIVE, ConfigError
+
+
+class _LogCommand(click.Command):
+    """Names the verb for RINEX files if their options are given."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if any(arg.partition("=")[0] in ("--observations", "--navigation") for arg in args):
+            raise ConfigError(
+                "bench navigate takes a LOG.toml; for RINEX files use: bench fixes OBSERVATIONS NAVIGATION..."
+            )
+        return super().parse_args(ctx, args)
+
+
+@commands.command(cls=_LogCommand, epilog=STATUS)
+@click.argument("log", metavar="LOG.toml|FILE")
+@estimator_option("use only this one, of the file, built in")
+@click.option(
+    "--outages",
+    callback=lambda ctx, param, given: (
+        None if given is None else parse_durations(ctx, param, "" if given == "none" else given)
+    ),
+    metavar="S,S,...|none",
+    help="cut out GNSS for this long and judge the drift by the fixes that were cut out  [default: 10,30,60 "
+    "where the recording is long enough; none where a reference judges]",
+)
+@click.option(
+    "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
+)
+@click.option(
+    "--tune-noise",
+    is_flag=True,
+    help="assume the noise of the IMU at rest if it is larger than that of its datasheet",
+)
+@click.option(
+    "--motion-noise",
+    is_flag=True,
+    help="assume the noise of the IMU while it moves if it is larger than that of its datasheet",
+)
+@rates_option
+@results_options("log")
+@set_option
+@out_option("folder for the results  [default: runs/<log>]")
+@json_option("the figures")
+@table_option
+@strict_option
+def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
+    """Run estimators on a recording of real sensors.
+
+    FILE is a recording: its LOG.toml is written beside it first, as bench new log does.
+    LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
+    mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
+    data is reported first. Every fifth fix is withheld from the filters to judge them;
+    --outages cuts out GNSS at several places and judges the drift by the fixes there,
+    or by the [reference] of the log. The log of an autopilot has its own estimate, too:
+    -e autopilot, or -e autopilot:1 for its second instance.
+    Writes a results folder as bench run does, without truth.
+
+    \b
+    Example:
+      bench navigate drive.toml -e loose-15 --outages 10,30,60
+      bench navigate flight.bin -e autopilot -e loose-full
+    """
+    from bench.store import to_json
+    from bench.workbench.record_verbs import navigate_log
+
+    summary = navigate_log(log, console=new_console(stderr=as_json), **options)
+    if as_json:
+        click.echo(to_json(summary), nl=False)
+    return end_run(summary["metrics"], strict=strict)
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", required=False, type=FILE, metavar="[DIR]")
+def show(folder: Path | None) -> int:
+    """Print the figures of finished results as tables, with their bounds.
+
+    DIR is the folder of a run, a log, a campaign or a study; default the newest run
+    below ./runs.
+    """
+    from bench.workbench.show_verb import show_results
+
+    show_results(folder, console=new_console())
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("unit", required=False, metavar="[UNIT]", shell_complete=completion.imu)
+@click.option("--log", type=FILE, metavar="FILE", help="measure this log of an IMU at rest")
+@out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
+@click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
+@force_option("picture")
+def allan(unit: str | None, log: Path | None, **options: Any) -> int:
+    """Measure the Allan deviation of an IMU and compare it with its datasheet.
+
+    UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml. Its
+    model is measured at rest: averaging times below 8 s at 200 Hz, longer ones for
+    18 h at 1 Hz. Each value is compared with the analytic curve of all its terms.
+    With --log a log is measured and, if UNIT is given, compared with it.
+
+    FILE is a table, .csv, .parquet or .mat: t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_...,
+    gyro_z_..., accel_x_m_s2 (or g, mg), ...: rates of an IMU at rest, one row per sample; one
+    of the two triads may be missing.
+
+    \b
+    Examples:
+      bench allan stim300
+      bench allan --log desk.csv
+      bench allan icm-42688-p --log desk.csv -o desk.png
+    """
+    if unit is None and log is None:
+        raise click.UsageError("give a UNIT of the catalog or --log FILE")
+    from bench.workbench.record_verbs import measure_allan
+
+    return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", type=FILE, metavar="RUN")
+@click.option("--to", "kind", required=True, metavar="FORMAT", help="csv, kf-gins ...; bench list exports")
+@out_option("folder for the files  [default: RUN-FORMAT beside RUN]")
+@click.option(
+    "--with",
+    "include",
+    multiple=True,
+    metavar="NAME",
+    help="truth or solution:NAME, besides the sensors; repeat for more",
+)
+@click.option(
+    "--like", type=FILE, metavar="FILE", help="ulog: a log of your own firmware, whose definitions it takes"
+)
+@force_option("export")
+def export(folder: Path, **options: Any) -> int:
+    """Export the sensor data of a run in the format of another tool.
+
+    RUN is a results folder, FORMAT one of bench list exports. Truth and
+    solutions are exported only if named.
+
+    \b
+    Examples:
+      bench export runs/figure-eight-20260101 --to kf-gins
+      bench export runs/figure-eight-20260101 --to tum --with truth --with solution:loose-15
+      bench export runs/figure-eight-20260101 --to ulog --like own.ulg
+
+    \b
+    Writes to DIR the files of the format and a README.md that describes their
+    columns, units, frames and row counts.
+    """
+    from bench.workbench.record_verbs import export_run
+
+    export_run(folder, console=new_console(), **options)
+    return DONE
+
+
+@commands.command(epilog=STATUS)
+@click.argument("solution", type=FILE)
+@click.argument("folder", type=FILE, metavar="RUN")
+@click.option("--label", metavar="NAME", help="label of the solution  [default: the name of its file]")
+@click.option(
+    "--t0", "t_0", type=float, default=0.0, metavar="S", help="time of the file at the start of the run"
+)
+@click.option(
+    "--max-gap",
+    "longest",
+    type=click.FloatRange(min=0),
+    metavar="S",
+    help="longest interval between rows that is interpolated  [default: twice the median, at most 2 s]",
+)
+@out_option("write the results folder with the solution added, without the recording")
+@json_option("its metrics")
+@force_option()
+@strict_option
+def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: Any) -> int:
+    """Judge the solution of any program on a run, beside the estimators of the bench.
+
+    RUN is a results folder, SOLUTION a table (.csv, .parquet, .mat) of
+    the motion of the IMU at its own times. Column names give quantity, frame and unit;
+    time and one of position, velocity, attitude are required:
+
+    \b
+      t_s                                     since the start of the run
+      lat_deg, lon_deg, alt_m                 or ecef_x_m, ecef_y_m, ecef_z_m
+      vel_n_mps, vel_e_mps, vel_d_mps         or ecef_vel_x_mps, ...
+      roll_deg, pitch_deg, heading_deg        or q_nb_w, _x, _y, _z, or q_eb_w, ...
+      sd_pos_n_m, sd_vel_n_mps, sd_phi_n_deg  with _e, _d: optional
+      cov_pos_n_pos_n, cov_pos_n_vel_e, ...   instead of sd_: in SI and radians
+
+    Nothing is extrapolated; the fraction of the output times it covers is reported.
+
+    \b
+    Examples:
+      bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
+      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
+    """
+    from bench.store import to_json
+    from bench.workbench.record_verbs import score_solution
+
+    measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)
+    if as_json:
+        click.echo(to_json(measured), nl=False)
+    return end_run({solution.stem: measured}, strict=strict)
+
+
+@commands.command(epilog=STATUS)
+@click.argument("folder", type=FILE, metavar="RUN")
+@click.option("--udp", metavar="IP:PORT", help="send each message as a datagram to this address")
+@click.option(
+    "--tcp", metavar="IP:PORT", help="wait for one connection at this address; port 0 takes a free one"
+)
+@click.option(
+    "--rate",
+    type=float,
+    default=1.0,
+    metavar="R",
+    help="seconds of the run per second; 0 or inf: as fast as possible",
+)
+@click.option("--allow-remote", is_flag=True, help="permit an address on another machine")
+def stream(folder: Path, **options: Any) -> int:
+    """Send the sensor data of a run at the pace of its arrival, for a filter in the loop.
+
+    RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
+    IMU and the other instruments are binary frames, little-endian:
+
+    \b
+      0xAA 0x55, kind (1 IMU, 2 baro, 3 mag, 4 airspeed, 5 radar, 6 odometer, 7 heading),
+      length n, uint32 number,
+      n bytes payload: float64 values, then one byte, 1 if valid;
+      uint16 CRC-16/CCITT-FALSE of all between 0xAA 0x55 and itself
+    \b
+      IMU       t, dt [s], dtheta x y z [rad], dvel x y z [m/s]: forward, right, down
+      baro      t [s], altitude [m], sd [m]
+      mag       t [s], field x y z [T], sd [T]
+      others    t [s], value and its sd: airspeed [m/s], radar [m], odometer [m/s], heading [rad]
+
+    A message is sent when it would reach the filter: at its time plus the latency of
+    its sensor. Without --allow-remote only addresses of this machine are accepted.
+
+    \b
+    Examples:
+      bench stream runs/figure-eight-20260101 --udp 127.0.0.1:5600
+      bench stream runs/figure-eight-20260101 --tcp 127.0.0.1:5600 --rate 10
+    """
+    if (options["udp"] is None) == (options["tcp"] is None):
+        raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
+    from bench.workbench.record_verbs import stream_run
+
+    stream_run(folder, console=new_console(), **options)
+    return DONE

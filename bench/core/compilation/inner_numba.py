@@ -1,0 +1,159 @@
+"""What kernels use of numba's inner parts: its passes, its libraries, the files of its cache.
+
+These are not for others, and may be other ones in any version: `bench.core.compilation.compiled` tries them
+in small, and goes without where they fail.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+_IDLE_PASSES = {
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteSemanticConstants",
+    "DeadBranchPrune",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "NoPythonSupportedFeatureValidation",
+    "DumpParforDiagnostics",
+}
+
+
+@cache
+def compilers() -> tuple[type, type]:
+    """Return the compiler of kernels, and that of a kernel as a part of another one.
+
+    Half of numba's passes look for what no kernel has: closures, branches of other types, array expressions.
+    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimised and
+    made into machine code at once with all its parts.
+    """
+    from numba.core.codegen import JITCodeLibrary
+    from numba.core.compiler import Compiler, Flags
+    from numba.core.compiler_machinery import PassManager
+
+    class SetFlags(Flags):
+        """Flags by what is set of them: numba asks for a hash of all, default or not, at every operator."""
+
+        def __hash__(self) -> int:
+            return len(self._values)
+
+        def __eq__(self, other: object) -> bool:
+            same = isinstance(other, SetFlags) and self._values == other._values
+            return same or bool(super().__eq__(other))  # type: ignore[no-untyped-call]
+
+    class Whole(Compiler):
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            args, returns, flags, names = rest
+            if library is None:
+                library = Sealed(target.codegen(), "kernel")  # type: ignore[no-untyped-call]
+                library.enable_object_caching()
+            kept = SetFlags(flags)  # type: ignore[no-untyped-call]
+            super().__init__(typing, target, library, args, returns, kept, names)  # type: ignore[no-untyped-call]
+
+        def define_pipelines(self) -> list[Any]:
+            """Return numba's passes, less those that find nothing to do."""
+            lean = PassManager("kernel")
+            (whole,) = super().define_pipelines()  # type: ignore[no-untyped-call]
+            lean.passes = [one for one in whole.passes if one[0].__name__ not in _IDLE_PASSES]
+            lean.finalize()
+            return [lean]
+
+    class Sealed(JITCodeLibrary):
+        def _optimize_final_module(self) -> None:
+            """Let only the kernel be seen from outside: its parts then lie in it, or take what they use.
+
+            numba's first passes are left out: they are for the counting of references.
+            """
+            import llvmlite.binding as llvm
+
+            for one in self._final_module.functions:
+                if not one.is_declaration and one.linkage == llvm.Linkage.linkonce_odr:
+                    one.linkage = llvm.Linkage.internal
+            passes, builder = self._codegen._module_pass_manager()
+            passes.run(self._final_module, builder)
+
+    class Library(JITCodeLibrary):
+        def _optimize_final_module(self) -> None:
+            """Leave it to the whole."""
+
+        def _finalize_final_module(self) -> None:
+            self._finalized = True
+
+        @property
+        def codegen(self) -> Any:
+            return self
+
+        def set_env(self, name: str, environment: object) -> None:
+            """Forget what machine code would need."""
+
+    class Part(Whole):
+        def __init__(self, typing: Any, target: Any, library: Any, *rest: Any) -> None:
+            library = library or Library(target.codegen(), "part")  # type: ignore[no-untyped-call]
+            super().__init__(typing, target, library, *rest)
+
+    return Whole, Part
+
+
+@cache
+def summed_files() -> type:
+    """Return the files of numba's cache with a sum in each: what is damaged is told once and made again."""
+    import pickle
+
+    from numba.core.caching import IndexDataCacheFile
+
+    files: Any = IndexDataCacheFile
+
+    class SummedFiles(files):  # type: ignore[misc]
+        def _write(self, path: str, value: object) -> None:
+            data = self._dump(value)
+            with self._open_for_write(path) as file:
+                file.write(hashlib.sha256(data).digest() + data)
+
+        def _read(self, path: str) -> Any:
+            whole = Path(path).read_bytes()
+            if hashlib.sha256(whole[32:]).digest() != whole[:32]:
+                raise ValueError(f"{path} is damaged")
+            return pickle.loads(whole[32:])
+
+        def _save_index(self, overloads: object) -> None:
+            self._write(self._index_path, (self._source_stamp, overloads))
+
+        def _load_index(self) -> Any:
+            try:
+                stamp, overloads = self._read(self._index_path)
+            except FileNotFoundError:
+                return {}
+            except Exception:
+                _tell_damage(self._cache_path)
+                return {}
+            return overloads if stamp == self._source_stamp else {}
+
+        def _save_data(self, name: str, data: object) -> None:
+            self._write(self._data_path(name), data)
+
+        def _load_data(self, name: str) -> Any:
+            try:
+                return self._read(self._data_path(name))
+            except OSError:  # numba compiles again
+                raise
+            except Exception:
+                _tell_damage(self._cache_path)
+                return None
+
+    return SummedFiles
+
+
+@cache
+def _tell_damage(folder: str) -> None:
+    print(f"bench: compiled code in {folder} is damaged; it is compiled again", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""Arrays, units, rotations, the Earth and random numbers."""

@@ -1,0 +1,1 @@
+"""Records of a run, specs of what is simulated, and what was found."""

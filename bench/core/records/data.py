@@ -1,0 +1,411 @@
+"""The records of the bench: frozen, read-only columns, one row per instant.
+
+Frames: n is the local level at the current position (north, east, down), b the body and IMU axes (forward,
+right, down), e Earth-fixed, i inertial. Units are SI and radians. The truth must be finite with increasing
+times. Sensor records and solutions are checked for shape and type only, because NaN, repeated times and time
+going back are data there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from functools import cache
+
+import numpy as np
+
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, as_float, read_only
+from bench.core.records.fields import NED, Rebuilt, Record, column, declared, freeze_field, matrix, vector
+from bench.core.records.instruments import INSTRUMENTS, InstrumentReports
+from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
+
+_LLA = ("lat_rad", "lon_rad", "alt_m")
+_Q_NB = ("q_nb_w", "q_nb_x", "q_nb_y", "q_nb_z")
+STATES = tuple(
+    (f"{block}_{axis}", unit)
+    for block, unit in (("pos", "m"), ("vel", "m/s"), ("phi", "rad"))
+    for axis in NED
+)
+"""Names and units of the nine errors in the covariance of a solution."""
+
+
+def _check_increasing(name: str, t: FloatArray) -> None:
+    if not (t[1:] > t[:-1]).all():
+        k = int(np.argmax(np.diff(t) <= 0))
+        raise ValueError(f"{name} must increase; row {k + 1} has {t[k + 1]:g} s after {t[k]:g} s")
+
+
+EventRow = tuple[float, float, str, str] | tuple[float, float, str, str, str]
+"""t, t_end, kind, text and, if there are any, the sensors concerned, as in `Events`."""
+
+
+@declared
+class Events(Record):
+    """Events with start and end: legs, outages, faults, rejected sensor rows. For an instant t_end = t."""
+
+    t: FloatArray = column("t_s")  # (N,) start [s]
+    t_end: FloatArray = column("t_end_s")  # (N,) end [s]
+    kind: tuple[str, ...] = column("kind", kind=str)  # "leg", "gnss_outage", "wind", "timeline", ...
+    text: tuple[str, ...] = column("text", kind=str)
+    # names of the records or innovations concerned, "gnss", "gnss_position" ..., with spaces between; or ""
+    sensor: tuple[str, ...] = column("sensor", kind=str)
+
+    def select(self, kind: str) -> list[tuple[float, float, str]]:
+        """Return (t, t_end, text) of all events of one kind."""
+        return [
+            (float(a), float(b), text)
+            for a, b, k, text in zip(self.t, self.t_end, self.kind, self.text, strict=True)
+            if k == kind
+        ]
+
+    @classmethod
+    def from_rows(cls, rows: Iterable[EventRow]) -> Events:
+        """Make events from rows in any order; they are sorted by time."""
+        ordered = sorted(((*row, "")[:5] for row in rows), key=lambda row: row[:2])
+        if not ordered:
+            return no_events()
+        t, t_end, *texts = zip(*ordered, strict=True)
+        return cls(np.array(t, float), np.array(t_end, float), *texts)
+
+    def rows(self) -> list[EventRow]:
+        """Return the rows."""
+        t, t_end = self.t.tolist(), self.t_end.tolist()
+        return list(zip(t, t_end, self.kind, self.text, self.sensor, strict=True))
+
+
+@cache
+def no_events() -> Events:
+    """Return events without rows."""
+    return Events(np.empty(0), np.empty(0), (), (), ())
+
+
+@declared
+class AirData(Record):
+    """The air around the aircraft, at 20 Hz on its own times."""
+
+    t: FloatArray = column("t_s")  # (A,) [s]
+    pressure: FloatArray = column("pressure_pa")  # (A,) static [Pa]
+    temperature: FloatArray = column("temperature_k")  # (A,) static [K]
+    airspeed_true: FloatArray = column("airspeed_true_mps")  # (A,) [m/s]
+    airspeed_calibrated: FloatArray = column("airspeed_calibrated_mps")  # (A,) [m/s]
+    alpha: FloatArray = column("alpha_rad")  # (A,) angle of attack [rad]
+    beta: FloatArray = column("beta_rad")  # (A,) sideslip [rad]
+    # (A, 3) velocity of the air mass, with turbulence [m/s], n
+    wind_n: FloatArray = vector("wind", "mps", "n")
+    engine_speed: FloatArray = column("engine_speed_rad_s")  # (A,) [rad/s]
+
+    def __post_init__(self) -> None:
+        self._freeze(finite=True)
+        _check_increasing("AirData.t", self.t)
+
+
+@declared
+class Controls(Record):
+    """Controls as flown, at 20 Hz; surfaces -1 to 1, signs of JSBSim (right roll, nose down, nose left)."""
+
+    t: FloatArray = column("t_s")  # (A,) [s]
+    aileron: FloatArray = column("aileron")  # (A,)
+    elevator: FloatArray = column("elevator")  # (A,)
+    rudder: FloatArray = column("rudder")  # (A,)
+    throttle: FloatArray = column("throttle")  # (A,) 0 to 1
+
+    def __post_init__(self) -> None:
+        self._freeze(finite=True)
+        _check_increasing("Controls.t", self.t)
+
+
+def no_air() -> AirData:
+    """Return air data without rows, for a truth without air."""
+    n = np.empty(0)
+    return AirData(n, n, n, n, n, n, n, np.empty((0, 3)), n)
+
+
+def no_controls() -> Controls:
+    """Return controls without rows, for a truth without controls."""
+    n = np.empty(0)
+    return Controls(n, n, n, n, n)
+
+
+@declared
+class Trajectory(Record):
+    """The truth: motion of the IMU, and the exact increments that an error-free IMU would report."""
+
+    t: FloatArray = column("t_s")  # (N,) since the start of the run [s]
+    # (N, 3) geodetic latitude, longitude [rad], ellipsoidal height [m]
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (N, 3) Earth-relative velocity [m/s], n
+    # (N, 4) b to n, scalar first, sign-continuous
+    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))
+    # (N-1, 3) integral of w_ib_b over (t[k], t[k+1]] [rad], b
+    dtheta_b: FloatArray = vector("dtheta", "rad", "b")
+    dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N-1, 3) integral of f_b over (t[k], t[k+1]] [m/s], b
+    air: AirData
+    controls: Controls
+    events: Events
+
+    def __post_init__(self) -> None:
+        between = (len(self.t) - 1, 3)
+        self._freeze(finite=True, besides={"dtheta_b": between, "dvel_b": between})
+        _check_increasing("Trajectory.t", self.t)
+
+
+@declared
+class ImuData(Record):
+    """Measured increments; row k covers the interval (t[k] - dt[k], t[k]]."""
+
+    t: FloatArray = column("t_s")  # (N,) end of the interval [s]
+    dt: FloatArray = column("dt_s")  # (N,) length of the interval [s]
+    valid: BoolArray = column("valid", kind=bool)  # (N,) as flagged by the IMU itself
+    dtheta_b: FloatArray = vector("dtheta", "rad", "b")  # (N, 3) [rad], b
+    dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N, 3) [m/s], b
+
+
+@declared
+class GnssFixes(Record):
+    """Position and velocity of the GNSS antenna as the receiver reports them."""
+
+    t: FloatArray = column("t_s")  # (M,) validity [s]
+    t_arrival: FloatArray = column("t_arrival_s")  # (M,) when the fix reaches the filter [s]
+    valid: BoolArray = column("valid", kind=bool)  # (M,)
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) [rad, rad, m]
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n; NaN if not reported
+    cov_pos_n: FloatArray = matrix(STATES[0:3], "n")  # (M, 3, 3) reported [m^2], n
+    cov_vel_n: FloatArray = matrix(STATES[3:6], "n")  # (M, 3, 3) reported [m^2/s^2], n
+    satellites: IntArray = column("satellites", kind=int)  # (M,) number used
+
+    def take(self, rows: BoolArray | IntArray) -> GnssFixes:
+        """Return the fixes of the selected rows."""
+        return GnssFixes(**{one.name: getattr(self, one.name)[rows] for one in fields(self)})
+
+
+@declared
+class GnssObservations(Record):
+    """Measurements of a receiver with the computed satellite states, a row per satellite and epoch."""
+
+    t: FloatArray = column("t_s")  # (K,) validity of the epoch [s]
+    t_arrival: FloatArray = column("t_arrival_s")  # (K,) [s]
+    sat: IntArray = column("sat", kind=int)  # (K,) number within its system
+    system: IntArray = column("system", kind=int)  # (K,) code of `bench.core.records.orbit_sets`
+    frequency: FloatArray = column(shape=(None,))  # (K, bands) carrier [Hz]
+    pseudorange: FloatArray = column(shape=(None,))  # (K, bands) [m]; NaN where a band is missing
+    range_rate: FloatArray = column(shape=(None,))  # (K, bands) [m/s]
+    cn0: FloatArray = column(shape=(None,))  # (K, bands) [dB-Hz]
+    # (K, 3) at transmission, by the broadcast ephemeris [m], e at transmission
+    sat_pos_e: FloatArray = vector("sat_pos", "m", "e at transmission")
+    sat_vel_e: FloatArray = vector("sat_vel", "mps", "e at transmission")  # (K, 3) [m/s], e at transmission
+    sat_clock: FloatArray = column("sat_clock_m")  # (K,) with relativity; add it to a pseudorange [m]
+    sat_clock_rate: FloatArray = column("sat_clock_rate_mps")  # (K,) add it to a range rate [m/s]
+    # (K,) of the range in use, of one carrier or of two combined; subtract it [m]
+    group_delay: FloatArray = column("group_delay_m")
+    sd_pseudorange: FloatArray = column("sd_pseudorange_m")  # (K,) assumed, of the corrected pseudorange [m]
+    sd_range_rate: FloatArray = column("sd_range_rate_mps")  # (K,) assumed [m/s]
+    epoch_start: IntArray  # (M + 1,) first row of each epoch, then K
+    klobuchar: FloatArray  # (8,) broadcast alpha 0-3, beta 0-3
+    gps_t0: float  # GPS time of t = 0, seconds since a GPS midnight [s]
+
+    def __post_init__(self) -> None:
+        self._freeze(width=np.shape(self.pseudorange)[-1])
+        freeze_field(self, "epoch_start", int, (None,))
+        freeze_field(self, "klobuchar", float, (8,))
+
+    @property
+    def epoch(self) -> IntArray:
+        """Epoch (K,) of each row."""
+        count: IntArray = np.repeat(np.arange(len(self.epoch_start) - 1), np.diff(self.epoch_start))
+        return count
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class SensorData(InstrumentReports, Rebuilt):
+    """The input of an estimator: measurements, and the datasheets to assume."""
+
+    imu: ImuData
+    fixes: GnssFixes | None
+    antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
+    specs: AssumedSpecs
+    output_t: FloatArray  # (M,) increasing instants of the solution [s]
+    observations: GnssObservations | None = None
+    ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
+    date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
+    __repr__ = Rebuilt.__repr__
+
+    def __post_init__(self) -> None:
+        freeze_field(self, "antenna_b", float, (3,), finite=True)
+        freeze_field(self, "output_t", float, (None,), finite=True)
+        _check_increasing("SensorData.output_t", self.output_t)
+
+    def duration_from(self, start: float) -> float:
+        """Return the time from a start to the last instant of the solution [s]."""
+        return float(self.output_t[-1]) - start if len(self.output_t) else 0.0
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class InitialState(Rebuilt):
+    """Initial state of an estimator with its covariance.
+
+    What is not given is NaN with infinite variance; `bench.navigation.start.alignment.complete` finds it.
+    """
+
+    t: float  # [s]
+    lla: FloatArray  # (3,) [rad, rad, m]
+    vel_n: FloatArray  # (3,) [m/s], n
+    q_nb: FloatArray  # (4,)
+    cov: FloatArray  # (9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
+    alignment: str  # values given: "given" all, "level" the position at standstill, "course" none
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
+    bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))
+    """(9, 6) covariance of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
+    fix_cov: FloatArray = field(default_factory=lambda: np.zeros(3))
+    """(3,) covariance of the error of the position with that which lasts in fixes [m^2], n."""
+
+    def __post_init__(self) -> None:
+        state = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}
+        shapes: dict[str, tuple[int, ...]] = {**state, "bias_cov": (9, 6), "fix_cov": (3,)}
+        for name, shape in shapes.items():
+            freeze_field(self, name, float, shape, finite=self.alignment == "given")
+
+
+@declared
+class SensorTruth(Record):
+    """Slowly varying errors drawn by the sensor models; for the recording and the report, not for filters."""
+
+    t: FloatArray = column("t_s")  # (B,) [s]
+    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (B, 3)
+    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (B, 3)
+    bias: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Name of an instrument on board -> its slowly varying error (B, k), in its unit and frame."""
+
+    def __post_init__(self) -> None:
+        self._freeze()
+        shaped = {
+            name: as_float(f"SensorTruth.bias[{name!r}]", values, (len(self.t), INSTRUMENTS[name].width))
+            for name, values in self.bias.items()
+        }
+        object.__setattr__(self, "bias", {name: read_only(values) for name, values in shaped.items()})
+
+
+def no_sensor_truth() -> SensorTruth:
+    """Return a table without rows, for real sensors with unknown errors."""
+    return SensorTruth(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+
+
+@declared
+class SkyView(Record):
+    """Satellites above the elevation mask of a measurement-level receiver, received or not.
+
+    A row per epoch and satellite. For the recording and the report, not for filters.
+    """
+
+    t: FloatArray = column("t_s")  # (K,) [s]
+    system: IntArray = column("system", kind=int)  # (K,) code of `bench.core.records.orbit_sets`
+    sat: IntArray = column("sat", kind=int)  # (K,) number within its system
+    azimuth: FloatArray = column("azimuth_rad", frame="n")  # (K,) [rad]
+    elevation: FloatArray = column("elevation_rad", frame="n")  # (K,) [rad]
+    cn0: FloatArray = column("cn0_dbhz")  # (K,) on the first carrier [dB-Hz]; NaN if not received
+    used: BoolArray = column("used", kind=bool)  # (K,) in the fix of the epoch
+
+
+@declared
+class Innovations(Record):
+    """Measurement minus prediction, a row per scalar component."""
+
+    t: FloatArray = column("t_s")  # (K,) [s]
+    sensor: tuple[str, ...]  # names; ``code`` is the index
+    # (K,) index into sensor: "gnss_position", "gnss_velocity", "baro"
+    code: IntArray = column("sensor", kind=int)
+    component: IntArray = column("component", frame="n", kind=int)  # (K,) 0, 1, 2 along n
+    z: FloatArray = column("z", units=("of the sensor",), frame="n")  # (K,) [unit of the sensor]
+    S: FloatArray = column("S", units=("of the sensor, squared",), frame="n")  # (K,) predicted variance of z
+    nis: FloatArray = column("nis")  # (K,) of the whole measurement vector, repeated on its rows
+    accepted: BoolArray = column("accepted", kind=bool)  # (K,)
+
+    @classmethod
+    def from_rows(
+        cls, sensor: tuple[str, ...], rows: list[tuple[float, int, int, float, float, float, bool]]
+    ) -> Innovations:
+        """Make a table from rows (t, code, component, z, S, nis, accepted)."""
+        t, code, component, z, S, nis, accepted = np.array(rows, float).reshape(-1, 7).T
+        codes, components = code.astype(np.int64), component.astype(np.int64)
+        return cls(t, sensor, codes, components, z, S, nis, accepted.astype(np.bool_))
+
+
+@cache
+def no_innovations() -> Innovations:
+    """Return an empty table, for an estimator without updates."""
+    return Innovations.from_rows((), [])
+
+
+@declared
+class NavSolution(Record):
+    """Output of an estimator at ``SensorData.output_t``, after all updates at that instant.
+
+    A block that is not estimated is NaN in its values and in its rows of the covariance.
+    """
+
+    t: FloatArray = column("t_s")  # (M,) [s]
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) of the IMU [rad, rad, m]
+    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n
+    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))  # (M, 4)
+    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (M, 3) [rad/s], b
+    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (M, 3) [m/s^2], b
+    cov: FloatArray = matrix(STATES, "n")  # (M, 9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
+    extra_names: tuple[str, ...]  # names of the columns of extra_*, unit in the name
+    # (M, n) values of the states beyond position, velocity, attitude
+    extra: FloatArray = column(shape=(None,))
+    extra_sd: FloatArray = column(shape=(None,))  # (M, n) their standard deviations
+    innovations: Innovations = field(default_factory=no_innovations)
+    events: Events = field(default_factory=no_events)
+
+    def __post_init__(self) -> None:
+        self._freeze(width=len(self.extra_names))
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Reference(Rebuilt):
+    """What another unit says of the motion of a log, to judge by; no estimator gets it."""
+
+    track: NavSolution  # of its own point at its own times; a block that it does not have is NaN
+    point_b: FloatArray  # (3,) that point relative to the IMU [m], b
+
+    def __post_init__(self) -> None:
+        freeze_field(self, "point_b", float, (3,), finite=True)
+
+
+ShowFlight = Callable[[Trajectory, NavSolution | None], object]
+"""Is given each piece of a flight as it is flown, and the estimate at its end if one flies it."""
+
+
+@declared
+class ErrorSeries(Record):
+    """Estimate minus truth at the solution's times."""
+
+    t: FloatArray = column("t_s")  # (M,) [s]
+    pos_n: FloatArray = vector("pos_err", "m", "n")  # (M, 3) [m], n
+    vel_n: FloatArray = vector("vel_err", "mps", "n")  # (M, 3) [m/s], n
+    phi_n: FloatArray = vector("phi", "rad", "n")  # (M, 3) [rad], n: C_nb_est = exp([phi_n x]) C_nb_true
+    heading: FloatArray = column("heading_err_rad")  # (M,) heading error, wrapped to +-pi [rad]
+    # (M,) of the estimated blocks; NaN where the covariance is not positive definite
+    nees: FloatArray = column("nees")
+    states: int  # number of states in nees
+
+
+@declared
+class OffPath(Record):
+    """How far a flight that an estimate flew was off its path; NaN where there is no path."""
+
+    t: FloatArray = column("t_s")  # (M,) [s]
+    right: FloatArray = column("right_m")  # (M,) of the truth, to the right of the path [m]
+    above: FloatArray = column("above_m")  # (M,) [m]
+    course: FloatArray = column("course_rad")  # (M,) direction of the path there [rad]
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Sensed(Rebuilt):
+    """One draw of the sensors: the input of the estimators, and the true errors, which they must not see."""
+
+    data: SensorData
+    initial: InitialState
+    truth: SensorTruth
+    events: Events  # outages and faults of this run
+    sky: SkyView | None = None  # of a measurement-level receiver

@@ -1,0 +1,417 @@
+"""Specs of the sensors in SI and radians: figures of datasheets, faults, and what filters assume."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.fields import declared, figure, triad_figure
+from bench.core.records.flight_specs import TerrainSpec
+from bench.core.records.instruments import InstrumentSpecs
+from bench.core.records.orbit_sets import GlonassSets, KeplerSets, parse_systems
+
+GAUSS_MARKOV_PEAK = 0.617
+"""Peak of the Allan deviation of a first-order Gauss-Markov process over its standard deviation [1]."""
+DEFAULT_DATE = 2026.0
+"""Date of a flight without one in its profile: 1 January 2026 [decimal years]."""
+
+
+_ANGLES, _SHARES = ("mrad", "deg", "arcsec", "percent"), ("ppm", "percent")
+_NOISE = ("deg_sqrt_h", "deg_s_sqrt_hz"), ("m_s_sqrt_h", "ug_sqrt_hz", "mg_sqrt_hz")
+_DRIFT, _ACCELERATION = ("deg_h", "deg_s"), ("ug", "mg")
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFigures:
+    """A figure of a triad whose axes differ, in its unit."""
+
+    name: str  # field of `TriadSpec`
+    x: float
+    y: float
+    z: float
+
+
+@declared
+class TriadSpec:
+    """Three gyros (unit rad) or three accelerometers (unit m/s). 0 switches an error off.
+
+    A figure is that of all axes, or the largest of those in ``axes``.
+    """
+
+    random_walk: float = triad_figure(*_NOISE, key="noise", sought="noise", default=0.0, by_axis=True)
+    """White noise of the rate: angular or velocity random walk N [unit/sqrt(s)]."""
+    bias_instability: float = triad_figure(
+        _DRIFT, _ACCELERATION, sought="bias instability", default=0.0, by_axis=True
+    )
+    """Bias instability: minimum of the Allan deviation, white noise excluded [unit/s]."""
+    bias_correlation: float = triad_figure(("s",), ("s",), default=0.0)
+    """Correlation time of the bias instability [s]."""
+    bias_model: str = "flicker"
+    """Course of the bias instability: "flicker" noise, or a "gauss-markov" process."""
+    turn_on_bias_sd: float = triad_figure(
+        _DRIFT, _ACCELERATION, sought="turn-on bias", default=0.0, by_axis=True
+    )
+    """Turn-on bias, constant in a run [unit/s]."""
+    scale_factor_sd: float = triad_figure(
+        _SHARES, _SHARES, sought="scale factor", error="scale factor", default=0.0, by_axis=True
+    )
+    """Error of the scale factor [1]."""
+    misalignment_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="misalignment", default=0.0
+    )
+    """Misalignment: each off-diagonal element of the matrix [rad]."""
+    quantization: float = triad_figure(("rad", "deg"), ("m_s",), error="quantization", default=0.0)
+    """Resolution of an increment [unit]."""
+    rate_random_walk: float = triad_figure(
+        ("deg_h_sqrt_h", "deg_s_sqrt_s"), ("ug_sqrt_h",), error="rate random walk", default=0.0, by_axis=True
+    )
+    """Rate random walk K: the random walk of the bias [unit/s/sqrt(s)]."""
+    scale_asymmetry_sd: float = triad_figure(
+        _SHARES, _SHARES, error="scale factor asymmetry", default=0.0, by_axis=True
+    )
+    """Half the difference between the scale factors of positive and negative motion [1]."""
+    nonlinearity_sd: float = triad_figure(_SHARES, _SHARES, error="nonlinearity", default=0.0, by_axis=True)
+    """Largest deviation from the best straight line, over the range [1]."""
+    quadratic_sd: float = triad_figure((), ("ug_g2",), error="nonlinearity", default=0.0, by_axis=True)
+    """Coefficient of the squared specific force [1/(unit/s)]."""
+    nonorthogonality_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="non-orthogonality", default=0.0
+    )
+    """Non-orthogonality: deviation of the angle between two sensing axes from 90 deg [rad]."""
+    alignment_sd: float = triad_figure(
+        _ANGLES, _ANGLES, sought="misalignment", error="alignment", default=0.0
+    )
+    """Rotation of the triad in its case, each axis [rad]."""
+    g_sensitivity_sd: float = triad_figure(
+        ("deg_h_g", "deg_s_g"), sought="g-sensitivity", error="g-sensitivity", default=0.0
+    )
+    """Sensitivity to specific force: each element of the matrix [unit/s/(m/s^2)]."""
+    g2_sensitivity_sd: float = triad_figure(
+        ("deg_h_g2", "deg_s_g2"), sought="g-sensitivity", error="sensitivity to g squared", default=0.0
+    )
+    """Sensitivity to squared specific force: each element of the matrix [unit/s/(m/s^2)^2]."""
+    temperature_sd: float = triad_figure(
+        ("deg_h_k", "deg_s_k"),
+        ("ug_k", "mg_k"),
+        sought="temperature",
+        error="temperature bias",
+        default=0.0,
+        by_axis=True,
+    )
+    """Bias per difference from the reference temperature [unit/s/K]."""
+    dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
+    """Dead zone: what is below it reads 0 [unit/s]."""
+    dead_zone_kind: str = "subtractive"
+    """What is above the dead zone is less by it ("subtractive") or unchanged ("hard")."""
+    range: float = triad_figure(("deg_s",), ("g",), sought="range", default=0.0)
+    """Range: samples beyond it are clipped and flagged [unit/s]; 0: no limit."""
+    bandwidth: float = triad_figure(
+        ("hz",), ("hz",), sought="bandwidth", error="bandwidth and delay", default=0.0
+    )
+    """-3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter."""
+    delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
+    """Delay of the motion, in addition to that of the filter [s]."""
+    axes: tuple[AxisFigures, ...] = ()  # figures whose axes differ
+
+    @property
+    def instability_sd(self) -> float:
+        """Standard deviation of the Gauss-Markov process whose Allan deviation peaks at bias_instability."""
+        return self.bias_instability / GAUSS_MARKOV_PEAK
+
+    @property
+    def instability_by_axis(self) -> FloatArray:
+        """``instability_sd`` for x, y and z (3,)."""
+        return np.asarray(self.by_axis("bias_instability") / GAUSS_MARKOV_PEAK)
+
+    def by_axis(self, name: str) -> FloatArray:
+        """Return a figure for x, y and z (3,)."""
+        for one in self.axes or ():
+            if one.name == name:
+                return np.array([one.x, one.y, one.z])
+        return np.full(3, getattr(self, name))
+
+    def averaged(self) -> TriadSpec:
+        """Return a triad with the same figures for all axes: root mean squares of those that differ."""
+        means: dict[str, Any] = {
+            one.name: math.sqrt((one.x**2 + one.y**2 + one.z**2) / 3.0) for one in self.axes or ()
+        }
+        return replace(self, axes=(), **means)
+
+
+@declared
+class ThermalSpec:
+    """Temperature of an IMU: from that of the air to air plus self-heating, with a time constant."""
+
+    reference: float = figure("degc", -60, 150, default=298.15)
+    """Temperature at which the temperature errors are zero [K]."""
+    self_heating: float = figure("k", default=0.0)
+    """Final excess of the unit over the air [K]."""
+    time_constant: float = figure("s", default=0.0)
+    """Time constant of the warming [s]; 0: immediate."""
+
+
+@declared
+class VibrationSpec:
+    """Vibration at the IMU, rms of each axis. 0 switches a source off."""
+
+    engine_gyro: float = figure("deg_s", default=0.0)
+    """By the engine, at its reference speed, rms; it grows with the square of the speed [rad/s]."""
+    engine_accel: float = figure("mg", default=0.0)
+    """The same of the accelerometers [m/s^2]."""
+    engine_reference: float = figure("rpm", default=0.0)
+    """Reference speed of the engine [rad/s]."""
+    engine_order: float = figure(default=1.0)
+    """Periods per revolution of the engine [1]."""
+    gust_gyro: float = figure("deg_s_per_mps", default=0.0)
+    """Of the structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
+    gust_accel: float = figure("mg_per_mps", default=0.0)
+    """The same of the accelerometers [m/s^2/(m/s)]."""
+    mode_frequency: float = figure("hz", default=0.0)
+    """Frequency of that mode [Hz]."""
+    mode_damping: float = figure("", 0, 1, default=0.0)
+    """Damping of that mode, over critical damping [1]."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSpec:
+    """An IMU by its datasheet."""
+
+    name: str
+    gyro: TriadSpec
+    accel: TriadSpec
+    thermal: ThermalSpec = field(default_factory=ThermalSpec)
+    vibration: VibrationSpec = field(default_factory=VibrationSpec)
+    accel_cone: float = 0.0  # half-angle of a skewed accelerometer triad about x [rad]; 0: axes along b
+    accel_arms: tuple[tuple[float, float, float], ...] = ()  # positions of the x, y, z accelerometer [m], b
+
+    @property
+    def feels_air(self) -> bool:
+        """Whether an error depends on gusts or engine speed of the flight."""
+        v = self.vibration
+        return max(v.engine_gyro, v.engine_accel, v.gust_gyro, v.gust_accel) > 0
+
+
+@declared
+class SkySpec:
+    """Measurement-level GNSS: constellations, reception, errors of the ranges. 0 switches an error off."""
+
+    day: date  # of the flight
+    gps_t0: float  # GPS time of the start of the run, seconds since midnight of that day [s]
+    orbits: Mapping[int, KeplerSets | GlonassSets] | None  # by system, since that midnight; others: nominal
+    klobuchar: tuple[float, ...]  # (8,) true and broadcast ionosphere, alpha 0-3, beta 0-3
+    systems: str  # that the receiver has, as `orbit_sets.parse_systems` takes it; "auto": GPS, GLONASS
+    bands: int  # 1, or 2: the ionosphere-free combination
+    elevation_mask: float = figure("deg", 3, 60)
+    """Lowest elevation above the horizon that is used [rad]."""
+    antenna_mask: float = figure("deg", -90, 60)
+    """Lowest elevation above the plane of the antenna that is received [rad]."""
+    cn0_zenith: float = figure("dbhz", 0, 70)
+    """C/N0 along the axis of the antenna, up in the body [dB-Hz]."""
+    cn0_horizon: float = figure("dbhz", 0, 70)
+    """C/N0 in the plane of the antenna [dB-Hz]."""
+    cn0_threshold: float = figure("dbhz", 0, 70)
+    """Lowest C/N0 that is tracked [dB-Hz]."""
+    second_band_loss: float = figure("db", default=0.0)
+    """Loss of C/N0 of the second band against the first [dB]."""
+    reacquisition: float = figure("s", default=0.0)
+    """Time from the signal back to measurements back [s]."""
+    dll_bandwidth: float = figure("hz", default=0.0)
+    """Bandwidth of the code loop, which sets the noise of pseudoranges [Hz]."""
+    dll_spacing: float = figure("chip", 0.01, 1, default=1.0)
+    """Early to late spacing of the code loop [chip]."""
+    fll_bandwidth: float = figure("hz", default=0.0)
+    """Bandwidth of the frequency loop, which sets the noise of range rates [Hz]."""
+    integration: float = figure("s", 1e-3, 1, default=0.02)
+    """Integration before detection [s]."""
+    gps_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of GPS satellites, along the range [m]."""
+    glonass_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of GLONASS satellites, along the range [m]."""
+    galileo_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of Galileo satellites, along the range [m]."""
+    beidou_space_sd: float = figure("m", default=0.0)
+    """Ephemeris and clock of BeiDou satellites, along the range [m]."""
+    space_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of these [s]."""
+    ionosphere_sd: float = figure("m", default=0.0)
+    """Vertical delay that the broadcast model of the ionosphere leaves [m]."""
+    ionosphere_share: float = figure("", 0, 1, default=0.0)
+    """The same as a share of the delay that the model gives, beside it [1]."""
+    ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of both [s]."""
+    ionosphere_decay: float = figure("km", 100, 1e5, default=3e6)
+    """Distance in the ionosphere over which they lose all but 1/e of their correlation [m]."""
+    troposphere_sd: float = figure("m", default=0.0)
+    """Vertical delay that the model of the troposphere leaves [m]."""
+    troposphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of that [s]."""
+    multipath_zenith_sd: float = figure("m", default=0.0)
+    """Multipath at the zenith [m]."""
+    multipath_horizon_sd: float = figure("m", default=0.0)
+    """Multipath added at the horizon, 1/e of it at 10 deg [m]."""
+    multipath_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
+    """Correlation time of the multipath [s]."""
+    clock_offset_sd: float = figure("m", default=0.0)
+    """Offset of the receiver clock at the start [m]."""
+    clock_drift_sd: float = figure("mps", default=0.0)
+    """Drift of the receiver clock at the start [m/s]."""
+    glonass_offset_sd: float = figure("m", default=0.0)
+    """GLONASS against GPS time in the receiver [m]."""
+    galileo_offset_sd: float = figure("m", default=0.0)
+    """Galileo against GPS time in the receiver [m]."""
+    beidou_offset_sd: float = figure("m", default=0.0)
+    """BeiDou against GPS time in the receiver [m]."""
+    clock_h_0: float = figure("s", default=0.0)
+    """White frequency noise of the clock, one-sided power-law coefficient [s]."""
+    clock_h_m1: float = figure(default=0.0)
+    """Flicker of its frequency [1]."""
+    clock_h_m2: float = figure("hz", default=0.0)
+    """Random walk of its frequency [1/s]."""
+    clock_g: float = figure("ppb", -1e6, 1e6, default=0.0)
+    """Change of its frequency with the specific force along body down; in a file, per g [s^2/m]."""
+    false_alarm: float = figure("", 0, 0.5, default=1e-3)
+    """Chance that the fault exclusion of an epoch raises a false alarm [1]."""
+
+    @property
+    def constellations(self) -> tuple[int, ...]:
+        """Codes of the systems that the receiver has, in ascending order."""
+        return tuple(sorted(parse_systems("both" if self.systems == "auto" else self.systems)))
+
+    @property
+    def space_sd(self) -> tuple[float, float, float, float]:
+        """Error of ephemeris and clock by system [m]."""
+        return self.gps_space_sd, self.glonass_space_sd, self.galileo_space_sd, self.beidou_space_sd
+
+    @property
+    def offset_sd(self) -> tuple[float, float, float, float]:
+        """Time of each system against that of GPS in the receiver [m]."""
+        return 0.0, self.glonass_offset_sd, self.galileo_offset_sd, self.beidou_offset_sd
+
+    @property
+    def ionosphere_left(self) -> bool:
+        """Whether ranges have an error of the ionosphere beyond the broadcast model."""
+        return max(self.ionosphere_sd, self.ionosphere_share) > 0
+
+
+@declared
+class GnssSpec:
+    """Position-level GNSS errors (A-5.2.1, A-5.2.2); standard deviations are per horizontal axis."""
+
+    name: str
+    rate: float = figure("hz", 0.01, 400)
+    """Fixes in a second [Hz]."""
+    pos_h_white_sd: float = figure("m", reported=True)
+    """White noise of the position, each horizontal axis [m]."""
+    pos_v_white_sd: float = figure("m", reported=True)
+    """White noise of the height [m]."""
+    vel_white_sd: float = figure("mps", reported=True)
+    """White noise of the velocity, each axis [m/s]."""
+    vel_v_white_sd: float = figure("mps", default=0.0)
+    """The same of the vertical velocity, if it differs [m/s]; 0: it does not."""
+    pos_h_markov_sd: float = figure("m", default=0.0)
+    """Error of the position that wanders, each horizontal axis [m]."""
+    pos_v_markov_sd: float = figure("m", default=0.0)
+    """Error of the height that wanders [m]."""
+    vel_markov_sd: float = figure("mps", default=0.0)
+    """Error of the velocity that wanders, each axis [m/s]."""
+    pos_decay_distance: float = figure("km", default=0.0, reciprocal=True)
+    """Distance over which the error of the position wanders, lambda_s [1/m]."""
+    pos_decay_time: float = figure("s", default=0.0, reciprocal=True)
+    """Time over which the error of the position wanders, lambda_st [1/s]."""
+    vel_decay_time: float = figure("s", default=0.0, reciprocal=True)
+    """Time over which the error of the velocity wanders, lambda_V [1/s]."""
+    latency: float = figure("s", default=0.0)
+    """Time from a fix until a filter gets it [s]."""
+    pos_h_jump_sd: float = figure("m", default=0.0)
+    """Jump of the position at a fix where the satellites in use change, each horizontal axis [m]."""
+    pos_v_jump_sd: float = figure("m", default=0.0)
+    """The same of the height [m]."""
+    vel_jump_sd: float = figure("mps", default=0.0)
+    """The same of the velocity, each axis [m/s]."""
+    pos_h_jump_markov_sd: float = figure("m", default=0.0)
+    """Jump of the error of the position that wanders, each horizontal axis [m]."""
+    pos_v_jump_markov_sd: float = figure("m", default=0.0)
+    """The same of the height [m]."""
+    vel_jump_markov_sd: float = figure("mps", default=0.0)
+    """The same of the velocity, each axis [m/s]."""
+    tracking_bandwidth: float = figure("hz", default=0.0)
+    """Noise bandwidth of the loops that follow the motion [Hz]; 0: they are never behind."""
+    optimism: float = figure("", 0.05, 20, default=1.0)
+    """True standard deviation of a fix over the one that it reports [1]."""
+    sky: SkySpec | None = None  # measurement level; only filters then assume the errors above
+
+    @property
+    def pos_white_sd_n(self) -> tuple[float, float, float]:
+        """White noise of the position north, east and down [m]."""
+        return self.pos_h_white_sd, self.pos_h_white_sd, self.pos_v_white_sd
+
+    @property
+    def vel_white_sd_n(self) -> tuple[float, float, float]:
+        """White noise of the velocity north, east and down [m/s]."""
+        return self.vel_white_sd, self.vel_white_sd, self.vel_v_white_sd or self.vel_white_sd
+
+    @property
+    def jumps(self) -> bool:
+        """Whether the error jumps where the satellites in use change."""
+        passing = (self.pos_h_jump_sd, self.pos_v_jump_sd, self.vel_jump_sd)
+        return any((*passing, self.pos_h_jump_markov_sd, self.pos_v_jump_markov_sd, self.vel_jump_markov_sd))
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A scripted fault in [start, end); fields that its kind does not use keep their defaults."""
+
+    kind: str  # as in the profile
+    sensor: str  # "gnss", "imu", "gyro", "accel" or the name of an instrument
+    start: float  # [s]
+    end: float  # [s]
+    text: str  # description, with the figures of the profile
+    satellites: tuple[tuple[int, int], ...] = ()  # (system, number)
+    step: tuple[float, ...] = ()  # constant error in SI: in n, in b or a single value
+    ramp: tuple[float, ...] = ()  # growth of the error per second
+    loss: float = 0.0  # of C/N0 [dB]
+    delay: float = 0.0  # [s]
+    times: float = 0.0  # noise burst over the white noise of the sensor [1]
+    share: float = 1.0  # fraction of the samples affected [1]
+    axes: tuple[int, ...] = (0, 1, 2)  # of a triad
+    coherent: bool = True  # the velocity error matches the ramp
+
+
+@dataclass(frozen=True, slots=True)
+class AssumedSpecs(InstrumentSpecs):
+    """The datasheets that an estimator assumes."""
+
+    imu: ImuSpec
+    gnss: GnssSpec | None
+
+
+@dataclass(frozen=True, slots=True)
+class SensorsSpec(InstrumentSpecs):
+    """The sensors on board, the datasheets that filters assume, initial errors, outages and faults."""
+
+    imu: ImuSpec
+    gnss: GnssSpec | None
+    assumed: AssumedSpecs
+    antenna_b: tuple[float, float, float]  # [m], b
+    gnss_outages: tuple[tuple[float, float], ...]  # [start, end) [s], ordered, disjoint
+    initial_pos_sd: tuple[float, float, float]  # n [m]
+    initial_vel_sd: tuple[float, float, float]  # n [m/s]
+    initial_tilt_sd: float  # north and east component of phi_n [rad]
+    initial_heading_sd: float  # down component of phi_n [rad]
+    output_rate: float  # of the solutions [Hz]
+    date: float = DEFAULT_DATE  # of the flight [decimal years]
+    alignment: str = "given"  # initial values given to the estimators: "given", "level" or "course"
+    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
+    drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
+    qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
+    ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
+    rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: a ground vehicle
+    faults: tuple[Fault, ...] = ()  # as the profile numbers them
+    terrain: TerrainSpec | None = None  # below a radar altimeter; None: all ground is at ground_alt

@@ -1,0 +1,172 @@
+"""Specs of an experiment: estimators, evaluation, guidance, and a profile of these, flight and sensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from bench.core.files.spawned import machine_memory
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.flight_specs import Flight
+from bench.core.records.sensor_specs import SensorsSpec
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import quantity
+
+AUTOPILOT = "autopilot"
+"""Name of the estimate in the log of an autopilot, as an estimator."""
+
+
+LEAST_TIMEOUT = 600.0
+"""Wall time that any flight may take, if no other limit is set [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guard:
+    """What a filter that is not built in may take, and whether it gets a process of its own.
+
+    Raises
+    ------
+    ConfigError
+        If a limit is not a number above zero.
+    """
+
+    timeout: float | None = None  # wall time of a flight [s]; None: its duration, but at least 600 s
+    memory: float | None = None  # of its process [byte]; None: half of that of the machine
+    output: float = 2e9  # largest solution [byte]
+    in_process: bool = False  # a class runs in the process of bench, for a debugger: nothing is guarded then
+
+    def __post_init__(self) -> None:
+        for name in ("timeout", "memory", "output"):
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+            if not number and (value is not None or name == "output"):
+                raise ConfigError(f"Guard: {name} = {value!r} must be a number above 0")
+
+    def choose_timeout(self, duration: float = 0.0) -> float:
+        """Return the wall time that a flight of a duration may take [s]."""
+        return max(LEAST_TIMEOUT, duration) if self.timeout is None else self.timeout
+
+    def choose_memory(self) -> float:
+        """Return the memory that its process may take [byte]."""
+        return 0.5 * machine_memory() if self.memory is None else self.memory
+
+
+DEFAULT_GUARD = Guard()
+"""A process for each filter, and limits that follow from the flight and the machine."""
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorChoice:
+    """An estimator by name, ``module:Class``, ``file:`` or ``command:``, and its options."""
+
+    use: str
+    label: str  # unique in the profile; in names of files and columns of reports
+    options: Mapping[str, Any] = field(default_factory=dict)
+    beside: Path = Path()  # base of relative paths in "file:" and "command:"
+    guard: Guard = DEFAULT_GUARD
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluationWindow:
+    """What of a run its figures count: the options of ``[evaluation]`` that judge.
+
+    A further one is a field here, with its key in a file, and a key of `config.profile_tables`; the record
+    goes with the profile to wherever something is judged.
+    """
+
+    begin: float = field(default=0.0, metadata={"key": "from_s"})  # end of the alignment [s]
+
+    @property
+    def first(self) -> float:
+        """Instants from this one on count [s]: an instant that is the begin counts."""
+        return self.begin - SAME_INSTANT
+
+    @classmethod
+    def keys(cls) -> dict[str, str]:
+        """Return key in a file -> name of the field."""
+        return {f.metadata["key"]: f.name for f in fields(cls)}
+
+    @classmethod
+    def of_document(cls, document: Mapping[str, Any]) -> EvaluationWindow:
+        """Return that of a profile or the file of a log, as flown."""
+        return cls(**{name: float(document["evaluation"][key]) for key, name in cls.keys().items()})
+
+    def describe_outside(self, end: float, of: str) -> str | None:
+        """Say that no instant until the ``end`` [s] of something counts; None if some do."""
+        if self.begin < end:
+            return None
+        return f"[evaluation] {quantity('from_s', self.begin)} is outside the {of}, 0 to {end:.6g} s"
+
+    def __str__(self) -> str:
+        """Return it in words."""
+        return f"figures from {self.begin:g} s on"
+
+
+IN_FLIGHT = "in-flight"
+"""Name of the answers that steered, beside the solutions of the estimators."""
+
+CLIENT = "client"
+"""Name of the navigation that a client of `bench serve` gives."""
+
+
+@dataclass(frozen=True, slots=True)
+class Guidance:
+    """Whose estimate guidance and legs read, and how it comes to them."""
+
+    navigation: EstimatorChoice
+    period: float  # between two answers [s], a multiple of 0.05
+    latency: float  # from the validity of an answer until guidance goes over to it [s], 0.05 or more
+    error: Literal["held", "state"]  # as `bench.flight.belief` says
+    look_back: float = 1.0  # longest time from a measurement to its arrival [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """One experiment: flight, sensors, estimators and evaluation."""
+
+    name: str
+    title: str
+    seed: int
+    flight: Flight
+    sensors: SensorsSpec
+    estimators: tuple[EstimatorChoice, ...]
+    evaluation: EvaluationWindow
+    document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
+    guidance: Guidance | None = None  # None: guidance reads the truth
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the solutions of a run: the estimators, and the answers that steered if some did."""
+        steered = () if self.guidance is None else (IN_FLIGHT,)
+        return (*(choice.label for choice in self.estimators), *steered)
+
+    @property
+    def answer_rate(self) -> float:
+        """At this rate all solutions of a run have an answer [Hz]."""
+        rate = self.sensors.output_rate
+        return rate if self.guidance is None else min(rate, 1.0 / self.guidance.period)
+
+    def describe_outside(self, end: float) -> list[str]:
+        """Return in words what ends after a flight [s]: outages, faults, the alignment window."""
+        outages = enumerate(self.sensors.gnss_outages, 1)
+        ends = [(f"[[gnss_outage]] {k}: its end at", stop) for k, (_, stop) in outages]
+        faults = enumerate(self.sensors.faults, 1)
+        ends += [(f"[[fault]] {k} ({fault.kind}): its end at", fault.end) for k, fault in faults]
+        found = [
+            f"{self.name}: {what} {t:g} s is outside the flight, 0 to {end:g} s"
+            for what, t in ends
+            if t > end
+        ]
+        outside = self.evaluation.describe_outside(end, "flight")
+        return [*found, f"{self.name}: {outside}"] if outside else found
+
+    def __repr__(self) -> str:
+        """Return name, seed, flight, sensors and estimators."""
+        units = (getattr(self.sensors, f.name) for f in fields(self.sensors))
+        names = dict.fromkeys(unit.name for unit in units if hasattr(unit, "name"))
+        estimators = ", ".join(one.label for one in self.estimators)
+        head = f"{self.name!r}, seed {self.seed}: {self.flight.label}"
+        return f"<Profile {head}; sensors {', '.join(names)}; estimators {estimators}>"

@@ -1,0 +1,1 @@
+"""Words, colours and exceptions that all screens and pages share."""
