@@ -87,7 +87,7 @@ def test_twelve_real_imus_and_more_over_four_classes_each_with_its_confidence():
     ],
 )
 def test_the_grades_of_the_source_are_read_as_the_register_reads_them(number, gyro, accel):
-    """A-2.4.1, A-2.4.2 and #15 in SI, by hand: drift, scale factor, angle, g-drift, random walk."""
+    """A-T2.4.1, A-T2.4.2 and #15 in SI, by hand: drift, scale factor, angle, g-drift, random walk."""
     unit = entry("imu", f"grade-{number}", read_imu)
     g, a = unit.gyro, unit.accel
     found = [g.turn_on_bias_sd, g.scale_factor_sd, g.nonorthogonality_sd, g.g_sensitivity_sd, g.random_walk]
