@@ -8,7 +8,7 @@ A-5.1.2 to A-5.1.4 in north, east, down on the WGS 84 ellipsoid with normal grav
     C_nb' = C_nb [w_ib_b x] - [w_in_n x] C_nb
 
 The inputs are increments: integrals of w_ib_b and f_b over each interval. Coning and sculling are corrected
-with the previous interval (equations section 10): both rates are taken as linear over two intervals.
+with the previous interval (equations 10): both rates are taken as linear over two intervals.
 Coriolis, transport rate and gravity are taken at the middle of the interval.
 
 A navigation state is a row of ten: lat, lon [rad], height [m], v_N, v_E, v_D [m/s], q_nb.

@@ -279,7 +279,7 @@ class ClassicOptions(IntegrityOptions):
     """Options of the source's filter."""
 
     covariance_hz: Positive = 20.0
-    """Rate of (5.4.4) between measurements [Hz]; F takes the mean attitude and specific force of a step."""
+    """Rate of A-5.4.4 between measurements [Hz]; F takes the mean attitude and specific force of a step."""
     discretization: Literal["van-loan", "euler"] = "van-loan"
     """Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D)."""
     rows: Literal[7, 8] = 7
@@ -287,7 +287,7 @@ class ClassicOptions(IntegrityOptions):
     pseudo-inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the
     7."""
     form: Literal["joseph", "conventional", "potter", "carlson", "ud"] = "joseph"
-    """Form of (5.4.4) and (5.4.5): Joseph's, or P - K H P as printed for the generic filter, with all rows at
+    """Form of A-5.4.4 and A-5.4.5: Joseph's, or P - K H P as printed for the generic filter, with all rows at
     once; a square root of P or its factors U and D, a row at a time. The answer is the same."""
     covariance_precision: Literal["double", "single"] = "double"
     """Precision of estimate, covariance and gains; the navigator is in double."""
@@ -308,7 +308,7 @@ class ClassicOptions(IntegrityOptions):
     admissible_deg: Positive = 1.0
     """Attitude error that "auto" keeps below [deg]."""
     outage: Literal["prediction", "line", "parabola", "schuler"] = "prediction"
-    """Errors of the navigator while fixes are missing, without feedback: what (5.4.4) predicts, or a curve
+    """Errors of the navigator while fixes are missing, without feedback: what A-5.4.4 predicts, or a curve
     through the estimates before, extrapolated: in-flight calibration; P is that of the prediction."""
     outage_window: Positive = 120.0
     """Time before an outage that the curve goes through [s]."""

@@ -1,4 +1,4 @@
-"""Covariances of the 22-state filter along a course, linear and without any draw: the flight of section 7.1.
+"""Covariances of the 22-state filter along a course, linear, without any draw: the flight of equations 7.1.
 
 200 m/s at 50 deg north and 9 km, held there; course 0.8 rad at the start; every 600 s, from 240 s on, one
 S-turn of 120 s whose rate is a sine of 3 deg/s, banked so that no force is felt sideways; fixes and barometer
@@ -39,7 +39,7 @@ _WALK = 1e-3  # of a bias, over its sigma [1/sqrt(s)]
 
 
 def make_sigmas(arw: float, vrw: float, drift: float, bias: float) -> Sigmas:
-    """Return the figures of a grade; receiver and barometer are the middle of the ranges of 5.2 and 5.3.
+    """Return the figures of a grade; receiver and barometer are the middle of the ranges of A-5.2 and A-5.3.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ GRADES: Mapping[str, Grade] = {
     "grade-3": Grade(make_sigmas(0.01, 0.02, 0.1, 100.0)),
     "MEMS": Grade(make_sigmas(0.3, 0.1, 10.0, 5000.0), 1.0 * DEG, 3.0 * DEG),
 }
-"""The three grades of tables 2.4.1 and 2.4.2, and the MEMS grade that section 7.1 adds."""
+"""The three grades of A-T2.4.1 and A-T2.4.2, and the MEMS grade that equations 7.1 adds."""
 
 
 @dataclass(frozen=True)

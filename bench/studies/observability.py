@@ -2,8 +2,8 @@
 
 The covariance is that of the best linear estimator (`bench study bound`): what it does not know, no filter
 knows. Directions are combinations of heading, tilts and biases, each in units of its standard deviation at
-the start; the one of which most is left is the least observable. The reference flight is that of the
-register's section 7.1: level at 200 m/s, an S-turn of two minutes from 240 s on, and the same without turns.
+the start; the one of which most is left is the least observable. The reference flight is that of
+equations 7.1: level at 200 m/s, an S-turn of two minutes from 240 s on, and the same without turns.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ and on, or climbs, or flights of your own from their first [[gnss_outage]] on; t
 error over noise draws, with its interval. Beside it the closed form of the datasheet along the headings that
 are flown, by source: biases and noise of a calibrated unit, and the velocity error of the receiver, which no
 filter tells from motion. The error itself, with what it was at the loss, is held against what the filter
-claims. By grade: the covariance of the 22-state filter on the flight of section 7.1 (`outage_grades`).
+claims. By grade: the covariance of the 22-state filter on the flight of equations 7.1 (`outage_grades`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Drift without GNSS by grade: covariances of the 22-state filter on the flight of section 7.1, each second.
+"""Drift without GNSS by grade: covariances of the 22-state filter each second of the flight of equations 7.1.
 
 Beside it what the bias of the grade alone would do if nothing had calibrated it (A-2.4.4, A-2.4.7, figures
 2.4.1 and 2.4.2).
@@ -24,7 +24,7 @@ _LEAST_S = 600  # that are carried, however short the times asked for [s]
 
 @dataclass(frozen=True)
 class Grown:
-    """A grade on the linear flight of section 7.1."""
+    """A grade on the linear flight of equations 7.1."""
 
     name: str
     phase: Phase

@@ -1,4 +1,4 @@
-"""The rows of the coverage table (equations section 9): what is printed, what must be, and what proves it.
+"""The rows of the coverage table (equations 9): what is printed, what must be, and what proves it.
 
 A row that takes seconds has a function; every row that is not open names a test.
 """
@@ -50,7 +50,7 @@ ROWS: tuple[Row, ...] = (
         _MECH + "3_the_inertial_frame_is_enu_over_600_s", measure.fly_inertial),
     Row(4, "three rates", "A-2.2.6", "", "100/50/10 Hz <= 0.4 m in 300 s", _MECH + "4_three_rates",
         measure.fly_three_rates),
-    Row(5, "direction cosines", "A-2.2.P", "b13 of 2.2.8: det 0.926", 'det 1: <= 0.02" after 300 s',
+    Row(5, "direction cosines", "A-2.2.P", "b13 of A-2.2.8: det 0.926", 'det 1: <= 0.02" after 300 s',
         _MECH + "5_to_8_attitude_after_300_s", partial(measure.fly_attitude, "poisson", 0.02)),
     Row(6, "Euler angles", "A-2.2.7", "no limit at 90 deg", '<= 0.02"; diverge at 90 deg',
         _MECH + "6_euler_angles_diverge_at_the_vertical_and_their_guard_holds",
@@ -146,7 +146,7 @@ ROWS: tuple[Row, ...] = (
     Row(46, "extrapolated calibration", "A-2.3", "", "outage error < 0.3 of the INS at 60 s",
         "tests/register/test_second_source.py::test_46_a_curve_through_the_errors_goes_on_through_an_outage",
         linear.go_on),
-    Row(47, "outages", "A-3", "", "section 7.1 within 15 %",
+    Row(47, "outages", "A-3", "", "equations 7.1 within 15 %",
         "tests/studies/test_linear_flight.py::test_47_71_the_covariance_table",
         linear.grow),
     Row(48, "between fixes", "A-1", "", "< 0.05 m at 10 Hz",

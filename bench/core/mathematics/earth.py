@@ -18,7 +18,7 @@ GM = 3.986004418e14  # geocentric gravitational constant [m^3/s^2], NIMA TR8350.
 GAMMA_E = 9.7803253359  # normal gravity at the equator [m/s^2], NIMA TR8350.2 (2000)
 _K = 0.00193185265241  # Somigliana's constant [1], NIMA TR8350.2 (2000)
 _M = 0.00344978650684  # (rate a)^2 b / GM [1], NIMA TR8350.2 (2000)
-_G_NORTH = 8.08e-9  # southward gravity per height and sin(2 lat) [1/s^2], equations section 3
+_G_NORTH = 8.08e-9  # southward gravity per height and sin(2 lat) [1/s^2], A-2.2.G
 
 
 @dataclass(frozen=True, slots=True)

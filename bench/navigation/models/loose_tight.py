@@ -8,8 +8,7 @@ position and velocity of the GNSS antenna, tight coupling every satellite by its
 A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
 to the instant of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
 the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The change of P by the turn of the frame at
-feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations
-section 10).
+feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations 10).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ how many of them make a metre. The state (A-5.4.1):
 
 In one respect each the filter goes beyond the source, as the register decides: the radii of the ellipsoid and
 Somigliana's gravity in place of a sphere (A-5.1.10, A-5.1.4g), seven measurements in place of eight
-(A-5.4.8R), coning and sculling of the previous interval, and the lever arm of the GNSS antenna (section 10).
+(A-5.4.8R), coning and sculling of the previous interval, the lever arm of the GNSS antenna (equations 10).
 
 It shares with the compiled filters the datasheets, the Earth and the choice of rows of a record; Joseph's
 covariance is `filterpy`'s, and everything else is its own, so that one can be held against the other.
@@ -52,11 +52,11 @@ _AIDING = replace(FIXES, read=_read_fixes), BARO
 class Classic22:
     """The 22-state filter of the source, slow and readable: the oracle of `loose-22`.
 
-    It follows the register step by step: 5.1.2 to 5.1.4 at every IMU sample, (5.4.4) at the covariance rate
-    and at every measurement and output, then the seven rows of (5.4.3) that have arrived, tested sub-vector
-    by sub-vector, (5.4.5) with what passed, and the correction (5.4.8) to (5.4.11) or none. Outputs are
-    corrected by what the filter knows and has not fed back. A fix is used with the barometer reading of the
-    same IMU sample.
+    It follows the register step by step: A-5.1.2 to A-5.1.4 at every IMU sample, A-5.4.4 at the covariance
+    rate and at every measurement and output, then the seven rows of A-5.4.3 that have arrived, tested
+    sub-vector by sub-vector, A-5.4.5 with what passed, and the correction A-5.4.8 to A-5.4.11 or none.
+    Outputs are corrected by what the filter knows and has not fed back. A fix is used with the barometer
+    reading of the same IMU sample.
 
     Options: `bench.navigation.options.ClassicOptions`.
     """

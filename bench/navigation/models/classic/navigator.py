@@ -43,7 +43,7 @@ class Earth:
 
 
 def ellipsoid(lat: float, h: float) -> Earth:
-    """Return WGS 84 with Somigliana's gravity (A-5.1.4g, section 3)."""
+    """Return WGS 84 with Somigliana's gravity (A-5.1.4g, A-2.2.G)."""
     s, c = math.sin(lat), math.cos(lat)
     meridian, prime = radii_kernel(s)
     w2 = 1.0 - WGS84.e2 * s * s
@@ -110,7 +110,7 @@ def body_increments(
     """Return the rotation vector of an interval and its velocity increment in the body axes at its start.
 
     Coning and sculling by the interval before, ``(dt, dtheta, dvel)`` or None: both rates are lines through
-    the two means (section 10; 1/12 for equal intervals).
+    the two means (equations 10; 1/12 for equal intervals).
     """
     a, b, c = dtheta
     u, v, w = dvel

@@ -66,7 +66,7 @@ def measurement_noise(sig: Sigmas, east: float, north: float, jump: bool) -> Flo
 
 
 def antenna_matrix(H: FloatArray, nav: Nav, earth: Earth, antenna: FloatArray, w_b: FloatArray) -> None:
-    """Write what a lever arm adds to H (8, 22): the source has none (section 10).
+    """Write what a lever arm adds to H (8, 22): the source has none (equations 10).
 
     The computed antenna is at r + B l and moves with V + B (w x l), w the rate of the body against the
     Earth; with ``B_computed = B - [alpha x] B`` the errors of these terms are [B l x] alpha, [B (w x l) x]
