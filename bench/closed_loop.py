@@ -1,7 +1,7 @@
 """The navigation filter flies: a flight whose guidance reads an estimate, and what the estimate was.
 
 The flight gives its truth piece by piece. Of each the sensors measure it, the filter takes what has arrived,
-and its answer becomes what guidance believes (`bench.flight.belief`). Sensors and filter are those that a
+and its answer becomes what guidance believes (`guidance.belief`). Sensors and filter are those that a
 recorded flight has: `replay` gives the same answers from the truth that was flown, bit for bit.
 """
 
@@ -34,17 +34,17 @@ from bench.core.words.wording import one_line
 from bench.evaluation.failures import FAILED, describe_error
 from bench.exchange.client_session import ClientSession
 from bench.exchange.loading import load_estimators
-from bench.flight.belief import Belief, NavEstimate
-from bench.flight.steering import Commanded, Commands
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.piecewise import join_events, join_solutions, join_tables
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
 from bench.navigation.engine.timeline import TIME_TOLERANCE
 from bench.navigation.estimator import make_failure
 from bench.navigation.open_filters import PieceFilter
-from bench.sensors import SensedPiece, sense_piece
-from bench.sensors.draws import SensorDraws
-from bench.signals.terrain import ground_at
+from bench.simulation.flight.guidance.belief import Belief, NavEstimate
+from bench.simulation.flight.guidance.steering import Commanded, Commands
+from bench.simulation.sensors import SensedPiece, sense_piece
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals.terrain import ground_at
 from bench.store import cached_truth, join_pieces
 
 Watch = Callable[[Trajectory], object] | None
@@ -251,7 +251,7 @@ def check_legs(profile: Profile) -> None:
     bench.FlightError
         If they need longer, or cannot be flown.
     """
-    from bench import flight
+    from bench.simulation import flight
 
     spec = profile.flight
     if isinstance(spec, FlightSpec) and spec.duration is not None:
@@ -283,7 +283,7 @@ def _fly(
     watch: Watch = None,
     show: ShowFlight | None = None,
 ) -> tuple[Trajectory, Pilot]:
-    from bench import flight
+    from bench.simulation import flight
 
     guidance = profile.guidance
     assert guidance is not None

@@ -70,7 +70,7 @@ def fly(
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
     """Fly a profile, store its truth in the cache, and return its figures.
 
-    Those of `bench.flight.Summary` and `bench.evaluation.replay`, piece by piece. Errors as for :func:`fly`.
+    Those of `flight.Summary` and `bench.evaluation.replay`, piece by piece. Errors as for :func:`fly`.
     """
     summarize = partial(_summarize, profile)
     if profile.guidance is not None:
@@ -82,7 +82,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
 
 def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
     from bench.evaluation.replay import Replay
-    from bench.flight.summary import Summary
+    from bench.simulation.flight.summary import Summary
 
     summary, replay = Summary(profile.sensors.terrain), Replay()
     for piece in pieces:
@@ -105,7 +105,7 @@ def _fly_pieces(
 
         pieces = trajectory.read_trajectory(profile.flight)
     else:
-        from bench import flight
+        from bench.simulation import flight
 
         pieces = flight.fly_pieces(profile.flight, progress)
     for piece in pieces:
@@ -117,7 +117,7 @@ def _fly_pieces(
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
     """Return the sensor data of a profile for a truth, with noise draw ``run`` of the profile's seed."""
-    from bench import sensors
+    from bench.simulation import sensors
 
     return sensors.sense(truth, profile.sensors, profile.seed, run)
 
@@ -278,7 +278,7 @@ def _run(
     from bench.evaluation.coverage import measure_coverage
     from bench.evaluation.required_metrics import list_requirements
     from bench.evaluation.verdict import BROKEN, add_verdict
-    from bench.flight.desired_path import measure_steered
+    from bench.simulation.flight.guidance.desired_path import measure_steered
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()
     paths = {} if steered is None else {IN_FLIGHT: measure_steered(profile.flight, truth, steered.t)}

@@ -18,7 +18,7 @@ from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.exchange.streaming import listen, parse_address
-from bench.flight.steering import Commands
+from bench.simulation.flight.guidance.steering import Commands
 
 Gives = Literal["estimate", "commands"]
 

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.files.places import cache_folder
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.flight_specs import FlightSpec
-from bench.flight import fly
-from bench.flight.truth import Stretch
-from bench.sensors import draws
+from bench.simulation import sensors
+from bench.simulation.flight import fly
+from bench.simulation.flight.truth import Stretch
+from bench.simulation.sensors import draws
 from tests.builders import first_rows
 from tests.flight.plans import record_whole, short_plan
 from tests.weaving import weaving

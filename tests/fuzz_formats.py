@@ -15,7 +15,7 @@ from bench.exchange.rinex.observations import read_observations
 from bench.exchange.rinex.precise_orbits import make_tables, read_precise_orbits
 from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
-from bench.signals.terrain import describe_terrain
+from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
 from tests.exchange.packed import compress
 

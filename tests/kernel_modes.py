@@ -63,8 +63,8 @@ def main(filters: Sequence[str] = ()) -> None:
     if filters:
         from bench import pipeline
         from bench.config import load_profile
-        from bench.flight.legs.level import Straight
         from bench.navigation import built_in
+        from bench.simulation.flight.legs.level import Straight
 
         profile = load_profile("all-sensors")
         profile = replace(profile, flight=replace(profile.flight, legs=(Straight(10.0),), duration=None))

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 from bench import pipeline
 from bench.config import load_profile
-from bench.flight.legs.level import Straight
 from bench.navigation import built_in
+from bench.simulation.flight.legs.level import Straight
 
 
 def main() -> None:

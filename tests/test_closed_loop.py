@@ -15,11 +15,11 @@ from bench.config.listing import list_profiles
 from bench.core.records.data import NavSolution
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.flight import fly_pieces
-from bench.flight.belief import Belief, NavEstimate
-from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Taxi
 from bench.navigation.open_filters import PieceFilter
+from bench.simulation.flight import fly_pieces
+from bench.simulation.flight.guidance.belief import Belief, NavEstimate
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.runway import Taxi
 from tests.flight.plans import plan, short_plan
 from tests.flight.test_legs_ground import KINDS, standing
 

@@ -203,7 +203,7 @@ def test_types_are_those_of_numba_and_equal_ones_are_one():
 def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
     """In a process of its own: a barometer was read, no magnetometer and no satellites."""
     code = """
-from bench import sensors
+from bench.simulation import sensors
 from bench.navigation.error_state_filter import measurement_rows
 from bench.navigation import built_in
 from bench.navigation.error_state_filter.ranges import ranging

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import sensors
 from bench.core.files import disk_arrays
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.navigation import built_in
+from bench.simulation import sensors
 from tests.weaving import units, weaving
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="arrays lie in memory here")

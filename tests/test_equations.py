@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
 from bench.places import PACKAGE
 
 PAGE = PACKAGE / "guide" / "equations.md"

@@ -96,7 +96,7 @@ FAULT = Toy(
                 '    _make_table("zeroed", "The output is 0.", sensor=Noisy),\n',
             ),
         ],
-        "bench/sensors/faults.py": [
+        "bench/simulation/sensors/faults.py": [
             (
                 "    values = getattr(record, column)\n",
                 """    for fault in faults:
@@ -112,12 +112,12 @@ FAULT = Toy(
 
 LEG = Toy(
     new={
-        "bench/flight/legs/weave.py": '''
+        "bench/simulation/flight/legs/weave.py": '''
 from dataclasses import dataclass
 from typing import Annotated
 
-from bench.flight.legs.keys import AtSpeed, Bank, Key
-from bench.flight.legs.turns import turn_by
+from bench.simulation.flight.legs.keys import AtSpeed, Bank, Key
+from bench.simulation.flight.legs.turns import turn_by
 
 
 @dataclass(frozen=True)
@@ -143,7 +143,7 @@ IMU_TERM = Toy(
                 '    shear_sd: float = triad_figure(_ANGLES, _ANGLES, error="shear", default=0.0)\n\n',
             )
         ],
-        "bench/sensors/imu_terms.py": [
+        "bench/simulation/sensors/imu_terms.py": [
             (
                 "    return M\n",
                 """    if spec.shear_sd > 0:
@@ -181,7 +181,7 @@ STATE = Toy(
 
 INSTRUMENT = Toy(
     new={
-        "bench/sensors/laser.py": '''
+        "bench/simulation/sensors/laser.py": '''
 import numpy as np
 
 from bench.core.records.instruments import LaserData

@@ -86,21 +86,21 @@ WRITES = re.compile(
     r"""|savefig\(\s*(path|folder)|savemat\(\s*(path|folder)|pwrite\("""
 )
 ELSEWHERE = {
-    "durable.py": "the module itself",
-    "scratch.py": "temporary folders, which end with their process",
-    "compiled.py": "compiled code, with sums of its own",
-    "flight/child_process.py": "messages to and from the process of a flight, in scratch",
-    "flight/model_files.py": "models for one flight, in scratch",
-    "exchange/record_messages.py": "records for the process of a filter, in scratch",
-    "exchange/outside.py": "messages to and from programs, in scratch",
-    "exchange/filter_process.py": "messages of the process of a filter, in scratch",
-    "campaigns/cluster.py": "a module packed for workers, in a temporary folder",
+    "bench/core/files/durable.py": "the module itself",
+    "bench/core/files/scratch.py": "temporary folders, which end with their process",
+    "bench/core/compilation/compiled.py": "compiled code, with sums of its own",
+    "bench/simulation/flight/child_process.py": "messages to and from the process of a flight, in scratch",
+    "bench/simulation/flight/model_files.py": "models for one flight, in scratch",
+    "bench/exchange/record_messages.py": "records for the process of a filter, in scratch",
+    "bench/exchange/outside.py": "messages to and from programs, in scratch",
+    "bench/exchange/filter_process.py": "messages of the process of a filter, in scratch",
+    "bench/campaigns/cluster.py": "a module packed for workers, in a temporary folder",
 }
 
 
 def test_only_one_module_writes_what_stays():
     found = {
-        path.relative_to(PACKAGE).as_posix()
+        path.relative_to(PACKAGE.parent).as_posix()
         for path in PACKAGE.rglob("*.py")
         if WRITES.search(path.read_text(encoding="utf-8").replace("durable.", "by "))
     }

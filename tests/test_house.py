@@ -38,7 +38,7 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
     ``from bench.core.mathematics.earth import RATE`` names ``bench.core.mathematics.earth``, ``from bench
     import earth`` as well; the packages above a module, which Python imports first, are not counted. So does
     the text "bench.core.mathematics.earth" or "bench.core.mathematics.earth:Earth", which may be imported
-    later; f"bench.sensors.{kind}" and f"{__name__}.{kind}" name every module of that package.
+    later; f"bench.simulation.sensors.{kind}" and f"{__name__}.{kind}" name every module of that package.
     """
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -158,18 +158,31 @@ def test_an_import_that_goes_up_is_found():
 
 def test_imports_by_text_and_for_types_are_seen(tmp_path):
     known = dict.fromkeys(
-        ["bench.core.mathematics.earth", "bench.sensors", "bench.sensors.baro", "bench.sensors.gnss"]
+        [
+            "bench.core.mathematics.earth",
+            "bench.simulation.sensors",
+            "bench.simulation.sensors.baro",
+            "bench.simulation.sensors.gnss",
+        ]
     )
     for source, found in {
         "row = ('a title', 'bench.core.mathematics.earth:RATE')": {"bench.core.mathematics.earth"},
         "import_module('bench.core.mathematics.earth')": {"bench.core.mathematics.earth"},
-        "import_module(f'bench.sensors.{kind}')": {"bench.sensors.baro", "bench.sensors.gnss"},
-        "import_module(f'{__name__}.{kind}')": {"bench.sensors.baro", "bench.sensors.gnss"},
-        "if TYPE_CHECKING:\n    from bench.sensors.gnss import Fixes": {"bench.sensors.gnss"},
+        "import_module(f'bench.simulation.sensors.{kind}')": {
+            "bench.simulation.sensors.baro",
+            "bench.simulation.sensors.gnss",
+        },
+        "import_module(f'{__name__}.{kind}')": {
+            "bench.simulation.sensors.baro",
+            "bench.simulation.sensors.gnss",
+        },
+        "if TYPE_CHECKING:\n    from bench.simulation.sensors.gnss import Fixes": {
+            "bench.simulation.sensors.gnss"
+        },
         "'see bench.core.mathematics.earth'; f'bench.{group}'": set(),
     }.items():
         (tmp_path / "__init__.py").write_text(source)
-        assert set(imported("bench.sensors", tmp_path / "__init__.py", known)) == found, source
+        assert set(imported("bench.simulation.sensors", tmp_path / "__init__.py", known)) == found, source
 
 
 def test_readme_shows_the_floors_as_they_are():

@@ -23,7 +23,7 @@ from bench.exchange.exports import column_files
 from bench.navigation.estimator import RECORDS
 from bench.plots.content import Content
 from bench.plots.tabs.flight_data import FLIGHT
-from bench.sensors import sense
+from bench.simulation.sensors import sense
 from tests.weaving import units
 
 

@@ -1,7 +1,7 @@
 """The loose filter a second time, plain and slow: what it says must be what the compiled one says.
 
 It shares with ``bench``: the records that go in, the datasheet figures in them, and nothing else; filterpy
-does the covariance and the updates. Of satellites it also shares the atmosphere of `bench.signals.delays`
+does the covariance and the updates. Of satellites it also shares the atmosphere of `signals.delays`
 and the order in which their rows are used. It computes by itself: the WGS 84 Earth, the strapdown step
 (attitude as a matrix), F as central differences of the continuous equations of navigation, Phi, P0, Q and R,
 the antenna, gates, the ranges to satellites and their H by differences, and feedback as small rotations of
@@ -26,7 +26,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.integrate import quad
 from scipy.stats import chi2
 
-from bench.signals import delays
+from bench.simulation.signals import delays
 
 SEMI_MAJOR, FLATTENING, EARTH_RATE, EARTH_GM = 6378137.0, 1 / 298.257223563, 7.292115e-5, 3.986004418e14
 LIGHT, GPS_L1 = 299792458.0, 1575.42e6

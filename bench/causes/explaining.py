@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bench import sensors
 from bench.causes.candidates import list_candidates
 from bench.causes.search import advise, describe_causes, find_causes
 from bench.core.files import disk_arrays
@@ -20,6 +19,7 @@ from bench.evaluation.block_nees import BlockNees, judge_blocks
 from bench.evaluation.error_series import TITLES, error_series
 from bench.navigation import estimator
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodelled
+from bench.simulation import sensors
 
 LOST = dict.fromkeys(TITLES, BlockNees(3, np.inf, 0.0, np.inf, 0.0))
 """The claims of a filter that ended without a solution."""

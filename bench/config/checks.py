@@ -15,7 +15,7 @@ from bench.core.records.specs import AUTOPILOT, EstimatorChoice
 from bench.core.words.wording import quantity, suggest
 from bench.evaluation.required_metrics import is_metric
 from bench.navigation.built_in import BUILT_IN
-from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 """Label of an estimator, a part of the names of its files."""

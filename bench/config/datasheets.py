@@ -108,7 +108,7 @@ def read_imu(path: Path, shown: str, changes: Mapping[str, Any] | None = None) -
     ConfigError
         One message for each problem in the file.
     """
-    from bench.sensors.imu_terms import check_imu
+    from bench.simulation.sensors.imu_terms import check_imu
 
     document = _read_document(path, shown, changes)
     axes, wrong = _split_axes(document)

@@ -12,7 +12,7 @@ from bench.config.profile_tables import ExperimentTable, ScriptTable, TrackTable
 from bench.core.records.flight_specs import Flight, ScriptSpec, TableSpec, TrackSpec
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import quantity, suggest, tell_where
-from bench.flight.model_files import LONGEST_SCRIPT, class_of, script_facts, system_files
+from bench.simulation.flight.model_files import LONGEST_SCRIPT, class_of, script_facts, system_files
 
 _TABLES = (".csv", ".parquet")
 _TRACKS = (".gpx", ".kml", ".igc", ".nmea")

@@ -287,7 +287,7 @@ def _check_fault(table: FaultTable, on_board: Mapping[str, Any]) -> list[str]:
         return [f"{unit.name!r} has no white noise in its {sensor} to multiply"]
     names = getattr(table, "satellites", ())
     if names and isinstance(unit, GnssSpec) and unit.sky is not None:
-        from bench.sensors.view import find_orbits
+        from bench.simulation.sensors.measurement_level.view import find_orbits
 
         numbers = {s: set(find_orbits(unit.sky, s).sat.tolist()) for s in unit.sky.constellations}
         for name in names:

@@ -16,9 +16,9 @@ from bench.core.records.flight_specs import AircraftSpec, Leg, LegStart, Runway,
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import quantity, tell_where
-from bench.flight.legs.keys import check_leg
-from bench.flight.legs.runway import TakeOff
-from bench.signals.terrain import ENDINGS, describe_terrain, ground_at
+from bench.simulation.flight.legs.keys import check_leg
+from bench.simulation.flight.legs.runway import TakeOff
+from bench.simulation.signals.terrain import ENDINGS, describe_terrain, ground_at
 
 
 def check_legs(table: ProfileTable, aircraft: AircraftSpec) -> list[str]:

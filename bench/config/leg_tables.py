@@ -15,7 +15,7 @@ from pydantic_core import PydanticCustomError
 from bench.config.tables import ROWS, Table, between
 from bench.core.mathematics.units import to_si
 from bench.core.records.flight_specs import Leg
-from bench.flight.legs.keys import KeyedField, keys_of
+from bench.simulation.flight.legs.keys import KeyedField, keys_of
 
 
 class DeclaredTable(Table):

@@ -17,9 +17,9 @@ from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import GnssSpec, TriadSpec
 from bench.core.words.wording import quantity
-from bench.flight import legs
-from bench.flight.legs.keys import keys_of
 from bench.navigation.built_in import BUILT_IN
+from bench.simulation.flight import legs
+from bench.simulation.flight.legs.keys import keys_of
 
 PROFILES = PACKAGE / "profiles"
 CATALOG = PACKAGE / "catalog"

@@ -23,7 +23,7 @@ from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import as_toml
-from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
 """Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""

@@ -47,9 +47,9 @@ from bench.core.records.sensor_specs import AssumedSpecs, SensorsSpec
 from bench.core.records.specs import CLIENT, DEFAULT_GUARD, EstimatorChoice, Guard, Guidance, Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
-from bench.flight import legs
-from bench.signals.air import SEA_LEVEL_PRESSURE
-from bench.signals.magnetic import decimal_year
+from bench.simulation.flight import legs
+from bench.simulation.signals.air import SEA_LEVEL_PRESSURE
+from bench.simulation.signals.magnetic import decimal_year
 
 _OUTSIDE = ("file:", "command:")
 _DRIFT_DEG = 10.0  # 1 sigma: a crosswind of a sixth of the airspeed, unknown to the filter

@@ -19,7 +19,7 @@ from bench.config.tables import ROWS, Table, between
 from bench.core.records.flight_specs import ALTITUDES, SECONDS, SPEEDS, Gust, Leg, Runway, WindLayer
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.specs import EvaluationWindow
-from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 Seconds = Annotated[float, between(*SECONDS)]
 Altitude = Annotated[float, between(*ALTITUDES)]

@@ -21,8 +21,8 @@ from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.wording import read_words
-from bench.flight import legs
-from bench.flight.legs.keys import keys_of
+from bench.simulation.flight import legs
+from bench.simulation.flight.legs.keys import keys_of
 
 Schema = dict[str, Any]
 DIALECT = "http://json-schema.org/draft-07/schema#"

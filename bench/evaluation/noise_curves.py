@@ -13,10 +13,10 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import AirData, Trajectory, no_controls, no_events
 from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.sensors import imu
-from bench.sensors.draws import SensorDraws
-from bench.sensors.processes import make_noise_terms
-from bench.signals import allan
+from bench.simulation.sensors import imu
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.processes import make_noise_terms
+from bench.simulation.signals import allan
 
 FAST, SLOW = (200.0, 300.0), (1.0, 65536.0)
 """Rate [Hz] and length [s] of the two simulated records: for white noise and quantization, for slow terms."""

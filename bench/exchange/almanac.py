@@ -10,7 +10,7 @@ import numpy as np
 from bench.core.records.orbit_sets import KEPLER, KeplerSets
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import Lines, open_lines
-from bench.signals.orbits import WEEK
+from bench.simulation.signals.orbits import WEEK
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]
 _MOST = 100_000  # satellites in a file: 30 years of weeks

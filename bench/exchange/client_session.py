@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import EstimatorStoppedError
 from bench.exchange.streaming import wait_until
-from bench.flight.steering import Commands
+from bench.simulation.flight.guidance.steering import Commands
 
 _BLOCK = 1 << 16
 _PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]

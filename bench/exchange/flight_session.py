@@ -14,8 +14,8 @@ from bench.exchange import flight_messages as messages
 from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_messages import FlightFrame, FrameReader, pack
 from bench.exchange.frames import make_frame, make_frames
-from bench.flight.steering import AttitudeCommand, Commands, SurfaceCommand
 from bench.navigation.engine.record_cuts import nothing_known
+from bench.simulation.flight.guidance.steering import AttitudeCommand, Commands, SurfaceCommand
 
 _UNIT = 1e-3  # a quaternion has the length 1 within
 _LONGEST_WORDS = 240  # of END, a byte each; a payload has at most 255

@@ -15,10 +15,10 @@ from bench.core.records.sensor_specs import GnssSpec, SkySpec
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
 from bench.exchange.rows import LogRows
 from bench.navigation.engine.kept_rows import take_rows
-from bench.sensors.sky import find_loop_noise, make_processing
-from bench.signals import receiver
-from bench.signals.orbits import C
-from bench.signals.processing import Processing
+from bench.simulation.sensors.measurement_level.sky import find_loop_noise, make_processing
+from bench.simulation.signals import receiver_solution
+from bench.simulation.signals.orbits import C
+from bench.simulation.signals.processing import Processing
 
 
 class RecordedRanges(NamedTuple):
@@ -97,7 +97,7 @@ def _take_whole(solved: RinexFixes, sky: SkySpec, t: FloatArray) -> GnssObservat
     """Return the rows with range, Doppler and orbit of the systems of the sky, at times t (M,)."""
     o = solved.seen
     o = replace(o, t=t[o.epoch], t_arrival=t[o.epoch])
-    ranges = receiver.correct_pseudoranges(o, make_processing(sky))
+    ranges = receiver_solution.correct_pseudoranges(o, make_processing(sky))
     rates = o.range_rate[:, 0] + o.sat_clock_rate
     whole = np.isin(o.system, sky.constellations) & np.isfinite(o.sat_pos_e).all(axis=1)
     return take_rows(o, np.asarray(whole & np.isfinite(ranges) & np.isfinite(rates)))

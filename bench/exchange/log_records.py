@@ -32,8 +32,8 @@ from bench.exchange.row_selection import drop_others, drop_repeated, drop_unrepo
 from bench.exchange.rows import GNSS, IMU, INSTRUMENT_ROWS, MOST_ROWS, OPTIONAL, LogRows
 from bench.exchange.table_files import find_first, read_table
 from bench.navigation.engine.kept_rows import take_rows
-from bench.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
-from bench.signals.orbits import DAY
+from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATURE, airspeed_sd
+from bench.simulation.signals.orbits import DAY
 
 MOST_INSTANTS = 400_000
 """Most instants of a solution, each of some kB: 11 hours at 10 Hz."""

@@ -32,7 +32,7 @@ from bench.exchange.log_records import LogRecords
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.navigation.start.leveling import bias_sd
-from bench.signals.magnetic import field_n
+from bench.simulation.signals.magnetic import field_n
 
 HOVER = 4.0
 """Length of the stretch of a start in the air [s]."""

@@ -16,9 +16,9 @@ from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.observations import ObservationFile
-from bench.signals import orbit_tables, orbits, receiver
-from bench.signals.processing import Processing
-from bench.signals.receiver import ReceiverSolution
+from bench.simulation.signals import orbit_tables, orbits, receiver_solution
+from bench.simulation.signals.processing import Processing
+from bench.simulation.signals.receiver_solution import ReceiverSolution
 
 _EPOCH = datetime(1980, 1, 6)
 
@@ -66,10 +66,10 @@ def _list_conditions(
     yield "an ephemeris or orbit of that time", rows
     free = processing.ionosphere == "free"
     carriers = "two carriers (--ionosphere klobuchar needs one)" if free else "the first carrier"
-    rows = rows & np.isfinite(receiver.correct_pseudoranges(seen, processing))
+    rows = rows & np.isfinite(receiver_solution.correct_pseudoranges(seen, processing))
     yield f"a pseudorange on {carriers}", rows
     every = replace(processing, mask=-np.pi / 2, false_alarm=0.0, robust=False)
-    low = solution if (solution.wanted == rows).all() else receiver.solve_fixes(seen, every)
+    low = solution if (solution.wanted == rows).all() else receiver_solution.solve_fixes(seen, every)
     above = -low.los_n[:, 2] > np.sin(processing.mask)
     solved = np.isfinite(low.los_n[:, 0])
     yield f"an elevation above the mask, {np.rad2deg(processing.mask):g} deg", rows & (above | ~solved)

@@ -25,10 +25,10 @@ from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import InitialState, NavSolution, SensorData, Trajectory
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.client_session import ClientSession
-from bench.flight.steering import Commands, SurfaceCommand
 from bench.navigation.engine.record_cuts import nothing_known
 from bench.navigation.engine.timeline import TIME_TOLERANCE
-from bench.signals.air import impact_pressure, standard_atmosphere
+from bench.simulation.flight.guidance.steering import Commands, SurfaceCommand
+from bench.simulation.signals.air import impact_pressure, standard_atmosphere
 
 PORT = 4560
 """Where PX4 looks for its simulator."""

@@ -12,8 +12,8 @@ from bench.core.records.orbit_sets import parse_systems
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.fix_truth import read_truth
 from bench.exchange.rinex_fixes import RinexFixes, solve_files
-from bench.signals import delays
-from bench.signals.processing import CORRECTIONS, Ionosphere, Processing
+from bench.simulation.signals import delays
+from bench.simulation.signals.processing import CORRECTIONS, Ionosphere, Processing
 
 MOST_TRUTH_SD = 1000.0
 """Largest standard deviation of a reference [m]."""
@@ -62,7 +62,7 @@ def solve_rinex(
     smooth_s : float
         Smooth ranges with their carrier phase over as long as this [s] (Hatch); 0: not.
     without : sequence of str
-        Corrections to leave out, of `bench.signals.processing.CORRECTIONS`.
+        Corrections to leave out, of `bench.simulation.signals.processing.CORRECTIONS`.
     truth : str, Path or None
         Where the antenna was: "LAT,LON,H" [deg, deg, m] or a CSV file as ``write_csv`` writes it.
     truth_sd_m : float

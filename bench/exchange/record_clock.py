@@ -10,7 +10,7 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rows import LogRows
-from bench.signals.orbits import WEEK
+from bench.simulation.signals.orbits import WEEK
 
 _NEAR = 600.0  # a gap over the end of a week may be twice as long [s]
 

@@ -26,8 +26,8 @@ from bench.exchange.rinex.observations import ObservationFile, read_observations
 from bench.exchange.rinex.one_receiver import merge_observations
 from bench.exchange.rinex.precise_orbits import read_orbits
 from bench.exchange.ubx import read_ubx
-from bench.signals import dilution, orbits, receiver, smoothing
-from bench.signals.processing import Processing
+from bench.simulation.signals import dilution, orbits, receiver_solution, smoothing
+from bench.simulation.signals.processing import Processing
 
 _EPOCH = datetime(1980, 1, 6)
 _HEADER = (
@@ -60,7 +60,7 @@ class RinexFixes:
 
     observations: ObservationFile
     seen: GnssObservations
-    solution: receiver.ReceiverSolution
+    solution: receiver_solution.ReceiverSolution
     dop: dilution.Dop
     reasons: tuple[str, ...]  # of epochs without a fix
     reason: IntArray  # (M,) which of them an epoch has; -1: it has a fix
@@ -288,11 +288,11 @@ def solve_files(
     *,
     truth: Truth | None = None,
     window: float = 0.0,
-    loops: receiver.Loops | None = None,
+    loops: receiver_solution.Loops | None = None,
 ) -> RinexFixes:
     """Solve observation files of one receiver epoch by epoch with the ephemerides of navigation files.
 
-    ``window`` is that of smoothing [s], ``loops`` as `bench.signals.receiver.make_observations` takes it.
+    ``window`` is that of smoothing [s], ``loops`` as `receiver_solution.make_observations` takes it.
 
     Raises
     ------
@@ -307,7 +307,7 @@ def solve_files(
         pseudorange, noise = _smooth(raw, nav, window)
         if not np.isfinite(raw.phase).any():
             raise ConfigError(f"{raw.shown}: has no carrier phase to smooth its ranges with")
-    seen = receiver.make_observations(
+    seen = receiver_solution.make_observations(
         noise=noise,
         loops=loops,
         t=raw.t,
@@ -330,7 +330,7 @@ def solve_files(
             f"fit no satellite of {raw.shown}, {lost_epochs.format_span(raw.origin + raw.t)}"
         )
         raise ConfigError("; ".join([text, *unserved, *nav.reasons[:_MOST_LINES]]))
-    solution = receiver.solve_fixes(seen, processing)
+    solution = receiver_solution.solve_fixes(seen, processing)
     dop = dilution.compute_dop(seen.epoch_start, solution.los_n, seen.system, solution.used)
     reasons, reason = lost_epochs.explain(seen, solution, processing)
     solved = RinexFixes(raw, seen, solution, dop, tuple(reasons), reason, truth)

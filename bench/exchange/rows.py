@@ -12,7 +12,7 @@ from bench.core.files.spawned import machine_memory
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_geodetic
 from bench.exchange.table_files import Group, TableColumns, group, list_names
-from bench.signals.air import pressure_altitude
+from bench.simulation.signals.air import pressure_altitude
 
 ROW_MEMORY = 300.0
 """Memory to read and navigate a row of an IMU in blocks, several times what was measured [byte]."""

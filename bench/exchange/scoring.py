@@ -25,7 +25,7 @@ from bench.evaluation.required_metrics import list_requirements
 from bench.evaluation.verdict import BROKEN, add_verdict
 from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
-from bench.sensors.timing import select_output_times
+from bench.simulation.sensors.timing import select_output_times
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import format_count
-from bench.flight.model_files import read_xml
+from bench.simulation.flight.model_files import read_xml
 
 MOST_FIXES, LEAST_FIXES = 500_000, 10
 _MOST_BYTES = 200_000_000

@@ -6,7 +6,7 @@ the table has one, is only compared with the position.
 The motion between the rows is a quintic spline through at most 60 rows per second: position in the
 Earth-fixed frame, attitude as the normalized quaternion from b to that frame. Its acceleration and angular
 rate are continuous. Rows of denser tables are not all used, so that their rounding does not enter the
-accelerations; the rows in between are compared with the spline. `bench.flight.increments` makes the
+accelerations; the rows in between are compared with the spline. `flight.increments` makes the
 increments from it at 400 Hz or more.
 """
 
@@ -44,8 +44,8 @@ from bench.exchange.table_files import (
 )
 from bench.exchange.track_files import READERS, order_fixes, read_track
 from bench.exchange.track_motion import TableMotion, doubt_degrees, make_motion
-from bench.flight.increments import Motion
-from bench.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
+from bench.simulation.flight.increments import Motion
+from bench.simulation.flight.truth import NO_AIR, NO_GROUND, Stretch, make_truth
 
 MOST_ROWS = 3_000_000
 """Most rows of a table, and most samples of its truth: two hours at 400 Hz."""
@@ -94,7 +94,7 @@ q_nb, q_eb: scalar first, from b to n (north-east-down) or to e. vel: velocity r
 
 
 def read_trajectory(spec: TableSpec) -> Iterator[Trajectory]:
-    """Yield the truth of a table in pieces, as `bench.flight.truth.make_truth` does.
+    """Yield the truth of a table in pieces, as `bench.simulation.flight.truth.make_truth` does.
 
     Parameters
     ----------

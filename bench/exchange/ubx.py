@@ -19,7 +19,7 @@ from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.observations import ObservationFile
 from bench.exchange.rinex.unpacking import BLOCK, UnpackingError, open_binary
-from bench.signals.orbits import DAY, WEEK
+from bench.simulation.signals.orbits import DAY, WEEK
 
 _SYNC = b"\xb5\x62\x02\x15"
 _HEAD, _ROW = 16, 32

@@ -15,7 +15,7 @@ from bench.core.words.wording import format_number
 from bench.exchange.rinex_fixes import RinexFixes
 from bench.plots import receiver_plots
 from bench.report import page, svg
-from bench.signals.orbits import DAY
+from bench.simulation.signals.orbits import DAY
 
 _LONG = 7200.0  # a longer record has an axis of hours [s]
 

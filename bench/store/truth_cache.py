@@ -41,14 +41,14 @@ SHARED = ("t", "lla", "vel_n", "q_nb")
 """Columns in which a piece repeats the last row of the piece before."""
 
 _SOURCES = (
-    "bench/flight",
+    "bench/simulation/flight",
     "bench/exchange/mat_file.py",
     "bench/exchange/table_files.py",
     "bench/exchange/track_files.py",
     "bench/exchange/track_fit.py",
     "bench/exchange/track_motion.py",
     "bench/exchange/trajectory.py",
-    "bench/signals/terrain.py",
+    "bench/simulation/signals/terrain.py",
     "bench/core/records/fields.py",
     "bench/core/mathematics/units.py",
     "bench/core/mathematics/rotation.py",
@@ -64,8 +64,8 @@ _LOOP = (
     "bench/closed_loop.py",
     "bench/core/records/instruments.py",
     "bench/navigation",
-    "bench/sensors",
-    "bench/signals",
+    "bench/simulation/sensors",
+    "bench/simulation/signals",
 )
 """The same where an estimate flies."""
 

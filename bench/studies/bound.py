@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import DEG
 from bench.core.records.findings import Findings, FindingTable, series
@@ -32,6 +32,7 @@ from bench.evaluation.linear.held import (
 )
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, compare_draws
 from bench.navigation.estimator import Estimator
+from bench.simulation import sensors
 from bench.studies.drawn_errors import (
     Draws,
     UnitFlight,

@@ -15,7 +15,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import Findings, FindingTable, series
 from bench.core.records.findings.series import Plot, Series
@@ -28,6 +28,7 @@ from bench.evaluation.linear.held import check_aiding
 from bench.evaluation.linear.quantities import LEVEL, QUANTITIES, Quantity, root_mean_interval
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from bench.studies.drawn_errors import (
     Draws,
     UnitFlight,

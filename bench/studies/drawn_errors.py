@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
@@ -18,6 +18,7 @@ from bench.evaluation.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator
+from bench.simulation import sensors
 from bench.studies.study import read_settings
 
 INTERVAL = 1.0

@@ -30,8 +30,8 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensemble import Quantile, estimate_quantile, pool_rmse
 from bench.evaluation.error_series import error_series
 from bench.evaluation.total_system import PARTS, resolve_along
-from bench.flight.desired_path import measure_steered
-from bench.flight.legs.landing import Flare
+from bench.simulation.flight.guidance.desired_path import measure_steered
+from bench.simulation.flight.legs.landing import Flare
 from bench.studies.study import (
     FLOWN_BY,
     Count,

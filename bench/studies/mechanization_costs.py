@@ -1,6 +1,6 @@
 """Frames, rates, attitude algorithms, series and accelerometers alone: what each costs in metres and time.
 
-All fly the same banked S-turns in closed form with exact increments (`bench.flight.closed_form`): what is off
+All fly the same banked S-turns in closed form with exact increments (`flight.closed_form`): what is off
 at the end is the algorithm. Coning is a cone of a given half angle, sampled at several rates. The time of a
 step is that of Python without a compiler, to be compared within the table; ned is compiled.
 """
@@ -22,12 +22,12 @@ from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.findings import Findings, FindingTable, series
 from bench.core.records.findings.series import Plot, Series
 from bench.core.words.palette import Colour
-from bench.flight.closed_form import SwingingFlight
 from bench.navigation import mechanization
 from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
 from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
+from bench.simulation.flight.closed_form import SwingingFlight
 from bench.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
 
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]

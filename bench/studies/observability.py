@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from bench import sensors
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.findings import Findings, FindingTable, series
@@ -27,6 +26,7 @@ from bench.evaluation.linear.directions import (
     observe,
 )
 from bench.evaluation.linear.held import bound_flight
+from bench.simulation import sensors
 from bench.studies.drawn_errors import UnitFlight, output_times
 from bench.studies.linear_flight import GRADES, LinearFlight
 from bench.studies.study import StudyWorkers, UnitOptions, Words, ask_each

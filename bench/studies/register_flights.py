@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics.units import HOUR, STANDARD_GRAVITY
 from bench.core.records.data import NavSolution, Trajectory
@@ -18,6 +18,7 @@ from bench.core.records.specs import Profile
 from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
 from bench.navigation.engine.record_cuts import take_piece
 from bench.navigation.open_filters import PieceFilter
+from bench.simulation import sensors
 from bench.studies import rnp
 from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.study import StudyWorkers

@@ -14,13 +14,13 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.evaluation.route_errors import cross_track_error
-from bench.flight.closed_form import SwingingFlight
 from bench.navigation.engine import integrity
 from bench.navigation.register import vector_matching
 from bench.navigation.register.mechanizations import attitude
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.mechanizations.solving import IntervalMotion, Rates, navigate
-from bench.signals import delays
+from bench.simulation.flight.closed_form import SwingingFlight
+from bench.simulation.signals import delays
 from bench.studies import alignment_errors
 from bench.studies.mechanization_costs import (
     coning_drift,

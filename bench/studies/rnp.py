@@ -55,9 +55,9 @@ from bench.evaluation.required_performance import (
     judge_rate,
     judge_share,
 )
-from bench.flight.desired_path import measure_off_path
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_rows
+from bench.simulation.flight.guidance.desired_path import measure_off_path
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import (
     FLOWN_BY,

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.linear.error_budget import split_errors
@@ -20,6 +20,7 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import bound_flight, check_aiding, variance_of
 from bench.evaluation.linear.terms import model_errors
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from bench.studies.drawn_errors import UnitFlight, key_instants, output_times
 
 _PARTS: Mapping[str, str] = {

@@ -29,8 +29,8 @@ from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import AircraftSpec, ForeignSpec
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import suggest
-from bench.flight.child_process import fly_in_child
-from bench.flight.gain_design import (
+from bench.simulation.flight.child_process import fly_in_child
+from bench.simulation.flight.guidance.gain_design import (
     BANK,
     FASTER,
     GainDesign,

@@ -29,7 +29,7 @@ from bench.exchange.log_records import LogRecords, read_records
 from bench.exchange.mat_file import list_structures, read_mat
 from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
 from bench.navigation.start.course import LEAST_SPEED
-from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.workbench.log_starts import ChosenStart, choose_start
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS

@@ -16,7 +16,7 @@ from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.navigation.built_in import BUILT_IN
-from bench.signals.terrain import read_grid
+from bench.simulation.signals.terrain import read_grid
 from bench.studies import STUDIES
 from bench.workbench.printing import print_table, print_tables
 

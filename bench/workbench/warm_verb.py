@@ -13,8 +13,8 @@ from bench.core.compilation.compiled import choose_cache
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Profile
 from bench.core.words.exceptions import ConfigError
-from bench.flight.legs.level import Straight
 from bench.navigation.built_in import BUILT_IN
+from bench.simulation.flight.legs.level import Straight
 
 _EVERY_SENSOR = "all-sensors"
 """The shipped profile with the sensors that any built-in estimator uses."""

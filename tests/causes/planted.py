@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import config, pipeline, sensors
+from bench import config, pipeline
 from bench.causes.candidates import list_candidates
 from bench.causes.search import Causes, find_causes
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
@@ -27,6 +27,7 @@ from bench.core.records.specs import Profile
 from bench.evaluation.block_nees import BlockNees, find_broken_block, judge_blocks
 from bench.evaluation.error_series import error_series
 from bench.navigation import built_in, estimator
+from bench.simulation import sensors
 
 USE, OPTIONS = "loose-15", {"covariance_hz": 10.0}
 _OVERRIDES: Mapping[str, Any] = {

@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 import bench
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_candidates
 from bench.causes.search import advise, describe_causes, find_causes
 from bench.core.records.sensor_specs import AssumedSpecs, AxisFigures, SensorsSpec, TriadSpec
 from bench.core.records.specs import EstimatorChoice, Profile
 from bench.evaluation.block_nees import BlockNees
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, imu_errors
+from bench.simulation import sensors
 from tests.causes import planted
 
 LOOSE = EstimatorChoice("loose-15", "loose-15")

@@ -168,7 +168,7 @@ def test_fly_sums_the_flight_up_and_run_finds_it_in_the_cache(here, capsys, monk
     assert "30 s, 3001 samples at 100 Hz" in out
     assert re.search(r"replay +0\.0\d+ mm, \S+ microradian", out)
     assert left(here) == []
-    monkeypatch.setattr("bench.flight.fly_pieces", None)
+    monkeypatch.setattr("bench.simulation.flight.fly_pieces", None)
     assert say(capsys, "run", "short.toml", "--set", "start.alt_m=1010", "--no-rrd")[0] == 0
 
 
@@ -364,7 +364,7 @@ def test_an_aircraft_lost_in_the_air_is_status_3(here, capsys, monkeypatch):
     def crash(*args, **keywords):
         raise FlightError("leg 1 turn: at 3.2 s: into the ground")
 
-    monkeypatch.setattr("bench.flight.fly_pieces", crash)
+    monkeypatch.setattr("bench.simulation.flight.fly_pieces", crash)
     status, _, err = say(capsys, "run", "short.toml", "--seed", "77")
     assert (status, err) == (3, "error: leg 1 turn: at 3.2 s: into the ground\n")
     assert left(here) == []

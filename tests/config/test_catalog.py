@@ -16,8 +16,8 @@ from bench.config.figure_table import tabulate_figures
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.core.words.exceptions import ConfigError
-from bench.sensors import imu
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import imu
+from bench.simulation.sensors.draws import SensorDraws
 from bench.studies.catalog_units import find_typical
 from tests.synthetic import still
 

@@ -25,10 +25,10 @@ from bench.core.files.places import PACKAGE
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
-from bench.flight.legs.climbs import Climb
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import FigureEight, Turn
 from bench.navigation.built_in import BUILT_IN
+from bench.simulation.flight.legs.climbs import Climb
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import FigureEight, Turn
 
 SHIPPED = [row.name for row in config.list_profiles()]
 
@@ -575,8 +575,8 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
 
 def test_every_class_has_a_shape_and_limits(tmp_path):
     from bench.config.profile_tables import Category
-    from bench.flight.sanity import LIMITS
     from bench.recording.meshes import MESHES
+    from bench.simulation.flight.sanity import LIMITS
 
     own = tmp_path / "aircraft" / "kite"
     own.mkdir(parents=True)

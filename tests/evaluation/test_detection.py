@@ -32,7 +32,7 @@ from bench.evaluation.detection import (
     measure_delay,
 )
 from bench.navigation.models.loose_tight import Loose
-from bench.sensors import sense
+from bench.simulation.sensors import sense
 from tests.weaving import units, weaving
 
 STEP = Fault("spoofing", "gnss", 60.0, 65.0, "step", step=(100.0, 0.0, 0.0), ramp=(0.0, 0.0, 0.0))

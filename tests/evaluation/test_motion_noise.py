@@ -9,11 +9,11 @@ import pytest
 from scipy.signal import lfilter
 
 import bench
-from bench import sensors
 from bench.evaluation import motion_noise
 from bench.evaluation.error_series import error_series
 from bench.evaluation.motion_noise import BANDS, LEAST, assume_motion_noise, measure_motion_noise
 from bench.navigation.built_in import load
+from bench.simulation import sensors
 from tests.builders import take
 from tests.exchange import drives
 from tests.weaving import IMU, units, weaving

@@ -17,7 +17,7 @@ from bench.evaluation import metrics, total_system
 from bench.evaluation.case import build_case
 from bench.evaluation.error_series import error_series
 from bench.evaluation.total_system import locate_path, resolve
-from bench.flight.desired_path import measure_off_path
+from bench.simulation.flight.guidance.desired_path import measure_off_path
 
 
 @pytest.fixture(scope="module")

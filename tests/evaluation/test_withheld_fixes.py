@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import fixes
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from tests.weaving import units, weaving
 
 

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import config, sensors, store
+from bench import config, store
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation import metrics
 from bench.evaluation.error_series import select_epochs
+from bench.simulation import sensors
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
 

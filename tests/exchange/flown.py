@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from bench.core.mathematics import earth, rotation
-from bench.signals.magnetic import field_n
+from bench.simulation.signals.magnetic import field_n
 from tests.exchange import drives
 from tests.exchange.flash import write_flash
 

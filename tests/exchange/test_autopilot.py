@@ -24,7 +24,7 @@ from bench.exchange.log_records import _find_ground, read_records, set_altimeter
 from bench.exchange.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
-from bench.signals.magnetic import field_n
+from bench.simulation.signals.magnetic import field_n
 from tests.evaluation.solutions import wrong_solution
 from tests.exchange import flown
 from tests.exchange.flash import write_flash

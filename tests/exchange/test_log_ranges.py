@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench import config, sensors
+from bench import config
 from bench.config.log import RANGES, SourceSpec, load_log
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
@@ -19,8 +19,9 @@ from bench.exchange.log_ranges import read_ranges
 from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, read_log
 from bench.navigation.built_in import load
-from bench.sensors.draws import SensorDraws
-from bench.sensors.gnss import compute_antenna_motion
+from bench.simulation import sensors
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.gnss import compute_antenna_motion
 from bench.store import make_start_document
 from tests.navigation.test_tight import taken
 from tests.weaving import units, weaving

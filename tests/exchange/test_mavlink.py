@@ -18,7 +18,7 @@ from bench import serving
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
-from bench.flight.steering import Commands
+from bench.simulation.flight.guidance.steering import Commands
 from tests.exchange.test_serve import Server, write_straight
 
 BANK = 0.2  # what it flies [rad]

@@ -21,7 +21,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.campaigns.plan import plan_runs
 from bench.config import load_profile
 from bench.core.records.data import InitialState, SensorData
@@ -35,6 +35,7 @@ from bench.core.words.exceptions import (
 )
 from bench.exchange import filter_process, filter_server
 from bench.exchange.record_messages import RecordMessage, read_message
+from bench.simulation import sensors
 from tests.builders import assert_same_solution
 from tests.cli.test_cli import PROFILE
 from tests.synthetic import turning

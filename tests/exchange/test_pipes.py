@@ -19,7 +19,7 @@ from bench.exchange.solutions import read_solution
 from bench.exchange.table_files import read_table
 from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
-from bench.signals.terrain import describe_terrain
+from bench.simulation.signals.terrain import describe_terrain
 
 
 def open_rinex(path: Path) -> None:

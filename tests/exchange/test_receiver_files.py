@@ -23,10 +23,10 @@ from bench.exchange import nees_band
 from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex import ephemerides, observations
 from bench.exchange.rinex.lines import gps_seconds
-from bench.signals import orbits
-from bench.signals.delays import compute_ntcm, zenith_troposphere
-from bench.signals.look import Look, share_errors
-from bench.signals.processing import Processing
+from bench.simulation.signals import orbits
+from bench.simulation.signals.delays import compute_ntcm, zenith_troposphere
+from bench.simulation.signals.look import Look, share_errors
+from bench.simulation.signals.processing import Processing
 from tests.data import gnss_file, stored_gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GREC_1800s.rnx.gz", "ESBC00DNK_2020177_GREC_MN.rnx.gz")

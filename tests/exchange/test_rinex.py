@@ -25,7 +25,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.exchange import almanac, rinex_fixes
 from bench.exchange.rinex import codes, ephemerides, lines, observations
 from bench.plots.receiver_plots import find_middle
-from bench.signals.processing import ErrorBudget, Processing
+from bench.simulation.signals.processing import ErrorBudget, Processing
 from tests.data import gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")

@@ -21,8 +21,8 @@ from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.precise_orbits import make_tables, read_orbits, read_precise_orbits
-from bench.signals import orbit_tables, orbits, receiver
-from bench.signals.orbits import C
+from bench.simulation.signals import orbit_tables, orbits, receiver_solution
+from bench.simulation.signals.orbits import C
 from tests.data import gnss_file, stored_gnss_file
 
 OBSERVATIONS, NAVIGATION = "ESBC00DNK_2020177_GREC_1800s.rnx.gz", "ESBC00DNK_2020177_GREC_MN.rnx.gz"
@@ -72,9 +72,13 @@ def write_sp3(path, systems=(GPS,), *, step=900.0, hours=HOURS, scale="GPS", ahe
             eccentric = -2 * np.einsum("ki,ki->k", found.pos_e, found.vel_e) / C**2
             clock = found.clock + found.relativity - eccentric
             if system == GALILEO and sets.message == "I/NAV":  # of E1 and E5b; those of SP3 are E1 and E5a
-                clock = clock - receiver._find_group_delay(sets, np.array([row]), np.array([[1, 5]]), True)
+                clock = clock - receiver_solution._find_group_delay(
+                    sets, np.array([row]), np.array([[1, 5]]), True
+                )
             if system == BEIDOU:  # of B3I
-                clock = clock - receiver._find_group_delay(sets, np.array([row]), np.array([[2, 6]]), True)
+                clock = clock - receiver_solution._find_group_delay(
+                    sets, np.array([row]), np.array([[2, 6]]), True
+                )
             for k, (x, c) in enumerate(zip(found.pos_e / 1e3, 1e6 * clock, strict=True)):
                 line = f"P{name}{x[0]:14.6f}{x[1]:14.6f}{x[2]:14.6f}{c:14.6f}"
                 line = line if edit is None else edit(name, k, line)

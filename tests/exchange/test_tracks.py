@@ -30,9 +30,9 @@ from bench.exchange.track_motion import (
     make_motion,
 )
 from bench.exchange.trajectory import read_trajectory
-from bench.flight import fly
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import STurns
+from bench.simulation.flight import fly
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import STurns
 from bench.store.truth_cache import join_pieces
 from tests.exchange.resolution_table import FLIGHTS, RATES, find_off
 from tests.flight.inertial import replay

@@ -14,7 +14,7 @@ from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.ubx import read_ubx
-from bench.signals import orbits, smoothing
+from bench.simulation.signals import orbits, smoothing
 from tests.data import stored_gnss_file
 
 F9T = stored_gnss_file("F9T-L2-2min.ubx.gz")

@@ -20,7 +20,7 @@ from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot, exports, imports
 from bench.exchange.exports.ulog_replay import read_definitions
 from bench.exchange.log_records import read_records
-from bench.signals.air import pressure_altitude
+from bench.simulation.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS
 

@@ -19,7 +19,7 @@ from bench.exchange.rinex.observations import read_observations
 from bench.exchange.rinex.precise_orbits import read_precise_orbits
 from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
-from bench.flight import model_files
+from bench.simulation.flight import model_files
 from tests.data import stored_gnss_file
 from tests.exchange.packed import compress, write_codes
 

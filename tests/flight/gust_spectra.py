@@ -11,7 +11,7 @@ from math import pi
 import numpy as np
 
 from bench.core.words.palette import SLOTS
-from bench.flight.dryden import GUSTS, GustFilters, scales_and_intensities
+from bench.simulation.flight.turbulence.dryden import GUSTS, GustFilters, scales_and_intensities
 from bench.workbench.guide import FOLDER
 
 SPAN = 2.8956  # of the Aerosonde [m]

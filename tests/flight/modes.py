@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.flight.trimming import Trim, TrimCondition, place, present_accelerations, trim_aircraft
+from bench.simulation.flight.trimming import Trim, TrimCondition, place, present_accelerations, trim_aircraft
 
 G = 9.80665  # standard gravity [m/s^2]
 LONGITUDINAL, LATERAL = [0, 2, 4, 7], [1, 3, 5, 6]  # u, w, q, pitch; v, p, r, roll of ``linearize``

@@ -12,11 +12,11 @@ from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec, Leg, ScriptSpec
-from bench.flight.legs.climbs import Climb
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
-from bench.flight.recorder import fly_pieces, record_plan
-from bench.flight.truth import Stretch, make_truth
+from bench.simulation.flight.legs.climbs import Climb
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.flight.recorder import fly_pieces, record_plan
+from bench.simulation.flight.truth import Stretch, make_truth
 
 FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft

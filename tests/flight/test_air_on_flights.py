@@ -6,9 +6,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from bench.core.records.instruments import AirspeedSpec, BaroSpec, StaticPressureSpec
-from bench.sensors import airspeed, static_pressure
-from bench.sensors.draws import SensorDraws
-from bench.signals import air
+from bench.simulation.sensors import airspeed, static_pressure
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals import air
 
 
 def test_a_barometer_without_errors_reads_the_geopotential_height_of_the_flight(short_truth):

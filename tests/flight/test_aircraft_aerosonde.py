@@ -15,10 +15,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.words.exceptions import FlightError
-from bench.flight.executive import load_aircraft
-from bench.flight.jsbsim_units import FT
-from bench.flight.trimming import TrimCondition, place, trim_aircraft
-from bench.flight.wind import air_velocity, set_wind
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.trimming import TrimCondition, place, trim_aircraft
+from bench.simulation.flight.turbulence.wind import air_velocity, set_wind
 from tests.flight import modes
 from tests.flight.plans import AEROSONDE
 

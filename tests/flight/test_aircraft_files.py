@@ -10,8 +10,8 @@ import pytest
 from bench.config.library import read_aircraft, read_jsbsim_aircraft
 from bench.config.listing import list_aircraft
 from bench.core.records.flight_specs import AircraftSpec
-from bench.flight.executive import load_aircraft
-from bench.flight.trimming import TrimCondition, trim_aircraft
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.trimming import TrimCondition, trim_aircraft
 
 AIRCRAFT = Path(__file__).parents[2] / "aircraft"
 OWN = {path.parent.name: read_aircraft(path.parent, AIRCRAFT) for path in AIRCRAFT.glob("*/aircraft.toml")}

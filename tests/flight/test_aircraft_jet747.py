@@ -16,13 +16,13 @@ from bench.config import load_profile
 from bench.config.library import read_aircraft
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.executive import load_aircraft
-from bench.flight.jsbsim_units import FT
-from bench.flight.legs.climbs import Climb, Descend
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
-from bench.flight.trimming import TrimCondition, place, trim_aircraft
+from bench.simulation.flight import fly
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.legs.climbs import Climb, Descend
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.flight.trimming import TrimCondition, place, trim_aircraft
 from tests.flight import modes747 as etkin
 from tests.flight.modes import linearize
 from tests.flight.plans import plan, truth_of

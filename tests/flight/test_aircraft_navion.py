@@ -17,13 +17,13 @@ from numpy.testing import assert_allclose
 from bench.config.library import find_aircraft, read_aircraft
 from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
-from bench.flight import fly
-from bench.flight.executive import load_aircraft
-from bench.flight.jsbsim_units import FT
-from bench.flight.legs.climbs import Climb, Descend
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
-from bench.flight.trimming import TrimCondition, place, trim_aircraft
+from bench.simulation.flight import fly
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.legs.climbs import Climb, Descend
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.flight.trimming import TrimCondition, place, trim_aircraft
 from tests.flight import modes
 from tests.flight.plans import plan
 

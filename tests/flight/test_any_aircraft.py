@@ -23,13 +23,13 @@ from bench.core.mathematics.rotation import rotate, to_euler
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.flight import child_process, fly, fly_pieces, recorder, trimming
-from bench.flight.executive import load_aircraft
-from bench.flight.legs.landing import Approach, Flare, LandingRoll
-from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Static, TakeOff
-from bench.flight.model_files import copy_aircraft
-from bench.flight.trimming import TrimCondition, move_surfaces, place, run_engines, trim_aircraft
+from bench.simulation.flight import child_process, fly, fly_pieces, recorder, trimming
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.runway import Static, TakeOff
+from bench.simulation.flight.model_files import copy_aircraft
+from bench.simulation.flight.trimming import TrimCondition, move_surfaces, place, run_engines, trim_aircraft
 from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT, fly_here
@@ -401,7 +401,8 @@ def test_what_hangs_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
 
     def fly_with(function: str, *options: object) -> None:
         instead = start.replace(
-            "from bench.flight.recorder import fly_pieces", f"import flown; fly_pieces = flown.{function}"
+            "from bench.simulation.flight.recorder import fly_pieces",
+            f"import flown; fly_pieces = flown.{function}",
         )
         monkeypatch.setattr(child_process, "_START", instead)
         list(child_process.fly_in_child(FIGURE_EIGHT, "aircraft x", *options))

@@ -10,8 +10,12 @@ from scipy.linalg import expm
 
 from bench.config import load_profile
 from bench.core.mathematics.random_streams import stream
-from bench.flight import fly
-from bench.flight.dryden import (
+from bench.simulation.flight import fly
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.trimming import TrimCondition, present_accelerations, trim_aircraft, wait
+from bench.simulation.flight.turbulence.dryden import (
     GUSTS,
     RATES,
     GustFilters,
@@ -19,10 +23,6 @@ from bench.flight.dryden import (
     scales_and_intensities,
     through_turbulence,
 )
-from bench.flight.executive import load_aircraft
-from bench.flight.jsbsim_units import FT
-from bench.flight.legs.level import Straight
-from bench.flight.trimming import TrimCondition, present_accelerations, trim_aircraft, wait
 from tests.flight.gust_spectra import CENTRES, SPAN, measure, shaping
 from tests.flight.plans import AEROSONDE, plan
 

@@ -22,10 +22,10 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
-from bench.flight.legs.landing import Approach, Flare, LandingRoll
-from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Static, TakeOff
-from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.runway import Static, TakeOff
+from bench.simulation.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
 from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
 

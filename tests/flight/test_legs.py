@@ -12,11 +12,11 @@ from bench.config.leg_tables import build_leg_type
 from bench.core.mathematics.rotation import to_euler
 from bench.core.mathematics.units import split_unit
 from bench.core.records.flight_specs import LegStart
-from bench.flight import fly, legs
-from bench.flight.legs.keys import AtSpeed, Bank, Key, keys_of, write_key
-from bench.flight.legs.landing import Approach, LandingRoll
-from bench.flight.legs.surfaces import AileronRoll
-from bench.flight.shaping import smooth
+from bench.simulation.flight import fly, legs
+from bench.simulation.flight.guidance.shaping import smooth
+from bench.simulation.flight.legs.keys import AtSpeed, Bank, Key, keys_of, write_key
+from bench.simulation.flight.legs.landing import Approach, LandingRoll
+from bench.simulation.flight.legs.surfaces import AileronRoll
 from tests.config.test_config import PROFILE, errors, write
 
 

@@ -12,11 +12,11 @@ from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import Gust, WindLayer
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.legs.climbs import Climb
-from bench.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
-from bench.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
-from bench.flight.legs.turns import STurns, Turn
+from bench.simulation.flight import fly
+from bench.simulation.flight.legs.climbs import Climb
+from bench.simulation.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
+from bench.simulation.flight.legs.surfaces import AileronRoll, Doublet, WindUpTurn
+from bench.simulation.flight.legs.turns import STurns, Turn
 from tests.flight.plans import AEROSONDE, plan, roll, truth_of, turned
 
 # --- by heading ---------------------------------------------------------------------------------------

@@ -12,12 +12,12 @@ from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import AircraftSpec, Runway
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.legs.landing import Approach, Flare, LandingRoll
-from bench.flight.legs.level import Straight
-from bench.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
-from bench.flight.recorder import prepare
-from bench.flight.sequencer import FlownLeg, fly_legs
+from bench.simulation.flight import fly
+from bench.simulation.flight.guidance.sequencer import FlownLeg, fly_legs
+from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.runway import Static, TakeOff, Taxi, TouchAndGo
+from bench.simulation.flight.recorder import prepare
 from tests.flight.plans import AEROSONDE, plan, truth_of
 
 LAT, LON, GROUND, ALONG = radians(47.26), radians(11.34), 600.0, radians(85.0)

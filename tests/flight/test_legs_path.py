@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.legs.level import Straight
-from bench.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints
-from bench.flight.paths import Segment, SegmentPath
+from bench.simulation.flight import fly
+from bench.simulation.flight.guidance.paths import Segment, SegmentPath
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.tracks import Holding, Survey, Waypoint, Waypoints
 from tests.flight.plans import CALM, plan
 
 BANK = radians(30.0)

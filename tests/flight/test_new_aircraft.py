@@ -18,9 +18,9 @@ from bench.config.listing import PROFILES
 from bench.core.mathematics import rotation
 from bench.core.records.data import Events
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.executive import load_aircraft
-from bench.flight.gain_design import (
+from bench.simulation.flight import fly
+from bench.simulation.flight.executive import load_aircraft
+from bench.simulation.flight.guidance.gain_design import (
     BANK,
     _find_stubs,
     _place_loops,
@@ -30,7 +30,7 @@ from bench.flight.gain_design import (
     plan_acceptance,
     prepare_aircraft,
 )
-from bench.flight.trimming import (
+from bench.simulation.flight.trimming import (
     Trim,
     TrimCondition,
     move_surfaces,

@@ -13,11 +13,11 @@ from scipy.interpolate import RegularGridInterpolator
 from bench.config import load_profile
 from bench.core.records.instruments import RadarSpec
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.flight.legs.level import Straight
-from bench.flight.legs.tracks import Point, TerrainFollowing, clear_heights
-from bench.sensors import radar
-from bench.sensors.draws import SensorDraws
-from bench.signals.terrain import describe_terrain, ground_at
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.tracks import Point, TerrainFollowing, clear_heights
+from bench.simulation.sensors import radar
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals.terrain import describe_terrain, ground_at
 from tests.flight.plans import plan, record_whole, truth_of
 from tests.valley import write_grid
 

@@ -27,13 +27,13 @@ from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import FlightError
-from bench.flight import Summary, fly, fly_pieces, summarise
-from bench.flight.increments import Motion, at_point, step_increments
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
-from bench.flight.recorder import simulation_step
-from bench.flight.truth import Stretch
 from bench.navigation import mechanization
+from bench.simulation.flight import Summary, fly, fly_pieces, summarise
+from bench.simulation.flight.increments import Motion, at_point, step_increments
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.flight.recorder import simulation_step
+from bench.simulation.flight.truth import Stretch
 from bench.store.truth_cache import truth_pieces
 from tests.flight.inertial import inertial, largest_difference, navigate
 from tests.flight.plans import FIGURE_EIGHT, plan, short_plan, truth_of

@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose
 from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.flight_specs import AircraftSpec
-from bench.flight.dryden import scales_and_intensities
-from bench.flight.legs.climbs import Climb
-from bench.flight.legs.level import Straight
-from bench.flight.recorder import prepare
+from bench.simulation.flight.legs.climbs import Climb
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.recorder import prepare
+from bench.simulation.flight.turbulence.dryden import scales_and_intensities
 from tests.flight.plans import AEROSONDE, fly_here, plan
 
 ABOVE = 250.0  # ground at the ellipsoid [m]

@@ -10,10 +10,10 @@ from numpy.testing import assert_allclose
 
 from bench.core.records.data import Trajectory
 from bench.core.words.exceptions import FlightError
-from bench.flight import fly
-from bench.flight.legs.climbs import Climb, Descend
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import FigureEight, Turn
+from bench.simulation.flight import fly
+from bench.simulation.flight.legs.climbs import Climb, Descend
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import FigureEight, Turn
 from tests.flight.plans import AEROSONDE, FIGURE_EIGHT, plan, roll, turned
 
 

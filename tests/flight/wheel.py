@@ -21,7 +21,7 @@ from typing import NamedTuple
 from bench.cli import main
 from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
 from bench.core.words.exceptions import FlightError
-from bench.flight.model_files import script_facts
+from bench.simulation.flight.model_files import script_facts
 
 LONGEST = 60.0
 """A script is stopped then [s]."""

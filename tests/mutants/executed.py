@@ -6,7 +6,7 @@ kernel, by the tests that execute that one.
 
 A result that a test file keeps (``@cache``) or shares (``made_once``) belongs to the first test that asks for
 it, so the tests of such files are taken together. A truth that is read from the cache has executed nothing:
-of `bench.flight`, tests are found that fly.
+of `bench.simulation.flight`, tests are found that fly.
 """
 
 from __future__ import annotations

@@ -16,12 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from bench import sensors
 from bench.config import load_profile
 from bench.core.records.data import NavSolution, SensorData, Trajectory
 from bench.core.records.sensor_specs import Fault, SensorsSpec
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.simulation import sensors
 from tests.weaving import units, weaving
 
 BEGIN = 25.0

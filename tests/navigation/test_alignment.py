@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory, no_air, no_controls, no_events
@@ -26,6 +26,7 @@ from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
+from bench.simulation import sensors
 from tests.builders import at_rest, band, put
 from tests.weaving import DEG, IMU, units, weaving
 

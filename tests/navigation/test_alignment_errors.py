@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes
 from bench.core.records.sensor_specs import GnssSpec, ImuSpec, ThermalSpec, TriadSpec
 from bench.core.words.exceptions import EstimatorError
 from bench.navigation.mechanization import propagate
 from bench.navigation.start import alignment, course, leveling
+from bench.simulation import sensors
 from tests.builders import at_rest, take
 from tests.weaving import DEG, units, weaving
 

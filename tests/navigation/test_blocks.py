@@ -11,7 +11,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson
 
-from bench import sensors
 from bench.config import load_profile
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import InitialState
@@ -23,8 +22,9 @@ from bench.navigation.error_state_filter.imu_states import EVERY_ERROR
 from bench.navigation.error_state_filter.state_blocks import index_of, state_model
 from bench.navigation.error_state_filter.state_processes import CUBE, STEADY, WARMTH, Block, States
 from bench.navigation.models.loose_tight import Loose
-from bench.sensors import imu
-from bench.sensors.draws import SensorDraws
+from bench.simulation import sensors
+from bench.simulation.sensors import imu
+from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import first_rows
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving

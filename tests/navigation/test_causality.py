@@ -8,12 +8,12 @@ from itertools import count
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.sensor_specs import Fault
 from bench.navigation.built_in import load
 from bench.navigation.causality import LookAhead, change_later, measure_look_ahead
 from bench.navigation.engine.record_cuts import nothing_known
+from bench.simulation import sensors
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import GNSS, units, weaving
 

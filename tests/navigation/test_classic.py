@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
@@ -33,6 +33,7 @@ from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, R3, Nav
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import ClassicOptions
+from bench.simulation import sensors
 from tests.register import equations
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 

@@ -9,15 +9,15 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from bench import sensors
 from bench.config.fault_tables import read_faults
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import HeadingSpec
 from bench.evaluation.case import bias_errors
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
-from bench.sensors import dual_antenna
-from bench.sensors.draws import SensorDraws
+from bench.simulation import sensors
+from bench.simulation.sensors import dual_antenna
+from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import ensemble, put
 from tests.synthetic import still, turning
 from tests.weaving import DEG, units, weaving

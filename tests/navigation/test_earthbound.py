@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench import sensors
 from bench.navigation.built_in import load
 from bench.navigation.engine.earthbound import FASTEST, HIGHEST, Earthbound
+from bench.simulation import sensors
 from tests.navigation.test_pieces import joined, pieces
 from tests.weaving import units, weaving
 

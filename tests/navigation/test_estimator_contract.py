@@ -17,7 +17,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench import sensors
 from bench.core.records.data import NavSolution
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import EstimatorError
@@ -25,6 +24,7 @@ from bench.evaluation import metrics
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import check_needs
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from tests.builders import assert_same_solution
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import BUILT_IN, load
+from bench.simulation import sensors
 from tests.builders import at_rest, band, steered
 from tests.navigation.test_alignment import FINE
 from tests.navigation.test_tight import MATCHED

@@ -23,7 +23,7 @@ from bench.navigation.error_state_filter.propagation import FilterState, Measure
 from bench.navigation.error_state_filter.ranges import ranging
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_blocks import index_of
-from bench.signals.magnetic import field_n
+from bench.simulation.signals.magnetic import field_n
 from tests.navigation.test_error_state import plain
 
 PLACE = np.array([0.8, 0.2, 500.0])

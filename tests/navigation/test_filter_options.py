@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes, ImuData, Trajectory
@@ -25,7 +25,8 @@ from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
 from bench.navigation.error_state_filter.aiding_sensors import airspeed_variance, fix_variance, weigh_fixes
 from bench.navigation.models.loose_tight import Loose, Passage, Tight
-from bench.signals.magnetic import field_n
+from bench.simulation import sensors
+from bench.simulation.signals.magnetic import field_n
 from tests.builders import first_rows, take
 from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving
 

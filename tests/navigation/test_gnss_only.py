@@ -16,7 +16,6 @@ from numpy.testing import assert_allclose
 from scipy import stats
 
 import bench
-from bench import sensors
 from bench.core.mathematics import earth
 from bench.core.records.data import GnssFixes, Trajectory, no_air, no_controls, no_events
 from bench.core.records.specs import EvaluationWindow
@@ -30,6 +29,7 @@ from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import GnssOnlyOptions
 from bench.navigation.start.fix_track import FixTrack
 from bench.navigation.start.singer import singer_kernel, track_work
+from bench.simulation import sensors
 from tests.builders import band, student
 from tests.weaving import GNSS, units, weaving
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.error_series import error_series
@@ -22,6 +21,7 @@ from bench.navigation.estimator import check_needs
 from bench.navigation.models.graph import factor_graph
 from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
 from bench.navigation.options import GraphOptions
+from bench.simulation import sensors
 from tests.builders import band, ensemble
 from tests.weaving import DEG, GNSS, IMU, units, weaving
 

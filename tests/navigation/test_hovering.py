@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.config import load_profile
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.simulation import sensors
 from tests.builders import band
 from tests.hovering import hovering
 from tests.weaving import units

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Events, InitialState, Innovations, NavSolution
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.navigation.engine.record_cuts import take_head, take_piece
 from bench.navigation.start import headings
+from bench.simulation import sensors
 from tests.builders import at_rest
 from tests.weaving import DEG, units
 

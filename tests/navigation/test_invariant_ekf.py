@@ -9,12 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm, logm
 
-from bench import sensors
 from bench.core.mathematics import rotation
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.models.invariant_ekf import InvariantFlight
 from bench.navigation.options import InvariantOptions
+from bench.simulation import sensors
 from tests.builders import band, ensemble
 from tests.weaving import DEG, IMU, units, weaving
 

@@ -14,7 +14,6 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import (
     INSTRUMENTS,
@@ -30,6 +29,7 @@ from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.error_state import feedback_kernel, less_errors, state_errors
 from bench.navigation.models.loose_tight import Passage
 from bench.navigation.start.steady_course import Gyros
+from bench.simulation import sensors
 from tests.builders import put, take
 from tests.navigation.test_tight import UNITS as WITH_SKY
 from tests.weaving import DEG, units, weaving

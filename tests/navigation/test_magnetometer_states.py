@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench import sensors
 from bench.core.records.instruments import MagSpec
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.simulation import sensors
 from tests.builders import ensemble, put
 from tests.weaving import DEG, units, weaving
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Events, GnssFixes, InitialState, Innovations, no_innovations
 from bench.core.records.sensor_specs import AxisFigures, GnssSpec, ImuSpec, TriadSpec
@@ -33,6 +32,7 @@ from bench.navigation.start.fix_track import unknown_arm
 from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
 from bench.navigation.start.refused_fixes import RefusedFixes
+from bench.simulation import sensors
 from tests.builders import put, take
 from tests.weaving import units, weaving
 

@@ -13,11 +13,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config, sensors
+from bench import config
 from bench.core.files import disk_arrays
 from bench.core.words.exceptions import EstimatorError
 from bench.navigation import built_in
 from bench.navigation.start import restart
+from bench.simulation import sensors
 from tests.builders import assert_same_solution, at_rest, put, take
 from tests.weaving import BARO, DEG, GNSS, IMU, units, weaving
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.cli import main
 from bench.config.log import load_log
 from bench.core.mathematics import earth, rotation
@@ -24,6 +23,7 @@ from bench.exchange.log_start import find_start
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment
+from bench.simulation import sensors
 from tests import twin
 from tests.builders import band, student
 from tests.exchange import drives, test_log_formats

@@ -9,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from bench import sensors
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import OdometerSpec, RadarSpec
 from bench.evaluation.error_series import error_series
@@ -18,6 +17,7 @@ from bench.navigation.error_state_filter.error_state import feedback_kernel
 from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model
 from bench.navigation.models.loose_tight import Loose, Tight
 from bench.navigation.options import FusionOptions
+from bench.simulation import sensors
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.weaving import units, weaving

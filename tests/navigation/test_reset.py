@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 import bench
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import Fault
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
+from bench.simulation import sensors
 from tests.builders import band
 from tests.navigation.test_pieces import assert_same_solution, joined, pieces
 from tests.weaving import units, weaving

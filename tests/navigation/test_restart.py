@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.error_series import error_series
@@ -25,6 +25,7 @@ from bench.navigation.error_state_filter import filter_run
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start.learnt_biases import LearntBiases
 from bench.navigation.start.whole_records import run_between_gaps
+from bench.simulation import sensors
 from tests.builders import band, first_rows, put, take
 from tests.flight.plans import truth_of
 from tests.weaving import DEG, IMU, units, weaving

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import sensors
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine.integrity import nis_limit
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from tests import twin
 from tests.builders import put, take
 from tests.navigation.test_twin import assert_same

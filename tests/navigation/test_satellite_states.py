@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.core.records.sensor_specs import Fault
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
@@ -15,6 +14,7 @@ from bench.navigation.error_state_filter.ranges import satellite_states
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Passage, Tight
+from bench.simulation import sensors
 from tests.builders import band, ensemble
 from tests.navigation.test_tight import SKY, shifted, taken
 from tests.weaving import units, weaving

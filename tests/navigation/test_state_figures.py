@@ -42,8 +42,8 @@ from bench.navigation.error_state_filter.state_blocks import (
     steady_rows,
 )
 from bench.navigation.options import FusionOptions
-from bench.signals.allan import gauss_markov_deviation
-from bench.signals.magnetic import field_n
+from bench.simulation.signals.allan import gauss_markov_deviation
+from bench.simulation.signals.magnetic import field_n
 
 DEG = np.pi / 180.0
 GYRO = TriadSpec(

@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench import sensors
 from bench.core.records.data import AirData
 from bench.core.records.instruments import (
     INSTRUMENTS,
@@ -28,6 +27,7 @@ from bench.core.records.sensor_specs import Fault
 from bench.evaluation.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
+from bench.simulation import sensors
 from tests.weaving import BARO, units, weaving
 
 START, END, LAST = 70.0, 110.0, 180.0

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench import sensors
 from bench.evaluation.error_series import error_series
 from bench.navigation.models.loose_tight import Loose
+from bench.simulation import sensors
 from tests import tails
 from tests.builders import band
 from tests.weaving import IMU, units, weaving

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import config, sensors
+from bench import config
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import GLONASS, GPS
@@ -30,9 +30,10 @@ from bench.navigation.error_state_filter.ranges.range_states import CLOCK, RANGE
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import index_of
 from bench.navigation.models.loose_tight import Loose, Tight
-from bench.sensors.clock import simulate_receiver_clock
-from bench.sensors.draws import SensorDraws
-from bench.signals.delays import zenith_troposphere
+from bench.simulation import sensors
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.measurement_level.clock import simulate_receiver_clock
+from bench.simulation.signals.delays import zenith_troposphere
 from tests.builders import ensemble
 from tests.navigation.test_error_state import plain
 from tests.synthetic import still

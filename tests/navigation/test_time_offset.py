@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench import sensors
 from bench.config.log import load_log
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.error_series import error_series
@@ -20,6 +19,7 @@ from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, find_start
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
+from bench.simulation import sensors
 from tests.builders import put
 from tests.weaving import units, weaving
 

@@ -16,15 +16,15 @@ from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import ImuData
 from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.evaluation.error_series import DIVERGED_SIGMAS, error_series
-from bench.flight import fly
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.start import steady_course, turn_on, turning_start
-from bench.sensors import sense
+from bench.simulation.flight import fly
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
+from bench.simulation.sensors import sense
 from tests.builders import Z, at_rest, band, first_rows, take
 from tests.flight.plans import plan
 from tests.navigation import honesty

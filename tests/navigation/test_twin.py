@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import config, pipeline, sensors
+from bench import config, pipeline
 from bench.core.mathematics import rotation
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.sensor_specs import ImuSpec
@@ -22,6 +22,7 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHOR
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.models.loose_tight import Loose, Passage, Tight
+from bench.simulation import sensors
 from tests import twin
 from tests.builders import take
 from tests.flight.plans import truth_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import pipeline, sensors
+from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.data import InitialState
@@ -18,6 +18,7 @@ from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import headings
+from bench.simulation import sensors
 from tests.builders import band, first_rows, steered, student
 from tests.navigation.test_tight import MATCHED
 from tests.weaving import DEG, GNSS, units, weaving

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.error_series import error_series
@@ -18,6 +17,7 @@ from bench.navigation.models import ukf
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.models.ukf import Unscented
 from bench.navigation.start import headings
+from bench.simulation import sensors
 from tests.builders import ensemble, student
 from tests.navigation.test_layouts import standard_errors_from
 from tests.weaving import DEG, GNSS, units, weaving

@@ -34,12 +34,12 @@ from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.core.records.specs import Profile
-from bench.flight.legs.level import Straight
-from bench.flight.legs.turns import Turn
 from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
 from bench.report import page
+from bench.simulation.flight.legs.level import Straight
+from bench.simulation.flight.legs.turns import Turn
 from tests.perf import closed
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 
@@ -110,7 +110,7 @@ def command_cpu(*arguments: str, cwd: Path, cache: Path | None = None, start: st
 
 def flying(profile: Profile) -> list[Figure]:
     """Recording against stepping the same aircraft with its guidance, and the first flight as a whole."""
-    from bench.flight import recorder
+    from bench.simulation.flight import recorder
 
     def record(spec: FlightSpec) -> None:
         for _ in recorder.record_plan(spec):
@@ -147,8 +147,8 @@ def turning(name: str) -> FlightSpec:
 
 
 def sensing(profile: Profile, truth: Trajectory) -> list[Figure]:
-    from bench.sensors import imu
-    from bench.sensors.draws import SensorDraws
+    from bench.simulation.sensors import imu
+    from bench.simulation.sensors.draws import SensorDraws
 
     n = len(truth) - 1
     draw = np.random.default_rng(1)
@@ -171,8 +171,8 @@ def sky_cost(profile: Profile, truth: Trajectory, unit: Callable[[], object]) ->
     40 % are fixes, whose ranges are weighed by the inverse of their covariance in each epoch; 17 % the waves
     of the ionosphere, 64 for each range; 8 % the satellites' orbits, twice.
     """
-    from bench.sensors import sky
-    from bench.sensors.draws import SensorDraws
+    from bench.simulation.sensors.draws import SensorDraws
+    from bench.simulation.sensors.measurement_level import sky
 
     spec = config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}).sensors
     return ratio(lambda: sky.measure(truth, spec.gnss, spec.antenna_b, (), SensorDraws(1, 0)), unit, 31)

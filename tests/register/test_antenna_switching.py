@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench import sensors
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
+from bench.simulation import sensors
 from tests.builders import assert_same_solution
 from tests.navigation.test_pieces import drawn_satellites, joined
 from tests.weaving import GNSS, units, weaving

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.integrate import solve_ivp
 
-from bench import sensors
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.mathematics.units import DEG
@@ -28,6 +27,7 @@ from bench.navigation.models.classic import (
 )
 from bench.navigation.models.classic.navigator import R3, Nav
 from bench.navigation.register import attitude_errors
+from bench.simulation import sensors
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
 from bench.studies.register_linear import draw_consistency
 from tests.register import equations

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.mathematics.units import DEG
@@ -16,6 +15,7 @@ from bench.navigation.built_in import load
 from bench.navigation.models.classic import Classic22, filter_loop
 from bench.navigation.models.classic.extrapolation import extrapolate
 from bench.navigation.register import vector_matching
+from bench.simulation import sensors
 from bench.studies.register_linear import draw_outage
 from tests.weaving import GNSS, units, weaving
 

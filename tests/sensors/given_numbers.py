@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors.draws import SensorDraws
 
 
 class GivenNumbers:

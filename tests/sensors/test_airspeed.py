@@ -14,9 +14,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import no_air
 from bench.core.records.instruments import AirspeedSpec
-from bench.sensors import airspeed
-from bench.sensors.draws import SensorDraws
-from bench.signals import air
+from bench.simulation.sensors import airspeed
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals import air
 from tests.builders import band
 from tests.synthetic import still
 

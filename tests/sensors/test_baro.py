@@ -12,8 +12,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.core.records.instruments import BaroSpec
-from bench.sensors import baro
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import baro
+from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import band
 from tests.sensors.given_numbers import respond
 from tests.synthetic import ORIGIN, still

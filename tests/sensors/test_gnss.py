@@ -21,8 +21,9 @@ from bench.core.records.sensor_specs import GnssSpec
 from bench.core.words.exceptions import ConfigError
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.models.classic.process_model import per_axis
-from bench.sensors import gnss, sky
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import gnss
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.measurement_level import sky
 from tests.builders import band
 from tests.sensors.given_numbers import respond
 from tests.synthetic import ORIGIN, still, turning
@@ -279,7 +280,7 @@ def day():
 def test_the_constellation_changes_when_a_satellite_crosses_five_degrees(day):
     """By the kernel of the measurement-level receiver; 24 satellites come and go about twice a day."""
     from bench.core.records.sensor_specs import SkySpec
-    from bench.sensors.view import compute_view
+    from bench.simulation.sensors.measurement_level.view import compute_view
 
     rows = np.arange(1, len(day.t))
 

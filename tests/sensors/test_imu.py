@@ -14,9 +14,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
-from bench.sensors import imu, processes
-from bench.sensors.draws import SensorDraws
-from bench.signals import allan
+from bench.simulation.sensors import imu, processes
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals import allan
 from tests.builders import Z, band
 from tests.sensors.given_numbers import respond
 from tests.synthetic import still, turning

@@ -18,8 +18,8 @@ from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import AirData, no_air
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
-from bench.sensors import imu, imu_terms, processes, vibration
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import imu, imu_terms, processes, vibration
+from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import band
 from tests.sensors.given_numbers import respond
 from tests.synthetic import still, turning

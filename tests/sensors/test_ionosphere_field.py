@@ -12,9 +12,9 @@ from scipy.special import ndtr
 
 from bench.core.mathematics import earth
 from bench.navigation.error_state_filter.ranges import ionosphere_anchors
-from bench.sensors import ionosphere_field as field
-from bench.signals import least_squares
-from bench.signals.look import Look
+from bench.simulation.sensors.measurement_level import ionosphere_field as field
+from bench.simulation.signals import least_squares
+from bench.simulation.signals.look import Look
 from tests.builders import band
 from tests.navigation.test_error_state import plain
 

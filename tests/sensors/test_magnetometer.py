@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import MagSpec
-from bench.sensors import magnetometer, sampling
-from bench.sensors.draws import SensorDraws
-from bench.signals.magnetic import field_n
+from bench.simulation.sensors import magnetometer, sampling
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals.magnetic import field_n
 from tests.builders import band
 from tests.synthetic import still, turning
 

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.core.records.instruments import OdometerSpec
-from bench.sensors import odometer
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import odometer
+from bench.simulation.sensors.draws import SensorDraws
 from tests.synthetic import turning
 
 EXACT = OdometerSpec("exact", rate=10.0, white_sd=0.0)

@@ -9,8 +9,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench.core.records.instruments import RadarSpec
-from bench.sensors import radar
-from bench.sensors.draws import SensorDraws
+from bench.simulation.sensors import radar
+from bench.simulation.sensors.draws import SensorDraws
 from tests.synthetic import ORIGIN, still
 
 GROUND = ORIGIN[2] - 50.0

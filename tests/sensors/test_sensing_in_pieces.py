@@ -23,9 +23,9 @@ from bench.core.records.sensor_specs import (
     TriadSpec,
     VibrationSpec,
 )
-from bench.sensors import sense, sense_piece
-from bench.sensors.draws import SensorDraws
-from bench.sensors.gnss import compute_antenna_motion, rate_at
+from bench.simulation.sensors import sense, sense_piece
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.gnss import compute_antenna_motion, rate_at
 from tests.sensors.test_faults import CASES, RECEIVERS, script
 
 CATALOG = Path(bench.__file__).parent / "catalog"

@@ -24,9 +24,9 @@ from bench.core.records.sensor_specs import (
     TriadSpec,
     VibrationSpec,
 )
-from bench.sensors import initial, sense, timing
-from bench.sensors.draws import SensorDraws
-from bench.sensors.timing import select_output_times
+from bench.simulation.sensors import initial, sense, timing
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.timing import select_output_times
 from tests.builders import band
 from tests.synthetic import still, turning
 from tests.weaving import weaving

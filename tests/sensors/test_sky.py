@@ -22,11 +22,12 @@ from bench.core.records.orbit_sets import GLONASS, GPS
 from bench.core.records.sensor_specs import SkySpec
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.sensors import clock, gnss, sky, view
-from bench.sensors.draws import SensorDraws
-from bench.signals import allan, delays, orbits, receiver
-from bench.signals.allan import fit_flat_deviation
-from bench.signals.processing import Processing
+from bench.simulation.sensors import gnss
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.measurement_level import clock, sky, view
+from bench.simulation.signals import allan, delays, orbits, receiver_solution
+from bench.simulation.signals.allan import fit_flat_deviation
+from bench.simulation.signals.processing import Processing
 from tests.builders import band
 from tests.data import gnss_file
 from tests.sensors.given_numbers import respond
@@ -147,7 +148,10 @@ def test_two_carriers_see_the_ionosphere(turn):
     free = Processing(ionosphere="free")
     assert np.abs(o.pseudorange - no.pseudorange).min() > 0.01
     assert (
-        np.abs(receiver.correct_pseudoranges(o, free) - receiver.correct_pseudoranges(no, free)).max() < 1e-6
+        np.abs(
+            receiver_solution.correct_pseudoranges(o, free) - receiver_solution.correct_pseudoranges(no, free)
+        ).max()
+        < 1e-6
     )
 
 
@@ -597,7 +601,7 @@ def test_the_prediction_does_not_change_the_fix(turn):
     """From the sensor's own prediction or from the centre of the Earth: within 2 cm, as the delays are
     those of the prediction or of the receiver's own height, metres away."""
     found = measure(turn, FULL)
-    again = receiver.solve_fixes(found.observations, sky.make_processing(FULL))
+    again = receiver_solution.solve_fixes(found.observations, sky.make_processing(FULL))
     assert np.abs(earth.difference_n(again.fixes.lla, found.fixes.lla)).max() < 0.02
     assert_array_equal(again.used, found.solution.used)
 
@@ -686,7 +690,7 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     """The loose filter takes its fixes as those of the position level; observations reach the disk."""
     from bench import pipeline, store
     from bench.navigation.models.loose_tight import Loose
-    from bench.sensors import sense
+    from bench.simulation.sensors import sense
 
     profile = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"})
     sensed = sense(short_truth, replace(profile.sensors, gnss_outages=()), 1, 0)

@@ -15,9 +15,9 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import no_air
 from bench.core.records.instruments import BaroSpec, StaticPressureSpec
-from bench.sensors import static_pressure
-from bench.sensors.draws import SensorDraws
-from bench.signals import air
+from bench.simulation.sensors import static_pressure
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.signals import air
 from tests.builders import band, first_rows
 from tests.sensors.given_numbers import respond
 from tests.synthetic import still

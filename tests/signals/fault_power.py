@@ -19,10 +19,10 @@ import bench
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.exchange.rinex_fixes import RinexFixes
-from bench.signals import receiver
-from bench.signals.fault_test import find_alarms
-from bench.signals.look import share_errors
-from bench.signals.processing import Processing
+from bench.simulation.signals import receiver_solution
+from bench.simulation.signals.fault_test import find_alarms
+from bench.simulation.signals.look import share_errors
+from bench.simulation.signals.processing import Processing
 
 LEAST = 8  # satellites of an epoch
 DRAWS = 100
@@ -38,7 +38,7 @@ def try_faults(solved: RinexFixes, processing: Processing, fault: float) -> tupl
         rows = np.flatnonzero((place == k) & used & (count[o.epoch] >= LEAST))
         ranges = o.pseudorange.copy()
         ranges[rows] += fault
-        again = receiver.solve_fixes(replace(o, pseudorange=ranges), processing)
+        again = receiver_solution.solve_fixes(replace(o, pseudorange=ranges), processing)
         trials.append(np.column_stack([o.epoch[rows], rows]))
         found.append(~again.used[rows] & again.fixes.valid[o.epoch[rows]])
     return np.concatenate(trials), np.concatenate(found)
@@ -50,7 +50,7 @@ def predict(
     """Return the chance (F,) of each trial by the covariance, and that of a test that knows the size."""
     o = solved.seen
     lla = solved.fixes.lla
-    near = receiver._look_around(o, earth.to_ecef(lla), processing)
+    near = receiver_solution._look_around(o, earth.to_ecef(lla), processing)
     shared = share_errors(near, o.frequency[:, 0], processing)
     common = shared.ionosphere**2 + shared.troposphere**2
     own = np.maximum(o.sd_pseudorange**2 - common, (0.1 * o.sd_pseudorange) ** 2)

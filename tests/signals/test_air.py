@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.records.instruments import AirspeedSpec
-from bench.signals import air
+from bench.simulation.signals import air
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.noise_curves import fit_noise, format_noise_figures, measure_model
 from bench.exchange.resting_log import read_resting_log
-from bench.sensors import processes
-from bench.signals import allan
+from bench.simulation.sensors import processes
+from bench.simulation.signals import allan
 
 UNITS = sorted((Path(bench.__file__).parent / "catalog/imu").glob("*.toml"))
 OFF = TriadSpec()

@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
-from bench.signals import delays, orbits
+from bench.simulation.signals import delays, orbits
 
 MODEL = np.array([3.82e-8, 1.49e-8, -1.79e-7, 0.0, 1.43e5, 0.0, -3.28e5, 1.13e5])
 

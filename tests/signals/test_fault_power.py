@@ -3,7 +3,7 @@
 import numpy as np
 
 import bench
-from bench.signals.processing import Processing
+from bench.simulation.signals.processing import Processing
 from tests.data import stored_gnss_file
 from tests.signals import fault_power
 

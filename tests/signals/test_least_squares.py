@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import GLONASS, GPS
-from bench.signals import delays, dilution, fault_test, least_squares, orbits
-from bench.signals.orbits import GPS_EARTH_RATE
+from bench.simulation.signals import delays, dilution, fault_test, least_squares, orbits
+from bench.simulation.signals.orbits import GPS_EARTH_RATE
 
 THERE = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 1200.0])
 

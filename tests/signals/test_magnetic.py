@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
-from bench.signals.magnetic import FIRST_YEAR, LAST_YEAR, field_n, wmm
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR, field_n, wmm
 
 # Date, height [km], latitude, longitude [deg], X, Y, Z [nT]. WMM2025: README of WMM2025COF.zip, NOAA NCEI,
 # 17 December 2024. WMM2020: WMM2020testvalues.pdf, NOAA NCEI, December 2019.

@@ -7,9 +7,9 @@ import pytest
 
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets
 from bench.exchange.rinex.ephemerides import read_navigation
-from bench.signals import orbits
-from bench.signals.orbit_fit import fit_glonass, fit_kepler
-from bench.signals.orbits import WEEK, C
+from bench.simulation.signals import orbits
+from bench.simulation.signals.orbit_fit import fit_glonass, fit_kepler
+from bench.simulation.signals.orbits import WEEK, C
 from tests.data import gnss_file
 
 BROADCAST = read_navigation(gnss_file("ESBC00DNK_2020177_GREC_MN.rnx")).list_sets()

@@ -12,8 +12,8 @@ from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
 from bench.exchange import almanac
 from bench.exchange.rinex import ephemerides, lines
-from bench.signals import dilution, orbits
-from bench.signals.orbits import C
+from bench.simulation.signals import dilution, orbits
+from bench.simulation.signals.orbits import C
 from tests.data import gnss_file
 from tests.signals.test_least_squares import view
 

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bench.core.mathematics.earth import displace
 from bench.core.records.flight_specs import Runway
 from bench.core.words.exceptions import ConfigError
-from bench.signals.terrain import describe_terrain, ground_at, read_grid
+from bench.simulation.signals.terrain import describe_terrain, ground_at, read_grid
 from tests.valley import FILE, make_heights, write_grid
 
 SOUTH, WEST, CELL, ROWS, COLUMNS = 46.9, 10.8, 0.01, 31, 41  # [deg]

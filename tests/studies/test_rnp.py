@@ -20,8 +20,8 @@ from bench.core.records.data import Events, no_events
 from bench.core.records.findings import series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.flight.legs.tracks import Waypoint, Waypoints
-from bench.flight.off_track import measure_off_track
+from bench.simulation.flight.guidance.off_track import measure_off_track
+from bench.simulation.flight.legs.tracks import Waypoint, Waypoints
 from bench.studies import rnp, stanford
 from bench.studies.watched_flights import WatchedFlight
 

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import log_pipeline, sensors
+from bench import log_pipeline
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.flight_specs import TableSpec
 from bench.evaluation import motion_fit
 from bench.exchange import imports
 from bench.exchange.trajectory import read_trajectory
+from bench.simulation import sensors
 from bench.store import join_pieces, parquet
 from tests.exchange import drives
 from tests.weaving import units

@@ -103,7 +103,7 @@ class Runway:
 
 @dataclass(frozen=True, slots=True)
 class TerrainSpec:
-    """A file of heights of the ground; `bench.signals.terrain` reads it."""
+    """A file of heights of the ground; `bench.simulation.signals.terrain` reads it."""
 
     path: Path
     digest: str  # SHA-256 of the file
@@ -123,7 +123,7 @@ class LegStart:
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a flight; `bench.flight.legs` holds the kinds, frozen dataclasses with figures in SI."""
+    """A part of a flight; `flight.legs` holds the kinds, frozen dataclasses with figures in SI."""
 
     kind: ClassVar[str]  # name in a profile
     needs: ClassVar[str] = "air"  # start: "air", "ground", or after an "approach" or a "flare"
@@ -131,7 +131,7 @@ class Leg:
     any_bank: ClassVar[bool] = False  # it may bank beyond the limit of guidance
 
     def describe(self) -> str:
-        """Return the figures of the leg in words; `bench.flight.legs.keys.AtSpeed` adds the airspeed."""
+        """Return the figures of the leg in words; `keys.AtSpeed` adds the airspeed."""
         return ""
 
     def check(self, start: LegStart) -> list[str]:
@@ -143,7 +143,7 @@ class Leg:
         return start.alt
 
     def fly(self, cockpit: Any) -> Iterator[None]:
-        """Write set-points into a `bench.flight.cockpit.Cockpit`, one step per instant of guidance.
+        """Write set-points into a `cockpit.Cockpit`, one step per instant of guidance.
 
         The generator may return a remark about the leg as flown.
 

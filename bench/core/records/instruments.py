@@ -1,8 +1,9 @@
 """The aiding instruments other than GNSS, one declaration each; all other code loops over them.
 
 An instrument has a record, a spec, a field in :class:`InstrumentSpecs` and :class:`InstrumentReports` and a
-row in :data:`INSTRUMENTS`. To add one, write these here and its model in ``bench/sensors/<model>.py``. For
-filters that use it, add its row in `aiding_sensors` and its branch in the measurement kernel.
+row in :data:`INSTRUMENTS`. To add one, write these here and its model in
+``bench/simulation/sensors/<model>.py``. For filters that use it, add its row in `aiding_sensors` and its
+branch in the measurement kernel.
 Datasheets, profiles, faults, files, streams, recordings, requirements and alarms follow from the row here.
 """
 
@@ -129,7 +130,7 @@ class MagSpec:
 class AirspeedSpec:
     """A pitot tube with a differential pressure sensor and an air data computer. 0 switches an error off.
 
-    ``bench.signals.air.airspeed_sd`` converts the white noise to a speed.
+    ``bench.simulation.signals.air.airspeed_sd`` converts the white noise to a speed.
     """
 
     name: str
@@ -293,7 +294,7 @@ class Instrument:
     record: type[InstrumentData]
     spec: type
     contents: str  # contents of its table, in words
-    model: str  # module of `bench.sensors`
+    model: str  # module of `bench.simulation.sensors`
     innovation: str  # name of its innovations
     quantity: str  # measured quantity, in words
     frame: int  # type number of its frames in a stream

@@ -119,7 +119,7 @@ class Guidance:
     navigation: EstimatorChoice
     period: float  # between two answers [s], a multiple of 0.05
     latency: float  # from the validity of an answer until guidance goes over to it [s], 0.05 or more
-    error: Literal["held", "state"]  # as `bench.flight.belief` says
+    error: Literal["held", "state"]  # as `bench.simulation.flight.guidance.belief` says
     look_back: float = 1.0  # longest time from a measurement to its arrival [s]
 
 

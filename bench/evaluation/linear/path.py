@@ -12,7 +12,7 @@ from bench.core.records.data import Trajectory
 from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.error_state_filter.error_state import dynamics_kernel, transition_kernel
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensors.imu_terms import compute_temperature
+from bench.simulation.sensors.imu_terms import compute_temperature
 
 STEP = 0.1  # longest step: the attitude turns by a few degrees in it [s]
 FACTORS = CUBE + 6

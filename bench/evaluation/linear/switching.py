@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import Any
 
-from bench import sensors
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.sensor_specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.evaluation.linear.terms import INITIAL, Source, list_sources
-from bench.sensors.draws import SensorDraws
-from bench.sensors.initial import draw_initial_state
+from bench.simulation import sensors
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.initial import draw_initial_state
 
 
 def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int, run: int) -> Sensed:

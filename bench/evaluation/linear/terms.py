@@ -1,10 +1,11 @@
 """Every error of the sensors on board as constants and processes of a linear model, by source.
 
-The figures are those of the datasheets that the simulation draws from (`bench.sensors`), not those that a
-filter assumes. A constant is an error of one figure times a signal of the motion (`Path.factors`); a process
-is three independent Gauss-Markov states or random walks, or white noise. What is not Gaussian counts by an
-equal autocovariance (Tichavsky, Muravchik, Nehorai, IEEE Trans. Signal Processing 46 (5), 1998): roundings
-are white, jumps where the satellites change are, where their instants are unknown, shot noise.
+The figures are those of the datasheets that the simulation draws from (`bench.simulation.sensors`), not
+those that a filter assumes. A constant is an error of one figure times a signal of the motion
+(`Path.factors`); a process is three independent Gauss-Markov states or random walks, or white noise. What
+is not Gaussian counts by an equal autocovariance (Tichavsky, Muravchik, Nehorai, IEEE Trans. Signal
+Processing 46 (5), 1998): roundings are white, jumps where the satellites change are, where their instants
+are unknown, shot noise.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from bench.core.words.exceptions import ConfigError
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensors import imu as imu_model
-from bench.sensors import static_pressure, vibration
-from bench.sensors.draws import SensorDraws
-from bench.sensors.gnss import find_constellation_changes
-from bench.sensors.processes import choose_bias_stages
-from bench.sensors.timing import find_epoch_rows
+from bench.simulation.sensors import imu as imu_model
+from bench.simulation.sensors import static_pressure, vibration
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.gnss import find_constellation_changes
+from bench.simulation.sensors.processes import choose_bias_stages
+from bench.simulation.sensors.timing import find_epoch_rows
 
 IMU = -1
 """What a process acts on, beside the sensors of `measurement_rows`: gyros or accelerometers."""

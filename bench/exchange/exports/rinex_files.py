@@ -31,10 +31,10 @@ from bench.core.records.orbit_sets import (
 from bench.core.words.exceptions import ExportError
 from bench.exchange.exports.outgoing import ExportData
 from bench.exchange.rinex.lines import BEIDOU_LATE, leap_seconds
-from bench.signals import orbits
-from bench.signals.delays import range_kernel
-from bench.signals.orbit_fit import fit_glonass, fit_kepler
-from bench.signals.orbits import DAY, GPS_EARTH_RATE, WEEK, C
+from bench.simulation.signals import orbits
+from bench.simulation.signals.delays import range_kernel
+from bench.simulation.signals.orbit_fit import fit_glonass, fit_kepler
+from bench.simulation.signals.orbits import DAY, GPS_EARTH_RATE, WEEK, C
 
 FORMATS = {
     "rinex": "RINEX 3 for RTKLIB and others: ranges, Doppler and C/N0 of a receiver with [sky], orbits"

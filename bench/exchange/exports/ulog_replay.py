@@ -20,7 +20,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.exports.outgoing import ExportData
-from bench.signals.air import standard_atmosphere
+from bench.simulation.signals.air import standard_atmosphere
 
 FORMATS = {"ulog": "PX4: a log of the sensors for Replay, as --like OWN.ulg of one's own firmware defines it"}
 NEEDS_LIKE = True

@@ -26,7 +26,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
 from bench.exchange.table_files import MOST_BYTES
-from bench.signals.air import pressure_altitude
+from bench.simulation.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]
 _MOST_UNPACKED = 512_000_000  # memory for reading, beside twice the size of a file and its columns [byte]

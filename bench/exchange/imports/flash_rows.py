@@ -22,7 +22,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.exchange.imports.contents import Contents, Vector, day_of_gps, day_of_unix, split_instance
 from bench.exchange.imports.dataflash import DataFlash
 from bench.exchange.rows import MOST_ROWS, LogRows
-from bench.signals.air import (
+from bench.simulation.signals.air import (
     GAS_CONSTANT,
     SEA_LEVEL_PRESSURE,
     SEA_LEVEL_TEMPERATURE,

@@ -26,7 +26,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import leap_seconds
 from bench.exchange.rows import MOST_ROWS, LogRows, to_lla
 from bench.exchange.table_files import MOST_BYTES, TableColumns
-from bench.signals.orbits import DAY, WEEK
+from bench.simulation.signals.orbits import DAY, WEEK
 
 _LINE = 4096  # longest line [characters]
 _EPOCH = datetime(1980, 1, 6)

@@ -24,7 +24,7 @@ from bench.exchange.imports.contents import Contents, OwnMotion, Vector, day_of_
 from bench.exchange.imports.ulog_motion import Data, stack, times
 from bench.exchange.imports.unreadable import describe_damage
 from bench.exchange.rows import MOST_ROWS, LogRows
-from bench.signals.air import pressure_altitude
+from bench.simulation.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
 _LEAST_COVERED = 0.5  # part of the time between two rows of an IMU that the rows measured

@@ -36,7 +36,7 @@ from bench.exchange.rinex.lines import (
     read_calendar,
     to_date,
 )
-from bench.signals.orbits import WEEK
+from bench.simulation.signals.orbits import WEEK
 
 _HEADS = {
     2: re.compile(r" ?\d"),
@@ -93,7 +93,7 @@ class NavigationFile:
         return {GPS: [self.gps], GLONASS: [self.glonass], GALILEO: [*self.galileo], BEIDOU: [*beidou]}
 
     def list_orbits(self) -> dict[int, list[KeplerSets | GlonassSets | OrbitTable]]:
-        """Return all orbits of each system, for `bench.signals.receiver.make_observations`."""
+        """Return all orbits of each system, for `receiver_solution.make_observations`."""
         found: dict[int, list[KeplerSets | GlonassSets | OrbitTable]] = {}
         for system, sets in self.list_sets().items():
             found[system] = [*sets, *(table for table in self.precise if table.system == system)]

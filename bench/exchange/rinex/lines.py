@@ -15,7 +15,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.compact import LONGEST, CompactText
 from bench.exchange.rinex.unpacking import UnpackingError, open_text
-from bench.signals.orbits import DAY
+from bench.simulation.signals.orbits import DAY
 
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20

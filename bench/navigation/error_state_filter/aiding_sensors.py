@@ -44,8 +44,8 @@ from bench.navigation.error_state_filter.measurement_rows import (
 )
 from bench.navigation.error_state_filter.state_blocks import CHANGES
 from bench.navigation.options import FixAccuracy
-from bench.signals import air
-from bench.signals.magnetic import field_n
+from bench.simulation.signals import air
+from bench.simulation.signals.magnetic import field_n
 
 LATENCY, LAG = "GNSS latency", "lag of the receiver under acceleration"
 
@@ -212,7 +212,7 @@ def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
 
     What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
     """
-    step = 1e4  # two cells of the grid of `bench.signals.magnetic` [m]
+    step = 1e4  # two cells of the grid of `bench.simulation.signals.magnetic` [m]
     ends = np.concatenate([step * np.eye(3), -step * np.eye(3)])
     around = field_n(np.vstack([lla, earth.displace(lla, ends)]), date)
     return np.vstack([around[0], (around[1:4] - around[4:]) / (2.0 * step)])

@@ -18,8 +18,8 @@ from bench.navigation.error_state_filter.state_processes import (
     Block,
     States,
 )
-from bench.signals import air
-from bench.signals.allan import fit_flat_deviation
+from bench.simulation.signals import air
+from bench.simulation.signals.allan import fit_flat_deviation
 
 AIR_SD = 10.0  # of the temperature of the air about the standard atmosphere [K]
 AIR_WALK = 0.01  # change of that on the way, 0.6 K in an hour [K/sqrt(s)]

@@ -179,7 +179,7 @@ def bias_sd(triad: TriadSpec, along: float, warmth: float = 0.0) -> float:
 def common_variance(triad: TriadSpec, T: float) -> FloatArray:
     """Return the covariance (3,) of the bias of each axis with its mean over the last T seconds.
 
-    For a Gauss-Markov process it follows from the autocorrelation. Flicker noise (`bench.sensors.processes`)
+    For a Gauss-Markov process it follows from the autocorrelation. Flicker noise (`sensors.processes`)
     differs from its mean over a minute or two by a variance of 2.4 to 2.8 instability^2, about the variance
     of its state: half of it is in common. Over a shorter time it would be more.
     """

@@ -13,7 +13,7 @@ from bench.core.records.findings.series import AXIS_COLOURS, SLOW, Plot, Rows, S
 from bench.core.records.orbit_sets import SYSTEM_NAMES, name_satellite
 from bench.core.words.palette import Colour
 from bench.plots.content import Content, Tab
-from bench.signals import dilution
+from bench.simulation.signals import dilution
 
 USED: Colour = (80, 190, 90)
 _FRAME: Colour = (120, 120, 120)

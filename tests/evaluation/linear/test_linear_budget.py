@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import sensors
 from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.core.mathematics import rotation
@@ -27,6 +26,7 @@ from bench.evaluation.linear.terms import model_errors
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.measurement_rows import BARO as MEASURED_BARO
 from bench.navigation.error_state_filter.measurement_rows import POSITION, VELOCITY
+from bench.simulation import sensors
 from tests.builders import band
 from tests.synthetic import still, turning
 from tests.weaving import BARO, DEG, IMU, units, weaving

@@ -19,7 +19,7 @@ from bench.evaluation.linear.path import FACTORS, make_path
 from bench.evaluation.linear.terms import IMU, Constant, ErrorProcess
 from bench.navigation.error_state_filter.measurement_rows import BARO, POSITION, VELOCITY
 from bench.navigation.error_state_filter.state_processes import ABSOLUTE, CUBE, SQUARE, STEADY, WARMTH
-from bench.sensors.imu_terms import compute_temperature
+from bench.simulation.sensors.imu_terms import compute_temperature
 from tests.synthetic import turning
 from tests.weaving import units
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.core.compilation.compiled import inner
 from bench.core.mathematics.arrays import FloatArray
-from bench.signals.least_squares import EARTH_RADIUS, SHELL
+from bench.simulation.signals.least_squares import EARTH_RADIUS, SHELL
 
 _AROUND = 9e5  # from the receiver to the outer anchors [m]: half way to the pierce point at 5 deg
 ANCHORS = _AROUND * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])

@@ -10,7 +10,7 @@ from bench.core.records.orbit_sets import GPS, SYSTEM_NAMES
 from bench.core.records.sensor_specs import AssumedSpecs, SkySpec
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.state_processes import Block, States, assumed
-from bench.signals.orbits import C
+from bench.simulation.signals.orbits import C
 
 RANGES = (16, 12, 12, 16)
 """Satellites of each system whose range error has a state; one more than these waits until one has set.

@@ -40,8 +40,8 @@ from bench.navigation.error_state_filter.ranges.ionosphere_anchors import (
 from bench.navigation.error_state_filter.ranges.range_states import multipath_sd
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
-from bench.signals import receiver
-from bench.signals.delays import (
+from bench.simulation.signals import receiver_solution
+from bench.simulation.signals.delays import (
     klobuchar_kernel,
     mapping_kernel,
     obliquity_kernel,
@@ -49,8 +49,8 @@ from bench.signals.delays import (
     range_rate_kernel,
     zenith_troposphere,
 )
-from bench.signals.orbits import GPS_EARTH_RATE, L1
-from bench.signals.processing import GROUND, Processing
+from bench.simulation.signals.orbits import GPS_EARTH_RATE, L1
+from bench.simulation.signals.processing import GROUND, Processing
 
 _E2 = WGS84.e2
 _LAYER = 50.0  # step of the table of vertical delays: linear in between to 1e-5 m [m]
@@ -116,7 +116,7 @@ def correct_observations(o: GnssObservations, sky: SkySpec) -> tuple[FloatArray,
     """
     processing = Processing(ionosphere="free" if sky.bands == 2 else "klobuchar")
     values = np.column_stack(
-        [receiver.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
+        [receiver_solution.correct_pseudoranges(o, processing), o.range_rate[:, 0] + o.sat_clock_rate]
     )
     return values, np.column_stack([o.sd_pseudorange, o.sd_range_rate]) ** 2
 

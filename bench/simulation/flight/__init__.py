@@ -1,0 +1,43 @@
+"""From a flight plan to truth: the only place that knows JSBSim, its names and its feet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+
+from bench.core.records.data import Trajectory
+from bench.core.records.flight_specs import FlightSpec, ScriptSpec
+from bench.simulation.flight.guidance.belief import Belief
+from bench.simulation.flight.summary import Summary, summarise
+
+__all__ = ["Summary", "fly", "fly_pieces", "summarise"]
+
+
+def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:
+    """Fly a plan or a script and return the whole truth, as `recorder.fly_pieces` makes it.
+
+    A script and an aircraft that was not made for the bench fly in a process of their own.
+    """
+    (whole,) = fly_pieces(spec, progress, math.inf)
+    return whole
+
+
+def fly_pieces(
+    spec: FlightSpec | ScriptSpec,
+    progress: Callable[[float], None] | None = None,
+    seconds: float | None = None,
+    belief: Belief | None = None,
+) -> Iterator[Trajectory]:
+    """Fly as :func:`fly` does, and yield the truth in pieces of so many seconds; None: `recorder.PIECE`.
+
+    With a ``belief`` guidance and legs of a plan go by that, which whoever takes the pieces changes.
+    """
+    from bench.simulation.flight import recorder
+    from bench.simulation.flight.child_process import fly_in_child
+
+    seconds = recorder.PIECE if seconds is None else seconds
+    if isinstance(spec, ScriptSpec):
+        return fly_in_child(spec, f"script {spec.name}", progress, seconds)
+    if spec.aircraft.foreign is not None:
+        return fly_in_child(spec, f"aircraft {spec.aircraft.name}", progress, seconds)
+    return recorder.fly_pieces(spec, progress, seconds, belief=belief)

@@ -1,0 +1,303 @@
+"""What the legs read from the model and write to its guidance system, in SI."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import matrix_en, to_ecef, to_geodetic
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.executive import find_property
+from bench.simulation.flight.guidance.belief import Belief
+from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, smoothstep, ticks
+from bench.simulation.flight.jsbsim_units import FT
+from bench.simulation.flight.trimming import INTEGRATORS, ON_WHEELS
+from bench.simulation.flight.turbulence.dryden import LIGHT
+from bench.simulation.signals.terrain import ground_at
+
+SURFACES = ("aileron", "elevator", "rudder")
+
+# fastest change of an airspeed set-point [m/s^2], below what full power gives each aircraft
+_SPEED_CHANGE = 0.5
+
+
+class Cockpit:
+    """The controls and instruments of one flight.
+
+    Attitude, height, velocity and position are those that are believed; without a ``belief`` the true ones.
+    """
+
+    def __init__(self, fdm: Any, spec: FlightSpec, belief: Belief | None = None) -> None:
+        def reader(name: str) -> Callable[[], float]:
+            read: Callable[[], float] = find_property(fdm, name).get_double_value
+            return read
+
+        def switch(name: str) -> Callable[[float], None]:
+            write: Callable[[float], None] = find_property(fdm, name).set_double_value
+            return write
+
+        def writer(name: str) -> Callable[[float], None]:
+            return switch(f"guidance/{name}")
+
+        def gain(name: str) -> float:
+            value = reader(f"guidance/{name}")()
+            if not value > 0:
+                what = f"gain {name} must be above 0; it is {value:g}"
+                raise FlightError(f"aircraft {spec.aircraft.name}: {what}")
+            return value
+
+        def believed(name: str, what: str, factor: float = 1.0) -> Callable[[], float]:
+            return reader(name) if belief is None else belief.believe(what, reader(name), factor)
+
+        self.reader, self.switch, self.gain, self.belief = reader, switch, gain, belief
+        self._alt_ft, self._agl_ft = reader("position/geod-alt-ft"), reader("position/h-agl-ft")
+        self._lat_lon = reader("position/lat-geod-rad"), reader("position/long-gc-rad")
+        self._set_ground_ft, self._flat_alt = switch("position/terrain-elevation-asl-ft"), spec.ground_alt
+        self.terrain = spec.terrain
+        self._nav_alt_ft = believed("position/geod-alt-ft", "altitude-ft", FT)
+        self._down_fps = believed("velocities/v-down-fps", "down-fps", FT)
+        self._speed_fps = reader("velocities/vt-fps")
+        self._wheels = reader("gear/wow")
+        self.true_roll = reader("attitude/phi-rad")
+        self.heading = believed("attitude/psi-rad", "heading-rad")
+        self.roll, self.pitch = (
+            believed("attitude/phi-rad", "roll-rad"),
+            believed("attitude/theta-rad", "pitch-rad"),
+        )
+        self.roll_rate = believed("velocities/p-rad_sec", "p-rad_sec")
+        self.load_factor = reader("accelerations/Nz")  # one step late, which control does not mind
+        self.bank_wanted = reader("guidance/bank-wanted-rad")
+        self.pitch_wanted = reader("guidance/pitch-wanted-rad")
+        self.lat_mode, self.lon_mode, self.thr_mode = (writer(f"{k}-mode") for k in ("lat", "lon", "thr"))
+        self.set_bank, self.set_heading = writer("bank-setpoint-rad"), writer("heading-setpoint-rad")
+        self.set_pitch, self.set_pitch_trim = writer("pitch-setpoint-rad"), writer("pitch-trim-rad")
+        self.set_climb, self.set_alt = writer("climb-setpoint-mps"), writer("altitude-setpoint-m")
+        self.set_speed, self.set_throttle = writer("airspeed-setpoint-mps"), writer("throttle-cmd-norm")
+        self.throttle = reader("guidance/throttle-cmd-norm")
+        self.set_bank_limit = writer("bank-limit-rad")
+        self.set_steering = writer("steer-share")
+        self.direct = {name: writer(f"{name}-direct-norm") for name in SURFACES}
+        self.direct_share = {name: writer(f"{name}-direct-share") for name in SURFACES}
+        self.surface = {name: reader(f"fcs/{name}-cmd-norm") for name in SURFACES}
+        self._integrators = {name: switch(f"simulation/integrator/{name}") for name in ON_WHEELS}
+        self._brakes = [switch(f"fcs/{side}-brake-cmd-norm") for side in ("left", "right")]
+        self._wind_fps = [reader(f"atmosphere/wind-{axis}-fps") for axis in ("north", "east")]
+        self._throttle_trim, self._speed_gain = writer("throttle-trim-norm"), reader("guidance/speed-gain")
+        self.aircraft, self.runway = spec.aircraft, spec.runway
+        begun = {name: reader(f"guidance/{name}")() for name in spec.aircraft.gains}
+        self.approach_gains = spec.aircraft.approach_gains
+        self._landed = [(writer(name), begun[name], to) for name, to in self.approach_gains.items()]
+        begun |= self.approach_gains
+        flared = spec.aircraft.flare_gains if spec.severity >= LIGHT else {}
+        self._flared = [(writer(name), begun[name], to) for name, to in flared.items()]
+        self.start_lla = spec.lat, spec.lon, spec.alt  # of the flight [rad, rad, m]
+        self.course = self.heading()  # the heading to hold between turns, not wrapped [rad]
+        self._read_lags()
+        self._plan: tuple[float, float, int, int] | None = None  # an airspeed change on its way
+        self.speed_wanted = 0.0  # the airspeed set-point [m/s]
+        self.alt_wanted = self.alt()  # the altitude set-point [m]
+
+    def alt(self) -> float:
+        """Ellipsoidal height [m]."""
+        return self._nav_alt_ft() * FT
+
+    def true_alt(self) -> float:
+        """Ellipsoidal height in truth [m]."""
+        return self._alt_ft() * FT
+
+    def alt_agl(self) -> float:
+        """Height above ground [m]: by a radar altimeter, if one is on board, when an estimate flies."""
+        if self.belief is None:
+            return self.true_alt_agl()
+        return self.belief.height(self.true_alt_agl(), self.alt() - self.true_alt())
+
+    def true_alt_agl(self) -> float:
+        """Height above ground in truth [m]."""
+        return self._agl_ft() * FT
+
+    def ground_at(self, lat: ArrayLike, lon: ArrayLike) -> FloatArray:
+        """Return the ellipsoidal heights of the ground at places (...) [rad], (...) [m].
+
+        Raises
+        ------
+        FlightError
+            If the terrain of the profile has no height at one of them.
+        """
+        if self.terrain is None:
+            return np.full(np.shape(lat), self._flat_alt)
+        ground = ground_at(self.terrain, lat, lon)
+        if np.isnan(ground).any():
+            row = int(np.isnan(ground).ravel().argmax())
+            where = ", ".join(f"{math.degrees(float(np.ravel(v)[row])):.5f}" for v in (lat, lon))
+            raise FlightError(f"{self.terrain.path.name} has no height at {where} deg")
+        return ground
+
+    def move_ground(self) -> None:
+        """Bring the ground of the model to the height that it has here."""
+        if self.terrain is not None:
+            self._set_ground_ft(float(self.ground_at(*(read() for read in self._lat_lon))) / FT)
+
+    def climb(self) -> float:
+        """Vertical speed, up [m/s]."""
+        return -self._down_fps() * FT
+
+    def speed(self) -> float:
+        """True airspeed [m/s]."""
+        return self._speed_fps() * FT
+
+    def on_wheels(self) -> bool:
+        """Whether a wheel touches the ground."""
+        return self._wheels() > 0
+
+    def wind_speed(self) -> float:
+        """Horizontal wind without gusts and turbulence [m/s]."""
+        return math.hypot(*(read() * FT for read in self._wind_fps))
+
+    def state(self) -> str:
+        """Return the flight in words."""
+        return (
+            f"at {self.alt():.0f} m, climbing {self.climb():.1f} m/s, "
+            f"heading {math.degrees(self.heading()):.0f} deg, airspeed {self.speed():.1f} m/s"
+        )
+
+    def hold_heading(self) -> None:
+        """Hold the heading of this instant from here on."""
+        self.course = self.heading()
+        self.set_heading(self.course)
+        self.lat_mode(2)
+
+    def hold_alt(self, alt: float) -> None:
+        """Hold an ellipsoidal height [m]."""
+        self.alt_wanted = alt
+        self.set_alt(alt)
+        self.lon_mode(3)
+
+    def _read_lags(self) -> None:
+        """Find out what the loops lag behind a moving set-point [s]."""
+        self.bank_lag = 2 / self.gain("bank-lag-rad_sec")
+        self.pitch_lag = 1 / self.gain("pitch-lag-rad_sec")
+        self.climb_lag = self.pitch_lag + 1 / self.gain("climb-gain")
+
+    def hold_approach(self, share: float) -> None:
+        """Go over from the gains of flight, 0, to those of an approach, 1."""
+        for write, begun, end in self._landed:
+            write(begun + share * (end - begun))
+        self._read_lags()
+
+    def hold_firmly(self, share: float) -> None:
+        """Go over from the gains of flight, 0, to those of a flare in rough air, 1."""
+        for write, begun, end in self._flared:
+            write(begun + share * (end - begun))
+
+    def brake(self, share: float) -> None:
+        """Set the wheel brakes, 0 to 1."""
+        for write in self._brakes:
+            write(share)
+
+    def on_ground(self, standing: bool) -> None:
+        """Integrate the rates as wheels on the ground need it, or as flight does."""
+        for name, write in self._integrators.items():
+            write((ON_WHEELS if standing else INTEGRATORS)[name])
+
+    def start_speed(self, speed: float) -> None:
+        """Begin to hold an airspeed [m/s] without a jump of the throttle."""
+        self.speed_wanted, self._plan = speed, None
+        self.set_speed(speed)
+        self._throttle_trim(self.throttle() - self._speed_gain() * (speed - self.speed()))
+        self.thr_mode(1)
+
+    def change_speed(self, speed: float) -> None:
+        """Begin to move the airspeed set-point to another airspeed [m/s]; :meth:`tick` goes on with it."""
+        change = abs(speed - self.speed_wanted)
+        if change > 0:
+            n = max(1, math.ceil(1.5 * change / _SPEED_CHANGE * GUIDANCE_RATE))
+            self._plan = (self.speed_wanted, speed, 0, n)
+
+    def tick(self) -> None:
+        """Go on with what moves by itself; once per instant."""
+        if self._plan is not None:
+            begun, end, k, n = self._plan
+            self.speed_wanted = begun + smoothstep((k + 1) / n) * (end - begun)
+            self.set_speed(self.speed_wanted)
+            self._plan = (begun, end, k + 1, n) if k + 1 < n else None
+
+    def fastest(self) -> float:
+        """Highest airspeed wanted from here on [m/s]."""
+        return self.speed_wanted if self._plan is None else max(self.speed_wanted, self._plan[1])
+
+    def speed_settled(self) -> bool:
+        """Whether no airspeed change is on its way."""
+        return self._plan is None
+
+    def wait_until(self, reached: Callable[[], bool], patience: float, what: str) -> Steps:
+        """Fly on until a state is reached; raise FlightError when it is not within a time [s]."""
+        for _ in ticks(patience):
+            if reached():
+                return
+            yield
+        raise FlightError(f"{what} within {patience:g} s: {self.state()}")
+
+    def plane_here(self) -> Plane:
+        """Return the plane that is level at the present position."""
+        lat, lon = (self.reader(f"position/{name}-rad")() for name in ("lat-geod", "long-gc"))
+        return Plane(self, lat, lon, self.alt())
+
+
+class Plane:
+    """North and east of an origin, in the plane tangent to the Earth there: no meridian bends in it."""
+
+    def __init__(self, cockpit: Cockpit, lat: float, lon: float, alt: float) -> None:
+        C_en, origin = matrix_en(lat, lon), to_ecef([lat, lon, alt])
+        self._north, self._east = (tuple(float(v) for v in C_en[:, k]) for k in (0, 1))
+        self._origin = tuple(float(v) for v in origin)
+        self._true_pos = self._pos = [cockpit.reader(f"position/ecef-{axis}-ft") for axis in "xyz"]
+        self._true_vel = self._vel = [cockpit.reader(f"velocities/ecef-{axis}-fps") for axis in "xyz"]
+        if cockpit.belief is not None:
+            believe, axes = cockpit.belief.believe, tuple(enumerate("xyz"))
+            self._pos = [believe(f"position/ecef-{a}-ft", self._true_pos[k], FT) for k, a in axes]
+            self._vel = [believe(f"velocities/ecef-{a}-fps", self._true_vel[k], FT) for k, a in axes]
+
+    def _project(self, x: float, y: float, z: float) -> tuple[float, float]:
+        n, e = self._north, self._east
+        return n[0] * x + n[1] * y + n[2] * z, e[0] * x + e[1] * y + e[2] * z
+
+    def position(self) -> tuple[float, float]:
+        """Return where the aircraft is: north, east [m]."""
+        x, y, z = (read() * FT - o for read, o in zip(self._pos, self._origin, strict=True))
+        return self._project(x, y, z)
+
+    def true_position(self) -> tuple[float, float]:
+        """Return where it is in truth: north, east [m]."""
+        x, y, z = (read() * FT - o for read, o in zip(self._true_pos, self._origin, strict=True))
+        return self._project(x, y, z)
+
+    def velocity(self) -> tuple[float, float]:
+        """Return its velocity over ground: north, east [m/s]."""
+        x, y, z = (read() * FT for read in self._vel)
+        return self._project(x, y, z)
+
+    def true_speed(self) -> float:
+        """Return its speed over ground in truth [m/s]."""
+        return math.hypot(*self._project(*(read() * FT for read in self._true_vel)))
+
+    def track(self) -> tuple[float, float]:
+        """Return its course [rad] and speed [m/s] over ground."""
+        north, east = self.velocity()
+        return math.atan2(east, north), math.hypot(north, east)
+
+    def locate(self, points: list[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
+        """Return the latitudes and longitudes (N,) [rad] of points: north, east [m]."""
+        away = np.array(points) @ np.array([self._north, self._east])
+        lat, lon, _ = to_geodetic(np.array(self._origin) + away).T
+        return lat, lon
+
+    def point(self, lat: float, lon: float, alt: float) -> tuple[float, float]:
+        """Return a place [rad, rad, m]: north, east [m]."""
+        x, y, z = (float(v) - o for v, o in zip(to_ecef([lat, lon, alt]), self._origin, strict=True))
+        return self._project(x, y, z)

@@ -1,0 +1,198 @@
+"""Legs from the glide path to a standstill."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from dataclasses import dataclass
+from itertools import chain, repeat
+from typing import Annotated
+
+from bench.core.records.flight_specs import SECONDS, Leg, LegStart
+from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.cockpit import SURFACES, Cockpit, Plane
+from bench.simulation.flight.guidance.paths import Follower, SegmentPath
+from bench.simulation.flight.guidance.shaping import Steps, roll_time, smooth, ticks, wait
+from bench.simulation.flight.legs.climbs import climb_ramp
+from bench.simulation.flight.legs.keys import Key, format_deg, side_of
+from bench.simulation.flight.legs.runway import (
+    EDGE,
+    PATIENCE,
+    POWER,
+    Centreline,
+    centreline,
+    check_runway,
+    find_runway,
+    lower_nose,
+)
+
+_ALIGNED = math.radians(60.0)  # an approach begins with its track this close to the runway's [rad]
+_FINAL_BANK = math.radians(30.0)  # of an approach [rad]
+_FLARE_BANK = math.radians(8.0)  # most of it close to the ground [rad]
+_USUAL_GLIDE = math.radians(3.5)  # that flare heights are for
+_GAINS = 2.0  # in which the gains become those of an approach [s]
+_FLARE_TIME = 40.0  # until the wheels touch [s]
+_STANDS = 0.02  # slower is standing [m/s]
+_BRAKE = 0.6  # share of the brakes of a landing
+
+
+@dataclass(frozen=True)
+class Approach(Leg):
+    """Meet the extended centreline and the glide path of the runway, down to the flare."""
+
+    kind = "approach"
+    leaves = "approach"
+    glide: Annotated[float, Key("glide_deg", "angle of the path", 1, 10)] = math.radians(3.0)
+    aim: Annotated[float, Key("aim_m", "the path meets the ground beyond the threshold", 0, 1000)] = 60.0
+
+    def describe(self) -> str:
+        return f"glide path {format_deg(self.glide)}"
+
+    def check(self, start: LegStart) -> list[str]:
+        nowhere = [] if start.runway else ["there is no [runway] to approach"]
+        return check_runway(start.aircraft) + nowhere
+
+    def alt_after(self, start: LegStart) -> float:
+        return start.runway.alt if start.runway else start.alt
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Fly level to the glide path, along the centreline, then down it to the height of the flare."""
+        runway, figures = find_runway(cockpit)
+        plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
+        line = centreline(runway)
+        before = -line.segments[0].relative(plane.position())[0]
+        across = math.remainder(plane.track()[0] - runway.heading, math.tau)
+        slope = math.tan(self.glide)
+        limit = cockpit.aircraft.max_descent
+
+        def above() -> float:
+            """Height of the glide path above the aircraft [m]."""
+            to_go = self.aim - line.segments[0].relative(plane.position())[0]
+            return runway.alt + figures.height + slope * to_go - cockpit.alt()
+
+        if before < 0 or abs(across) > _ALIGNED:
+            raise FlightError(
+                f"an approach begins before the runway, within {format_deg(_ALIGNED)} of its heading; the "
+                f"threshold is {before:.0f} m ahead, the track {math.degrees(across):.0f} deg off"
+            )
+        if above() < 0:
+            raise FlightError(f"an approach begins below the glide path; this is {-above():.0f} m above it")
+        cockpit.change_speed(figures.approach_speed)
+        for share in smooth(_GAINS) if cockpit.approach_gains else ():
+            cockpit.hold_approach(share)
+            yield
+        bank = min(_FINAL_BANK, cockpit.aircraft.max_bank)
+        follower = Follower(cockpit, plane, line, bank)
+        # no step to begin with
+        limits = chain((share * bank for share in smooth(roll_time(bank))), repeat(bank))
+        rate = 0.0
+        while above() > rate * (0.5 * climb_ramp(rate) + cockpit.climb_lag):
+            follower.steer(next(limits))
+            yield
+            rate = slope * plane.track()[1]
+            if rate > limit:
+                raise FlightError(f"the glide path needs {rate:.1f} m/s; the limit is {limit:g} m/s")
+        cockpit.set_climb(0.0)
+        cockpit.lon_mode(2)
+        captured = list(smooth(climb_ramp(rate)))
+        gain, k = cockpit.gain("altitude-gain"), 0
+        # a steeper path is broken off higher: the sink falls as fast as on the usual one
+        flare_height = figures.flare_height * max(1.0, slope / math.tan(_USUAL_GLIDE))
+        while cockpit.alt_agl() > flare_height:
+            share, k = captured[min(k, len(captured) - 1)], k + 1
+            rate = slope * plane.track()[1]
+            cockpit.set_climb(share * (gain * above() * share - rate))
+            follower.steer(next(limits))
+            if above() < -50.0:
+                raise FlightError(f"{-above():.0f} m above the glide path: {cockpit.state()}")
+            yield
+        if abs(follower.off) > EDGE:
+            raise FlightError(f"{abs(follower.off):.0f} m off the centreline at the flare: {cockpit.state()}")
+
+
+@dataclass(frozen=True)
+class Flare(Leg):
+    """Break off the glide and touch down."""
+
+    kind = "flare"
+    needs, leaves = "approach", "flare"
+
+    def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
+        """Let the sink fall with the height until the wheels touch; returns the touch-down in words."""
+        runway, figures = find_runway(cockpit)
+        plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
+        line = centreline(runway)
+        follower = Follower(cockpit, plane, line, min(_FINAL_BANK, cockpit.aircraft.max_bank))
+        sink, aimed = -cockpit.climb(), figures.touch_down_sink
+        span = (cockpit.alt_agl() - figures.height) / max(sink - aimed, 0.2)  # 1/e of the height each [s]
+        looked = list(smooth(1.0))
+        for k in ticks(_FLARE_TIME):
+            if cockpit.on_wheels():
+                return f"touch-down at {sink:.2f} m/s, {_place(line, plane)}"
+            sink = -cockpit.climb()
+            # the height when the vertical speed that is asked for now has come
+            ahead = looked[min(k, len(looked) - 1)] * cockpit.climb_lag
+            height = cockpit.alt_agl() - figures.height - sink * ahead
+            cockpit.set_climb(-max(aimed, aimed + height / span))
+            cockpit.hold_firmly(looked[min(k, len(looked) - 1)])
+            follower.steer(_FLARE_BANK)
+            yield
+        raise FlightError(f"no touch-down in {_FLARE_TIME:g} s: {cockpit.state()}")
+
+
+@dataclass(frozen=True)
+class LandingRoll(Leg):
+    """Lower the nose, brake to a standstill on the centreline, and stand."""
+
+    kind = "landing-roll"
+    needs, leaves = "flare", "ground"
+    hold: Annotated[float, Key("hold_s", "how long it stands at the end", *SECONDS)] = 10.0
+
+    def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
+        """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
+        runway, figures = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        yield from lower_nose(cockpit, centre)
+        for share in smooth(POWER):
+            cockpit.brake(share * _BRAKE)
+            centre.steer()
+            yield
+        for _ in ticks(PATIENCE):  # wings stay level by aileron while gusts can still lift them
+            if centre.wheel_speed() < 0.5 * figures.rotate_speed:
+                break
+            centre.steer()
+            yield
+        held = {surface: cockpit.surface[surface]() for surface in SURFACES}
+        for surface in SURFACES:
+            cockpit.direct[surface](held[surface])
+        for share in smooth(POWER):
+            for surface in SURFACES:
+                cockpit.direct_share[surface](share)
+                cockpit.direct[surface]((1 - share) * held[surface])
+            centre.steer()
+            yield
+        for _ in ticks(PATIENCE):
+            if centre.wheel_speed() < _STANDS:
+                break
+            centre.steer()
+            yield
+        else:
+            raise FlightError(f"still rolling at {centre.wheel_speed():.1f} m/s after {PATIENCE:g} s")
+        for share in smooth(POWER):
+            cockpit.set_steering(1 - share)
+            cockpit.brake(_BRAKE + share * (1 - _BRAKE))
+            yield
+        yield from wait(self.hold)
+        return f"stands {_place(centreline(runway), Plane(cockpit, runway.lat, runway.lon, runway.alt))}"
+
+
+def _place(line: SegmentPath, plane: Plane) -> str:
+    """Return where the aircraft is on the runway in words: as believed, and in truth if that differs."""
+
+    def say(point: tuple[float, float]) -> str:
+        along, off, _ = line.segments[0].relative(point)
+        return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centreline"
+
+    believed, true = plane.position(), plane.true_position()
+    return say(true) if believed == true else f"believed {say(believed)}, in truth {say(true)}"

@@ -1,0 +1,282 @@
+"""Legs that begin on a runway, and the way along its centreline."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+from bench.core.records.flight_specs import SECONDS, AircraftSpec, Leg, LegStart, Runway, RunwaySpec
+from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.cockpit import Cockpit, Plane
+from bench.simulation.flight.guidance.paths import SegmentPath
+from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE, Steps, clip, smooth, ticks, wait
+from bench.simulation.flight.legs.climbs import climb_ramp, level_off
+from bench.simulation.flight.legs.keys import ClimbRate, Key, Seconds, Speed, side_of
+
+POWER = 2.0  # in which brakes are released and power is set [s]
+PATIENCE = 180.0  # for a take-off run or a landing roll [s]
+EDGE = 20.0  # the runway ends this far from its centreline [m]
+_HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
+_ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
+_NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
+_TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2]
+_TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
+_TAXI_LAG = 0.5  # so much below the speed that lets it stop in time it still quickens [m/s]
+_SAFE = 10.0  # height above the ground at which the climb begins [m]
+_CENTRE = 0.02  # heading back to the centreline per distance off it [rad/m] ...
+_CENTRE_MOST = math.radians(10.0)  # ... and the most of it [rad]
+
+
+@dataclass(frozen=True)
+class Static(Leg):
+    """Stand on the ground with brakes set."""
+
+    kind = "static"
+    needs = leaves = "ground"
+    duration: Seconds
+
+    def describe(self) -> str:
+        return f"{self.duration:g} s"
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        cockpit.brake(1.0)
+        yield from wait(self.duration)
+
+
+@dataclass(frozen=True)
+class Taxi(Leg):
+    """Roll along the centreline with stops at equal distances, the last at the end."""
+
+    kind = "taxi"
+    needs = leaves = "ground"
+    distance: Annotated[float, Key("distance_m", "of the whole way", 20, 5000)]
+    speed: Annotated[float, Key("speed_mps", "over ground, between the stops", 1, 15)] = 6.0
+    stops: Annotated[int, Key("stops", "how many, the last included", 1, 100)] = 1
+    stop: Annotated[float, Key("stop_s", "how long each is", *SECONDS)] = 10.0
+
+    def describe(self) -> str:
+        return f"{self.distance:g} m at {self.speed:g} m/s, {self.stops} stops"
+
+    def check(self, start: LegStart) -> list[str]:
+        return check_runway(start.aircraft)
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Throttle and brakes hold a speed that falls to zero at each stop; the nose wheel steers."""
+        runway, _ = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        cockpit.set_heading(cockpit.course)
+        begun = centre.along
+        for number in range(1, self.stops + 1):
+            for share in smooth(POWER):
+                cockpit.brake(1 - share)
+                cockpit.set_steering(share)
+                yield
+            yield from self._roll(cockpit, centre, begun + number * self.distance / self.stops)
+            for share in smooth(POWER):
+                cockpit.brake(_TAXI_BRAKE + share * (1 - _TAXI_BRAKE))
+                cockpit.set_steering(1 - share)
+                yield
+            yield from wait(self.stop)
+
+    def _roll(self, cockpit: Cockpit, centre: Centreline, end: float) -> Steps:
+        power = brake = begun = 0.0
+        for k in ticks(PATIENCE + 2 * self.distance / self.speed):
+            centre.steer()
+            speed, to_go = centre.wheel_speed(), end - centre.along
+            wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
+            braking = wanted < min(self.speed, speed + _TAXI_LAG)
+            wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
+            if braking and speed < _TAXI_STANDS:
+                break
+            lacks = wanted - speed
+            power = 0.0 if braking else min(max(power + 0.02 * lacks / GUIDANCE_RATE, 0.0), 0.5)
+            asked = 0.0 if braking else min(max(power + 0.04 * lacks, 0.0), 0.5)
+            begun += 0.1 * (asked - begun)  # no step of the throttle
+            cockpit.set_throttle(begun)
+            brake += 0.1 * (min(max(-0.5 * lacks, 0.0), _TAXI_BRAKE) - brake)
+            cockpit.brake(_TAXI_BRAKE if braking and to_go < 0 else brake)
+            yield
+        else:
+            raise FlightError(f"not at {end:.0f} m along the runway: {centre.along:.0f} m, {cockpit.state()}")
+
+
+@dataclass(frozen=True)
+class TakeOff(Leg):
+    """Roll, rotate and climb straight ahead to a height above the runway."""
+
+    kind = "take-off"
+    needs = "ground"
+    to_height: Annotated[float, Key("to_height_m", "above the runway", 20, 5000)]
+    rate: ClimbRate
+    speed: Speed
+
+    def describe(self) -> str:
+        return f"to {self.to_height:g} m above the runway at {self.rate:g} m/s, {self.speed:g} m/s"
+
+    def check(self, start: LegStart) -> list[str]:
+        return check_runway(start.aircraft)
+
+    def alt_after(self, start: LegStart) -> float:
+        return (start.runway.alt if start.runway else start.alt) + self.to_height
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Power, roll along the centreline, raise the nose at its speed, climb out at a rate."""
+        runway, figures = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        cockpit.set_heading(cockpit.course)
+        for share in smooth(POWER):
+            cockpit.brake(1 - share)
+            cockpit.set_steering(share)
+            cockpit.set_throttle(share)
+            yield
+        yield from _roll_to(cockpit, centre, 0.5 * figures.rotate_speed)
+        cockpit.set_bank(0.0)
+        cockpit.lat_mode(1)
+        for share in smooth(_HANDOVER):
+            for surface in ("aileron", "rudder"):
+                cockpit.direct_share[surface](1 - share)
+            centre.steer()
+            yield
+        yield from _roll_to(cockpit, centre, figures.rotate_speed)
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=True))
+
+    def _climb_out(self, cockpit: Cockpit, centre: Centreline, *, direct: bool) -> Steps:
+        """Raise the nose, leave the ground, climb to the height; guidance takes a direct elevator."""
+        runway, figures = find_runway(cockpit)
+        begun = cockpit.pitch()
+        cockpit.set_pitch(begun)
+        cockpit.lon_mode(1)
+        raised = list(smooth(1.5 * (figures.take_off_pitch - begun) / _ROTATE))
+        handed, airborne = list(smooth(_HANDOVER)), 0
+        for k in ticks(PATIENCE):
+            cockpit.set_pitch(begun + raised[min(k, len(raised) - 1)] * (figures.take_off_pitch - begun))
+            if direct:
+                cockpit.direct_share["elevator"](1 - handed[min(k, len(handed) - 1)])
+            centre.steer()
+            if airborne or not cockpit.on_wheels():
+                airborne += 1
+                cockpit.on_ground(standing=False)
+                cockpit.set_steering(1 - handed[min(airborne, len(handed)) - 1])
+            if airborne >= len(handed) and cockpit.alt_agl() > _SAFE:
+                break
+            yield
+        else:
+            raise FlightError(f"not off the ground in {PATIENCE:g} s: {cockpit.state()}")
+        cockpit.set_heading(cockpit.course)
+        cockpit.lat_mode(2)
+        climb = cockpit.climb()
+        cockpit.set_climb(climb)
+        cockpit.set_pitch_trim(cockpit.pitch_wanted())  # the climb begins with the pitch there is
+        cockpit.lon_mode(2)
+        for share in smooth(climb_ramp(self.rate - climb) + 1.0):
+            cockpit.set_climb(climb + share * (self.rate - climb))
+            yield
+        yield from level_off(cockpit, runway.alt + self.to_height, self.rate)
+
+
+@dataclass(frozen=True)
+class TouchAndGo(TakeOff):
+    """Lower the nose after a flare, roll, and take off again."""
+
+    kind = "touch-and-go"
+    needs = "flare"
+    roll: Annotated[float, Key("roll_s", "without power", 1, 30)] = 3.0
+
+    def fly(self, cockpit: Cockpit) -> Steps:
+        """Nose down and throttle back, roll along the centreline, then as a take-off."""
+        runway, figures = find_runway(cockpit)
+        centre = Centreline(cockpit, runway)
+        cockpit.course = runway.heading
+        yield from lower_nose(cockpit, centre)
+        for _ in ticks(self.roll):
+            centre.steer()
+            yield
+        for share in smooth(POWER):
+            cockpit.set_throttle(share)
+            centre.steer()
+            yield
+        yield from _roll_to(cockpit, centre, figures.rotate_speed)
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=False))
+
+
+def lower_nose(cockpit: Cockpit, centre: Centreline) -> Steps:
+    """Bring the nose wheel down after a touch-down, wings level and throttle back."""
+    cockpit.on_ground(standing=True)
+    pitch, throttle = cockpit.pitch(), cockpit.throttle()
+    cockpit.set_pitch(pitch)
+    cockpit.lon_mode(1)
+    cockpit.thr_mode(0)
+    cockpit.set_bank(0.0)
+    for share in smooth(1.5):
+        cockpit.hold_firmly(1 - share)
+        cockpit.hold_approach(1 - share)
+        cockpit.set_steering(share)
+        cockpit.set_pitch((1 - share) * pitch)
+        cockpit.set_throttle((1 - share) * throttle)
+        centre.steer()
+        yield
+
+
+def _with_full_power(cockpit: Cockpit, speed: float, steps: Steps) -> Steps:
+    """Leave the power as it is until the airspeed [m/s] has nearly come, then hold that."""
+    cockpit.set_speed(speed)  # what lacks of it is taken off the climb already
+    held = False
+    for _ in steps:
+        if not held and cockpit.speed() > speed - _NEAR:
+            cockpit.start_speed(speed)
+            held = True
+        yield
+    if not held:
+        cockpit.start_speed(speed)
+
+
+def _roll_to(cockpit: Cockpit, centre: Centreline, speed: float) -> Steps:
+    for _ in ticks(PATIENCE):
+        if cockpit.speed() >= speed:
+            return
+        centre.steer()
+        yield
+    raise FlightError(f"{speed:.0f} m/s not reached in {PATIENCE:g} s: {cockpit.state()}")
+
+
+def check_runway(aircraft: AircraftSpec) -> list[str]:
+    """Say that an aircraft cannot be taken off or landed."""
+    return [] if aircraft.runway else [f"the {aircraft.name} has no [runway] in its aircraft.toml"]
+
+
+def find_runway(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
+    """Return the runway and how the aircraft uses one; raise FlightError where either is missing."""
+    if cockpit.runway is None or cockpit.aircraft.runway is None:
+        raise FlightError(f"the {cockpit.aircraft.name} has no runway here")
+    return cockpit.runway, cockpit.aircraft.runway
+
+
+def centreline(runway: Runway) -> SegmentPath:
+    """Return the centreline, from the threshold on; along it is negative before the threshold."""
+    path = SegmentPath((0.0, 0.0), runway.heading)
+    path.straight(1e6)
+    return path
+
+
+class Centreline:
+    """Steers along the centreline with the nose wheel."""
+
+    def __init__(self, cockpit: Cockpit, runway: Runway) -> None:
+        self._cockpit = cockpit
+        self._plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
+        self._line = centreline(runway).segments[0]
+        self.along, self.off, _ = self._line.relative(self._plane.position())
+
+    def wheel_speed(self) -> float:
+        """Return the speed over ground [m/s]: wheels turn as the aircraft rolls in truth."""
+        return self._plane.true_speed()
+
+    def steer(self) -> None:
+        """Point the nose back to the centreline."""
+        self.along, self.off, _ = self._line.relative(self._plane.position())
+        if abs(self.off) > EDGE:
+            raise FlightError(f"ran off the runway to the {side_of(self.off)}: {self._cockpit.state()}")
+        self._cockpit.set_heading(self._line.course - clip(_CENTRE * self.off, _CENTRE_MOST))

@@ -1,0 +1,224 @@
+"""What JSBSim does with a model, step by step.
+
+Each step gives position, velocity and attitude, nothing else: the rates and accelerations JSBSim reports lag
+or lead them and are not used. JSBSim moves the centre of gravity, truth is the motion of the IMU. Two things
+are different with models that were not made for the bench:
+
+- Their centre of gravity moves while tanks empty. The IMU is a fixed point of the body, given from the centre
+  of gravity at the start: with the offset l from the present centre to it, C l is added to the position
+  and its derivative to the velocity. A jump of the centre (a load is dropped) does not move the body:
+  the offset of such a step is left out.
+- Their integrators are their own. Position is the velocity integrated by the trapezoid,
+  so that the increments replay it exactly; it stays within the integration error of JSBSim.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray, split_last
+from bench.core.mathematics.earth import matrix_en, to_geodetic
+from bench.core.mathematics.rotation import conjugate, continuous, from_matrix, multiply, rotate
+from bench.core.records.data import EventRow
+from bench.core.words.exceptions import FlightError
+from bench.simulation.flight.executive import find_property
+from bench.simulation.flight.guidance.shaping import GUIDANCE_RATE
+from bench.simulation.flight.increments import Motion, at_point, derivative, from_states
+from bench.simulation.flight.jsbsim_units import FT, INCH, KT, PSF, RANKINE, RPM
+from bench.simulation.flight.truth import Stretch
+
+NEIGHBOURS = 3
+"""Steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments."""
+
+_MOTION = (  # per step
+    *(f"position/eci-{axis}-ft" for axis in "xyz"),
+    *(f"velocities/eci-{axis}-fps" for axis in "xyz"),
+    *(f"attitude/{angle}-rad" for angle in ("phi", "theta", "psi")),
+    "position/lat-geod-rad",
+    "position/long-gc-rad",
+    "position/epa-rad",
+)
+_CENTRE = tuple(f"inertia/cg-{axis}-in" for axis in "xyz")
+_AIR = (  # at 20 Hz, with the factor to SI
+    ("atmosphere/P-psf", PSF),
+    ("atmosphere/T-R", RANKINE),
+    ("velocities/vt-fps", FT),
+    ("velocities/vc-kts", KT),
+    ("aero/alpha-rad", 1.0),
+    ("aero/beta-rad", 1.0),
+    *((f"atmosphere/total-wind-{axis}-fps", FT) for axis in ("north", "east", "down")),
+)
+_SURFACES = tuple((f"fcs/{name}-cmd-norm", 1.0) for name in ("aileron", "elevator", "rudder"))
+_OWN = (*_AIR, ("motor/speed-rad_sec", 1.0), *_SURFACES, ("guidance/throttle-cmd-norm", 1.0))
+_ENGINES = ("propulsion/engine/propeller-rpm", "propulsion/engine/engine-rpm")
+_GROUND = (("position/h-agl-ft", FT), ("velocities/v-down-fps", FT))
+_CONTACTS = 40  # gear legs and other contact points looked at
+_PART = 12_000  # steps looked at at a time
+_JUMP = 1e-4  # the centre of gravity jumped when it moved further in one step [m]
+
+
+class StateLog:
+    """Keeps the states of every step; at 20 Hz air data and controls, of foreign models ground contacts too.
+
+    Parameters
+    ----------
+    fdm : FGFDMExec
+        The model.
+    dt : float
+        Its step [s]; 20 Hz are a multiple of it.
+    what : str
+        How messages call it: "aircraft c310".
+    imu_b : tuple
+        The IMU relative to the centre of gravity at the start [m], b.
+    guided : bool
+        Whether the model was made for the bench. Of others what they do not have is 0.
+
+    Raises
+    ------
+    FlightError
+        When a model of the bench lacks a property.
+    """
+
+    def __init__(
+        self,
+        fdm: Any,
+        dt: float,
+        what: str,
+        imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        *,
+        guided: bool = False,
+    ) -> None:
+        manager = fdm.get_property_manager()
+
+        def read(name: str) -> Callable[[], float]:
+            node = find_property(fdm, name) if guided else manager.get_node(name)
+            return (lambda: 0.0) if node is None else node.get_double_value
+
+        def touch(kind: str) -> Callable[[], float]:
+            nodes = (manager.get_node(f"{kind}/unit[{n}]/WOW") for n in range(_CONTACTS))
+            reads = [node.get_double_value for node in nodes if node is not None]
+            return lambda: float(any(read() for read in reads))
+
+        engine = next((name for name in _ENGINES if manager.get_node(name)), "none")
+        foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
+        slow = _OWN if guided else (*foreign, *_GROUND)
+        names = _MOTION if guided else (*_MOTION, *_CENTRE)
+        self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
+        self._what, self._imu_b, self._guided = what, imu_b, guided
+        self._read_state = [read(name) for name in names]
+        contacts = [] if guided else [touch("gear"), touch("contact")]
+        self._read_slow = [*(read(name) for name, _ in slow), *contacts]
+        self._units = np.array([*(unit for _, unit in slow), *(1.0 for _ in contacts)])
+        self._states, self._slow = array("d"), array("d")  # of them the next stretch is made
+        self._extend = self._states.extend  # looked up once, not at every step
+        self._given = 0  # rows of states that were handed out and are still there
+        self._begun = 0  # the tick at which the next stretch begins
+        self._offset_b = np.zeros(3)  # from the present centre of gravity to the first one [m]
+        self._origin_i = self._moved_i = np.zeros(3)  # position of the IMU: at t = 0, and since then [m]
+
+    def keep_state(self) -> None:
+        """Keep the state of this step."""
+        self._extend([read() for read in self._read_state])
+
+    def keep_air(self) -> None:
+        """Keep air data, controls and contacts of the last state kept, 20 times a second.
+
+        Raises
+        ------
+        FlightError
+            When the motion, or of a model of the bench the air data, is no longer finite.
+        """
+        values = [read() for read in self._read_slow]
+        state = self._states[-len(self._read_state) :]
+        if not math.isfinite(sum(state) + (sum(values) if self._guided else 0.0)):
+            t = self._begun / GUIDANCE_RATE + (self._left() + NEIGHBOURS) * self.dt
+            raise FlightError(f"{self._what}: the motion is no longer finite at {t:.2f} s")
+        self._slow.extend(values)
+
+    def count_steps(self) -> int:
+        """Return the number of steps after the first state that is still here."""
+        return max(0, len(self._states) // len(self._read_state) - 1)
+
+    def motions_of_centre(self) -> Iterator[Motion]:
+        """Yield the motion of the centre of gravity in parts that share their first and last rows."""
+        for first in range(0, self.count_steps(), _PART):
+            yield self._motion_of_centre(self._table(first, first + _PART + 1))
+
+    def leave_out(self, first: int, end: int) -> None:
+        """Leave out what is before the tick ``first``, the new t = 0, and from the step ``end`` on."""
+        columns, slow = len(self._read_state), len(self._read_slow)
+        del self._states[end * columns :], self._states[: first * self.per_tick * columns]
+        del self._slow[((end - 1) // self.per_tick + 1) * slow :], self._slow[: first * slow]
+
+    def cut(self, seconds: float, kept: int = 1) -> Iterator[Stretch]:
+        """Hand out stretches of so many seconds, as long as so many ticks more are left."""
+        ticks = max(1.0, round(seconds * GUIDANCE_RATE, 6))
+        while self._left() >= (ticks + kept) * self.per_tick:
+            yield self._cut(math.floor(ticks))
+
+    def cut_rest(self, events: list[EventRow]) -> Stretch:
+        """Hand out all that is left, with the events of the whole flight."""
+        return replace(self._cut(None), events=events)
+
+    def _left(self) -> int:
+        """Return the steps that truth can be made of and that are not yet handed out."""
+        return self.count_steps() - self._given - self._before() - NEIGHBOURS
+
+    def _before(self) -> int:
+        return NEIGHBOURS if self._begun else 0
+
+    def _cut(self, ticks: int | None) -> Stretch:
+        before, begun = self._before(), self._begun
+        steps = self._left() + NEIGHBOURS if ticks is None else ticks * self.per_tick + NEIGHBOURS
+        slow_end = len(self._slow) if ticks is None else (ticks + (not begun)) * len(self._read_slow)
+        states = self._table(self._given, self._given + before + 1 + steps)
+        slow = np.array(self._slow[:slow_end]).reshape(-1, len(self._read_slow)) * self._units
+        motion = self._motion_of_imu(states, before)
+        self._given += len(states) - 2 * NEIGHBOURS - 1
+        if 2 * self._given > self.count_steps():
+            del self._states[: self._given * len(self._read_state)]
+            self._given = 0
+        del self._slow[:slow_end]
+        self._begun += ticks or 0
+        return Stretch(begun * self.per_tick, motion, slow[:, :14], slow[:, 14:])
+
+    def _table(self, first: int, end: int) -> FloatArray:
+        columns = len(self._read_state)
+        return np.array(self._states[first * columns : end * columns]).reshape(-1, columns)
+
+    def _motion_of_centre(self, states: FloatArray) -> Motion:
+        """Return the motion JSBSim reports of states (K, 12) or more columns."""
+        pos_i, vel_i = FT * states[:, 0:3], FT * states[:, 3:6]
+        return from_states(self.dt, states[:, 11], pos_i, vel_i, states[:, 6:9], states[:, 9:11])
+
+    def _motion_of_imu(self, states: FloatArray, before: int) -> Motion:
+        """Return the motion of the IMU of states that begin so many steps before the stretch.
+
+        From one step before the stretch to all but the last two rows, whose velocity would need two more.
+        """
+        centre = self._motion_of_centre(states)
+        begin = max(0, before - 1)
+        if self._guided:
+            return at_point(centre, self._imu_b).select(slice(begin, None))
+        kept = centre.select(slice(begin, -2))
+        moved = np.diff(INCH * states[:, 12:15], axis=0)  # x aft, y right, z up
+        moved[np.linalg.norm(moved, axis=1) > _JUMP] = 0.0
+        offset_b = np.cumsum(np.vstack([self._offset_b, moved * [1.0, -1.0, 1.0]]), axis=0)
+        arm_i = rotate(centre.q_ib, self._imu_b + offset_b)
+        vel_i = kept.vel_i + derivative(arm_i, self.dt)[begin:]
+        steps = 0.5 * self.dt * (vel_i[1:] + vel_i[:-1])
+        moved_i = np.cumsum(np.vstack([self._moved_i, steps]), axis=0)
+        if not before:
+            self._origin_i = centre.pos_i[0] + arm_i[0]
+        pos_i = self._origin_i + moved_i
+        # where the states of the next stretch begin, and where its motion does
+        self._offset_b, self._moved_i = offset_b[-2 * NEIGHBOURS - 1], moved_i[-3]
+        lat, lon, _ = split_last(to_geodetic(pos_i))  # longitude from the axis x of i
+        q_nb = continuous(multiply(conjugate(from_matrix(matrix_en(lat, lon))), kept.q_ib))
+        return replace(kept, pos_i=pos_i, vel_i=vel_i, q_nb=q_nb)

@@ -1,0 +1,1 @@
+"""Wind, gusts and turbulence."""

@@ -1,0 +1,231 @@
+"""Simulation of an IMU: measured increments from the exact increments of the truth.
+
+For each triad: motion at the sensors and their response (`imu_terms.apply_response`), then
+``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
+clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
+errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
+a term that is off draws nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.core.compilation.compiled import kernel
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.records.data import ImuData, Trajectory
+from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.simulation.sensors import imu_terms, vibration
+from bench.simulation.sensors.draws import SensorDraws
+from bench.simulation.sensors.processes import choose_bias_stages
+
+_BIAS_STEP = 0.05  # step of bias processes slower than _FAST, with linear interpolation [s]
+_FAST = 1.0  # a bias stage with a shorter correlation time has a step at every sample [s]
+
+
+class ImuBias(NamedTuple):
+    """The applied biases: linear between instants that include the first and last of the truth."""
+
+    t: FloatArray  # (B,) [s]
+    gyro_b: FloatArray  # (B, 3) [rad/s], b
+    accel_b: FloatArray  # (B, 3) [m/s^2], b
+
+
+@kernel
+def _measure_kernel(
+    t: FloatArray, first: int, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
+    white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
+    rest: FloatArray, out: FloatArray, valid: BoolArray,
+) -> None:  # fmt: skip
+    """Fill out (K, 3) from the increments (K, 3) that begin at row ``first`` of t (N,).
+
+    ``bias`` (B, 3) is that at rows knots (B,) of t. ``random_walk`` (3,) is by axis. ``white`` and
+    ``motion_errors`` (K, 3) have no rows if the triad has no such errors. The bias is linear between knots,
+    so its value in the middle of a sample, times dt, is its integral. A rate beyond ``limit`` (0: no limit)
+    is clipped and its row of ``valid`` cleared. ``rest`` (3,) is what rounding leaves for the next sample.
+    """
+    noisy, moving = white.shape[0] > 0, motion_errors.shape[0] > 0
+    j = 0
+    for k in range(increment.shape[0]):
+        row = first + k
+        while knots[j + 1] <= row:
+            j += 1
+        begin, end = t[row], t[row + 1]
+        dt = end - begin
+        t0, t1 = t[knots[j]], t[knots[j + 1]]
+        s = (0.5 * (begin + end) - t0) / (t1 - t0)
+        x, y, z = increment[k, 0], increment[k, 1], increment[k, 2]
+        root, most = np.sqrt(dt), limit * dt
+        for i in range(3):
+            drift = bias[j, i] + s * (bias[j + 1, i] - bias[j, i])
+            error = M[i, 0] * x + M[i, 1] * y + M[i, 2] * z + drift * dt
+            if noisy:
+                error += random_walk[i] * root * white[k, i]
+            if moving:
+                error += motion_errors[k, i]
+            value = increment[k, i] + error
+            if limit > 0.0 and abs(value) > most:
+                value = np.copysign(most, value)
+                valid[k] = False
+            if lsb > 0.0:
+                wanted = value + rest[i]
+                value = lsb * np.rint(wanted / lsb)
+                rest[i] = wanted - value
+            out[k, i] = value
+
+
+def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuData, ImuBias]:
+    """Simulate an IMU over a piece of a flight; return its record and its biases.
+
+    Parameters
+    ----------
+    truth : Trajectory
+        The motion at N instants, and the air for temperature and vibration.
+    spec : ImuSpec
+        The IMU; with all errors 0 the record equals the true increments.
+    draws : SensorDraws
+        The errors of the run, and what the IMU carries from the pieces before.
+
+    Returns
+    -------
+    imu : ImuData
+        N - 1 samples; a sample with a sensor beyond its range is not valid.
+    bias : ImuBias
+        Sum of turn-on bias, bias instability, rate random walk and temperature bias, at 20 Hz.
+
+    Raises
+    ------
+    ValueError
+        If a figure requires another one that is missing, or a model is unknown.
+    """
+    draws = draws.part("imu")
+    if wrong := draws.keep("checked", lambda: imu_terms.check_imu(spec)):
+        raise ValueError("; ".join(wrong))
+    t = truth.t
+    dt = disk_arrays.empty(len(t) - 1)
+    np.subtract(t[1:], t[:-1], out=dt)
+    dtheta_b, dvel_b = vibration.shake(truth, spec.vibration, draws.part("vibration"))
+    force, N = dvel_b, None
+    if spec.accel_cone > 0 or spec.accel_arms:
+        N = imu_terms.cone_axes(spec.accel_cone) if spec.accel_cone > 0 else np.eye(3)
+        arms = np.array(spec.accel_arms) if spec.accel_arms else None
+        force = imu_terms.resolve_along_axes(dtheta_b, dvel_b, dt, arms, N, draws)
+    slow_rows = _select_knots(t, _BIAS_STEP)
+    warmth = np.empty(0)  # above the reference temperature [K]
+    if max(spec.gyro.temperature_sd, spec.accel.temperature_sd) > 0:
+        before = draws.keep("temperature", list[float])
+        warmth = imu_terms.compute_temperature(truth, slow_rows, spec.thermal, before)
+        warmth = warmth - spec.thermal.reference
+    valid = np.ones(len(t) - 1, bool)
+    measured, biases = [], []
+    for part, motion, triad in (("gyro", dtheta_b, spec.gyro), ("accel", force, spec.accel)):
+        increment, bias = _measure_triad(t, motion, dvel_b, triad, slow_rows, warmth, draws.part(part), valid)
+        measured.append(increment)
+        biases.append(bias)
+    if spec.accel_cone > 0:
+        assert N is not None  # by the line that made it
+        back: FloatArray = np.linalg.inv(N).astype(float)
+        measured[1], biases[1] = (imu_terms.rotate_rows(back, rows) for rows in (measured[1], biases[1]))
+    imu = ImuData(t=t[1:], dt=dt, valid=valid, dtheta_b=measured[0], dvel_b=measured[1])
+    return imu, ImuBias(t[slow_rows], biases[0], biases[1])
+
+
+def _measure_triad(
+    t: FloatArray, motion: FloatArray, dvel_b: FloatArray, spec: TriadSpec,
+    slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws, valid: BoolArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Return the measured increments (N-1, 3) and the bias at ``slow_rows``; clear ``valid`` if clipped."""
+    M = draws.keep("M", lambda: _draw_matrix(spec, draws))
+    knots, bias = _draw_bias(t, spec, slow_rows, warmth, draws)
+    increment = imu_terms.apply_response(t, motion, spec, draws)
+    motion_errors = imu_terms.draw_motion_errors(t, increment, dvel_b, spec, draws)
+    out, rest = disk_arrays.empty(increment.shape), draws.keep("rest", lambda: np.zeros(3))
+    noise = draws.stream("white") if spec.random_walk > 0 else None
+    memory = np.empty((0 if noise is None else min(len(out), disk_arrays.ROWS), 3))
+    random_walk = spec.by_axis("random_walk")
+    for rows in disk_arrays.blocks(len(out)):
+        white = memory[: len(out[rows])]
+        if noise is not None:
+            noise.standard_normal(out=white)
+        _measure_kernel(
+            t, rows.start, increment[rows], M, knots, bias, white, random_walk,
+            spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
+        )  # fmt: skip
+    return out, bias if knots is slow_rows else bias[slow_rows]  # else a knot is at every row
+
+
+def _draw_matrix(spec: TriadSpec, draws: SensorDraws) -> FloatArray:
+    """Draw the matrix M (3, 3) of scale factors and misalignments."""
+    M = np.zeros((3, 3))
+    if spec.scale_factor_sd > 0:
+        np.fill_diagonal(M, spec.by_axis("scale_factor_sd") * draws.constant("scale_factor", 3))
+    if spec.misalignment_sd > 0:
+        M[~np.eye(3, dtype=bool)] = spec.misalignment_sd * draws.constant("misalignment", 6)
+    return M + imu_terms.draw_cross_axis(spec, draws)
+
+
+def _draw_bias(
+    t: FloatArray, spec: TriadSpec, slow_rows: IntArray, warmth: FloatArray, draws: SensorDraws
+) -> tuple[IntArray, FloatArray]:
+    """Draw the bias of a triad; return rows of t that include ``slow_rows``, and the bias (B, 3) there.
+
+    Rate random walk and temperature bias are computed at ``slow_rows`` and interpolated to faster rows. Those
+    at the first row of a further piece are the last of the piece before.
+    """
+    knots = slow_rows
+    last = draws.keep("last", list[FloatArray])
+    new = len(last) > 0  # rows that the piece before had, too
+    stages = draws.keep("stages", lambda: choose_bias_stages(spec) if spec.bias_instability > 0 else None)
+    if stages is not None and stages[0].min() < _FAST:
+        knots = np.arange(len(t))
+    bias = np.zeros((len(knots) - new, 3))
+    if stages is not None:
+        steps = _intervals(t[knots], new)
+        bias = draws.markov("instability", steps, *stages)
+        bias *= spec.by_axis("bias_instability") / spec.bias_instability
+    if spec.turn_on_bias_sd > 0:
+        bias += spec.by_axis("turn_on_bias_sd") * draws.constant("turn_on", 3)
+    slow = np.zeros((len(slow_rows), 3))
+    if spec.rate_random_walk > 0:
+        root = np.sqrt(_intervals(t[slow_rows], new))[:, None]
+        walk = root * draws.stream("rate_walk").standard_normal((len(root), 3))
+        density, before = spec.by_axis("rate_random_walk"), last[1:2] if new else []
+        slow[new:] = density * draws.accumulate("rate_walk", walk)
+        slow[: len(before)] = before[0] if before else 0.0
+        walked = slow[-1].copy()
+    else:
+        walked = np.zeros(3)
+    if spec.temperature_sd > 0:
+        slow += warmth[:, None] * (spec.by_axis("temperature_sd") * draws.constant("temperature", 3))
+    if spec.rate_random_walk > 0 or spec.temperature_sd > 0:
+        if len(knots) > len(slow_rows):
+            for axis, column in enumerate(slow.T):
+                bias[:, axis] += np.interp(t[knots[new:]], t[slow_rows], column)
+        else:
+            bias += slow[new:]
+    if new:
+        bias = np.concatenate([last[0][None], bias])
+    last[:] = [bias[-1].copy(), walked]
+    return knots, bias
+
+
+def _intervals(t: FloatArray, new: bool) -> FloatArray:
+    """Return the time before each instant t (B,): 0 before the first, which is left out if not ``new``."""
+    return t[1:] - t[:-1] if new else np.diff(t, prepend=t[0])
+
+
+def choose_bias_step(spec: TriadSpec, interval: float) -> float:
+    """Return the interval between the instants of the simulated biases of a triad [s]."""
+    fast = spec.bias_instability > 0 and choose_bias_stages(spec)[0].min() < _FAST
+    return interval if fast else max(1, round(_BIAS_STEP / interval)) * interval
+
+
+def _select_knots(t: FloatArray, step: float) -> IntArray:
+    """Return rows of t about ``step`` seconds apart, with the first and the last."""
+    stride = max(1, round(step / (t[1] - t[0])))
+    rows = np.arange(0, len(t) - 1 + stride, stride)
+    rows[-1] = len(t) - 1
+    return rows

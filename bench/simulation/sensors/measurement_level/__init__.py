@@ -1,0 +1,1 @@
+"""GNSS as ranges and range rates of every satellite in view."""
