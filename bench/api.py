@@ -28,7 +28,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Watcher
 
 if TYPE_CHECKING:
-    from bench.evaluation.noise_curves import AllanResult
+    from bench.evaluation.motion.noise_curves import AllanResult
     from bench.exchange.scoring import Score
     from bench.exchange.streaming import Streamed
     from bench.navigation.open_filters import PieceFilter
@@ -243,7 +243,7 @@ def measure_allan(
     """
     from bench.config.datasheets import read_imu
     from bench.config.library import find_datasheet
-    from bench.evaluation import noise_curves
+    from bench.evaluation.motion import noise_curves
     from bench.exchange.resting_log import read_resting_log
     from bench.report import allan_picture
 

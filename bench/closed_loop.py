@@ -31,7 +31,7 @@ from bench.core.records.sensor_specs import SensorsSpec
 from bench.core.records.specs import CLIENT, Guidance, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.wording import one_line
-from bench.evaluation.failures import FAILED, describe_error
+from bench.evaluation.errors.failures import FAILED, describe_error
 from bench.exchange.client_session import ClientSession
 from bench.exchange.loading import load_estimators
 from bench.navigation.engine.kept_rows import join_rows, take_rows

@@ -34,16 +34,16 @@ from bench.core.records.run_result import RunResult
 from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.stages import Stages, Watcher
-from bench.evaluation import validity
-from bench.evaluation.coverage import measure_coverage
-from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
-from bench.evaluation.fixes import antenna_errors, judge
-from bench.evaluation.motion_noise import assume_motion_noise
-from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
-from bench.evaluation.recorded_motion import Check, RecordedMotion
-from bench.evaluation.required_metrics import list_requirements
-from bench.evaluation.rest_noise import assume_rest_noise, assume_vibration
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
+from bench.evaluation.errors.fixes import antenna_errors, judge
+from bench.evaluation.metrics.coverage import measure_coverage
+from bench.evaluation.metrics.outages import OutageDrift, make_drift_row, place_outages
+from bench.evaluation.motion import validity
+from bench.evaluation.motion.motion_noise import assume_motion_noise
+from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
+from bench.evaluation.motion.rest_noise import assume_rest_noise, assume_vibration
+from bench.evaluation.requirements.required_metrics import list_requirements
 from bench.exchange import autopilot, own_judge, reference
 from bench.exchange.imports.contents import AUTOPILOTS
 from bench.exchange.loading import load_estimators

@@ -32,7 +32,7 @@ from bench.core.records.sensor_specs import AssumedSpecs
 from bench.core.records.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.stages import FLYING, Stages, Watcher
-from bench.evaluation.failures import check_starts, describe_error, make_failed_solution
+from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
 from bench.exchange.loading import load_estimators
 from bench.navigation import built_in, estimator
 
@@ -70,18 +70,18 @@ def fly(
 def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) -> dict[str, Any]:
     """Fly a profile, store its truth in the cache, and return its figures.
 
-    Those of `flight.Summary` and `bench.evaluation.replay`, piece by piece. Errors as for :func:`fly`.
+    Those of `flight.Summary` and `bench.evaluation.errors.replay`, piece by piece. Errors as for :func:`fly`.
     """
     summarize = partial(_summarize, profile)
     if profile.guidance is not None:
         return summarize([_fly_closed(profile, 0, progress, None).truth])
-    sources = ("bench/evaluation/replay.py", "bench/navigation/mechanization.py")
+    sources = ("bench/evaluation/errors/replay.py", "bench/navigation/mechanization.py")
     pieces = partial(_fly_pieces, profile, progress, None, [])
     return store.cached_summary(profile.flight, pieces, summarize, sources)
 
 
 def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
-    from bench.evaluation.replay import Replay
+    from bench.evaluation.errors.replay import Replay
     from bench.simulation.flight.summary import Summary
 
     summary, replay = Summary(profile.sensors.terrain), Replay()
@@ -153,9 +153,9 @@ def judge(
 
     The sensor ``data`` may excuse a silence. A solution that flew the aircraft is held against its ``path``.
     """
-    from bench.evaluation import metrics
+    from bench.evaluation.metrics import run_metrics
 
-    return metrics.judge(
+    return run_metrics.judge(
         truth,
         solution,
         evaluation=profile.evaluation,
@@ -198,7 +198,7 @@ def run(
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     causes : bool or None
         Find out why a claim is broken: by the conventions that it may be given in (filters of others), and by
-        running the filter again without what may be to blame (`bench.causes`). None: again only if it is
+        running the filter again without what may be to blame (`evaluation.causes`). None: again only if it is
         built in; False: neither.
     progress : callable or None
         Called with what is going on (`bench.core.words.stages.Stage`), whenever that changes.
@@ -273,11 +273,11 @@ def _run(
         solutions[IN_FLIGHT], unmodelled[IN_FLIGHT] = steered, None
     clock["judge"] = _read_work_clock()
     stages.begin("judging")
-    from bench.causes.explaining import DrawnRun, explain_run
-    from bench.evaluation.convention_search import find_mistakes
-    from bench.evaluation.coverage import measure_coverage
-    from bench.evaluation.required_metrics import list_requirements
-    from bench.evaluation.verdict import BROKEN, add_verdict
+    from bench.evaluation.causes.explaining import DrawnRun, explain_run
+    from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+    from bench.evaluation.conventions.convention_search import find_mistakes
+    from bench.evaluation.metrics.coverage import measure_coverage
+    from bench.evaluation.requirements.required_metrics import list_requirements
     from bench.simulation.flight.guidance.desired_path import measure_steered
 
     judged = dict[str, tuple[ErrorSeries, dict[str, Any]]]()

@@ -13,8 +13,9 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import NavSolution, Sensed, Trajectory, no_air, no_controls, no_events
-from bench.evaluation import consistency, ensemble_consistency
-from bench.evaluation.error_series import error_series
+from bench.evaluation.consistency import chi_square
+from bench.evaluation.ensembles import ensemble_consistency
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation import mechanization
 
 TAIL = 0.0005
@@ -169,7 +170,7 @@ class Ensemble:
         pooled = {}
         for sensor, each in self.nis.items():
             nis, dof = (np.concatenate([getattr(series, name) for series in each]) for name in ("nis", "dof"))
-            pooled[sensor] = consistency.mean_nis(nis, dof)
+            pooled[sensor] = chi_square.mean_nis(nis, dof)
         return pooled
 
     def claims(self, states: int = 9, nees_factor: float = 1.0) -> Any:
@@ -200,6 +201,6 @@ def ensemble(
         late = errors.t >= from_s
         found.t = errors.t[late]
         found.nees.append(errors.nees[late])
-        for sensor, series in consistency.nis_by_sensor(solution.innovations, from_s).items():
+        for sensor, series in chi_square.nis_by_sensor(solution.innovations, from_s).items():
             found.nis.setdefault(sensor, []).append(series)
     return found

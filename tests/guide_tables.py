@@ -32,7 +32,7 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import GnssSpec, SkySpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.core.words.exceptions import STATUSES, ConfigError
 from bench.core.words.wording import as_toml, read_words
-from bench.evaluation.metrics import METRICS
+from bench.evaluation.metrics.run_metrics import METRICS
 from bench.exchange.exports import FORMATS
 from bench.navigation import options
 from bench.navigation.built_in import BUILT_IN, load

@@ -23,7 +23,7 @@ from bench.campaigns.plan import plan_runs
 from bench.campaigns.worker import CHANNELS
 from bench.core.files.file_checks import read_json
 from bench.core.records.specs import Profile
-from bench.evaluation.ensemble_consistency import TOLERATED
+from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
 from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants
 
@@ -71,7 +71,7 @@ class Row:
 
     @property
     def word(self) -> str:
-        """The word of `bench.evaluation.ensemble_consistency`, by the interval: P is right within 25 %."""
+        """The word of `ensembles.ensemble_consistency`, by the interval: P is right within 25 %."""
         least, most = (self.states * limit for limit in TOLERATED)
         if not self.draws or np.isnan(self.half):
             return "undecided"

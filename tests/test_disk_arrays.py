@@ -12,7 +12,7 @@ from numpy.testing import assert_array_equal
 
 from bench.core.files import disk_arrays
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
+from bench.evaluation.metrics import run_metrics
 from bench.navigation import built_in
 from bench.simulation import sensors
 from tests.weaving import units, weaving
@@ -78,7 +78,9 @@ def test_a_longer_flight_takes_hardly_more_memory(monkeypatch):
             tracemalloc.start()
         sensed = sensors.sense(truth, spec, 1, 0)
         solution = built_in.load("loose-15", {}).run(sensed.data, sensed.initial)
-        metrics.judge(truth, solution, evaluation=EvaluationWindow(60.0), outages=(), assumed=spec.assumed)
+        run_metrics.judge(
+            truth, solution, evaluation=EvaluationWindow(60.0), outages=(), assumed=spec.assumed
+        )
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     more = (peaks[2] - peaks[1]) / (60 * 24 * 50)

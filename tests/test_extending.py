@@ -37,7 +37,7 @@ class Toy:
 
 METRIC = Toy(
     inserted={
-        "bench/evaluation/metrics.py": [
+        "bench/evaluation/metrics/run_metrics.py": [
             (
                 "METRICS: tuple[Metric, ...] = (\n",
                 '''def pos_mean_h(case: Case) -> float:
@@ -323,7 +323,7 @@ EVALUATION = Toy(
                 '    end: float = field(default=86400.0, metadata={"key": "until_s"})  # [s]\n',
             )
         ],
-        "bench/evaluation/case.py": [
+        "bench/evaluation/metrics/case.py": [
             ("    taken = as_slice(rows)\n", "    rows &= whole.t < evaluation.end\n")
         ],
     }

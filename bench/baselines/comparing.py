@@ -24,7 +24,7 @@ from bench.campaigns.stored import load_campaign
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.metrics.run_metrics import find_metric
 
 ONE_DRAW = "one draw: no interval"
 """Note of a verdict on single runs."""

@@ -22,8 +22,8 @@ from bench.core.records.data import ErrorSeries
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.consistency import nis_by_sensor
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.consistency.chi_square import nis_by_sensor
+from bench.evaluation.metrics.run_metrics import find_metric
 from bench.pipeline import build_estimator
 
 STRETCHES = 20

@@ -10,7 +10,7 @@ from bench.baselines.verdict_rows import Verdict
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
-from bench.evaluation.required_metrics import MET, Finding
+from bench.evaluation.requirements.required_metrics import MET, Finding
 
 
 def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False) -> None:

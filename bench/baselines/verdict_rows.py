@@ -11,9 +11,9 @@ import numpy as np
 
 from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value
 from bench.core.mathematics.arrays import BoolArray, FloatArray
-from bench.evaluation import regression
-from bench.evaluation.metrics import find_metric
-from bench.evaluation.regression import Change
+from bench.evaluation.ensembles import regression
+from bench.evaluation.ensembles.regression import Change
+from bench.evaluation.metrics.run_metrics import find_metric
 
 SAME = 1e-6
 """Relative difference of two values that are the same, on another processor [1]."""

@@ -14,9 +14,9 @@ from bench.campaigns.groups import PERCENTILES, Done, Group
 from bench.campaigns.plan import Condition, Plan
 from bench.campaigns.worker import CHANNELS
 from bench.core.mathematics.units import unit_of
-from bench.evaluation.consistency import mean_band
-from bench.evaluation.ensemble import CONFIDENCE
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.consistency.chi_square import mean_band
+from bench.evaluation.ensembles.ensemble import CONFIDENCE
+from bench.evaluation.metrics.run_metrics import find_metric
 
 RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 """Names of the tables."""

@@ -40,7 +40,7 @@ from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import make_frame, write_sentences, write_table
 from bench.core.words.wording import one_line
-from bench.evaluation.required_metrics import MET, Finding
+from bench.evaluation.requirements.required_metrics import MET, Finding
 from bench.exchange.solution_folder import share_equal_files, write_sensors
 
 AGAINST = "loose-full"

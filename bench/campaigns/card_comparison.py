@@ -11,8 +11,8 @@ from bench.campaigns.card import Card
 from bench.campaigns.card_lines import CONVENTIONS, COUNT, SAME, SHARE, Line, write_figure
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import ensemble
-from bench.evaluation.regression import Change, average_changes, decide
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.regression import Change, average_changes, decide
 
 _ERROR = 1.0 - ensemble.CONFIDENCE  # probability of any false word over the quantities
 _POWER = 0.8

@@ -11,8 +11,8 @@ from bench.campaigns.card_lines import CONVENTIONS, Line, Rows
 from bench.campaigns.card_suite import Suite
 from bench.campaigns.plan import Plan
 from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
-from bench.evaluation.convention_search import find_mistakes
-from bench.evaluation.verdict import BROKEN
+from bench.evaluation.consistency.verdict import BROKEN
+from bench.evaluation.conventions.convention_search import find_mistakes
 from bench.navigation.built_in import BUILT_IN
 
 _DRAWS = 3  # that have to share the constants

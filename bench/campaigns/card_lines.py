@@ -12,12 +12,12 @@ from bench.campaigns.card_suite import SuiteFlight
 from bench.config.tables import ROWS, Table
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import one_line
-from bench.evaluation import ensemble
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.ensemble_consistency import TOLERATED
-from bench.evaluation.error_series import TITLES
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
+from bench.evaluation.ensembles.regression import average_changes
+from bench.evaluation.errors.error_series import TITLES
 from bench.evaluation.linear.quantities import count_freedom
-from bench.evaluation.regression import average_changes
 
 _LEAST = 2  # draws that have an interval
 ERRORS = {

@@ -14,7 +14,7 @@ from bench.config.profile_tables import RequirementTable
 from bench.config.tables import ROWS, Table, check_table
 from bench.config.toml_file import read_toml
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.required_metrics import judge_runs
+from bench.evaluation.requirements.required_metrics import judge_runs
 
 
 class FlightRequirement(RequirementTable):

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from bench.campaigns.worker import CHANNELS
 from bench.core.files import durable
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.metrics.run_metrics import find_metric
 
 NAME = "journal.jsonl"
 """Name of the journal in the folder of a campaign."""

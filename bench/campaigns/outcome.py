@@ -10,10 +10,10 @@ import numpy as np
 from bench.campaigns.groups import Group
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import format_number, one_line
-from bench.evaluation import ensemble, regression
-from bench.evaluation.consistency import NIS_PROBABILITY, MeanNis, mean_band
-from bench.evaluation.ensemble import Comparison, Estimate
-from bench.evaluation.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
+from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, mean_band
+from bench.evaluation.ensembles import ensemble, regression
+from bench.evaluation.ensembles.ensemble import Comparison, Estimate
+from bench.evaluation.ensembles.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 """Metrics whose squares are averaged over the runs."""

@@ -28,8 +28,8 @@ from bench.core.files.spawned import Printed
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.notebook import make_frame, write_sentences, write_table
-from bench.evaluation.ensemble import Comparison
-from bench.evaluation.required_metrics import Finding, judge_runs, list_requirements
+from bench.evaluation.ensembles.ensemble import Comparison
+from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""

@@ -17,10 +17,10 @@ from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign
 from bench.campaigns.worker import CHANNELS
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.consistency import MeanNis
-from bench.evaluation.ensemble import Comparison, Estimate
-from bench.evaluation.ensemble_consistency import Consistency
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.consistency.chi_square import MeanNis
+from bench.evaluation.ensembles.ensemble import Comparison, Estimate
+from bench.evaluation.ensembles.ensemble_consistency import Consistency
+from bench.evaluation.metrics.run_metrics import find_metric
 
 _Number = Annotated[float, BeforeValidator(lambda value: np.nan if value is None else value)]
 """A number; null is what JSON has for one that is not finite."""

@@ -24,10 +24,10 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Guard, Profile
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import ensemble
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.error_series import error_series, find_covered_epochs, select_epochs
-from bench.evaluation.log_score import score_claims, score_innovations
+from bench.evaluation.consistency.log_score import score_claims, score_innovations
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.errors.error_series import error_series, find_covered_epochs, select_epochs
 from bench.store import truth_key
 
 Goal = Literal["consistency", "rmse"]

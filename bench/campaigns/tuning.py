@@ -129,7 +129,7 @@ def tune(
     log : bool
         The source is a log: withheld fixes of its first half tune, those of its second half judge.
     goal : str
-        "consistency": least log score (`bench.evaluation.log_score`) of the errors, or of the innovations of
+        "consistency": least log score (`consistency.log_score`) of the errors, or of the innovations of
         a log; "rmse": least horizontal RMSE.
     factors : sequence of str or None
         Beginnings of the figures that share a factor, such as "imu.gyro.noise", several with commas between

@@ -22,9 +22,9 @@ from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import BenchError
 from bench.core.words.wording import one_line
-from bench.evaluation.consistency import nis_by_sensor
-from bench.evaluation.ensemble import sum_repetition
-from bench.evaluation.error_series import heading_sd, select_epochs
+from bench.evaluation.consistency.chi_square import nis_by_sensor
+from bench.evaluation.ensembles.ensemble import sum_repetition
+from bench.evaluation.errors.error_series import heading_sd, select_epochs
 
 _PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 

@@ -247,7 +247,7 @@ def end_run(metrics: Mapping[str, Mapping[str, Any]], *, strict: bool = False) -
 
     ``strict``: a claim that does not hold is `NEGATIVE`, too.
     """
-    from bench.evaluation.verdict import BROKEN
+    from bench.evaluation.consistency.verdict import BROKEN
 
     tracebacks = [values["traceback"] for values in metrics.values() if "traceback" in values]
     for text in tracebacks:

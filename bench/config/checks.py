@@ -13,7 +13,7 @@ from bench.core.files.installed import find_installed
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.specs import AUTOPILOT, EstimatorChoice
 from bench.core.words.wording import quantity, suggest
-from bench.evaluation.required_metrics import is_metric
+from bench.evaluation.requirements.required_metrics import is_metric
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 

@@ -37,7 +37,7 @@ from bench.core.files.spawned import (
 from bench.core.records.data import EventRow, Events, InitialState, NavSolution, SensorData
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.evaluation.failures import make_failed_solution
+from bench.evaluation.errors.failures import make_failed_solution
 from bench.exchange.solution_folder import FolderEstimator, write_sensor_tables
 from bench.exchange.solutions import FileEstimator, carry_rows, check_unit, read_solution
 from bench.navigation.estimator import Estimator, construct

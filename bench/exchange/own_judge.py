@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, SensorData
-from bench.evaluation.consistency import mean_nis, nis_by_sensor
-from bench.evaluation.failures import describe_failure
-from bench.evaluation.fixes import antenna_errors
-from bench.evaluation.outages import OutageDrift
+from bench.evaluation.consistency.chi_square import mean_nis, nis_by_sensor
+from bench.evaluation.errors.failures import describe_failure
+from bench.evaluation.errors.fixes import antenna_errors
+from bench.evaluation.metrics.outages import OutageDrift
 
 _GAP, _SHORTEST = 5.0, 2.0
 """An outage is longer than so many usual intervals between fixes, and [s]."""

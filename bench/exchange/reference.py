@@ -18,11 +18,11 @@ from bench.core.mathematics.earth import difference_n, matrix_en
 from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.error_series import select_epochs
-from bench.evaluation.failures import describe_failure
-from bench.evaluation.fixes import point_errors
-from bench.evaluation.metrics import judge_epochs
-from bench.evaluation.recorded_motion import Check
+from bench.evaluation.errors.error_series import select_epochs
+from bench.evaluation.errors.failures import describe_failure
+from bench.evaluation.errors.fixes import point_errors
+from bench.evaluation.metrics.run_metrics import judge_epochs
+from bench.evaluation.motion.recorded_motion import Check
 from bench.exchange import imports
 from bench.exchange.autopilot import NEAR, look, read_truth
 from bench.exchange.imports.contents import AUTOPILOTS

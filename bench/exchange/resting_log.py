@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.noise_curves import INDEPENDENT
+from bench.evaluation.motion.noise_curves import INDEPENDENT
 from bench.exchange.table_files import find_first, group, read_table
 
 FEWEST = 2 * INDEPENDENT

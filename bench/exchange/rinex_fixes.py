@@ -17,9 +17,9 @@ from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import GnssFixes, GnssObservations, SkyView
 from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.core.words.exceptions import ConfigError
+from bench.evaluation.consistency.nees_band import find_band
 from bench.exchange import lost_epochs
 from bench.exchange.fix_truth import Truth
-from bench.exchange.nees_band import find_band
 from bench.exchange.rinex.ephemerides import NavigationFile
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import ObservationFile, read_observations

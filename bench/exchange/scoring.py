@@ -17,12 +17,12 @@ from bench.config.checks import LABEL
 from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import metrics
-from bench.evaluation.convention_search import find_mistakes
-from bench.evaluation.coverage import measure_coverage
-from bench.evaluation.fixes import judge as judge_by_fixes
-from bench.evaluation.required_metrics import list_requirements
-from bench.evaluation.verdict import BROKEN, add_verdict
+from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+from bench.evaluation.conventions.convention_search import find_mistakes
+from bench.evaluation.errors.fixes import judge as judge_by_fixes
+from bench.evaluation.metrics import run_metrics
+from bench.evaluation.metrics.coverage import measure_coverage
+from bench.evaluation.requirements.required_metrics import list_requirements
 from bench.exchange import reference
 from bench.exchange.solutions import check_unit, read_solution, resample
 from bench.simulation.sensors.timing import select_output_times
@@ -70,7 +70,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     foreign = read_solution(path, t_0=t_0)
     check_unit(foreign, float(truth.t[0]), truth.lla[0])
     solution = resample(foreign, t, longest)
-    errors, measured = metrics.judge(
+    errors, measured = run_metrics.judge(
         truth,
         solution,
         evaluation=run.evaluation,

@@ -22,9 +22,9 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Events, InitialState, NavSolution, SensorData, no_innovations
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.evaluation.coverage import carry_positions
-from bench.evaluation.error_series import NOT_COVERED
-from bench.evaluation.failures import FAILED
+from bench.evaluation.errors.error_series import NOT_COVERED
+from bench.evaluation.errors.failures import FAILED
+from bench.evaluation.metrics.coverage import carry_positions
 from bench.exchange.imports.text import read_kf_gins_solution
 from bench.exchange.table_files import (
     TableColumns,

@@ -29,7 +29,7 @@ from bench.core.records.findings.series import Plot, Rows, shorten
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import NothingToShowError
 from bench.core.words.palette import Colour, DrawnLook, choose_looks
-from bench.evaluation.total_system import locate_path
+from bench.evaluation.errors.total_system import locate_path
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import series
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError, NothingToShowError
-from bench.evaluation.headline import find_best
+from bench.evaluation.consistency.headline import find_best
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.recording import drawing, layout, recording_text, sky_view, space

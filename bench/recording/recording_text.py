@@ -13,9 +13,9 @@ from bench.core.records.run_result import RunResult
 from bench.core.records.specs import IN_FLIGHT
 from bench.core.words.palette import choose_looks
 from bench.core.words.wording import format_number, replace_control
-from bench.evaluation.metrics import find_metric
-from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
-from bench.evaluation.verdict import list_sentences
+from bench.evaluation.consistency.verdict import list_sentences
+from bench.evaluation.metrics.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.metrics.run_metrics import find_metric
 from bench.plots.content import Content
 from bench.plots.facts import list_facts, list_units
 from bench.recording.drawing import TIMELINE

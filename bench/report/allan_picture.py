@@ -10,7 +10,7 @@ import numpy as np
 from bench.core.files import durable
 from bench.core.records.sensor_specs import ImuSpec
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
+from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
 from bench.store import check_file
 
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from bench.core.records.findings.series import Plot, Series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.palette import Colour
 from bench.core.words.wording import format_number
-from bench.evaluation.ensemble import CONFIDENCE, Estimate
-from bench.evaluation.metric_words import find_words, name_metric
-from bench.evaluation.metrics import find_metric
+from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.metrics.metric_words import find_words, name_metric
+from bench.evaluation.metrics.run_metrics import find_metric
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot
 

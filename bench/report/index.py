@@ -13,7 +13,7 @@ from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.headline import make_headline
+from bench.evaluation.consistency.headline import make_headline
 from bench.report import page
 from bench.store.study_folder import load_study
 

@@ -18,12 +18,12 @@ from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.palette import write_variables
 from bench.core.words.wording import replace_control
-from bench.evaluation import verdict
-from bench.evaluation.headline import NEES, make_headline
-from bench.evaluation.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
-from bench.evaluation.metrics import find_metric
-from bench.evaluation.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.consistency import verdict
+from bench.evaluation.consistency.headline import NEES, make_headline
+from bench.evaluation.metrics.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
+from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
+from bench.evaluation.metrics.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.metrics.run_metrics import find_metric
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS

@@ -76,7 +76,7 @@ _KINDS = {
 
 def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield the entries of ``result.json`` that are of another type, and what they must be."""
-    from bench.evaluation.metrics import find_metric  # not before there is one to check
+    from bench.evaluation.metrics.run_metrics import find_metric  # not before there is one to check
 
     profile, metrics = summary["profile"], summary["metrics"]
     if not (isinstance(profile, dict) and isinstance(profile.get("title"), str)):

@@ -19,7 +19,7 @@ class StudyEntry(NamedTuple):
 
 STUDIES: Mapping[str, StudyEntry] = {
     "requirements": StudyEntry(
-        "bench.studies.requirements",
+        "bench.studies.sensor_requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",
     ),
     "outages": StudyEntry(

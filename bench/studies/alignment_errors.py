@@ -26,7 +26,7 @@ from bench.core.records.findings import Findings, FindingTable, make_table, seri
 from bench.core.records.findings.series import Plot
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.route_errors import RADIUS, allowed_heading_error, cross_track_error
+from bench.evaluation.errors.route_errors import RADIUS, allowed_heading_error, cross_track_error
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav

@@ -14,7 +14,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Trajectory
 from bench.core.records.specs import EstimatorChoice, Profile
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.navigation import estimator

@@ -27,9 +27,9 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.ensemble import Quantile, estimate_quantile, pool_rmse
-from bench.evaluation.error_series import error_series
-from bench.evaluation.total_system import PARTS, resolve_along
+from bench.evaluation.ensembles.ensemble import Quantile, estimate_quantile, pool_rmse
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.errors.total_system import PARTS, resolve_along
 from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
 from bench.studies.study import (

@@ -25,9 +25,9 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.findings import Findings
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError, EstimatorFailedError
-from bench.evaluation.drift_laws import split_drift
-from bench.evaluation.error_series import error_series
-from bench.evaluation.failures import make_failed_solution
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.errors.failures import make_failed_solution
+from bench.evaluation.linear.drift_laws import split_drift
 from bench.studies.catalog_units import find_units
 from bench.studies.outage_grades import fill_grades, plot_grades, predict_grades, tell_grades
 from bench.studies.outage_growth import Drift, pair_units

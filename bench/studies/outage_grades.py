@@ -15,7 +15,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot
-from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
+from bench.evaluation.linear.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
 from bench.studies.study import StudyWorkers
 

@@ -10,8 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.evaluation.ensemble import estimate_quantile, pool_rmse
-from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
+from bench.evaluation.ensembles.ensemble import estimate_quantile, pool_rmse
+from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
 from bench.studies.outage_grades import find_time
 
 

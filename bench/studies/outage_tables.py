@@ -12,8 +12,8 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
 from bench.core.words.wording import format_number
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.paired_draws import PairedRatio
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.ensembles.paired_draws import PairedRatio
 from bench.studies.catalog_units import CatalogImu
 from bench.studies.outage_grades import find_time
 from bench.studies.outage_growth import Drift

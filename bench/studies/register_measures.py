@@ -12,8 +12,8 @@ from scipy import stats
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
-from bench.evaluation.drift_laws import accel_bias_drift, gyro_bias_drift
-from bench.evaluation.route_errors import cross_track_error
+from bench.evaluation.errors.route_errors import cross_track_error
+from bench.evaluation.linear.drift_laws import accel_bias_drift, gyro_bias_drift
 from bench.navigation.engine import integrity
 from bench.navigation.register import vector_matching
 from bench.navigation.register.mechanizations import attitude

@@ -1,6 +1,6 @@
 """Accuracy, integrity, continuity and availability of a navigator on a flight, as aviation defines them.
 
-    TSE = FTE - NSE    across track, all to the right: `bench.evaluation.total_system`
+    TSE = FTE - NSE    across track, all to the right: `bench.evaluation.errors.total_system`
 
 (A-2.1.5; ICAO Doc 9613, DO-236C.) A pilot or an autopilot follows the navigator, so its error moves the
 aircraft off the track by as much. A flight that is guided by the truth has the flight technical error alone,
@@ -8,7 +8,7 @@ off the track and off the arcs of its turns. Where the profile lets a filter fly
 measured, and NSE is that of the answers that steered. A flight is the trial, with noise and turbulence of
 its own, and the exposure is counted in hours: a line is met or missed where its 95 % bound says so, else it
 is undecided, and more hours would tell; nothing is extrapolated. Levels of `tight` hold while at most one
-satellite is faulty, those of the other filters while nothing is (`bench.evaluation.protection`).
+satellite is faulty, those of the other filters while nothing is (`bench.evaluation.metrics.protection`).
 """
 
 from __future__ import annotations
@@ -32,19 +32,17 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number, suggest
-from bench.evaluation.ensemble import Estimate, estimate_fraction, estimate_rate, pool_quantile
-from bench.evaluation.error_series import error_series
-from bench.evaluation.protection import (
+from bench.evaluation.ensembles.ensemble import Estimate, estimate_fraction, estimate_rate, pool_quantile
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.metrics.protection import (
     FALSE_ALARM,
     list_satellites,
     protect_by_separation,
     protect_fault_free,
 )
-from bench.evaluation.protection import (
-    MISSED as MISSED_DETECTION,
-)
-from bench.evaluation.required_metrics import MET, MISSED, UNDECIDED, decide
-from bench.evaluation.required_performance import (
+from bench.evaluation.metrics.protection import MISSED as MISSED_DETECTION
+from bench.evaluation.requirements.required_metrics import MET, MISSED, UNDECIDED, decide
+from bench.evaluation.requirements.required_performance import (
     OUTSIDE_PER_HOUR,
     WITHIN,
     JudgedFigure,

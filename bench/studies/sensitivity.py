@@ -26,10 +26,10 @@ from bench.core.mathematics.units import unit_of
 from bench.core.records.findings import Findings, FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.ensemble import Estimate, pool_rmse
-from bench.evaluation.metrics import find_metric
-from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
-from bench.evaluation.required_metrics import Looks
+from bench.evaluation.ensembles.ensemble import Estimate, pool_rmse
+from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
+from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.required_metrics import Looks
 from bench.studies.study import (
     Count,
     StudyWorkers,

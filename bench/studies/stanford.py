@@ -10,8 +10,8 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import FindingTable, series
 from bench.core.records.findings.series import Plot
-from bench.evaluation.ensemble import CONFIDENCE
-from bench.evaluation.required_performance import Watched, estimate_per_run
+from bench.evaluation.ensembles.ensemble import CONFIDENCE
+from bench.evaluation.requirements.required_performance import Watched, estimate_per_run
 
 PLANES = ("horizontal", "vertical")
 """What is watched, in order."""

@@ -22,7 +22,7 @@ from bench.campaigns.running import Progress as Runs
 from bench.core.records.findings import Findings, join_findings
 from bench.core.words.exceptions import ConfigError, WorkersLostError
 from bench.core.words.wording import as_toml, describe_error, format_number, suggest
-from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble import Estimate
 from bench.studies.catalog_units import find_units
 
 _Item = TypeVar("_Item")

@@ -10,9 +10,9 @@ import numpy as np
 
 from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
-from bench.evaluation.ensemble import estimate_quantile
-from bench.evaluation.metrics import find_metric
-from bench.evaluation.required_metrics import EVERY, MET, UNDECIDED, describe_limit
+from bench.evaluation.ensembles.ensemble import estimate_quantile
+from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.required_metrics import EVERY, MET, UNDECIDED, describe_limit
 from bench.studies.catalog_units import CLASSES, CatalogImu
 from bench.studies.study import format_estimate
 from bench.studies.unit_limits import VarianceShares

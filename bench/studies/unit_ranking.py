@@ -15,9 +15,9 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import format_number
-from bench.evaluation.ensemble import SAME, Estimate, estimate_rate, pool_rmse
-from bench.evaluation.paired_draws import PairedRatio, compare_draws_of
-from bench.evaluation.required_metrics import MET, UNDECIDED, Finding
+from bench.evaluation.ensembles.ensemble import SAME, Estimate, estimate_rate, pool_rmse
+from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
+from bench.evaluation.requirements.required_metrics import MET, UNDECIDED, Finding
 from bench.studies.catalog_units import CLASSES
 
 _LEAST = 2  # draws that have an interval

@@ -22,8 +22,8 @@ from bench.config.datasheets import read_imu
 from bench.config.library import find_datasheet
 from bench.core.records.findings import Findings
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.drift_laws import drift_sd
-from bench.evaluation.required_metrics import (
+from bench.evaluation.linear.drift_laws import drift_sd
+from bench.evaluation.requirements.required_metrics import (
     Looks,
     count_meeting_runs,
     is_metric,

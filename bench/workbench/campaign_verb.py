@@ -24,8 +24,8 @@ from bench.config.profile import make_choice
 from bench.core.records.findings import FindingTable
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.metric_words import find_words, name_metric
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.report import card_page, page
 from bench.report.writing import write_report
 from bench.workbench.console import PlainConsole

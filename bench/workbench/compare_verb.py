@@ -19,8 +19,8 @@ from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.key_figures import is_key_figure
-from bench.evaluation.metric_words import name_metric
+from bench.evaluation.metrics.key_figures import is_key_figure
+from bench.evaluation.metrics.metric_words import name_metric
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
 from bench.saving import save

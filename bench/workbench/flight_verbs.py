@@ -18,7 +18,7 @@ from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.words.stages import FLYING, Stage, Watcher
 from bench.core.words.wording import one_line
-from bench.evaluation.required_metrics import judge_result
+from bench.evaluation.requirements.required_metrics import judge_result
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings
 

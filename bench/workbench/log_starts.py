@@ -10,7 +10,7 @@ from bench.config.log import LogSpec, StartSpec
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.motion.recorded_motion import RecordedMotion
 from bench.exchange.log_records import LogRecords
 from bench.exchange.log_start import HOVER, choose_stretch, find_start
 from bench.log_pipeline import Session

@@ -18,9 +18,9 @@ from bench.core.mathematics.units import split_unit
 from bench.core.records.data import ImuData
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
-from bench.evaluation.recorded_motion import Check, RecordedMotion
-from bench.evaluation.rest_noise import assume_vibration
-from bench.evaluation.validity import check_recording
+from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
+from bench.evaluation.motion.rest_noise import assume_vibration
+from bench.evaluation.motion.validity import check_recording
 from bench.exchange import autopilot, found_datasheets, imports
 from bench.exchange.exporter_names import FORWARD_LEFT_UP
 from bench.exchange.exports.column_files import START

@@ -17,8 +17,8 @@ from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
-from bench.evaluation.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
-from bench.evaluation.outages import DRIFT_MEANING, tabulate_drifts
+from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
+from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.workbench import result_table
 from bench.workbench.flight_verbs import (
     RUNS,

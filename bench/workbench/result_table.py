@@ -13,10 +13,16 @@ from bench.core.records.data import NavSolution
 from bench.core.records.findings import FindingTable
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import format_number
-from bench.evaluation import headline, verdict
-from bench.evaluation.headline import Headline, list_stops, make_headline
-from bench.evaluation.key_figures import MEANING, Measured, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metric_words import format_metric, group_metrics, name_metric
+from bench.evaluation.consistency import headline, verdict
+from bench.evaluation.consistency.headline import Headline, list_stops, make_headline
+from bench.evaluation.metrics.key_figures import (
+    MEANING,
+    Measured,
+    explain_rows,
+    format_bounds,
+    list_key_figures,
+)
+from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
 from bench.workbench.printing import print_table
 
 ROOM = 14

@@ -116,7 +116,7 @@ def list_studies() -> list[CatalogEntry]:
 
 def list_metrics() -> list[CatalogEntry]:
     """Return every metric that a requirement or a study can name, and which side of it is better."""
-    from bench.evaluation.metrics import METRICS
+    from bench.evaluation.metrics.run_metrics import METRICS
 
     return [
         CatalogEntry(one.name, one.words.rstrip("."), "metric", _BETTER[one.direction]) for one in METRICS

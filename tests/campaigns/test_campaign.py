@@ -37,9 +37,9 @@ from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.core.words.exceptions import INTERRUPTED, MACHINE, ConfigError
 from bench.core.words.wording import format_number
-from bench.evaluation.consistency import NIS_PROBABILITY, mean_band
-from bench.evaluation.ensemble import Estimate, compare_rmse
-from bench.evaluation.error_series import heading_sd, select_epochs
+from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, mean_band
+from bench.evaluation.ensembles.ensemble import Estimate, compare_rmse
+from bench.evaluation.errors.error_series import heading_sd, select_epochs
 from bench.recording import drawing
 from bench.report import campaign_page
 from bench.report.index import find_folders, write_index

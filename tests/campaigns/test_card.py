@@ -22,7 +22,7 @@ from bench.cli import main
 from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.regression import average_changes
+from bench.evaluation.ensembles.regression import average_changes
 from bench.exchange.solution_folder import name_draw
 from bench.report.card_page import write_card
 from tests.campaigns import card_power

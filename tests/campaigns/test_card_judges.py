@@ -22,7 +22,7 @@ from bench.campaigns.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteF
 from bench.config import load_profile
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import EstimatorFailedError
-from bench.evaluation.regression import Change
+from bench.evaluation.ensembles.regression import Change
 from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_card_lines import make_card, make_line

@@ -25,7 +25,7 @@ from bench.core.files.places import PACKAGE
 from bench.core.records.data import ErrorSeries, Innovations, no_innovations
 from bench.core.records.specs import DEFAULT_GUARD
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble import Estimate
 from bench.store import truth_key
 from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE

@@ -11,11 +11,11 @@ import pytest
 
 import bench
 from bench import pipeline
-from bench.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_candidates
-from bench.causes.search import advise, describe_causes, find_causes
 from bench.core.records.sensor_specs import AssumedSpecs, AxisFigures, SensorsSpec, TriadSpec
 from bench.core.records.specs import EstimatorChoice, Profile
-from bench.evaluation.block_nees import BlockNees
+from bench.evaluation.causes.candidates import SENSOR_ERRORS, SKY_ERRORS, Candidate, list_candidates
+from bench.evaluation.causes.search import advise, describe_causes, find_causes
+from bench.evaluation.consistency.block_nees import BlockNees
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, imu_errors
 from bench.simulation import sensors
 from tests.causes import planted

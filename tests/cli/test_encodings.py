@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from bench.evaluation.key_figures import format_bounds
+from bench.evaluation.metrics.key_figures import format_bounds
 from tests.campaigns.test_campaign import PROFILE
 
 

@@ -26,9 +26,9 @@ from bench.campaigns.tuning import Tuning
 from bench.cli import main
 from bench.core.words import plain_output
 from bench.core.words.exceptions import DONE, MACHINE, NEGATIVE
-from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble import Estimate
 from bench.report import allan_picture
-from bench.studies import requirements
+from bench.studies import sensor_requirements
 from bench.workbench import campaign_verb, fixes_verb, tune_verb
 from tests.cli.test_cli import HEAD, PROFILE
 
@@ -101,7 +101,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
             (log_pipeline, "read_log"),
             (log_pipeline, "navigate_log"),
             (campaign_verb, "make_card"),
-            (requirements, "run"),
+            (sensor_requirements, "run"),
             (checking._Measured, "measure"),
             (checking._Measured, "find_unjudged"),
             (checking, "check"),

@@ -19,8 +19,8 @@ from scipy.spatial.transform import Rotation
 from bench import config, pipeline
 from bench.core.records.data import NavSolution, Sensed, Trajectory
 from bench.core.records.specs import Profile
-from bench.evaluation.convention_search import find_mistakes
-from bench.evaluation.verdict import BROKEN, add_verdict
+from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+from bench.evaluation.conventions.convention_search import find_mistakes
 from bench.navigation import built_in, estimator
 
 USE = "loose-15"

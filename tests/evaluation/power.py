@@ -8,8 +8,8 @@ import argparse
 import numpy as np
 from scipy.special import stdtr
 
-from bench.evaluation import regression
-from bench.evaluation.ensemble_consistency import check_consistency
+from bench.evaluation.ensembles import regression
+from bench.evaluation.ensembles.ensemble_consistency import check_consistency
 
 ROWS, LOOKS = 100, (20, 40, 80)
 STATES = 9

@@ -15,8 +15,8 @@ import bench
 from bench.config.listing import list_profiles
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import BaroData
-from bench.evaluation.recorded_motion import Check
-from bench.evaluation.validity import check_recording
+from bench.evaluation.motion.recorded_motion import Check
+from bench.evaluation.motion.validity import check_recording
 
 
 @dataclass(frozen=True)

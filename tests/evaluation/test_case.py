@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from bench.core.records.data import Events, OffPath
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation.case import bias_errors, build_case, collect_alarms, cut_case, find_outage_rows
-from bench.evaluation.consistency import SensorNis
-from bench.evaluation.error_series import error_series
+from bench.evaluation.consistency.chi_square import SensorNis
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.metrics.case import bias_errors, build_case, collect_alarms, cut_case, find_outage_rows
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 

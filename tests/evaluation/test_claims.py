@@ -12,9 +12,9 @@ from scipy.stats import binom
 from bench.core.mathematics.units import split_unit
 from bench.core.records.data import SensorTruth
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation.claims import _least_inside, count_independent
-from bench.evaluation.metrics import judge
-from bench.evaluation.verdict import is_outside
+from bench.evaluation.consistency.verdict import is_outside
+from bench.evaluation.metrics.claims import _least_inside, count_independent
+from bench.evaluation.metrics.run_metrics import judge
 from tests.evaluation.solutions import COV, weaving_truth, wrong_solution
 
 RUNS = 40

@@ -6,12 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import chi2
 
 from bench.core.records.data import Innovations, no_innovations
-from bench.evaluation.consistency import (
-    chi2_quantile,
-    mean_band,
-    mean_nis,
-    nis_by_sensor,
-)
+from bench.evaluation.consistency.chi_square import chi2_quantile, mean_band, mean_nis, nis_by_sensor
 
 
 @pytest.mark.parametrize("dof", [1, 3, 9, 450, 40_000])

@@ -1,7 +1,7 @@
 """The covariance of loose-15 describes its errors where its model is the truth: 40 matched runs.
 
 NEES at 1 Hz after the update and NIS of every sensor, by the tests of
-`bench.evaluation.ensemble_consistency`.
+`bench.evaluation.ensembles.ensemble_consistency`.
 """
 
 from dataclasses import replace

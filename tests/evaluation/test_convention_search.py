@@ -9,10 +9,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
-from bench.evaluation import convention_search
-from bench.evaluation.block_nees import BlockNees
-from bench.evaluation.convention_search import Mistake
-from bench.evaluation.known_conventions import Answers, Convention, list_conventions
+from bench.evaluation.consistency.block_nees import BlockNees
+from bench.evaluation.conventions import convention_search
+from bench.evaluation.conventions.convention_search import Mistake
+from bench.evaluation.conventions.known_conventions import Answers, Convention, list_conventions
 from tests.synthetic import turning
 
 TRUTH = turning(10.0, 100.0)

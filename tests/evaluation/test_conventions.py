@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 import bench
 from bench import pipeline
 from bench.core.mathematics import earth
-from bench.evaluation import convention_search, known_conventions
-from bench.evaluation.convention_search import find_mistakes
-from bench.evaluation.error_series import interpolate_truth
-from bench.evaluation.known_conventions import (
+from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+from bench.evaluation.conventions import convention_search, known_conventions
+from bench.evaluation.conventions.convention_search import find_mistakes
+from bench.evaluation.conventions.known_conventions import (
     Answers,
     Convention,
     TrueMotion,
@@ -24,7 +24,7 @@ from bench.evaluation.known_conventions import (
     list_conventions,
     move,
 )
-from bench.evaluation.verdict import BROKEN, add_verdict
+from bench.evaluation.errors.error_series import interpolate_truth
 from tests.evaluation import mistaken
 from tests.synthetic import turning
 

@@ -12,10 +12,10 @@ from bench.cli import main
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.data import InitialState, NavSolution, SensorData
-from bench.evaluation import coverage
-from bench.evaluation.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
-from bench.evaluation.error_series import find_answered_epochs, find_covered_epochs
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.errors.error_series import find_answered_epochs, find_covered_epochs
+from bench.evaluation.metrics import coverage
+from bench.evaluation.metrics.coverage import Coverage, carry_on, find_silent_epochs, measure_coverage
 from bench.navigation.built_in import load
 from tests.builders import take
 from tests.campaigns.test_campaign import PROFILE

@@ -16,10 +16,10 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Events, Innovations, NavSolution, no_innovations
 from bench.core.records.sensor_specs import Fault
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
-from bench.evaluation.case import Alarms, collect_alarms
-from bench.evaluation.consistency import nis_by_sensor
-from bench.evaluation.detection import (
+from bench.evaluation.consistency.chi_square import nis_by_sensor
+from bench.evaluation.metrics import run_metrics
+from bench.evaluation.metrics.case import Alarms, collect_alarms
+from bench.evaluation.metrics.detection import (
     count_false_alarms,
     false_alarm_rate,
     false_alarm_share,
@@ -49,7 +49,9 @@ def judged(flight, *faults, run=0, estimator=None):
     """Metrics of the filter, and its solution."""
     sensed = sense(flight, replace(units(), faults=faults), 3, run)
     solution = (estimator or Loose()).run(sensed.data, sensed.initial)
-    _, found = metrics.judge(flight, solution, evaluation=EvaluationWindow(30.0), outages=(), faults=faults)
+    _, found = run_metrics.judge(
+        flight, solution, evaluation=EvaluationWindow(30.0), outages=(), faults=faults
+    )
     return found, solution
 
 

@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 from bench.core.mathematics import rotation
 from bench.core.mathematics.units import DEG, STANDARD_GRAVITY
 from bench.core.records.sensor_specs import AssumedSpecs
-from bench.evaluation import drift_laws
-from bench.evaluation.drift_laws import RADIUS, drift_sd
-from bench.evaluation.outages import OutageDrift, make_drift_row, place_outages
+from bench.evaluation.linear import drift_laws
+from bench.evaluation.linear.drift_laws import RADIUS, drift_sd
+from bench.evaluation.metrics.outages import OutageDrift, make_drift_row, place_outages
 from tests.weaving import GNSS, IMU
 
 QUIET = replace(

@@ -13,8 +13,8 @@ from scipy.stats import beta, binom, chi2, norm
 from scipy.stats import t as student
 
 from bench.core.records.data import Innovations
-from bench.evaluation import ensemble
-from bench.evaluation.consistency import SensorNis
+from bench.evaluation.consistency.chi_square import SensorNis
+from bench.evaluation.ensembles import ensemble
 
 CASES = 1000
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, t
 
-from bench.evaluation.consistency import SensorNis
-from bench.evaluation.ensemble_consistency import INSTANTS, LEAST_RUNS, check_consistency
+from bench.evaluation.consistency.chi_square import SensorNis
+from bench.evaluation.ensembles.ensemble_consistency import INSTANTS, LEAST_RUNS, check_consistency
 from tests.evaluation.power import EPOCHS, STATES, draw_nees
 
 

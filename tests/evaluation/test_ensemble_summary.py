@@ -7,8 +7,8 @@ import pytest
 
 import bench
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import ensemble
-from bench.evaluation.ensemble_summary import compare_estimators, summarize_runs
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.ensemble_summary import compare_estimators, summarize_runs
 
 FROM_S = 10.0
 WINDOW = EvaluationWindow(FROM_S)

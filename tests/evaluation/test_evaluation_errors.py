@@ -13,9 +13,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.linalg import expm
 
 from bench.core.mathematics import rotation
-from bench.evaluation import error_series as error_series_file
-from bench.evaluation.consistency import mean_band
-from bench.evaluation.error_series import (
+from bench.evaluation.consistency.chi_square import mean_band
+from bench.evaluation.errors import error_series as error_series_file
+from bench.evaluation.errors.error_series import (
     check_convergence,
     error_series,
     heading_sd,

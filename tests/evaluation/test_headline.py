@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bench.evaluation.headline import Headline, make_headline
+from bench.evaluation.consistency.headline import Headline, make_headline
 
 
 def head(**values) -> Headline:

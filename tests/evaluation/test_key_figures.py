@@ -3,9 +3,9 @@
 import pytest
 
 from bench.core.words.wording import format_number
-from bench.evaluation.key_figures import _format_bound, explain_rows, list_key_figures
-from bench.evaluation.metric_words import find_words, format_metric, group_metrics, list_wordless
-from bench.evaluation.metrics import METRICS
+from bench.evaluation.metrics.key_figures import _format_bound, explain_rows, list_key_figures
+from bench.evaluation.metrics.metric_words import find_words, format_metric, group_metrics, list_wordless
+from bench.evaluation.metrics.run_metrics import METRICS
 
 
 def test_every_metric_has_words_of_its_own():

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import multivariate_normal, norm
 
 from bench.core.records.data import Innovations
-from bench.evaluation.error_series import error_series
-from bench.evaluation.log_score import score_claims, score_innovations
+from bench.evaluation.consistency.log_score import score_claims, score_innovations
+from bench.evaluation.errors.error_series import error_series
 from tests.evaluation.solutions import weaving_truth, without, wrong_solution
 
 

@@ -12,9 +12,9 @@ from bench.core.mathematics.units import unit_of
 from bench.core.records.data import Events, Innovations, SensorTruth, no_innovations
 from bench.core.records.sensor_specs import AssumedSpecs, Fault
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
-from bench.evaluation.consistency import chi2_quantile
-from bench.evaluation.metrics import METRICS, find_metric, judge
+from bench.evaluation.consistency.chi_square import chi2_quantile
+from bench.evaluation.metrics import run_metrics
+from bench.evaluation.metrics.run_metrics import METRICS, find_metric, judge
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 from tests.weaving import units
 
@@ -437,8 +437,8 @@ def test_an_empty_solution_is_an_error(truth):
 
 
 def test_a_refusal_lasts_from_its_first_to_its_last_instant(monkeypatch):
-    monkeypatch.setattr(metrics.detection, "find_refusals", lambda case: {"baro": (30.0, 42.5)})
-    assert metrics.refused(None) == {"baro": 12.5}
+    monkeypatch.setattr(run_metrics.detection, "find_refusals", lambda case: {"baro": (30.0, 42.5)})
+    assert run_metrics.refused(None) == {"baro": 12.5}
 
 
 def test_a_metric_that_raises_has_no_value_and_says_why(truth, monkeypatch):
@@ -449,7 +449,9 @@ def test_a_metric_that_raises_has_no_value_and_says_why(truth, monkeypatch):
     sound = metrics_of(truth, solution)
     rows = [row._replace(function=fail) if row.name == "ape_aligned_rmse_m" else row for row in METRICS]
     monkeypatch.setattr(
-        metrics.judge_epochs, "__kwdefaults__", {**metrics.judge_epochs.__kwdefaults__, "metrics": rows}
+        run_metrics.judge_epochs,
+        "__kwdefaults__",
+        {**run_metrics.judge_epochs.__kwdefaults__, "metrics": rows},
     )
     found = metrics_of(truth, solution)
     assert found.pop("no_value") == {"ape_aligned_rmse_m": "LinAlgError: SVD did not converge"}

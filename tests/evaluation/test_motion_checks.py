@@ -14,9 +14,9 @@ from bench.config.listing import list_profiles
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.instruments import BaroData
-from bench.evaluation import axis_search, motion_checks, motion_fit, validity
-from bench.evaluation.axis_search import Axes, describe_axes
-from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.motion import axis_search, motion_checks, motion_fit, validity
+from bench.evaluation.motion.axis_search import Axes, describe_axes
+from bench.evaluation.motion.recorded_motion import RecordedMotion
 from tests.evaluation import seeded
 
 

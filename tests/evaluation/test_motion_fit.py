@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from bench.core.mathematics import earth
-from bench.evaluation import motion_fit
-from bench.evaluation.motion_fit import Stretches, find_stretches, fit_motion
+from bench.evaluation.motion import motion_fit
+from bench.evaluation.motion.motion_fit import Stretches, find_stretches, fit_motion
 
 ARM = np.array([0.4, -0.3, 0.2])
 BEGIN = np.array([0, 9, 19, 29])

@@ -9,9 +9,9 @@ import pytest
 from scipy.signal import lfilter
 
 import bench
-from bench.evaluation import motion_noise
-from bench.evaluation.error_series import error_series
-from bench.evaluation.motion_noise import BANDS, LEAST, assume_motion_noise, measure_motion_noise
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.motion import motion_noise
+from bench.evaluation.motion.motion_noise import BANDS, LEAST, assume_motion_noise, measure_motion_noise
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import take

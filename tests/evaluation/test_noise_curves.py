@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 from scipy.stats import chi2
 
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
-from bench.evaluation import noise_curves
-from bench.evaluation.noise_curves import (
+from bench.evaluation.motion import noise_curves
+from bench.evaluation.motion.noise_curves import (
     AllanCurve,
     AllanResult,
     fit_noise,

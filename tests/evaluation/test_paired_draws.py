@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
-from bench.evaluation.paired_draws import SAME, compare_draws_of
+from bench.evaluation.ensembles.paired_draws import SAME, compare_draws_of
 
 NAMES = ("a", "b")
 

@@ -10,8 +10,8 @@ import pytest
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation.metrics import judge
-from bench.evaluation.poses import align
+from bench.evaluation.errors.poses import align
+from bench.evaluation.metrics.run_metrics import judge
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 SPEED, LENGTH = 50.0, 100.0

@@ -10,9 +10,10 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from bench.core.mathematics import earth, rotation
-from bench.evaluation import consistency, error_series
-from bench.evaluation.error_series import error_series as find_errors
-from bench.evaluation.poses import Poses, align
+from bench.evaluation.consistency import chi_square
+from bench.evaluation.errors import error_series
+from bench.evaluation.errors.error_series import error_series as find_errors
+from bench.evaluation.errors.poses import Poses, align
 from tests.evaluation.solutions import weaving_truth, without, wrong_solution
 
 M = 40
@@ -136,13 +137,13 @@ def test_independent_values_are_counted_by_the_sum_of_the_autocorrelation(count)
         pairs = [rho[k] + rho[k + 1] for k in range(0, count - 1, 2)]
         kept = pairs[: next((k for k, one in enumerate(pairs) if one <= 0.0), len(pairs))]
         total = max(2.0 * sum(kept) - 1.0, 1.0)
-        assert consistency.count_independent(x) == pytest.approx(np.clip(count / total, 1.0, count))
+        assert chi_square.count_independent(x) == pytest.approx(np.clip(count / total, 1.0, count))
     positive = 1.0 + random.random(count)
     rho = [positive[lag:] @ positive[: count - lag] / (positive @ positive) for lag in range(count)]
     total = 2.0 * sum(rho[: count // 2 * 2]) - 1.0
     for sign in (1.0, -1.0):
-        assert consistency.count_independent(sign * positive) == pytest.approx(max(count / total, 1.0))
-    assert consistency.count_independent(np.append(positive, np.nan)) == 0.0
-    assert consistency.count_independent(np.zeros(3)) == 0.0
+        assert chi_square.count_independent(sign * positive) == pytest.approx(max(count / total, 1.0))
+    assert chi_square.count_independent(np.append(positive, np.nan)) == 0.0
+    assert chi_square.count_independent(np.zeros(3)) == 0.0
     lengths = {1: 2, 2: 2, 3: 4, 7: 8, 9: 10, 11: 12, 13: 16, 17: 20}
-    assert {least: consistency._fast_length(least) for least in lengths} == lengths
+    assert {least: chi_square._fast_length(least) for least in lengths} == lengths

@@ -8,13 +8,13 @@ from numpy.testing import assert_allclose
 from scipy import stats
 from scipy.stats import binom
 
-from bench.evaluation.protection import (
+from bench.evaluation.metrics.protection import (
     deviations,
     multipliers,
     protect_by_separation,
     protect_fault_free,
 )
-from bench.evaluation.required_performance import (
+from bench.evaluation.requirements.required_performance import (
     Watched,
     bound_per_hour,
     count_detected,

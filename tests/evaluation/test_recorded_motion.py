@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
 from bench.core.records.data import GnssFixes, ImuData
-from bench.evaluation.motion_noise import assume_motion_noise, measure_motion_noise
-from bench.evaluation.recorded_motion import RecordedMotion
-from bench.evaluation.rest_noise import assume_noise, measure_rest_noise, measure_vibration
+from bench.evaluation.motion.motion_noise import assume_motion_noise, measure_motion_noise
+from bench.evaluation.motion.recorded_motion import RecordedMotion
+from bench.evaluation.motion.rest_noise import assume_noise, measure_rest_noise, measure_vibration
 from tests.weaving import IMU
 
 NONE = np.empty((0, 3))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, fisher_exact, ttest_1samp, ttest_ind, ttest_rel
 
-from bench.evaluation import regression
+from bench.evaluation.ensembles import regression
 from tests.evaluation.power import LOOKS, ROWS, draw_rmse, is_proven
 
 DRAWS = 20

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from bench.core.records.data import Trajectory, no_events
-from bench.evaluation.replay import STRETCH, Replay
+from bench.evaluation.errors.replay import STRETCH, Replay
 from bench.navigation import mechanization
 from tests.synthetic import still
 

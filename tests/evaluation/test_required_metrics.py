@@ -12,7 +12,8 @@ from scipy import stats
 
 from bench.cli import main
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.required_metrics import (
+from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.requirements.required_metrics import (
     MET,
     MISSED,
     UNDECIDED,
@@ -22,7 +23,6 @@ from bench.evaluation.required_metrics import (
     judge_run,
     judge_runs,
 )
-from bench.evaluation.verdict import add_verdict
 
 MOST = {"metric": "pos_rmse_h_m", "most": 5.0, "share": 0.95}
 LEAST = {"metric": "nees_inside_95", "least": 0.9, "share": 0.95}

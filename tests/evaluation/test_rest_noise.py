@@ -9,8 +9,8 @@ import pytest
 
 import bench
 from bench.core.records.data import ImuData
-from bench.evaluation.recorded_motion import RecordedMotion
-from bench.evaluation.rest_noise import LEAST, measure_rest_noise, measure_vibration
+from bench.evaluation.motion.recorded_motion import RecordedMotion
+from bench.evaluation.motion.rest_noise import LEAST, measure_rest_noise, measure_vibration
 from tests.exchange import drives
 
 

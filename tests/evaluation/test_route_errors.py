@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.evaluation.route_errors import RADIUS, allowed_heading_error, cross_track_error
+from bench.evaluation.errors.route_errors import RADIUS, allowed_heading_error, cross_track_error
 
 
 @pytest.mark.parametrize(("length", "error"), [(1e5, 0.1), (5e6, 0.01), (9e6, -0.3)])

@@ -13,10 +13,11 @@ from bench import config, pipeline
 from bench.core.mathematics import earth
 from bench.core.records.data import NavSolution, OffPath
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics, total_system
-from bench.evaluation.case import build_case
-from bench.evaluation.error_series import error_series
-from bench.evaluation.total_system import locate_path, resolve
+from bench.evaluation.errors import total_system
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.errors.total_system import locate_path, resolve
+from bench.evaluation.metrics import run_metrics
+from bench.evaluation.metrics.case import build_case
 from bench.simulation.flight.guidance.desired_path import measure_off_path
 
 
@@ -93,10 +94,10 @@ def test_the_metrics_are_rms_and_largest_of_what_has_a_path(approach):
     path = measure_off_path(spec, truth, rows)
     solution = believe(truth, rows, error_n)
     window = EvaluationWindow(60.0)
-    _, values = metrics.judge(truth, solution, evaluation=window, outages=(), path=path)
+    _, values = run_metrics.judge(truth, solution, evaluation=window, outages=(), path=path)
     assert 15.0 < values["nse_across_rms_m"] < 25.0
     assert values["tse_across_rms_m"] < 0.5 * values["fte_across_rms_m"]
-    _, without = metrics.judge(truth, solution, evaluation=window, outages=())
+    _, without = run_metrics.judge(truth, solution, evaluation=window, outages=())
     assert "tse_across_rms_m" not in without
 
 

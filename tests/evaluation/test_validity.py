@@ -8,8 +8,8 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth
 from bench.core.records.instruments import BaroData
-from bench.evaluation import validity
-from bench.evaluation.recorded_motion import RecordedMotion
+from bench.evaluation.motion import validity
+from bench.evaluation.motion.recorded_motion import RecordedMotion
 
 
 def test_times_that_go_back_and_gaps_are_counted_by_rows():

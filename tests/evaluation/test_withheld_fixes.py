@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import fixes
+from bench.evaluation.errors import fixes
 from bench.navigation.models.loose_tight import Loose
 from bench.simulation import sensors
 from tests.weaving import units, weaving

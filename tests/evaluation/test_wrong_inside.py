@@ -11,7 +11,7 @@ import pytest
 
 from bench.core.mathematics import rotation
 from bench.core.records.data import NavSolution, Sensed
-from bench.evaluation.convention_search import find_mistakes
+from bench.evaluation.conventions.convention_search import find_mistakes
 from bench.navigation import built_in
 from tests.evaluation import mistaken
 

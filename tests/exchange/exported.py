@@ -11,8 +11,8 @@ from bench import config, store
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
-from bench.evaluation.error_series import select_epochs
+from bench.evaluation.errors.error_series import select_epochs
+from bench.evaluation.metrics import run_metrics
 from bench.simulation import sensors
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
@@ -37,7 +37,7 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     sensed = replace(sensed, data=replace(sensed.data, fixes=fixes))
     rows = np.round(sensed.data.output_t * rate).astype(int)
     solution = select_epochs(wrong_solution(truth, every=1, **ERROR), rows)
-    errors, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
+    errors, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
     result = RunResult(
         profile.document,
         4,

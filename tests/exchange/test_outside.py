@@ -21,7 +21,7 @@ from bench import config, pipeline, store
 from bench.cli import main
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
-from bench.evaluation import metrics
+from bench.evaluation.metrics import run_metrics
 from bench.exchange import outside
 from bench.exchange.outside import CommandEstimator
 from bench.navigation import estimator
@@ -89,9 +89,11 @@ def test_a_filter_in_c_or_awk_says_what_its_algorithm_says(run, holds):
         assert solution.events.select(outside.PROGRAM) == [(0.0, 0.0, "exit status 0")]
         ((_, _, said),) = solution.events.select(outside.STDERR)
         assert said.startswith(("192 rows", "18 fixes"))
-        _, measured = metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[(12.0, 14.0)])
+        _, measured = run_metrics.judge(
+            truth, solution, evaluation=EvaluationWindow(5.0), outages=[(12.0, 14.0)]
+        )
         off = np.hypot(
-            *(metrics.error_series(truth, solution).pos_n[sensed.data.output_t >= 5.0 - 1e-6, :2].T)
+            *(run_metrics.error_series(truth, solution).pos_n[sensed.data.output_t >= 5.0 - 1e-6, :2].T)
         )
         assert measured["pos_rmse_h_m"] == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
         assert 5 < measured["pos_rmse_h_m"] < 60  # 25 m/s held for up to a second, three in the outage
@@ -185,7 +187,7 @@ def failure(run, command: str, beside: Path, **options) -> tuple[str, str]:
     """Why there is no solution, and what was said on stderr."""
     _, truth, sensed = run
     solution = CommandEstimator(command, beside, **options).run(sensed.data, sensed.initial)
-    _, measured = metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[])
+    _, measured = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[])
     assert measured["converged"] is False
     assert not [
         name for name, value in measured.items() if name.startswith(("pos", "vel")) and value is not None

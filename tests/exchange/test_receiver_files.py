@@ -19,7 +19,7 @@ from bench.cli import main
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.core.words.exceptions import ConfigError
-from bench.exchange import nees_band
+from bench.evaluation.consistency import nees_band
 from bench.exchange.fix_truth import Truth
 from bench.exchange.rinex import ephemerides, observations
 from bench.exchange.rinex.lines import gps_seconds

@@ -8,7 +8,7 @@ from bench import log_pipeline
 from bench.cli import main
 from bench.config.log import load_log
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.validity import check_recording
+from bench.evaluation.motion.validity import check_recording
 from bench.exchange.log_records import read_records
 from bench.exchange.record_clock import find_week, unwrap_week
 from bench.exchange.rows import LogRows

@@ -13,7 +13,7 @@ from bench.cli import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes, Reference
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.error_series import select_epochs
+from bench.evaluation.errors.error_series import select_epochs
 from bench.exchange.log_start import find_start
 from bench.exchange.reference import _make_covariance, check_reference
 from bench.log_pipeline import Session

@@ -22,8 +22,8 @@ from bench.core.mathematics import earth, rotation
 from bench.core.records.data import NavSolution
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import metrics
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.metrics import run_metrics
 from bench.exchange.solutions import FileEstimator, carry_rows, read_solution, resample
 from bench.store import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
@@ -424,7 +424,7 @@ def test_a_file_in_the_place_of_an_estimator(run, tmp_path):
     path = written(tmp_path / "mine.csv", wrong_solution(truth, pos_n=[2.0, 0.0, 0.0]))
     solution = FileEstimator(path).run(sensed.data, sensed.initial)
     assert_array_equal(solution.t, sensed.data.output_t)
-    _, measured = metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
+    _, measured = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
     assert measured["pos_rmse_h_m"] == pytest.approx(2.0, rel=1e-6)
 
 

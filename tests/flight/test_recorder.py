@@ -228,7 +228,7 @@ def same_bits(pieces: list[Trajectory], whole: Trajectory) -> None:
 MEMORY = """
 import resource, sys, jsbsim, scipy.optimize, rich.console
 from bench import pipeline
-from bench.evaluation.replay import Replay
+from bench.evaluation.errors.replay import Replay
 from bench.navigation import mechanization
 from bench.workbench import flight_verbs
 from tests.flight.test_recorder import cruise_for

@@ -19,7 +19,7 @@ import numpy as np
 from bench.config import load_profile
 from bench.core.records.data import NavSolution, SensorData, Trajectory
 from bench.core.records.sensor_specs import Fault, SensorsSpec
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.weaving import units, weaving

@@ -2,7 +2,7 @@
 
 The twin is the same filter on the same draws of sensors that have no error but those it models: biases as
 Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_unmodelled`). Both are judged
-by `bench.evaluation.ensemble_consistency`. Run as a program it prints a row for each pair::
+by `bench.evaluation.ensembles.ensemble_consistency`. Run as a program it prints a row for each pair::
 
     python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
 
@@ -35,9 +35,10 @@ from bench.core.records.sensor_specs import (
     VibrationSpec,
 )
 from bench.core.records.specs import Profile
-from bench.evaluation import consistency, ensemble_consistency
-from bench.evaluation.consistency import SensorNis
-from bench.evaluation.error_series import check_convergence, error_series
+from bench.evaluation.consistency import chi_square
+from bench.evaluation.consistency.chi_square import SensorNis
+from bench.evaluation.ensembles import ensemble_consistency
+from bench.evaluation.errors.error_series import check_convergence, error_series
 from bench.navigation import built_in, estimator
 from tests.measured import SHOWN, stamp, write_measured
 
@@ -94,7 +95,7 @@ class Judged:
         found = {}
         for sensor, each in self.nis.items():
             nis, dof = (np.concatenate([getattr(series, name) for series in each]) for name in ("nis", "dof"))
-            found[sensor] = (float(nis.sum() / dof.sum()), bool(consistency.mean_nis(nis, dof).inside))
+            found[sensor] = (float(nis.sum() / dof.sum()), bool(chi_square.mean_nis(nis, dof).inside))
         return found
 
     def claims(self) -> ensemble_consistency.Consistency:
@@ -221,7 +222,7 @@ def judge_draws(
             judged.states = errors.states
             judged.nees.append(errors.nees[chosen])
             judged.apart.append(errors.pos_n[chosen])
-            series = consistency.nis_by_sensor(solution.innovations, profile.evaluation.begin)
+            series = chi_square.nis_by_sensor(solution.innovations, profile.evaluation.begin)
             for sensor, each in series.items():
                 sound = find_sound(profile, each.t)
                 kept = SensorNis(each.t[sound], each.nis[sound], each.dof[sound], each.accepted[sound])

@@ -12,8 +12,8 @@ from scipy import stats
 from bench.config.fault_tables import read_faults
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import HeadingSpec
-from bench.evaluation.case import bias_errors
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.metrics.case import bias_errors
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from bench.simulation.sensors import dual_antenna

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import BUILT_IN, load
 from bench.simulation import sensors
 from tests.builders import at_rest, band, steered

@@ -19,7 +19,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes, ImuData, Trajectory
 from bench.core.records.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.core.records.sensor_specs import ThermalSpec
-from bench.evaluation import error_series as judge
+from bench.evaluation.errors import error_series as judge
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill

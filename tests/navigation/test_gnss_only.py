@@ -20,8 +20,8 @@ from bench.core.mathematics import earth
 from bench.core.records.data import GnssFixes, Trajectory, no_air, no_controls, no_events
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation import metrics
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
+from bench.evaluation.metrics import run_metrics
 from bench.navigation.built_in import load
 from bench.navigation.engine.gate import DRIFTED, LOST, REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.models.gnss_only import GnssOnly
@@ -215,7 +215,7 @@ def test_in_a_flight_it_covers_its_errors_and_says_nothing_of_attitude(flight):
     truth, sensed = flight
     solution = GnssOnly().run(sensed.data, sensed.initial)
     bench.check_estimator(GnssOnly(), sensed.data, sensed.initial)
-    _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
+    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert judged["converged"]
     assert judged["nees_states"] == 6
     most = stats.binom.ppf(0.999, 80, 2 * stats.norm.sf(3.0)) / 80  # of what the 80 fixes allow

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine.gate import InnovationGate
 from bench.navigation.engine.integrity import nis

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm, logm
 
 from bench.core.mathematics import rotation
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.models.invariant_ekf import InvariantFlight
 from bench.navigation.options import InvariantOptions

@@ -15,7 +15,7 @@ from bench.core.mathematics import earth
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
@@ -24,7 +24,7 @@ from bench.navigation.models.loose_tight import Loose
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student
 
 RUNS = 40
-"""Fewest draws that `bench.evaluation.ensemble_consistency` judges."""
+"""Fewest draws that `bench.evaluation.ensembles.ensemble_consistency` judges."""
 BY_AXIS = [name for name, one in triad_figures_of(TriadSpec).items() if one.by_axis]
 
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from bench.core.records.instruments import MagSpec
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import ensemble, put

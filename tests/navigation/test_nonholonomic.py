@@ -11,8 +11,8 @@ from scipy import stats
 
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import AirspeedSpec, OdometerSpec
-from bench.evaluation import consistency
-from bench.evaluation.error_series import error_series
+from bench.evaluation.consistency import chi_square
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.error_state_filter import measurement_rows, propagation
 from bench.navigation.error_state_filter.error_state import feedback_kernel
 from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model
@@ -119,7 +119,7 @@ def drive(slip: float, **options):
         errors = error_series(truth, solution)
         nees.append(errors.nees[-1])
         drift.append(float(np.hypot(*errors.pos_n[-1, :2])))
-        if "nonholonomic" in (found := consistency.nis_by_sensor(solution.innovations, 15.0)):
+        if "nonholonomic" in (found := chi_square.nis_by_sensor(solution.innovations, 15.0)):
             nis.append(found["nonholonomic"].nis)
             dof.append(found["nonholonomic"].dof)
     return nis, dof, np.array(nees), np.array(drift)
@@ -128,7 +128,7 @@ def drive(slip: float, **options):
 def test_it_is_consistent_on_roads_of_its_model_and_slows_the_drift():
     """NIS and NEES in their 99.9 % bands; 25 s without GNSS drift less than without the constraint."""
     nis, dof, nees, drift = drive(1.0, nonholonomic=True)
-    found = consistency.mean_nis(np.concatenate(nis), np.concatenate(dof))
+    found = chi_square.mean_nis(np.concatenate(nis), np.concatenate(dof))
     assert found.low <= found.mean <= found.high
     low, high = band(RUNS, 9)
     assert low <= nees.mean() <= high
@@ -138,7 +138,7 @@ def test_it_is_consistent_on_roads_of_its_model_and_slows_the_drift():
 
 def test_slip_beyond_its_claim_shows():
     nis, dof, _, _ = drive(2.0, nonholonomic=True)
-    found = consistency.mean_nis(np.concatenate(nis), np.concatenate(dof))
+    found = chi_square.mean_nis(np.concatenate(nis), np.concatenate(dof))
     assert found.mean > found.high
 
 
@@ -161,8 +161,8 @@ def test_coordinated_flight_claims_less_drift_and_is_right_and_a_wrong_angle_of_
 
     def nis(alpha):
         solution = fly(0, coordinated=True, alpha_deg=alpha, alpha_sd_deg=0.3, gust_sd=0.5)
-        series = consistency.nis_by_sensor(solution.innovations, 0.0)["coordinated"]
-        return consistency.mean_nis(series.nis, series.dof)
+        series = chi_square.nis_by_sensor(solution.innovations, 0.0)["coordinated"]
+        return chi_square.mean_nis(series.nis, series.dof)
 
     assert nis(0.0).mean < nis(0.0).high
     assert nis(15.0).mean > nis(15.0).high

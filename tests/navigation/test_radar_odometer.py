@@ -11,7 +11,7 @@ from scipy import stats
 
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import OdometerSpec, RadarSpec
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.error_state_filter import measurement_rows, propagation
 from bench.navigation.error_state_filter.error_state import feedback_kernel
 from bench.navigation.error_state_filter.state_blocks import chosen_blocks, state_model

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import steered, take

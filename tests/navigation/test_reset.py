@@ -13,7 +13,7 @@ import pytest
 import bench
 from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import Fault
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import band

@@ -18,7 +18,7 @@ import bench
 from bench import pipeline
 from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.core.records.sensor_specs import Fault
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.ranges import satellite_states
 from bench.navigation.error_state_filter.ranges.range_states import RANGES

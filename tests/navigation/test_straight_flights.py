@@ -16,7 +16,7 @@ from scipy.stats import chi2
 import bench
 from bench import pipeline
 from bench.core.records.sensor_specs import Fault
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from tests.flight.plans import truth_of
 from tests.navigation import honesty

@@ -24,7 +24,7 @@ from bench.core.records.instruments import (
     RadarSpec,
 )
 from bench.core.records.sensor_specs import Fault
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.aiding_sensors import AIDING, SATELLITES
 from bench.simulation import sensors

@@ -18,8 +18,8 @@ from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import GLONASS, GPS
 from bench.core.records.sensor_specs import Fault
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
-from bench.evaluation.consistency import chi2_quantile
+from bench.evaluation.consistency.chi_square import chi2_quantile
+from bench.evaluation.metrics import run_metrics
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import error_state
 from bench.navigation.error_state_filter.error_state import StateLayout
@@ -357,7 +357,9 @@ def scripted(truth, sensed, step, ramp, start, end, **options):
     )
     drawn = sensors.sense(truth, replace(units(gnss=MATCHED), faults=(fault,)), 1, 0)
     solution = Tight(**options).run(drawn.data, drawn.initial)
-    _, found = metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=(), faults=(fault,))
+    _, found = run_metrics.judge(
+        truth, solution, evaluation=EvaluationWindow(10.0), outages=(), faults=(fault,)
+    )
     return found, solution, name
 
 

@@ -14,7 +14,7 @@ from scipy import stats
 
 from bench.config.log import load_log
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.exchange.log_records import read_records
 from bench.log_pipeline import Session, find_start
 from bench.navigation.built_in import load

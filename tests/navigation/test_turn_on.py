@@ -15,7 +15,7 @@ from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import ImuData
 from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
-from bench.evaluation.error_series import DIVERGED_SIGMAS, error_series
+from bench.evaluation.errors.error_series import DIVERGED_SIGMAS, error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
 from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece

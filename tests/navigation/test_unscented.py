@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import BARO_BIAS, state_model
 from bench.navigation.models import ukf

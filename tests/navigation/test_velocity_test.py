@@ -13,7 +13,7 @@ from bench.core.mathematics import earth
 from bench.core.records.data import GnssFixes
 from bench.core.records.sensor_specs import GnssSpec
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.velocity_consistency import WINDOWS, MovedFixes
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from bench.core.records.findings.series import Plot, draw_line
-from bench.evaluation.headline import find_best
+from bench.evaluation.consistency.headline import find_best
 from bench.plots.content import share_scales
 from bench.plots.facts import list_facts
 

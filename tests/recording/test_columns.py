@@ -16,7 +16,7 @@ from rerun.chunk import RrdReader
 
 import bench
 from bench.core.mathematics import earth, rotation
-from bench.evaluation.consistency import chi2_quantile
+from bench.evaluation.consistency.chi_square import chi2_quantile
 from bench.recording.drawing import TIMELINE
 
 DURATION = 30.0

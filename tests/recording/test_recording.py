@@ -37,8 +37,8 @@ from bench.core.records.instruments import AirspeedData, BaroData, BaroSpec, Mag
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from bench.core.records.specs import IN_FLIGHT
-from bench.evaluation.error_series import error_series
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.errors.error_series import error_series
 from bench.plots.tabs import comparison
 from bench.recording import drawing, layout, recording_text
 

@@ -10,7 +10,7 @@ import pytest
 
 import bench
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.consistency import MeanNis, mean_nis, nis_by_sensor
+from bench.evaluation.consistency.chi_square import MeanNis, mean_nis, nis_by_sensor
 from bench.simulation import sensors
 from tests.builders import assert_same_solution
 from tests.navigation.test_pieces import drawn_satellites, joined

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 
 from bench.core.mathematics import earth, rotation
-from bench.evaluation.route_errors import allowed_heading_error, cross_track_error
+from bench.evaluation.errors.route_errors import allowed_heading_error, cross_track_error
 from bench.navigation.register.mechanizations import accelerometers, attitude, coning, earth_series
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.error_integral import quaternion_error

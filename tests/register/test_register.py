@@ -15,7 +15,7 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.mathematics.units import DEG
 from bench.core.mathematics.units import STANDARD_GRAVITY as G0
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.models.classic import (

@@ -17,8 +17,8 @@ import bench
 from bench.cli import main
 from bench.core.records.findings.series import Plot, Series, draw_three_sigma
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.key_figures import list_key_figures
-from bench.evaluation.metric_words import format_metric, group_metrics
+from bench.evaluation.metrics.key_figures import list_key_figures
+from bench.evaluation.metrics.metric_words import format_metric, group_metrics
 from bench.report import page, svg
 from bench.report.forest import RatioRow, draw_ratios
 from tests.test_api import SHORT

@@ -24,7 +24,7 @@ from bench.cli import main
 from bench.config.datasheets import read_imu
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.noise_curves import fit_noise, format_noise_figures, measure_model
+from bench.evaluation.motion.noise_curves import fit_noise, format_noise_figures, measure_model
 from bench.exchange.resting_log import read_resting_log
 from bench.simulation.sensors import processes
 from bench.simulation.signals import allan

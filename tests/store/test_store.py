@@ -551,21 +551,21 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
     def said(*sources):
         return store.cached_summary(spec, flights, say, sources)
 
-    first = said("bench/evaluation/replay.py")
+    first = said("bench/evaluation/errors/replay.py")
     assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
-    assert said("bench/evaluation/replay.py") == first
+    assert said("bench/evaluation/errors/replay.py") == first
     assert (calls, flights.count) == ([401], 1)
-    said("bench/evaluation/replay.py", "bench/core/mathematics/rotation.py")
+    said("bench/evaluation/errors/replay.py", "bench/core/mathematics/rotation.py")
     assert (calls, flights.count) == ([401] * 2, 1)
     (entry,) = cache.iterdir()
     edits = ('{"samples"', "[]", '{"samples": 3}', "", "x" * 64 + '\n{"samples": 3}')
     for count, text in enumerate(edits, 3):
         for path in entry.glob("summary-*.json"):
             path.write_text(text)
-        assert said("bench/evaluation/replay.py") == first
+        assert said("bench/evaluation/errors/replay.py") == first
         assert (calls, flights.count) == ([401] * count, 1)
     _flip(entry / "lla.npy")
-    assert said("bench/evaluation/replay.py") == first
+    assert said("bench/evaluation/errors/replay.py") == first
     assert (calls, flights.count) == ([401] * (count + 1), 2)
 
 

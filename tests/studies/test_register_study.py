@@ -12,8 +12,8 @@ import pytest
 import bench
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.required_performance import JudgedFigure, count_windows
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.requirements.required_performance import JudgedFigure, count_windows
 from bench.studies import register_flights, register_proofs, register_rows, rnp
 from bench.studies.register_measures import Bounded, RowFinding, below
 from bench.studies.register_rows import ROWS

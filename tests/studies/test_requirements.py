@@ -12,7 +12,7 @@ from bench.core.mathematics import earth
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
-from bench.studies import requirements
+from bench.studies import sensor_requirements
 from tests.studies.made_units import write_unit
 
 PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m
@@ -101,11 +101,11 @@ def test_the_answer_has_no_power_of_ten():
 def test_no_error_is_allowed_that_is_too_large_on_the_way():
     """At the end of a Schuler period an accelerometer error has gone back; until then it has not."""
     t = np.array([2532.0, 3600.0, 5063.9, 9000.0, 20000.0])
-    for name in requirements.ERRORS:
-        sizes = requirements.allow(5.0, t, name)
+    for name in sensor_requirements.ERRORS:
+        sizes = sensor_requirements.allow(5.0, t, name)
         assert (np.diff(sizes) <= 0.0).all(), name
-    assert_allclose(requirements.allow(5.0, t, "accel"), 0.3924, rtol=1e-3)
-    assert_allclose(requirements.allow(5.0, t, "tilt"), 0.3924e-3, rtol=1e-3)
+    assert_allclose(sensor_requirements.allow(5.0, t, "accel"), 0.3924, rtol=1e-3)
+    assert_allclose(sensor_requirements.allow(5.0, t, "tilt"), 0.3924e-3, rtol=1e-3)
 
 
 @pytest.mark.parametrize("T", [40.0, 900.0, 3000.0, 7000.0])
@@ -124,7 +124,7 @@ def test_each_error_of_its_size_moves_a_pendulum_by_what_is_allowed(T):
         "gyro-noise": np.sqrt(cumulative_trapezoid(by_tilt**2, s, initial=0.0)),
     }
     for name, response in moved.items():
-        size = requirements.allow(5.0, np.array([T]), name)[0] * requirements.ERRORS[name].unit
+        size = sensor_requirements.allow(5.0, np.array([T]), name)[0] * sensor_requirements.ERRORS[name].unit
         assert np.abs(size * response).max() == pytest.approx(5.0, rel=1e-6), name
 
 
@@ -158,9 +158,9 @@ def test_how_long_a_unit_of_ones_own_stays_within_the_error(tmp_path):
 def test_the_simulation_has_no_vertical_instability():
     """Over three hours and a half it follows the pendulum but for the Earth's rate; height is held."""
     t = np.array([5064.0, 12_600.0])
-    simulated = requirements.simulate(5.0, t, np.deg2rad(45.0))
-    assert_allclose(simulated[:, 0], requirements.allow(5.0, t, "accel"), rtol=0.03)
-    assert_allclose(simulated[:, 1], requirements.allow(5.0, t, "gyro"), rtol=0.35)
+    simulated = sensor_requirements.simulate(5.0, t, np.deg2rad(45.0))
+    assert_allclose(simulated[:, 0], sensor_requirements.allow(5.0, t, "accel"), rtol=0.03)
+    assert_allclose(simulated[:, 1], sensor_requirements.allow(5.0, t, "gyro"), rtol=0.35)
 
 
 def test_a_wrong_name_of_an_error_or_a_unit_is_one_line():

@@ -13,7 +13,7 @@ from scipy import stats
 import bench
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.required_metrics import MET
+from bench.evaluation.requirements.required_metrics import MET
 from bench.studies import unit_limits, unit_table
 from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
 from bench.studies.drawn_errors import UnitFlight

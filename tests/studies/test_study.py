@@ -22,7 +22,7 @@ from bench.cli.group import commands
 from bench.core.records.findings import Findings, FindingTable, join_findings
 from bench.core.records.findings.series import Plot, draw_dots, draw_line
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble import Estimate
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
 from bench.store.study_folder import save_study

@@ -29,7 +29,7 @@ from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import ImuData
 from bench.core.records.specs import DEFAULT_GUARD, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.metrics import METRICS
+from bench.evaluation.metrics.run_metrics import METRICS
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
 from bench.workbench.check_verb import print_verdicts

@@ -14,7 +14,7 @@ from bench.baselines.comparing import Side
 from bench.baselines.verdict_rows import BY_SEED
 from bench.cli import main
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import ensemble
+from bench.evaluation.ensembles import ensemble
 from tests.test_api import SHORT
 
 

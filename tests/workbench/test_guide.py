@@ -27,7 +27,7 @@ from bench.cli import main
 from bench.cli.group import commands
 from bench.config import load_profile
 from bench.core.words.exceptions import EstimatorError
-from bench.evaluation.metrics import METRICS
+from bench.evaluation.metrics.run_metrics import METRICS
 from bench.exchange.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS

@@ -26,9 +26,9 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import ImuData
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation import validity
-from bench.evaluation.drift_laws import drift_sd
-from bench.evaluation.fixes import judge
+from bench.evaluation.errors.fixes import judge
+from bench.evaluation.linear.drift_laws import drift_sd
+from bench.evaluation.motion import validity
 from bench.exchange.log_records import read_records
 from bench.exchange.log_start import find_start
 from bench.log_pipeline import Session, read_log

@@ -13,7 +13,7 @@ from bench import log_pipeline
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.flight_specs import TableSpec
-from bench.evaluation import motion_fit
+from bench.evaluation.motion import motion_fit
 from bench.exchange import imports
 from bench.exchange.trajectory import read_trajectory
 from bench.simulation import sensors

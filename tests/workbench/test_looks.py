@@ -9,7 +9,9 @@ from rich.text import Text
 from bench.baselines.verdict_rows import Verdict, Word
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import LOOKS, find_look
-from bench.evaluation import ensemble_consistency, paired_draws, required_metrics, verdict
+from bench.evaluation.consistency import verdict
+from bench.evaluation.ensembles import ensemble_consistency, paired_draws
+from bench.evaluation.requirements import required_metrics
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings

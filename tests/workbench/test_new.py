@@ -18,7 +18,7 @@ from bench.cli import main
 from bench.core.files import durable
 from bench.core.mathematics.earth import difference_n, displace
 from bench.core.records.specs import EvaluationWindow
-from bench.evaluation import metrics
+from bench.evaluation.metrics import run_metrics
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
 from bench.workbench.new import new_check
@@ -143,7 +143,7 @@ def test_the_filterpy_filter_of_the_guide_keeps_the_contract(truth, sensed, tmp_
     estimator = load("guide_filter:FixFilter", {})
     bench.check_estimator(estimator, sensed.data, sensed.initial)
     solution = estimator.run(sensed.data, sensed.initial)
-    _, judged = metrics.judge(truth, solution, evaluation=EvaluationWindow(20.0), outages=())
+    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(20.0), outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_3d_m"] < 6.0
     assert not [name for name in judged if "heading" in name]

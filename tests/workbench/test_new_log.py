@@ -16,7 +16,7 @@ import bench
 from bench.cli import main
 from bench.config.log import load_log
 from bench.core.words.exceptions import WRONG
-from bench.evaluation.validity import check_recording
+from bench.evaluation.motion.validity import check_recording
 from bench.exchange.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import make_run

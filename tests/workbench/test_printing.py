@@ -16,9 +16,9 @@ from bench.campaigns.running import Campaign
 from bench.core.files.places import PACKAGE
 from bench.core.records.findings import FindingTable
 from bench.core.words.notebook import ShownFigure
-from bench.evaluation.ensemble import Estimate
-from bench.evaluation.noise_curves import AllanCurve
-from bench.evaluation.outages import tabulate_drifts
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.metrics.outages import tabulate_drifts
+from bench.evaluation.motion.noise_curves import AllanCurve
 from bench.workbench import record_verbs
 from bench.workbench.campaign_verb import print_campaign
 from bench.workbench.check_verb import tabulate_verdicts

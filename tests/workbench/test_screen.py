@@ -16,8 +16,8 @@ from bench import cli, pipeline
 from bench.core.compilation import compiled
 from bench.core.records.data import Events, no_events
 from bench.core.words.stages import Stage
-from bench.evaluation.headline import make_headline
-from bench.evaluation.verdict import add_verdict
+from bench.evaluation.consistency.headline import make_headline
+from bench.evaluation.consistency.verdict import add_verdict
 from bench.navigation.engine.record_cuts import nothing_known
 from bench.workbench import result_table
 from bench.workbench.console import PlainConsole

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from bench.baselines import checking
 from bench.baselines.baseline_file import read_baseline
 from bench.core.mathematics.units import unit_of
-from bench.evaluation import ensemble
+from bench.evaluation.ensembles import ensemble
 from bench.navigation.models.loose_tight import Loose
 
 DIRECTORY = Path(__file__).parents[1] / "baselines"

@@ -8,8 +8,8 @@ import numpy as np
 
 from bench.core.records.findings.series import BAND, FIX, TRUTH, Plot, Rows, draw_line
 from bench.core.records.specs import IN_FLIGHT
-from bench.evaluation.case import select_path
-from bench.evaluation.total_system import PARTS, resolve_along
+from bench.evaluation.errors.total_system import PARTS, resolve_along
+from bench.evaluation.metrics.case import select_path
 from bench.plots.content import Content, Tab
 
 _NAMES = {"tse": "total system error", "fte": "flight technical error", "nse": "navigation system error"}

@@ -23,7 +23,7 @@ from bench.core.records.findings.series import (
 )
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.palette import Colour
-from bench.evaluation.consistency import chi2_quantile, nis_by_sensor
+from bench.evaluation.consistency.chi_square import chi2_quantile, nis_by_sensor
 from bench.plots.content import Content, Tab
 
 _MEASURED = {

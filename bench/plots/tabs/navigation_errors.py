@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from bench.core.records.findings.series import AXES_N, Plot, Rows, draw_three_sigma
-from bench.evaluation.error_series import BLOCKS, variances
+from bench.evaluation.errors.error_series import BLOCKS, variances
 from bench.plots.content import Content, Tab
 
 

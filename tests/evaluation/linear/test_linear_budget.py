@@ -15,7 +15,7 @@ from bench.config.library import find_datasheet
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import BaroSpec
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
-from bench.evaluation.error_series import error_series
+from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.linear import gains, terms
 from bench.evaluation.linear.best_linear import Epochs, bound_errors, find_epochs
 from bench.evaluation.linear.error_budget import split_errors

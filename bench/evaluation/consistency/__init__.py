@@ -1,0 +1,1 @@
+"""Does the covariance describe the errors: NEES, NIS and the verdict."""

@@ -1,0 +1,1 @@
+"""Wrong conventions that a solution may be given in."""

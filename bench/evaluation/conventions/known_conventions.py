@@ -1,0 +1,328 @@
+"""Conventions in which a solution may be given by mistake, each with how to undo it.
+
+A convention without constants is undone as it is: exchanged axes, units, a conjugate. One with constants (a
+time offset, a lever arm, a rotation, a height) has the derivative of the errors by them, so that they can be
+fitted. What the truth says of the motion is taken at the instants that the answers are of.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.data import Trajectory
+from bench.evaluation.errors.error_series import BLOCKS, interpolate_truth
+
+POS, VEL, PHI = BLOCKS["pos"], BLOCKS["vel"], BLOCKS["phi"]
+_STEP = 0.05  # of differences in time [s]
+
+
+@dataclass(frozen=True, slots=True)
+class Answers:
+    """A solution at some instants, as given or with a convention undone."""
+
+    t: FloatArray  # (M,) [s]
+    lla: FloatArray  # (M, 3)
+    vel_n: FloatArray  # (M, 3) [m/s]
+    q_nb: FloatArray  # (M, 4)
+    cov: FloatArray  # (M, 9, 9)
+    late: float = 0.0  # the answers are of t - late [s]
+
+
+@dataclass(frozen=True, slots=True)
+class TrueMotion:
+    """The truth at the instants that answers are of."""
+
+    inside: BoolArray  # (M,) instants that the truth covers; the others have no row below
+    lla: FloatArray  # (K, 3)
+    vel_n: FloatArray  # (K, 3) [m/s]
+    q_nb: FloatArray  # (K, 4)
+    accel_n: FloatArray  # (K, 3) rate of vel_n [m/s^2]
+    turn_n: FloatArray  # (K, 3) angular rate of b relative to n [rad/s], n
+
+    @property
+    def body_to_level(self) -> FloatArray:
+        """Matrices (K, 3, 3) from b to n."""
+        return rotation.matrix(self.q_nb)
+
+    @property
+    def turn_b(self) -> FloatArray:
+        """The angular rate (K, 3) along b [rad/s]."""
+        return rotation.rotate(rotation.conjugate(self.q_nb), self.turn_n)
+
+
+def move(truth: Trajectory, answers: Answers) -> TrueMotion:
+    """Return the truth at the instants that answers are of."""
+    t = answers.t - answers.late
+    inside = (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
+    lla, vel_n, q_nb = interpolate_truth(truth, t[inside])
+    (_, before_n, q_before), (_, after_n, q_after) = (
+        interpolate_truth(truth, t[inside] + step) for step in (-_STEP, _STEP)
+    )
+    turned = rotation.to_rotvec(rotation.multiply(q_after, rotation.conjugate(q_before)))
+    span = 2.0 * _STEP
+    return TrueMotion(inside, lla, vel_n, q_nb, (after_n - before_n) / span, turned / span)
+
+
+def compare(answers: Answers, motion: TrueMotion) -> FloatArray:
+    """Return the errors (K, 9) of position [m], velocity [m/s] and attitude [rad], n."""
+    rows = motion.inside
+    with np.errstate(all="ignore"):
+        turned = rotation.multiply(answers.q_nb[rows], rotation.conjugate(motion.q_nb))
+        pos_n = earth.difference_n(answers.lla[rows], motion.lla)
+        return np.hstack([pos_n, answers.vel_n[rows] - motion.vel_n, rotation.to_rotvec(turned)])
+
+
+Undo = Callable[[Answers, TrueMotion, FloatArray], Answers]
+Derivative = Callable[[TrueMotion], FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Convention:
+    """One mistake, and how to undo it."""
+
+    name: str
+    words: Callable[[FloatArray], str]  # constants -> what is said
+    blocks: tuple[str, ...]  # that it changes
+    undo: Undo
+    derivative: Derivative | None = None  # (K, 9, p) of the errors by the constants
+    constants: int = 0
+    least: float = 0.0  # length of the constants below which it is not named
+    most: float = np.inf
+    shrinks: float = 0.0  # logarithm of the volume of errors over that of the same errors undone
+    of_claim: bool = False  # it changes what is claimed, and not the answers
+    alone: bool = True  # it may be named without another
+    starts: tuple[float, ...] = field(default=(0.0,))  # of a single constant
+
+
+def list_conventions(antenna_b: FloatArray) -> list[Convention]:
+    """Return all that are tried; ``antenna_b`` (3,) is the place of the antenna [m], b."""
+    return [*_list_exchanged(), *_list_fitted(antenna_b), *_list_claims()]
+
+
+# --- with constants ---------------------------------------------------------------------------------------
+
+
+def _list_fitted(antenna_b: FloatArray) -> Iterator[Convention]:
+    yield Convention(
+        "time offset", _tell_time, ("pos", "vel", "phi"), _undo_time, _by_time, 1, 0.005, 60.0,
+        starts=tuple(np.arange(-20.0, 20.25, 0.5).tolist()),
+    )  # fmt: skip
+    arm = partial(_tell_arm, antenna_b)
+    yield Convention("lever arm", arm, ("pos", "vel"), _undo_arm, _by_arm, 3, 0.1, 100.0)
+    yield Convention("height", _tell_height, ("pos",), _undo_height, _by_height, 1, 5.0, 200.0)
+    yield Convention("offset", _tell_offset, ("pos",), _undo_offset, _by_offset, 2, 0.1, 1e4, alone=False)
+    angles = (np.deg2rad(0.5), np.deg2rad(90.0))
+    yield Convention(
+        "rotation of the body", partial(_tell_turn, "forward, right, down"), ("phi",), _undo_turn_b,
+        lambda motion: _in_rows(PHI, motion.body_to_level), 3, *angles,
+    )  # fmt: skip
+    yield Convention(
+        "rotation of the level", partial(_tell_turn, "north, east, down"), ("phi",), _undo_turn_n,
+        lambda motion: _in_rows(PHI, np.tile(np.eye(3), (len(motion.lla), 1, 1))), 3, *angles,
+    )  # fmt: skip
+
+
+def _in_rows(rows: slice, columns: FloatArray) -> FloatArray:
+    """Return (K, 9, p) that holds columns (K, 3, p) in the rows of a block."""
+    whole = np.zeros((len(columns), 9, columns.shape[2]))
+    whole[:, rows] = columns
+    return whole
+
+
+def _undo_time(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
+    return replace(answers, late=answers.late + float(c[0]))
+
+
+def _by_time(motion: TrueMotion) -> FloatArray:
+    return -np.hstack([motion.vel_n, motion.accel_n, motion.turn_n])[:, :, None]
+
+
+def _tell_time(c: FloatArray) -> str:
+    return f"answers that are {abs(c[0]):.3f} s too {'late' if c[0] > 0 else 'early'}"
+
+
+def _undo_arm(answers: Answers, motion: TrueMotion, c: FloatArray) -> Answers:
+    lla, vel_n = answers.lla.copy(), answers.vel_n.copy()
+    rows = motion.inside
+    lla[rows] = earth.displace(lla[rows], -rotation.rotate(motion.q_nb, c))
+    vel_n[rows] -= rotation.rotate(motion.q_nb, np.cross(motion.turn_b, c))
+    return replace(answers, lla=lla, vel_n=vel_n)
+
+
+def _by_arm(motion: TrueMotion) -> FloatArray:
+    C_nb = motion.body_to_level
+    whole = _in_rows(POS, C_nb)
+    whole[:, VEL] = C_nb @ rotation.skew(motion.turn_b)
+    return whole
+
+
+def _tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
+    far = np.linalg.norm(antenna_b)
+    whose = "the antenna" if np.linalg.norm(c - antenna_b) < 0.3 * far else "a point"
+    return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"
+
+
+def _undo_height(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
+    return replace(answers, lla=answers.lla + np.array([0.0, 0.0, 1.0]) * c[0])
+
+
+def _by_height(motion: TrueMotion) -> FloatArray:
+    return _in_rows(POS, np.tile(np.array([[0.0], [0.0], [1.0]]), (len(motion.lla), 1, 1)))
+
+
+def _tell_height(c: FloatArray) -> str:
+    return f"heights over the geoid or another datum, {abs(c[0]):.1f} m too {'low' if c[0] > 0 else 'high'}"
+
+
+def _undo_offset(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
+    return replace(answers, lla=earth.displace(answers.lla, np.array([-c[0], -c[1], 0.0])))
+
+
+def _by_offset(motion: TrueMotion) -> FloatArray:
+    return _in_rows(POS, np.tile(np.eye(3)[:, :2], (len(motion.lla), 1, 1)))
+
+
+def _tell_offset(c: FloatArray) -> str:
+    return f"an offset of {c[0]:.2f} m north, {c[1]:.2f} m east"
+
+
+def _undo_turn_b(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
+    return replace(answers, q_nb=rotation.multiply(answers.q_nb, rotation.from_rotvec(-c)))
+
+
+def _undo_turn_n(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
+    return replace(answers, q_nb=rotation.multiply(rotation.from_rotvec(-c), answers.q_nb))
+
+
+def _tell_turn(axes: str, c: FloatArray) -> str:
+    by = ", ".join(f"{value:.2f}" for value in np.rad2deg(c))
+    return f"an attitude turned by a constant {by} deg about {axes}"
+
+
+# --- without ----------------------------------------------------------------------------------------------
+
+
+def _exchange(
+    name: str,
+    block: str,
+    change: Callable[[FloatArray, TrueMotion], FloatArray],
+    shrinks: float = 0.0,
+) -> Convention:
+    """Return a convention that changes the values of one block by a function of these and the motion."""
+    column = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}[block]
+
+    def undo(answers: Answers, motion: TrueMotion, _: FloatArray) -> Answers:
+        values = getattr(answers, column).copy()
+        with np.errstate(all="ignore"):
+            values[motion.inside] = change(values[motion.inside], motion)
+        return replace(answers, **{column: values})
+
+    return Convention(name, lambda _: name, (block,), undo, shrinks=shrinks)
+
+
+_HALF = np.sqrt(0.5)
+_ANGLES = ((np.pi / 180.0, "degrees read as radians"), (180.0 / np.pi, "radians read as degrees"))
+"""What undoes a wrong unit of angles, and its words."""
+_LOCKED = 0.3  # least over largest singular value of E: below it an angle is not told
+_Q_NED_ENU = np.array([0.0, _HALF, _HALF, 0.0])  # exchanges east and north, turns down into up
+_Q_FRD_FLU = np.array([0.0, 1.0, 0.0, 0.0])
+
+
+_UP = np.array([1.0, 1.0, -1.0])
+
+
+def _list_exchanged() -> Iterator[Convention]:
+    yield _exchange("latitude and longitude that are exchanged", "pos", lambda x, _: x[:, [1, 0, 2]])
+    for factor, words in _ANGLES:
+        scale = partial(_scale, np.array([factor, factor, 1.0]))
+        size = -float(np.log(factor))
+        yield _exchange(f"latitude and longitude in {words}", "pos", scale, 2.0 * size)
+        yield _exchange(f"attitude angles in {words}", "phi", partial(_undo_euler, 1.0 / factor), 3.0 * size)
+    yield _exchange("heights that count downwards", "pos", partial(_scale, _UP))
+    yield _exchange("velocities east, north, up", "vel", lambda v, _: v[:, [1, 0, 2]] * _UP)
+    yield _exchange("vertical velocities that count upwards", "vel", partial(_scale, _UP))
+    yield _exchange("velocities along the body", "vel", lambda v, motion: rotation.rotate(motion.q_nb, v))
+    for conjugate, level, body in product((False, True), repeat=3):
+        words = " and ".join(
+            [
+                *(["from level to body, the conjugate quaternion"] if conjugate else []),
+                *(["of axes forward, left, up"] if body else []),
+                *(["in east, north, up"] if level else []),
+            ]
+        )
+        if words:
+            yield _exchange(f"an attitude {words}", "phi", partial(_undo_axes, conjugate, level, body))
+    yield _exchange("quaternions with their scalar last", "phi", lambda q, _: rotation.from_scalar_last(q))
+
+
+def _scale(factors: FloatArray, values: FloatArray, _: TrueMotion) -> FloatArray:
+    return values * factors
+
+
+def _undo_axes(conjugate: bool, level: bool, body: bool, q: FloatArray, _: TrueMotion) -> FloatArray:
+    q = rotation.conjugate(q) if conjugate else q
+    q = rotation.multiply(_Q_NED_ENU, q) if level else q
+    return rotation.multiply(q, _Q_FRD_FLU) if body else q
+
+
+def _undo_euler(factor: float, q: FloatArray, motion: TrueMotion) -> FloatArray:
+    """Return the attitude of angles that have been multiplied by a factor, which may have wrapped them.
+
+    The small rotation from the true angles, multiplied, to the answer is ``E(wrong) factor d``; d are the
+    errors of the angles, whose rotation at the true angles is ``E(true) d``. Where the wrong pitch is near 90
+    deg, the answer tells one angle less, and its error counts as none.
+    """
+    true = np.column_stack(rotation.to_euler(motion.q_nb))
+    wrong = factor * true
+    apart = rotation.to_rotvec(rotation.multiply(q, rotation.conjugate(rotation.from_euler(*wrong.T))))
+    moved = np.einsum("kij,kj->ki", np.linalg.pinv(_rates(wrong), _LOCKED), apart) / factor
+    return rotation.multiply(rotation.from_rotvec(np.einsum("kij,kj->ki", _rates(true), moved)), motion.q_nb)
+
+
+def _rates(euler: FloatArray) -> FloatArray:
+    """Return the matrices (K, 3, 3) from small changes of roll, pitch, heading to a rotation, n."""
+    _, pitch, heading = euler.T
+    zero, one = np.zeros(len(euler)), np.ones(len(euler))
+    forward = np.stack(
+        [np.cos(heading) * np.cos(pitch), np.sin(heading) * np.cos(pitch), -np.sin(pitch)], axis=1
+    )
+    right = np.stack([-np.sin(heading), np.cos(heading), zero], axis=1)
+    return np.stack([forward, right, np.stack([zero, zero, one], axis=1)], axis=2)
+
+
+# --- of the claim -----------------------------------------------------------------------------------------
+
+
+def _list_claims() -> Iterator[Convention]:
+    for unit, angle in (("", 1.0), (", of angles in degrees", 180.0 / np.pi)):
+        units = np.repeat([1.0, 1.0, angle], 3)  # sd times this is in the unit of the file
+        yield _claim(f"variances given as standard deviations{unit}", partial(_to_power, 0.5, units))
+        yield _claim(f"standard deviations given as variances{unit}", partial(_to_power, 2.0, units))
+    for factor, words in _ANGLES:
+        scale = partial(np.multiply, np.repeat([1.0, 1.0, factor], 3))
+        yield _claim(f"standard deviations of the attitude in {words}", scale, ("phi",))
+
+
+def _to_power(power: float, units: FloatArray, sd: FloatArray) -> FloatArray:
+    return np.asarray((sd * units) ** power / units)
+
+
+def _claim(
+    name: str, change: Callable[[FloatArray], FloatArray], blocks: tuple[str, ...] = ("pos", "vel", "phi")
+) -> Convention:
+    """Return a convention that changes the standard deviations (M, 9); correlations stay."""
+
+    def undo(answers: Answers, _: TrueMotion, __: FloatArray) -> Answers:
+        with np.errstate(all="ignore"):
+            sd = np.sqrt(np.einsum("kii->ki", answers.cov))
+            ratio = change(sd) / sd
+        return replace(answers, cov=answers.cov * ratio[:, :, None] * ratio[:, None, :])
+
+    return Convention(name, lambda _: name, blocks, undo, of_claim=True)

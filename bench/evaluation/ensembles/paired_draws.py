@@ -1,0 +1,106 @@
+"""Which of two is better on the same noise draws, whether it matters, and how many more draws would tell.
+
+Draw k of both has the same noise, so that what both have in common is in no interval. What is compared is
+the ratio of root mean squares. A pair that is looked at several times while draws are added, or one of
+several pairs, gets a part of the probability of a wrong word (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number
+from bench.evaluation.ensembles.ensemble import CONFIDENCE, SAME, Estimate
+from bench.evaluation.ensembles.regression import Change, estimate_change, half_log_of_mean
+
+Word = Literal["better", "worse", "same", "undecided"]
+
+_MOST_DRAWS = 100_000  # that are thought of
+_REPEATED = 20  # until a number of draws stays
+
+
+@dataclass(frozen=True, slots=True)
+class PairedRatio:
+    """The first of two over the second, by their root mean squares over the draws they share."""
+
+    first: str
+    second: str
+    ratio: Estimate
+    word: Word
+    draws: int
+    deciding: int | None  # draws that would decide if the spread stays; None: decided, or more than 100,000
+
+    @property
+    def sentence(self) -> str:
+        """Which is better and by how much, or how many draws would tell."""
+        text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval})"
+        if self.word != "undecided":
+            return f"{text}: {self.word}"
+        if self.deciding is None:
+            return f"{text}: undecided in {self.draws} draws, and more would hardly tell"
+        return f"{text}: undecided in {self.draws} draws, about {self.deciding - self.draws} more would tell"
+
+
+def compare_draws_of(
+    names: tuple[str, str], first: FloatArray, second: FloatArray, error: float = 1.0 - CONFIDENCE
+) -> PairedRatio:
+    """Compare two by their errors on the same draws.
+
+    Parameters
+    ----------
+    names : (str, str)
+        What they are called.
+    first, second : (R,) array
+        Root mean square error, or an error, of each draw; draw k of both has the same noise. At least two.
+    error : float
+        Probability that the interval of the ratio misses it.
+
+    Returns
+    -------
+    pair : Pair
+        "same" where the interval of the ratio lies within `SAME` of 1; else "better" or "worse" where it
+        excludes 1.
+    """
+    if np.array_equal(first, second):
+        return PairedRatio(*names, Estimate(1.0, 1.0, 1.0), "same", len(first), None)
+    by_draw = np.log(np.abs(first) / np.abs(second))
+    change = estimate_change(
+        np.square(second), np.square(first), half_log_of_mean, paired=True, by_draw=by_draw
+    )
+    low, high = change.interval(error)
+    edge = math.log1p(SAME)
+    word: Word = (
+        "same"
+        if -edge <= low and high <= edge
+        else "better"
+        if high < 0.0
+        else "worse"
+        if low > 0.0
+        else "undecided"
+    )
+    with np.errstate(over="ignore"):
+        ratio = Estimate(*(float(np.exp(one)) for one in (change.estimate, low, high)))
+    deciding = None
+    if word == "undecided":
+        clear = max(abs(change.estimate), edge - abs(change.estimate))
+        needed = count_deciding(change, clear, error)
+        deciding = math.ceil(needed) + 1 if needed < _MOST_DRAWS else None
+    return PairedRatio(*names, ratio, word, len(first), deciding)
+
+
+def count_deciding(change: Change, clear: float, error: float) -> float:
+    """Return of how many draws the interval of a change is as wide as ``clear`` to each side.
+
+    The spread stays, and Student's t of more draws is less: it is found by repetition.
+    """
+    needed = float(change.draws)
+    for _ in range(_REPEATED):
+        more = replace(change, dof=max(needed, 2.0) - 1.0)
+        half = more.interval(error)[1] - change.estimate
+        needed = min(change.draws * (half / clear) ** 2, 2.0 * _MOST_DRAWS)
+    return needed

@@ -1,0 +1,1 @@
+"""Errors of a solution against a truth or against fixes."""

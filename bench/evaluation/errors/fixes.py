@@ -1,0 +1,176 @@
+"""Errors of a solution against withheld GNSS fixes, for recordings without a truth.
+
+A fix is a measurement of the antenna. Estimate minus fix contains the errors of both: its root mean square
+is an upper bound for the error of the estimate, and its covariance is the sum of both covariances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.core.files import disk_arrays
+from bench.core.mathematics import earth, rotation
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.records.specs import EvaluationWindow
+from bench.evaluation.errors.error_series import find_covered_epochs, normalized_squares, select_epochs
+from bench.evaluation.errors.failures import describe_failure
+from bench.evaluation.metrics.coverage import carry_on, find_excused, find_silent_epochs, measure_coverage
+from bench.evaluation.metrics.run_metrics import METRICS, CarriedSolution, judge_epochs
+
+_OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
+"""How the names of metrics begin that the errors of the fixes themselves would spoil."""
+
+
+def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
+    """Return estimate minus fix at the antenna, for every fix at an instant of the solution.
+
+    Parameters
+    ----------
+    solution : NavSolution
+        The motion of the IMU.
+    fixes : GnssFixes
+        The reference, in order of time. The velocity error is NaN where a fix has no velocity.
+    data : SensorData
+        For the lever arm, and the angular rate that moves the antenna.
+
+    Returns
+    -------
+    errors : ErrorSeries
+        Those of :func:`point_errors`; ``phi_n`` and ``heading`` are NaN.
+    """
+    k, m = _match_instants(solution.t, fixes.t)
+    fixes = fixes.take(m)
+    cov = np.zeros((len(k), 9, 9))
+    cov[:, :3, :3], cov[:, 3:6, 3:6] = fixes.cov_pos_n, fixes.cov_vel_n
+    unknown = np.full((len(k), 3), np.nan)
+    reference = NavSolution(
+        t=fixes.t,
+        lla=fixes.lla,
+        vel_n=fixes.vel_n,
+        q_nb=np.full((len(k), 4), np.nan),
+        gyro_bias_b=unknown,
+        accel_bias_b=unknown,
+        cov=cov,
+        extra_names=(),
+        extra=np.empty((len(k), 0)),
+        extra_sd=np.empty((len(k), 0)),
+    )
+    return point_errors(select_epochs(solution, k), reference, data.antenna_b, data.imu)[0]
+
+
+def point_errors(
+    solution: NavSolution, reference: NavSolution, point_b: FloatArray, imu: ImuData
+) -> tuple[ErrorSeries, NavSolution]:
+    """Return estimate minus reference at a point of the vehicle.
+
+    Parameters
+    ----------
+    solution : NavSolution
+        The motion of the IMU.
+    reference : NavSolution
+        The motion of the point at the same instants (M,); NaN where it has no velocity or attitude. A
+        covariance of zero is taken as exact.
+    point_b : (3,) array
+        The point relative to the IMU [m], b.
+    imu : ImuData
+        For the angular rate that moves the point.
+
+    Returns
+    -------
+    errors : ErrorSeries
+        ``nees`` counts the blocks that the reference has at every instant, with the sum of both covariances.
+    moved : NavSolution
+        The estimate at the point, with that sum as its covariance; NaN in blocks that are not compared.
+    """
+    with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
+        C_nb = rotation.matrix(solution.q_nb)
+        # an estimator without attitude gives the position of the point: no lever arm
+        has_attitude: BoolArray = np.asarray(~np.isnan(solution.q_nb).all(axis=1))
+        arm_n = np.where(has_attitude[:, None], C_nb @ point_b, 0.0)
+        w_b = find_angular_rate(imu, solution.t) - solution.gyro_bias_b
+        swing_n = np.einsum("kij,kj->ki", C_nb, np.cross(w_b, point_b))
+        swing_n = np.where(has_attitude[:, None], swing_n, 0.0)
+        lla, vel_n = earth.displace(solution.lla, arm_n), solution.vel_n + swing_n
+        pos_error_n, vel_error_n = earth.difference_n(lla, reference.lla), vel_n - reference.vel_n
+        turned = rotation.multiply(solution.q_nb, rotation.conjugate(reference.q_nb))
+        phi_n = rotation.to_rotvec(turned)
+        headings = [rotation.to_euler(one.q_nb)[2] for one in (solution, reference)]
+        heading = np.pi - np.mod(np.pi - (headings[0] - headings[1]), 2 * np.pi)
+        # position error of the point: dp - [arm x] phi; the effect of phi on its velocity is neglected
+        T = np.tile(np.eye(9), (len(solution), 1, 1))
+        T[:, :3, 6:] = -rotation.skew(arm_n)
+        cov = np.where(has_attitude[:, None, None], solution.cov, 0.0)
+        cov[:, :6, :6] = solution.cov[:, :6, :6]
+        P = T @ cov @ T.transpose(0, 2, 1) + np.nan_to_num(reference.cov)
+        moves = bool(np.isfinite(reference.vel_n).all())
+        turns = bool(np.isfinite(reference.q_nb).all() and has_attitude.any())
+        counted = np.repeat([True, moves, turns], 3)
+        P[:, ~counted], P[:, :, ~counted] = np.nan, np.nan
+        error = np.hstack([pos_error_n, vel_error_n, phi_n])[:, counted]
+        nees = normalized_squares(error, P[:, counted][:, :, counted])
+    moved = replace(
+        solution,
+        lla=lla,
+        vel_n=vel_n if moves else np.full_like(vel_n, np.nan),
+        q_nb=solution.q_nb if turns else np.full_like(solution.q_nb, np.nan),
+        cov=P,
+    )
+    states = int(counted.sum())
+    return ErrorSeries(solution.t, pos_error_n, vel_error_n, phi_n, heading, nees, states), moved
+
+
+def judge(
+    solution: NavSolution, fixes: GnssFixes, data: SensorData, evaluation: EvaluationWindow
+) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return the errors at the withheld fixes, and the metrics that need no attitude.
+
+    The metrics are those of `metrics.run_metrics` for position, velocity and innovations: ``x`` over
+    what ``evaluation`` counts, ``x_all`` over the whole recording.
+    """
+    errors = antenna_errors(solution, fixes, data)
+    rows, _ = _match_instants(solution.t, errors.t)
+    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
+    if len(rows):
+        left_out = {"phi"} if errors.states == 6 else {"phi", "vel"}  # 6: every fix has a velocity
+        wanted = [
+            metric
+            for metric in METRICS
+            if metric.block not in left_out and not metric.name.startswith(_OF_TRUTH)
+        ]
+        covered, silent = find_covered_epochs(solution)[rows], find_silent_epochs(solution)
+        at_fixes, judged = select_epochs(solution, rows[covered]), select_epochs(errors, covered)
+        carried = None
+        if silent[rows].any():
+            moved = carry_on(solution, silent)
+            unexcused = (silent & ~find_excused(solution, data))[rows]
+            carried = CarriedSolution(
+                antenna_errors(moved, fixes, data), select_epochs(moved, rows), unexcused
+            )
+        if len(judged):
+            values = judge_epochs(
+                judged,
+                at_fixes,
+                evaluation,
+                metrics=wanted,
+                carried=carried,
+                coverage=measure_coverage(solution, data),
+            )
+    return errors, {**values, "withheld_fixes": len(rows)}
+
+
+def find_angular_rate(imu: ImuData, t: FloatArray) -> FloatArray:
+    """Return the measured angular rate (M, 3) of the sample that contains or ends at t (M,) [rad/s], b."""
+    row = np.clip(np.searchsorted(imu.t, t - SAME_INSTANT), 0, len(imu) - 1)
+    return np.asarray(disk_arrays.take(imu.dtheta_b, row) / disk_arrays.take(imu.dt, row)[:, None])
+
+
+def _match_instants(t: FloatArray, wanted: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return the rows of t (N,) and the rows of wanted (M,) that are the same instants."""
+    row = np.clip(np.searchsorted(t, wanted - SAME_INSTANT), 0, max(len(t) - 1, 0))
+    same = np.flatnonzero(np.abs(t[row] - wanted) <= SAME_INSTANT) if len(t) else np.empty(0, np.int64)
+    return row[same], same

@@ -1,0 +1,163 @@
+"""How many of the requested instants a solution answers, and the error that is counted at the others.
+
+Each block that it estimates (position, velocity, attitude) counts at every instant from its first answer on.
+A silent instant is charged the last answer, carried on by its own velocity: a filter that is silent where it
+errs must not look better than one that answers.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.core.mathematics import earth
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.data import NavSolution, SensorData
+from bench.evaluation.errors.error_series import TITLES, VALUES, find_answered_epochs
+
+ENOUGH = 0.99
+"""Share of the instants that each block of a solution has to answer [1]."""
+
+_LATE = 1.0  # a first answer later than this after the first instant is mentioned [s]
+_GAP = 1.5  # so many times its usual interval a sensor was silent [1]
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Part of the instants that each block answers, of those at which the data allow an answer."""
+
+    shares: Mapping[str, float]  # by block that is estimated, from the first answer on [1]
+    waited: float  # from the first instant asked for to the first answer [s]
+    first: float | None  # the first answer [s], if it came late
+    longest: tuple[float, float]  # first and last instant of the longest run without an answer [s]
+
+    @property
+    def share(self) -> float:
+        """The part of the block with the fewest answers; 1 without any, which has its own verdict."""
+        return min(self.shares.values(), default=1.0)
+
+    @property
+    def enough(self) -> bool:
+        """Whether every block answers all but a few."""
+        return self.share >= ENOUGH
+
+    @property
+    def text(self) -> str:
+        """The shares in words, rounded down."""
+        begin, end = self.longest
+        shares = {block: f"{math.floor(1e3 * share) / 10:g} %" for block, share in self.shares.items()}
+        if len(set(shares.values())) == 1:
+            text = f"answers {next(iter(shares.values()))} of the instants asked for"
+        else:
+            parts = [f"{TITLES[block]} at {share}" for block, share in shares.items()]
+            text = f"answers {', '.join(parts)} of the instants asked for"
+        late = " from its first answer on" if self.first is not None else ""
+        silence = f", with the longest silence from {begin:g} to {end:g} s" if self.share < 1.0 else ""
+        return text + late + silence
+
+
+def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage:
+    """Return the part of the requested instants that a solution answers, by block.
+
+    An instant at which any value of a block is not finite, or that a table does not cover, has no answer of
+    it. Those do not count that :func:`find_excused` names.
+    """
+    t, answered = solution.t, find_answered_epochs(solution)
+    if not answered.any():
+        return Coverage({}, 0.0, None, (0.0, 0.0))  # that is another verdict
+    first = int(np.argmax(answered))
+    counted = np.arange(len(t)) >= first
+    excused = find_excused(solution, data)
+    shares, lost = {}, np.zeros(len(t), np.bool_)
+    for block, column in VALUES.items():
+        there = answered & np.isfinite(getattr(solution, column)).all(axis=1)
+        if not there.any():
+            continue
+        asked = counted & (there | ~excused)
+        shares[block] = float(there[asked].mean())
+        lost |= asked & ~there
+    begun = float(t[first]) if t[first] > t[0] + _LATE else None
+    return Coverage(shares, float(t[first] - t[0]), begun, _find_longest(t, np.flatnonzero(lost)))
+
+
+def _find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
+    """Return the first and the last instant of the longest run of rows."""
+    if not len(lost):
+        return 0.0, 0.0
+    runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
+    longest = max(runs, key=lambda run: float(t[run[-1]] - t[run[0]]))
+    return float(t[longest[0]]), float(t[longest[-1]])
+
+
+def find_excused(solution: NavSolution, data: SensorData | None) -> BoolArray:
+    """Return a mask (M,) of the instants at which the data excuse a silence.
+
+    While the IMU was silent, and for a solution without attitude, which is made of fixes, while these were.
+    """
+    excused = np.zeros(len(solution), np.bool_)
+    if data is not None:
+        excused |= _is_silent(solution.t, data.imu.t[data.imu.valid])
+        if np.isnan(solution.q_nb).all():
+            record = data.fixes if data.fixes is not None else data.observations
+            if record is not None:
+                excused |= _is_silent(solution.t, record.t)
+    return excused
+
+
+def _is_silent(t: FloatArray, reports: FloatArray) -> BoolArray:
+    """Return a mask of the instants t (M,) at which a sensor that reported at other instants was silent."""
+    known = np.unique(reports[np.isfinite(reports)])
+    if len(known) < 2:
+        return np.ones(len(t), np.bool_)
+    most = _GAP * float(np.median(np.diff(known)))
+    after = np.searchsorted(known, t - SAME_INSTANT)
+    ends = np.concatenate([[-np.inf], known, [np.inf]])
+    silent: BoolArray = ends[after + 1] - ends[after] > most
+    return silent
+
+
+# --- silences ---------------------------------------------------------------------------------------------
+
+
+def find_silent_epochs(solution: NavSolution) -> BoolArray:
+    """Return a mask (M,) of the epochs without an answer after the first one."""
+    answered = find_answered_epochs(solution)
+    return ~answered & (np.cumsum(answered) > 0)
+
+
+def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
+    """Return a solution whose silent epochs (M,) hold the last answer before them, carried on.
+
+    Position moves by the velocity of that answer; velocity and attitude stay. Nothing is claimed there.
+    """
+    if not silent.any():
+        return solution
+    given, filled = np.flatnonzero(~silent), np.flatnonzero(silent)
+    number = np.searchsorted(given, filled) - 1  # of the answer before
+    filled, number = filled[number >= 0], number[number >= 0]
+    last = given[number]
+    lla, vel_n, q_nb, cov = map(np.array, (solution.lla, solution.vel_n, solution.q_nb, solution.cov))
+    until = solution.t[filled]
+    lla[filled] = carry_positions(solution.t[given], lla[given], vel_n[given], number, until)
+    vel_n[filled], q_nb[filled], cov[filled] = vel_n[last], q_nb[last], np.nan
+    return replace(solution, lla=lla, vel_n=vel_n, q_nb=q_nb, cov=cov)
+
+
+def carry_positions(
+    t: FloatArray, lla: FloatArray, vel_n: FloatArray, rows: IntArray, until: FloatArray
+) -> FloatArray:
+    """Return positions (K, 3) of answers at t (M,), carried on from ``rows`` (K,) to instants ``until`` (K,).
+
+    By the velocity of each answer; without one, by that from the answer before it.
+    """
+    speed_n = vel_n[rows]
+    bare = np.flatnonzero(np.isnan(speed_n).any(axis=1) & (rows > 0))
+    at = rows[bare]
+    with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
+        speed_n[bare] = earth.difference_n(lla[at], lla[at - 1]) / (t[at] - t[at - 1])[:, None]
+        moved: FloatArray = earth.displace(lla[rows], np.nan_to_num(speed_n) * (until - t[rows])[:, None])
+    return moved

@@ -1,0 +1,99 @@
+"""The figures of a run that stand in its table, with their bounds in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bench.core.words.wording import format_number
+from bench.evaluation.consistency.verdict import find_bounds
+from bench.evaluation.metrics.metric_words import find_words
+from bench.evaluation.metrics.run_metrics import find_metric
+
+Measured = Mapping[str, Mapping[str, Any]]
+"""Estimator -> metric -> value."""
+
+_SUMMARY = (
+    "pos_rmse_h_m",
+    "pos_claimed_h_m",
+    "pos_rmse_d_m",
+    "cep50_m",
+    "cep95_m",
+    "vel_rmse_3d_mps",
+    "tilt_rmse_deg",
+    "heading_rmse_deg",
+    "heading_convergence_s",
+    "drift_end_percent",
+    "tse_",
+    "fte_across_",
+    "nse_across_",
+    "inertial_end_",
+    "outage_",
+    "fault_",
+    "false_alarms_",
+    "nees_mean",
+    "nees_states",
+    "nees_inside_95",
+    "coverage_3sigma_pos",
+    "coverage_3sigma_vel",
+    "coverage_3sigma_phi",
+    "nis_mean_",
+)
+"""Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
+_COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
+
+MEANING = (
+    "! outside its bounds, which stand beside or below: what this one run allows an honest filter (NEES and "
+    "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. Errors of one "
+    "run change slowly: it holds few independent values, so its bounds are wide; many runs tell more."
+)
+_ROWS = {
+    "pos_claimed": "claimed: root mean square of the sigma that the filter gives",
+    "heading_convergence": "a heading is within 1 deg or 3 sigma no sooner than the figures begin",
+    "outage_": "an outage moves the error by the length of its last error minus its first",
+    "nees": "NEES, normalized estimation error squared: squared error over claimed variance; the number of "
+    "states is right",
+    "coverage": "99.7 % within 3 sigma is right",
+    "nis": "NIS, normalized innovation squared: 3 is right of a GNSS position or velocity, 1 of a scalar; it "
+    "is low where R is larger than the scatter of the fixes, and their slow wander does not show in it",
+    "fault_": "a fault is noticed if the filter refused two measurements in a row, or reported it",
+}
+"""Beginning of the name of a row -> what its words do not say."""
+
+
+def is_key_figure(name: str) -> bool:
+    """Return whether a metric stands in the tables."""
+    return name.startswith(_SUMMARY) and not name.endswith(("_all", "_law_95_h_m"))
+
+
+def explain_rows(names: Sequence[str]) -> list[str]:
+    """Return what rows of the table are that their words do not say, a text for each kind."""
+    return [text for start, text in _ROWS.items() if any(name.startswith(start) for name in names)]
+
+
+def list_key_figures(measured: Measured) -> list[str]:
+    """Return the names of the metrics to show, in order; bounds stand beside what they bound."""
+    names = dict.fromkeys(name for values in measured.values() for name in values)
+    found = [
+        name
+        for start in _SUMMARY
+        for name in names
+        if name.startswith(start) and is_key_figure(name) and find_metric(name)
+    ]
+    if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
+        found.append(_COVERAGE)
+    return found
+
+
+def format_bounds(name: str, values: Mapping[str, Any]) -> str:
+    """Return the bounds of a metric in one run, such as ``1.05 to 29`` or ``≥50``; "" if it has none."""
+    bounds = find_bounds(name, values)
+    if bounds is None:
+        return ""
+    factor = find_words(name).factor
+    low, high = (None if end is None else _format_bound(factor * end) for end in bounds)
+    return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
+
+
+def _format_bound(value: float) -> str:
+    return f"{value:.2f}" if value < 10 else format_number(value, 3)

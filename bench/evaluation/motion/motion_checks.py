@@ -1,0 +1,197 @@
+"""Checks of a recording by the motion that both IMU and receiver measured: units, axes, clocks, lever arm.
+
+`motion.motion_fit` compares them with the attitude of the vehicle known from its own gyros, so a
+bank, a climb or a roll is no error. A value is reported if the motion shows it at all, and called wrong
+beyond a limit and 5 of its own standard deviations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import STANDARD_GRAVITY
+from bench.evaluation.motion.axis_search import Axes, describe_axes, find_axes
+from bench.evaluation.motion.motion_fit import NAMES, MotionFit, Stretches, find_stretches, fit_motion
+from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
+
+SIGMAS = 5.0
+"""A deviation counts beyond this many of its standard deviations."""
+GRAVITY_OFF = 0.02
+"""Allowed relative error of the specific force [1]: more than the bias of usual IMUs."""
+RATE_OFF = 0.05
+"""Allowed relative error of the angular rates [1]: more than the scale factor of any usual gyro."""
+SHIFT_OFF = 0.02
+"""Allowed time shift between the clocks [s]: 0.2 m at 10 m/s."""
+TRIADS_OFF = np.deg2rad(5.0)
+"""Allowed angle between the axes of gyros and accelerometers [rad]."""
+ARM_OFF = 0.5
+"""Allowed error of the lever arm [m]."""
+_ARM_KNOWN = 0.25  # sd of a lever arm that the motion shows [m]: half of what is known before
+YAW_OFF = np.deg2rad(10.0)
+"""Allowed angle between the forward axis and the motion through the air or over ground [rad]."""
+LEVEL_OFF = np.deg2rad(30.0)
+"""Allowed angle from the up axis to the mean specific force on the move [rad]."""
+_MOVING = 2.0  # lowest ground speed that gives a course [m/s]
+_HEADING_SD = np.deg2rad(2.0)  # stretches whose heading is known better are compared with the course [rad]
+_WIND_SD = 15.0  # what the wind may be [m/s]
+_FIT_WELL = 0.1  # no other axes are tried if no stretch has a larger residual [m/s]
+
+
+def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
+    """Compare IMU and receiver; ``antenna_b`` (3,) is the antenna relative to the IMU [m], b."""
+    stretches = find_stretches(motion.t, *motion.take_velocities())
+    if not len(stretches):
+        text = "gnss: too few fixes in a row; clocks, units and axes of IMU and receiver are not compared"
+        return [Check("imu_shift_s", None, text, True)]
+    if not motion.moves:
+        text = "imu: nothing moves: clocks, units and axes of gyros, and the lever arm do not show"
+        return [Check("imu_shift_s", None, text, True)]
+    near = stretches.find_near(motion.t)
+    t, gyro, accel = motion.t[near], motion.gyro[near], motion.accel[near]
+    fit = fit_motion(stretches, t, gyro, accel, antenna_b)
+    axes = Axes(np.eye(3), np.eye(3))
+    if not fit.rms.max() < _FIT_WELL:
+        axes, fit = find_axes(stretches, t, gyro, accel, antenna_b, fit)
+    level = motion.accel.mean(axis=0) @ axes.accel.T
+    tilt = float(np.arccos(np.clip(-level[2] / np.linalg.norm(level), -1.0, 1.0)))
+    found = [] if axes.are_given else [Check("imu_axes", None, describe_axes(axes, tilt > LEVEL_OFF), False)]
+    if not motion.find_standstills():
+        words = f"imu: on the move the up axis is {np.rad2deg(tilt):.1f} deg off the mean specific force"
+        if tilt > LEVEL_OFF:
+            words += ": mounting_deg does not make z point down"
+        found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), words, tilt <= LEVEL_OFF))
+    found += [_check_shift(fit), _check_rate_gain(fit, axes), _check_force_gain(fit)]
+    if axes.are_given:
+        found += [_check_triads(fit), _check_arm(fit, antenna_b), _check_forward_axis(fit, stretches)]
+    return found
+
+
+def _take(fit: MotionFit, name: str) -> tuple[float, float]:
+    """Return a parameter and its standard deviation."""
+    k = NAMES.index(name)
+    return float(fit.values[k]), float(np.sqrt(fit.cov[k, k]))
+
+
+def _is_off(value: float, sd: float, limit: float) -> bool:
+    return abs(value) > max(limit, SIGMAS * sd)
+
+
+def _unknown(name: str, what: str) -> Check:
+    return Check(name, None, f"imu: the motion does not show {what}", True)
+
+
+def _check_shift(fit: MotionFit) -> Check:
+    shift, sd = _take(fit, "shift")
+    off = _is_off(shift, sd, SHIFT_OFF)
+    if not off and sd > SHIFT_OFF:
+        return _unknown("imu_shift_s", f"the shift between the clocks of IMU and receiver (sd {sd:.2g} s)")
+    text = f"imu: its clock fits the receiver's with {shift:+.3f} s added (sd {sd:.3f} s)"
+    if off:
+        text += f": add {shift:+.3f} to [imu] time_offset_s"
+    return Check("imu_shift_s", shift, text, not off)
+
+
+def _check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
+    gain, sd = _take(fit, "gyro_gain")
+    gain = float(np.exp(gain)) / axes.gyro_factor
+    off = _is_off(gain - 1.0, sd, RATE_OFF)
+    if not off and sd > RATE_OFF:
+        return _unknown("turn_gain", f"the unit of the angular rates (sd {sd:.2g})")
+    text = f"imu: angular rates are {gain:.3f} of those of the motion"
+    if off:
+        guess = {57.3: "deg/s in a column of rad/s", 1 / 57.3: "rad/s in a column of deg/s"}
+        near = [words for value, words in guess.items() if abs(gain / value - 1.0) < 0.2]
+        text += f": are these {near[0]}?" if near else ": the unit or the scale looks wrong"
+    return Check("turn_gain", gain, text, not off)
+
+
+def _check_force_gain(fit: MotionFit) -> Check:
+    gain, sd = _take(fit, "accel_gain")
+    gain = float(np.exp(gain))
+    off = _is_off(gain - 1.0, sd, GRAVITY_OFF)
+    if not off and sd > GRAVITY_OFF:
+        return _unknown("force_gain", f"the unit of the specific force (sd {sd:.2g})")
+    text = f"imu: specific force is {gain:.3f} of that of the motion"
+    if off:
+        text += guess_force_unit(gain)
+    return Check("force_gain", gain, text, not off)
+
+
+def guess_force_unit(ratio: float) -> str:
+    """Return what may be wrong if specific force is off by this ratio, as the end of a line."""
+    if abs(ratio * STANDARD_GRAVITY - 1.0) < 0.1:
+        return ": are these g in a column of m/s^2?"
+    if abs(ratio / STANDARD_GRAVITY - 1.0) < 0.1:
+        return ": are these m/s^2 in a column of g?"
+    return ": the unit or the scale looks wrong"
+
+
+def _check_triads(fit: MotionFit) -> Check:
+    """Check that gyros and accelerometers share their axes."""
+    each = [_take(fit, f"turn_{axis}") for axis in "xyz"]
+    bad = [_is_off(turn, sd, TRIADS_OFF) for turn, sd in each]
+    if not any(bad) and max(sd for _, sd in each) > TRIADS_OFF:
+        return _unknown("triads_deg", "whether gyros and accelerometers have the same axes")
+    turns = np.rad2deg([turn for turn, _ in each])
+    shown = ", ".join(f"{turn:+.1f}" for turn in turns)
+    text = f"imu: accelerometers are turned by {shown} deg about x, y, z against the gyros"
+    if any(bad):
+        text += ": their axes are not the same"
+    return Check("triads_deg", float(np.linalg.norm(turns)), text, not any(bad))
+
+
+def _check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
+    each = [_take(fit, f"arm_{axis}") for axis in "xyz"]
+    bad = [_is_off(arm, sd, ARM_OFF) for arm, sd in each]
+    known = [sd <= _ARM_KNOWN for _, sd in each]
+    if not any(bad) and not any(known):
+        return _unknown("arm_off_m", "where the antenna is")
+    shown = ", ".join(
+        f"{at + off:.2f}" if told or wrong else "?"
+        for at, (off, _), told, wrong in zip(antenna_b, each, known, bad, strict=True)
+    )
+    text = f"gnss: by the motion the antenna is at {shown} m (forward, right, down of the IMU)"
+    if any(bad):
+        given = ", ".join(f"{at:.2f}" for at in antenna_b)
+        text += f", not at {given} m: is position_m right?"
+    off = float(np.linalg.norm([value for (value, _), told in zip(each, known, strict=True) if told]))
+    return Check("arm_off_m", off, text, not any(bad))
+
+
+def _check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
+    """Compare the forward axis with the motion through the air, with a wind that stays.
+
+    With nose h and the unit vector p to its right, turned by the wanted angle, (v - wind) p = 0: Gauss-Newton
+    on the angle and the wind.
+    """
+    unknown = _unknown("forward_yaw_deg", "where its forward axis points")
+    cluster = np.repeat(np.arange(len(stretches)), np.diff(stretches.begin))
+    vel = stretches.vel_n[:, :2]
+    use = (fit.heading_sd[cluster] < _HEADING_SD) & (np.hypot(*vel.T) > _MOVING)
+    if len(np.unique(cluster[use])) < 2:
+        return unknown
+    vel, cluster, nose = vel[use], cluster[use], fit.C_nb[use][:, :2, 0]
+    ahead = np.arctan2(nose[:, 1], nose[:, 0])
+    off = np.arctan2(vel[:, 1], vel[:, 0]) - ahead
+    values = np.array([np.arctan2(np.sin(off).mean(), np.cos(off).mean()), 0.0, 0.0])
+    prior = np.diag([0.0, _WIND_SD**-2, _WIND_SD**-2])
+    for _ in range(6):
+        h = np.column_stack([np.cos(ahead + values[0]), np.sin(ahead + values[0])])
+        p = np.column_stack([-h[:, 1], h[:, 0]])
+        air = vel - values[1:]
+        J = np.column_stack([np.sum(air * h, axis=1), p])
+        residual = np.sum(air * p, axis=1)
+        inverse = np.linalg.inv(J.T @ J + prior + 1e-9 * np.eye(3))
+        values = values + inverse @ (J.T @ residual - prior @ values)
+    scores = np.stack([J[cluster == k].T @ residual[cluster == k] for k in np.unique(cluster)])
+    factor = len(scores) / (len(scores) - 1)
+    sd = float(np.sqrt((inverse @ (factor * scores.T @ scores + prior) @ inverse)[0, 0]))
+    angle = float(np.arctan2(np.sin(values[0]), np.cos(values[0])))
+    bad = _is_off(angle, sd, YAW_OFF)
+    if not bad and sd > YAW_OFF:
+        return unknown
+    text = f"imu: it moves {np.rad2deg(angle):+.1f} deg right of its forward axis"
+    if bad:
+        text += ": mounting_deg does not make x point forward"
+    return Check("forward_yaw_deg", float(np.rad2deg(angle)), text, not bad)
