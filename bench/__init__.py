@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     from bench.campaigns.running import Campaign as Campaign, campaign as campaign
     from bench.campaigns.stored import load_campaign as load_campaign
     from bench.campaigns.tuning import Tuning as Tuning, tune as tune
-    from bench.config import (
+    from bench.io.config import (
         list_aircraft as list_aircraft,
         list_estimators as list_estimators,
         list_legs as list_legs,
@@ -115,11 +115,11 @@ if TYPE_CHECKING:
     from bench.saving import save as save
     from bench.serving import serve as serve
     from bench.core.records.specs import Guard as Guard, Profile as Profile
-    from bench.store import load as load, to_arrow as to_arrow, to_pandas as to_pandas
-    from bench.store.filter_state import resume_filter as resume_filter, save_filter as save_filter
+    from bench.io.results import load as load, to_arrow as to_arrow, to_pandas as to_pandas
+    from bench.io.results.filter_state import resume_filter as resume_filter, save_filter as save_filter
     from bench.studies.conducting import study as study
     from bench.core.records.findings import StudyResult as StudyResult
-    from bench.store.study_folder import load_study as load_study
+    from bench.io.results.study_folder import load_study as load_study
 
 _PUBLIC = {
     "campaign": "bench.campaigns.running",
@@ -132,16 +132,16 @@ _PUBLIC = {
     "fix_steps": "bench.navigation.filter_adapters",
     "fly": "bench.api",
     "judge": "bench.api",
-    "list_aircraft": "bench.config",
-    "list_estimators": "bench.config",
+    "list_aircraft": "bench.io.config",
+    "list_estimators": "bench.io.config",
     "list_exports": "bench.api",
-    "list_legs": "bench.config",
-    "list_profiles": "bench.config",
-    "list_sensors": "bench.config",
-    "load": "bench.store",
+    "list_legs": "bench.io.config",
+    "list_profiles": "bench.io.config",
+    "list_sensors": "bench.io.config",
+    "load": "bench.io.results",
     "load_campaign": "bench.campaigns.stored",
-    "load_profile": "bench.config",
-    "load_study": "bench.store.study_folder",
+    "load_profile": "bench.io.config",
+    "load_study": "bench.io.results.study_folder",
     "make_card": "bench.campaigns.card",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
@@ -151,10 +151,10 @@ _PUBLIC = {
     "read_card": "bench.campaigns.card",
     "read_log": "bench.log_pipeline",
     "record_baselines": "bench.baselines.checking",
-    "resume_filter": "bench.store.filter_state",
+    "resume_filter": "bench.io.results.filter_state",
     "run": "bench.api",
     "save": "bench.saving",
-    "save_filter": "bench.store.filter_state",
+    "save_filter": "bench.io.results.filter_state",
     "score_solution": "bench.api",
     "sense": "bench.api",
     "serve": "bench.serving",
@@ -162,8 +162,8 @@ _PUBLIC = {
     "stream_run": "bench.api",
     "study": "bench.studies.conducting",
     "take_piece": "bench.navigation.engine.record_cuts",
-    "to_arrow": "bench.store",
-    "to_pandas": "bench.store",
+    "to_arrow": "bench.io.results",
+    "to_pandas": "bench.io.results",
     "track_solution": "bench.navigation.filter_adapters",
     "tune": "bench.campaigns.tuning",
     "write_figures": "bench.report.writing",

@@ -18,19 +18,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bench import pipeline, store
-from bench.config import load_profile
-from bench.config.listing import CatalogEntry
+from bench import pipeline
 from bench.core.records.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Watcher
+from bench.io import results
+from bench.io.config import load_profile
+from bench.io.config.listing import CatalogEntry
 
 if TYPE_CHECKING:
     from bench.evaluation.motion.noise_curves import AllanResult
-    from bench.exchange.scoring import Score
-    from bench.exchange.streaming import Streamed
+    from bench.io.foreign.scoring import Score
+    from bench.io.streams.streaming import Streamed
     from bench.navigation.open_filters import PieceFilter
 
 
@@ -227,7 +228,7 @@ def measure_allan(
     unit : str or None
         Catalog name or path of a datasheet. Its model is measured or, with a log, compared with the log.
     log : str, Path or None
-        Table of an IMU at rest, as `bench.exchange.resting_log.read_resting_log` reads it.
+        Table of an IMU at rest, as `bench.io.logs.resting_log.read_resting_log` reads it.
     seed : int
         Seed of the noise of the model.
     picture : str, Path or None
@@ -241,10 +242,10 @@ def measure_allan(
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
         each term of the datasheet.
     """
-    from bench.config.datasheets import read_imu
-    from bench.config.library import find_datasheet
     from bench.evaluation.motion import noise_curves
-    from bench.exchange.resting_log import read_resting_log
+    from bench.io.config.datasheets import read_imu
+    from bench.io.config.library import find_datasheet
+    from bench.io.logs.resting_log import read_resting_log
     from bench.report import allan_picture
 
     if picture is not None:
@@ -268,7 +269,7 @@ def measure_allan(
 
 def list_exports() -> list[CatalogEntry]:
     """Return every format that `export_run` writes."""
-    from bench.exchange import exports
+    from bench.io import exports
 
     return [CatalogEntry(name, title, "export") for name, title in exports.list_formats().items()]
 
@@ -299,7 +300,7 @@ def export_run(
     force : bool
         Replace an existing export.
     """
-    from bench.exchange import exports
+    from bench.io import exports
 
     needs = exports.find_format(kind).needs_like  # all of this is known before the run is read
     if needs is (like is None):
@@ -312,10 +313,10 @@ def export_run(
     # "." and ".." are not usable as a name
     beside = folder.resolve() if folder.name in ("", "..") else folder
     out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
-    store.check_folder(out, force=force, kind=store.EXPORT)
+    results.check_folder(out, force=force, kind=results.EXPORT)
     outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
     outgoing = replace(outgoing, like=None if like is None else Path(like))
-    with store.make_folder(out, force=force, kind=store.EXPORT) as partial:
+    with results.make_folder(out, force=force, kind=results.EXPORT) as partial:
         exports.write(partial, kind, outgoing, folder.resolve().name)
     return out
 
@@ -333,9 +334,10 @@ def stream_run(
 
     Exactly one of ``udp`` and ``tcp`` is an address ``IP:PORT``. UDP sends each message as a datagram to it;
     TCP waits for one connection there, and port 0 takes any free port. The other parameters and the errors
-    are those of `bench.exchange.streaming.stream`.
+    are those of `bench.io.streams.streaming.stream`.
     """
-    from bench.exchange import exports, streaming
+    from bench.io import exports
+    from bench.io.streams import streaming
 
     if (udp is None) == (tcp is None):
         raise ConfigError("stream_run needs one of udp and tcp")
@@ -359,7 +361,7 @@ def score_solution(
     Parameters
     ----------
     solution : str or Path
-        Table of the motion of the IMU at its own times, as `bench.exchange.solutions` reads it.
+        Table of the motion of the IMU at its own times, as `bench.io.foreign.solutions` reads it.
     folder : str or Path
         A results folder.
     label : str or None
@@ -373,16 +375,16 @@ def score_solution(
     force : bool
         Replace an existing results folder.
     """
-    from bench.exchange import scoring
+    from bench.io.foreign import scoring
 
     folder = Path(folder)
     if out is not None:
-        store.check_folder(Path(out), force=force)
+        results.check_folder(Path(out), force=force)
     score = scoring.score(Path(solution), folder, label, t_0, longest)
     if out is not None:
-        with store.make_folder(Path(out), force=force) as partial:
-            store.copy_results(folder, partial)
-            store.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
+        with results.make_folder(Path(out), force=force) as partial:
+            results.copy_results(folder, partial)
+            results.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
     return score
 
 

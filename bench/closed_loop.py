@@ -33,7 +33,8 @@ from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFa
 from bench.core.words.wording import one_line
 from bench.evaluation.errors.failures import FAILED, describe_error
 from bench.exchange.client_session import ClientSession
-from bench.exchange.loading import load_estimators
+from bench.io.foreign.loading import load_estimators
+from bench.io.results import cached_truth, join_pieces
 from bench.navigation.engine.kept_rows import join_rows, take_rows
 from bench.navigation.engine.piecewise import join_events, join_solutions, join_tables
 from bench.navigation.engine.record_cuts import aiding_records, arrivals
@@ -45,7 +46,6 @@ from bench.simulation.flight.guidance.steering import Commanded, Commands
 from bench.simulation.sensors import SensedPiece, sense_piece
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.signals.terrain import ground_at
-from bench.store import cached_truth, join_pieces
 
 Watch = Callable[[Trajectory], object] | None
 """Is given each piece of the truth before it is sensed."""

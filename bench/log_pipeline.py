@@ -1,7 +1,4 @@
-"""Read and check a recording of real sensors, run filters on it, and judge them.
-
-By withheld fixes, or by the reference of the log.
-"""
+"""Read and check a recording of real sensors; run filters on it; judge them by fixes or a reference."""
 
 from __future__ import annotations
 
@@ -13,9 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, store
-from bench.config.checks import is_autopilot
-from bench.config.log import LogSpec, load_log
+from bench import pipeline
 from bench.core.compilation.compiled import watch_compiling
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
@@ -44,11 +39,15 @@ from bench.evaluation.motion.motion_noise import assume_motion_noise
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_rest_noise, assume_vibration
 from bench.evaluation.requirements.required_metrics import list_requirements
-from bench.exchange import autopilot, own_judge, reference
-from bench.exchange.imports.contents import AUTOPILOTS
-from bench.exchange.loading import load_estimators
-from bench.exchange.log_records import LogRecords, divide_intervals, read_records
-from bench.exchange.log_start import find_start
+from bench.exchange import autopilot, own_judge
+from bench.io import results
+from bench.io.config.checks import is_autopilot
+from bench.io.config.log import LogSpec, load_log
+from bench.io.foreign.loading import load_estimators
+from bench.io.logs import reference
+from bench.io.logs.formats.contents import AUTOPILOTS
+from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
+from bench.io.logs.log_start import find_start
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
 
@@ -276,7 +275,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
         metrics=metrics,
         errors=errors,
         solutions=solutions,
-        provenance={**store.provenance(), "cpu_s": {"all": time.process_time() - clock}},
+        provenance={**results.provenance(), "cpu_s": {"all": time.process_time() - clock}},
         more={
             "log": {"origin_s": log.records.origin, "start_s": session.initial.t},
             "validity": checks,

@@ -11,7 +11,6 @@ from itertools import pairwise
 from math import degrees
 from typing import Any
 
-from bench import store
 from bench.core.compilation.compiled import read_compile_time, watch_compiling
 from bench.core.files import disk_arrays
 from bench.core.records.data import (
@@ -33,7 +32,8 @@ from bench.core.records.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.stages import FLYING, Stages, Watcher
 from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
-from bench.exchange.loading import load_estimators
+from bench.io import results
+from bench.io.foreign.loading import load_estimators
 from bench.navigation import built_in, estimator
 
 
@@ -61,7 +61,7 @@ def fly(
         return flown
     shown: list[float] = []  # ends of pieces [s]; a flight that cannot be stored is flown twice
     pieces = partial(_fly_pieces, profile, progress, show, shown)
-    truth = store.cached_truth(profile.flight, pieces) if cache else store.join_pieces(pieces())
+    truth = results.cached_truth(profile.flight, pieces) if cache else results.join_pieces(pieces())
     if show is not None and not shown:
         show(truth, None)
     return truth
@@ -77,7 +77,7 @@ def fly_over(profile: Profile, progress: Callable[[float], None] | None = None) 
         return summarize([_fly_closed(profile, 0, progress, None).truth])
     sources = ("bench/evaluation/errors/replay.py", "bench/navigation/mechanization.py")
     pieces = partial(_fly_pieces, profile, progress, None, [])
-    return store.cached_summary(profile.flight, pieces, summarize, sources)
+    return results.cached_summary(profile.flight, pieces, summarize, sources)
 
 
 def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]:
@@ -101,7 +101,7 @@ def _fly_pieces(
     profile: Profile, progress: Callable[[float], None] | None, show: ShowFlight | None, shown: list[float]
 ) -> Iterator[Trajectory]:
     if isinstance(profile.flight, TableSpec):
-        from bench.exchange import trajectory
+        from bench.io.trajectories import trajectory
 
         pieces = trajectory.read_trajectory(profile.flight)
     else:
@@ -136,7 +136,7 @@ def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -
 
 
 def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
-    """Build an estimator; errors as for `bench.exchange.loading.load_estimators`."""
+    """Build an estimator; errors as for `bench.io.foreign.loading.load_estimators`."""
     return load_estimators([choice])[0]
 
 
@@ -187,7 +187,7 @@ def run(
     Parameters
     ----------
     profile : Profile
-        What to fly and evaluate, as ``bench.config.load_profile`` returns it.
+        What to fly and evaluate, as ``bench.io.config.load_profile`` returns it.
     run : int
         Number of the noise draw.
     truth : Trajectory or None
@@ -330,7 +330,7 @@ def _run(
     clock["end"] = _read_work_clock()
     hashes = {
         "truth": None if own_truth else find_truth_key(profile, run),
-        "sensors": store.hash_spec(profile.sensors),
+        "sensors": results.hash_spec(profile.sensors),
     }
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(clock)}
     cpu_s["compile"] = read_compile_time() - compiled_before
@@ -342,7 +342,7 @@ def _run(
         errors={label: errors for label, (errors, _) in judged.items()},
         solutions=solutions,
         provenance={
-            **store.provenance(),
+            **results.provenance(),
             "profile": profile.name,
             "inputs": hashes,
             "cpu_s": cpu_s,
@@ -363,9 +363,9 @@ def find_truth_key(profile: Profile, run: int = 0) -> str:
     """Return a hash of all that a truth follows from: the flight and, where one flies it, the estimate."""
     guidance = profile.guidance
     if guidance is None:
-        return store.truth_key(profile.flight)
-    parts = (store.hash_spec(guidance), store.hash_spec(profile.sensors), str(profile.seed), str(run))
-    return store.truth_key(profile.flight, parts)
+        return results.truth_key(profile.flight)
+    parts = (results.hash_spec(guidance), results.hash_spec(profile.sensors), str(profile.seed), str(run))
+    return results.truth_key(profile.flight, parts)
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:

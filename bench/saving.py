@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import store
 from bench.core.files import durable
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError, NothingToShowError, ViewsFailedError
 from bench.core.words.wording import one_line
+from bench.io import results
 
 
 def save(
@@ -48,9 +48,9 @@ def save(
     folder = Path(folder)
     if result.sensed is None:
         raise ConfigError("bench.save: the result has no sensor data")
-    store.check_folder(folder, force=force)
-    with store.make_folder(folder, force=force) as partial:
-        store.save(partial, result)
+    results.check_folder(folder, force=force)
+    with results.make_folder(folder, force=force) as partial:
+        results.save(partial, result)
     views: list[tuple[str, str, Callable[[], object]]] = []
     if recording:
         views.append(("recording", "record", lambda: _write_recording(folder, result, say)))
@@ -72,15 +72,15 @@ def _write_recording(folder: Path, result: RunResult, say: Callable[[str], objec
     from bench import recording
 
     try:
-        recording.write(folder / store.RECORDING, result.name or folder.name, result)
+        recording.write(folder / results.RECORDING, result.name or folder.name, result)
     except NothingToShowError as error:
         say(f"No recording: {error}.")
     else:
-        store.add_to_mark(folder, store.RECORDING)
+        results.add_to_mark(folder, results.RECORDING)
 
 
 def _write_report(folder: Path, result: RunResult) -> None:
     from bench.report import page
 
-    durable.write(folder / store.REPORT, page.make_page(folder.name, result))
-    store.add_to_mark(folder, store.REPORT)
+    durable.write(folder / results.REPORT, page.make_page(folder.name, result))
+    results.add_to_mark(folder, results.REPORT)

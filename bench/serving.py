@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench import closed_loop, pipeline
-from bench.config.served import load_served
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import CLIENT, Profile
@@ -17,7 +16,8 @@ from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
 from bench.exchange.flight_messages import VERSION
 from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
-from bench.exchange.streaming import listen, parse_address
+from bench.io.config.served import load_served
+from bench.io.streams.streaming import listen, parse_address
 from bench.simulation.flight.guidance.steering import Commands
 
 Gives = Literal["estimate", "commands"]

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.files.places import cache_folder
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.io.config import load_profile
 from bench.simulation import sensors
 from bench.simulation.flight import fly
 from bench.simulation.flight.truth import Stretch

@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 import bench
-from bench.config import list_profiles
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.findings import series
+from bench.io.config import list_profiles
 from bench.report import overview, page, svg
 from bench.workbench.guide import FOLDER, read_topics
 

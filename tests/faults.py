@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench import saving, store
+from bench import saving
 from bench.baselines import checking
 from bench.baselines.baseline_file import read_baseline, write_baseline
 from bench.baselines.checking import _write_change as write_change
@@ -44,8 +44,9 @@ from bench.campaigns.running import Progress
 from bench.core.files import durable
 from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
 from bench.core.words.exceptions import BenchError
+from bench.io import results as store
+from bench.io.results import truth_cache
 from bench.report import card_page
-from bench.store import truth_cache
 
 PROFILE = """
 title    = "A flight that is struck"

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline
-from bench.config import list_profiles, load_profile
 from bench.core.records.specs import EstimatorChoice
+from bench.io.config import list_profiles, load_profile
 from bench.navigation.built_in import BUILT_IN
 
 EVERY_ESTIMATOR = "all-sensors"

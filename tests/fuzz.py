@@ -34,21 +34,21 @@ from rosbags.rosbag2 import StoragePlugin
 import bench
 from bench import api
 from bench.cli.group import commands  # noqa: F401  (what a verb loads is loaded before the time is taken)
-from bench.config import library, load_profile
-from bench.config.datasheets import SENSORS
-from bench.config.log import SourceSpec, load_log
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import TableSpec
 from bench.core.words.exceptions import BUG, BenchError
 from bench.exchange import almanac
-from bench.exchange.exports import gather
-from bench.exchange.log_records import read_records
-from bench.exchange.resting_log import read_resting_log
 from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.observations import read_observations
-from bench.exchange.solutions import read_solution
-from bench.exchange.trajectory import read_trajectory
-from bench.store import parquet
+from bench.io.config import library, load_profile
+from bench.io.config.datasheets import SENSORS
+from bench.io.config.log import SourceSpec, load_log
+from bench.io.exports import gather
+from bench.io.foreign.solutions import read_solution
+from bench.io.logs.log_records import read_records
+from bench.io.logs.resting_log import read_resting_log
+from bench.io.results import parquet
+from bench.io.trajectories.trajectory import read_trajectory
 from tests import fuzz_answers
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats

@@ -15,10 +15,11 @@ from typing import Any
 import numpy as np
 
 import bench
-from bench import pipeline, store
+from bench import pipeline
 from bench.core.records.data import Events, Innovations, NavSolution
 from bench.core.records.specs import Guard
 from bench.core.words.exceptions import BenchError
+from bench.io import results
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import print_result
 from tests.faults import PROFILE
@@ -229,7 +230,7 @@ def make_answers(folder: Path) -> Any:
             "loose-15": bool,
         }
         assert result.metrics["loose-15"] == alone
-        store.to_json(result.metrics)
+        results.to_json(result.metrics)
         for table in (False, True):
             print_result(PlainConsole(file=io.StringIO(), width=80), result, table=table)
         return result

@@ -18,7 +18,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import bench
-from bench import store
 from bench.baselines import checking
 from bench.baselines.baseline_file import read_baseline
 from bench.baselines.checking import record_baselines
@@ -27,10 +26,11 @@ from bench.campaigns.card import read_card
 from bench.campaigns.card_comparison import compare_cards, list_differences
 from bench.campaigns.journal import NAME, _sum
 from bench.campaigns.pools import SerialExecutor
+from bench.io import results
+from bench.io.results.folders import MARK
+from bench.io.results.study_folder import save_study
 from bench.report import campaign_page, card_page, page, study_page
 from bench.report.paper import _list_drawings
-from bench.store.folders import MARK
-from bench.store.study_folder import save_study
 from tests.faults import PROFILE, make_card
 
 Made = tuple[list[Path], Callable[[Path], object], Callable[[np.random.Generator, Path, bytes], bytes]]
@@ -153,7 +153,7 @@ def make_journal(folder: Path) -> Made:
 def make_cards(folder: Path) -> Made:
     """A card, shown and compared."""
     for k in (1, 2):
-        store.write_json(folder / f"card-{k}.json", make_card(f"one-{k}").model_dump())
+        results.write_json(folder / f"card-{k}.json", make_card(f"one-{k}").model_dump())
 
     def read(path: Path) -> object:
         first, second = read_card(folder / "card-1.json"), read_card(folder / "card-2.json")

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.exchange import imports
 from bench.exchange.rinex.lines import find_kind
 from bench.exchange.rinex.observations import read_observations
 from bench.exchange.rinex.precise_orbits import make_tables, read_precise_orbits
-from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
+from bench.io.logs import formats
+from bench.io.trajectories.track_files import read_track
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
 from tests.exchange.packed import compress
@@ -92,7 +92,7 @@ def _read_terrain(path: Path) -> object:
 
 
 def _read_flight(form: str) -> Callable[[Path], object]:
-    return lambda path: [imports.read(form, path, kind, None) for kind in ("imu", "gnss", "baro")]
+    return lambda path: [formats.read(form, path, kind, None) for kind in ("imu", "gnss", "baro")]
 
 
 def _cut_flash() -> bytes:

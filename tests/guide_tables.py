@@ -17,15 +17,6 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from bench.campaigns.campaign_file import CampaignTable
-from bench.config.datasheets import ImuSheet, LayoutTable
-from bench.config.fault_tables import FAULTS
-from bench.config.library import ForeignTable
-from bench.config.listing import KeyEntry, list_legs
-from bench.config.log_tables import FileTable, LogTable
-from bench.config.profile_tables import AntennaTable, ProfileTable, ScriptTable, TrackTable
-from bench.config.sheet import MOST, Sheet, SpecTable
-from bench.config.sky_sheet import SkyTable
-from bench.config.tables import Range
 from bench.core.mathematics.units import from_si
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
@@ -33,7 +24,16 @@ from bench.core.records.sensor_specs import GnssSpec, SkySpec, ThermalSpec, Tria
 from bench.core.words.exceptions import STATUSES, ConfigError
 from bench.core.words.wording import as_toml, read_words
 from bench.evaluation.metrics.run_metrics import METRICS
-from bench.exchange.exports import FORMATS
+from bench.io.config.datasheets import ImuSheet, LayoutTable
+from bench.io.config.fault_tables import FAULTS
+from bench.io.config.library import ForeignTable
+from bench.io.config.listing import KeyEntry, list_legs
+from bench.io.config.log_tables import FileTable, LogTable
+from bench.io.config.profile_tables import AntennaTable, ProfileTable, ScriptTable, TrackTable
+from bench.io.config.sheet import MOST, Sheet, SpecTable
+from bench.io.config.sky_sheet import SkyTable
+from bench.io.config.tables import Range
+from bench.io.exports import FORMATS
 from bench.navigation import options
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS

@@ -14,8 +14,8 @@ import numpy as np
 
 from bench import pipeline
 from bench.api import fly
-from bench.config import load_profile
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 
 START, LENGTHS, AFTER = 200.0, (5.0, 15.0, 60.0), 12.0  # [s]

@@ -62,7 +62,7 @@ def main(filters: Sequence[str] = ()) -> None:
     print(compiled.is_plain(), compiled._takes_shortcuts(), made, rows.tobytes().hex())
     if filters:
         from bench import pipeline
-        from bench.config import load_profile
+        from bench.io.config import load_profile
         from bench.navigation import built_in
         from bench.simulation.flight.legs.level import Straight
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench import pipeline
-from bench.config import load_profile
+from bench.io.config import load_profile
 from bench.navigation import built_in
 from bench.simulation.flight.legs.level import Straight
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from datetime import date
 
-from bench.store import provenance
+from bench.io.results import provenance
 
 SHOWN = 0.95
 """Of every interval that stands as ± in a page: twice the part of a normal error below 1.96 sd, less one."""

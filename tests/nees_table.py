@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from bench import store
 from bench.campaigns.groups import Group, gather
 from bench.campaigns.journal import NAME, Journal
 from bench.campaigns.plan import plan_runs
@@ -24,6 +23,7 @@ from bench.campaigns.worker import CHANNELS
 from bench.core.files.file_checks import read_json
 from bench.core.records.specs import Profile
 from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
+from bench.io import results
 from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants
 
@@ -108,7 +108,7 @@ def measure(file: Path, folder: Path) -> Iterator[Row]:
 
 def read_stamp(folder: Path) -> str:
     """Return the day and the commit of a campaign."""
-    file = folder / store.CAMPAIGN_RESULT
+    file = folder / results.CAMPAIGN_RESULT
     commit = str(read_json(file)["provenance"]["commit"] or "no commit")
     return f"{date.fromtimestamp(file.stat().st_mtime)} at {commit[:7]}"
 

@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from bench import pipeline
-from bench.config import list_profiles, load_profile
 from bench.core.mathematics import earth, rotation
+from bench.io.config import list_profiles, load_profile
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.loose_tight import Loose
 from tests.measured import stamp, write_measured

@@ -16,11 +16,11 @@ from scipy.signal import lfilter
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import TableSpec
-from bench.exchange.trajectory import read_trajectory
+from bench.io.results import join_pieces
+from bench.io.trajectories.trajectory import read_trajectory
 from bench.navigation.error_state_filter.vehicle_motion import SHAKING_SD, SLIP_FORCE
 from bench.navigation.error_state_filter.vehicle_states import SQUAT_SD
 from bench.navigation.options import FusionOptions
-from bench.store import join_pieces
 
 KNOTS = 50.0  # rate of the table [Hz]
 SHAKING_S = 0.05  # correlation time of the shaking [s]

@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 import bench
-from bench.config import load_profile
+from bench.io.config import load_profile
 
 CUT = 60.0  # [s]
 STARTS = (90.0, 210.0, 330.0, 450.0)  # [s]

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import closed_loop, config, pipeline, store
+from bench import closed_loop, pipeline
 from bench.cli import main
-from bench.config.listing import list_profiles
 from bench.core.records.data import NavSolution
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.io import config, results
+from bench.io.config.listing import list_profiles
 from bench.navigation.open_filters import PieceFilter
 from bench.simulation.flight import fly_pieces
 from bench.simulation.flight.guidance.belief import Belief, NavEstimate
@@ -94,11 +95,11 @@ def fly_by_truth(spec, mode="held", seconds=0.05, latency=0.05):
     for piece in fly_pieces(spec, None, seconds, belief):
         flown.append(piece)
         belief.take(perfect(piece))
-    return store.join_pieces(flown)
+    return results.join_pieces(flown)
 
 
 def test_an_estimate_without_error_flies_the_same_bits():
-    same_bits(fly_by_truth(short_plan()), store.join_pieces(fly_pieces(short_plan())))
+    same_bits(fly_by_truth(short_plan()), results.join_pieces(fly_pieces(short_plan())))
 
 
 @pytest.mark.long
@@ -106,12 +107,12 @@ def test_an_estimate_without_error_flies_the_same_bits():
 def test_an_estimate_without_error_flies_the_same_bits_on_every_profile(name):
     spec = config.load_profile(name).flight
     assert isinstance(spec, FlightSpec)
-    same_bits(fly_by_truth(spec, seconds=1.0), store.join_pieces(fly_pieces(spec)))
+    same_bits(fly_by_truth(spec, seconds=1.0), results.join_pieces(fly_pieces(spec)))
 
 
 def test_the_last_estimate_itself_is_late_and_flies_all_the_same():
     """In a turn a heading that is 0.25 s late is behind: another flight, which ends on the same heading."""
-    exact, late = store.join_pieces(fly_pieces(short_plan())), fly_by_truth(short_plan(), "state", 0.2)
+    exact, late = results.join_pieces(fly_pieces(short_plan())), fly_by_truth(short_plan(), "state", 0.2)
     assert np.abs(late.lla - exact.lla)[-1, :2].max() > 1e-8
     assert_allclose(late.q_nb[-1], exact.q_nb[-1], atol=0.02)
 
@@ -207,7 +208,7 @@ def test_what_is_believed_moves_the_flight():
             estimate = perfect(piece)
             lla = piece.lla[-1:] + np.array([0.0, 0.0, alt_error])
             belief.take(replace(estimate, solution=replace(estimate.solution, lla=lla)))
-        return store.join_pieces(pieces)
+        return results.join_pieces(pieces)
 
     lower = flown(40.0)
     assert_allclose(lower.lla[-1, 2], 100.0 - 40.0, atol=1.0)
@@ -229,7 +230,7 @@ def test_wheels_tell_that_it_stands():
         estimate = perfect(piece)
         vel_n = piece.vel_n[-1:] + np.array([0.5, 0.0, 0.0])
         belief.take(replace(estimate, solution=replace(estimate.solution, vel_n=vel_n)))
-    flown = store.join_pieces(pieces)
+    flown = results.join_pieces(pieces)
     assert len(flown.events.select("crash")) == 0
     assert np.abs(flown.vel_n[-1]).max() < 0.05
 

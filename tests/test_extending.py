@@ -75,8 +75,8 @@ LASER = Tab("Laser", 100, _plots)
 
 EXPORT = Toy(
     new={
-        "bench/exchange/exports/row_counts.py": """
-from bench.store import write_json
+        "bench/io/exports/row_counts.py": """
+from bench.io.results import write_json
 
 FORMATS = {"counts": "rows of each table"}
 
@@ -90,7 +90,7 @@ def write(folder, outgoing, name):
 
 FAULT = Toy(
     inserted={
-        "bench/config/fault_tables.py": [
+        "bench/io/config/fault_tables.py": [
             (
                 '    _make_table("dropped"',
                 '    _make_table("zeroed", "The output is 0.", sensor=Noisy),\n',
@@ -311,7 +311,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 
 EVALUATION = Toy(
     inserted={
-        "bench/config/profile_tables.py": [
+        "bench/io/config/profile_tables.py": [
             (
                 "    output_hz: Annotated[float, between(0.1, 400)] = 10.0\n",
                 '    until_s: Annotated[float, between(0, 86400)] = 86400.0\n    """Count until then."""\n',

@@ -91,9 +91,9 @@ ELSEWHERE = {
     "bench/core/compilation/compiled.py": "compiled code, with sums of its own",
     "bench/simulation/flight/child_process.py": "messages to and from the process of a flight, in scratch",
     "bench/simulation/flight/model_files.py": "models for one flight, in scratch",
-    "bench/exchange/record_messages.py": "records for the process of a filter, in scratch",
-    "bench/exchange/outside.py": "messages to and from programs, in scratch",
-    "bench/exchange/filter_process.py": "messages of the process of a filter, in scratch",
+    "bench/io/foreign/record_messages.py": "records for the process of a filter, in scratch",
+    "bench/io/foreign/outside.py": "messages to and from programs, in scratch",
+    "bench/io/foreign/filter_process.py": "messages of the process of a filter, in scratch",
     "bench/campaigns/cluster.py": "a module packed for workers, in a temporary folder",
 }
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import store
-from bench.config import fault_tables, list_sensors
-from bench.config.datasheets import SENSORS
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics.units import to_si
 from bench.core.records.fields import columns_of, figures_of
 from bench.core.records.instruments import INSTRUMENTS, InstrumentReports, InstrumentSpecs
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import Fault
-from bench.exchange import exports, frames
-from bench.exchange.exports import column_files
+from bench.io import exports, results
+from bench.io.config import fault_tables, list_sensors
+from bench.io.config.datasheets import SENSORS
+from bench.io.exports import column_files
+from bench.io.streams import frames
 from bench.navigation.estimator import RECORDS
 from bench.plots.content import Content
 from bench.plots.tabs.flight_data import FLIGHT
@@ -69,8 +69,8 @@ def test_it_is_sensed_saved_exported_streamed_and_drawn(sensed, truth, tmp_path,
     assert sensed.truth.bias[name].shape == (len(sensed.truth.t), row.width)
     records = {"truth": truth, "sensed": sensed}
     profile = {"title": "x", "evaluation": {"from_s": 0.0, "output_hz": 10.0}}
-    store.save(tmp_path, RunResult(profile, 1, 0, {}, {}, {}, {}, records=records))
-    again = store.load_sensors(tmp_path)[2][name]
+    results.save(tmp_path, RunResult(profile, 1, 0, {}, {}, {}, {}, records=records))
+    again = results.load_sensors(tmp_path)[2][name]
     assert_array_equal(row.values(again), row.values(record))
     out = exports.gather(tmp_path)
     column_files.write(tmp_path, out, "csv")

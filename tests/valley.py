@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bench.config.listing import PROFILES
 from bench.core.mathematics.earth import difference_n
+from bench.io.config.listing import PROFILES
 
 SOUTH, WEST, CELL, ROWS, COLUMNS = 47.16, 11.12, 0.0025, 81, 193  # [deg]
 FILE = PROFILES / "valley.asc"

@@ -10,10 +10,10 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
 from bench.core.files import durable
 from bench.core.files.file_checks import read_json
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
 
 LEAST_DRAWS = 20
 """Fewest draws of a baseline."""
@@ -116,7 +116,7 @@ def _to_text(value: Any, indent: str = "") -> str:
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Read a baseline; its profile is a name or path for :func:`bench.config.load_profile`.
+    """Read a baseline; its profile is a name or path for :func:`bench.io.config.load_profile`.
 
     Raises
     ------

@@ -21,11 +21,11 @@ from bench.baselines.experiments import Draw, Experiment, lose_draw, make_baseli
 from bench.baselines.verdict_rows import LOOKS, UncorrectedVerdict, Verdict, compare, decide
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.pools import open_pool
-from bench.config.checks import is_code
 from bench.core.files import durable
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
+from bench.io.config.checks import is_code
 
 DIRECTORY = Path("tests/baselines")
 """Default folder of the baselines of ``bench check``."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from bench import store
 from bench.baselines.baseline_file import Baseline, EstimatorValues, get_name
 from bench.baselines.digests import digest_record
 from bench.baselines.experiments import (
@@ -25,6 +24,7 @@ from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
 
 ONE_DRAW = "one draw: no interval"
 """Note of a verdict on single runs."""
@@ -85,16 +85,16 @@ def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]
 
 
 def _read_side(folder: Path) -> Side:
-    if (folder / store.CAMPAIGN_RESULT).is_file():
+    if (folder / results.CAMPAIGN_RESULT).is_file():
         return _read_campaign(folder)
     if folder.is_file():
         raise ConfigError(f"{folder}: is a file; name its folder, {folder.parent}")
-    paths = [folder] if (folder / store.RESULT).is_file() else sorted(folder.glob(f"*/{store.RESULT}"))
+    paths = [folder] if (folder / results.RESULT).is_file() else sorted(folder.glob(f"*/{results.RESULT}"))
     if not paths:
         raise ConfigError(f"{folder}: holds no results; 'bench run' and 'bench campaign' write some")
-    results = [store.load(path if path == folder else path.parent) for path in paths]
+    loaded = [results.load(path if path == folder else path.parent) for path in paths]
     by_profile: dict[str, list[RunResult]] = {}
-    for result in results:
+    for result in loaded:
         by_profile.setdefault(result.name or str(result.profile["title"]), []).append(result)
     draws = {name: _collect_runs(found) for name, found in by_profile.items()}
     return Side(
@@ -109,9 +109,9 @@ def _read_side(folder: Path) -> Side:
     )
 
 
-def _collect_runs(results: Sequence[RunResult]) -> Baseline:
+def _collect_runs(runs: Sequence[RunResult]) -> Baseline:
     """Return the draws of one profile; a single log gives a draw for each of its stretches."""
-    first = results[0]
+    first = runs[0]
     if "log" in first.more:
         assert first.sensors is not None  # a results folder has them
         start, end = first.evaluation.begin, float(first.sensors.imu.t.max())
@@ -122,7 +122,7 @@ def _collect_runs(results: Sequence[RunResult]) -> Baseline:
         ]
         truth = digest_record([first.sensors])
     else:
-        ordered = sorted(results, key=lambda one: (one.seed, one.run))
+        ordered = sorted(runs, key=lambda one: (one.seed, one.run))
         keys = [f"seed {one.seed}, run {one.run}" for one in ordered]
         rows = [{label: collect_draw(one, label) for label in one.metrics} for one in ordered]
         truth = _describe_flight(first.profile)
@@ -177,7 +177,7 @@ def _take_sensed(document: Mapping[str, Any]) -> dict[str, Any]:
 
 def _describe_flight(document: Mapping[str, Any]) -> str:
     """Return the part of a profile that the truth depends on, as text."""
-    return store.to_json({key: value for key, value in document.items() if key not in _NOT_FLOWN})
+    return results.to_json({key: value for key, value in document.items() if key not in _NOT_FLOWN})
 
 
 def _collect_row(row: Mapping[str, Any]) -> EstimatorDraw:

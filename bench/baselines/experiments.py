@@ -11,12 +11,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench import log_pipeline, pipeline, store
+from bench import log_pipeline, pipeline
 from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value, get_name
 from bench.baselines.digests import digest_record
 from bench.campaigns.worker import describe_error, get_truth
-from bench.config import load_profile
-from bench.config.toml_file import read_toml
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import ErrorSeries
 from bench.core.records.run_result import RunResult
@@ -24,6 +22,9 @@ from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.chi_square import nis_by_sensor
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
+from bench.io.config import load_profile
+from bench.io.config.toml_file import read_toml
 from bench.pipeline import build_estimator
 
 STRETCHES = 20
@@ -279,7 +280,7 @@ def make_baseline(
         requested=None if requested is None else tuple(requested),
         seed=experiment.seed,
         overrides=dict(overrides or {}),
-        versions=dict(store.list_versions()),
+        versions=dict(results.list_versions()),
         truth=experiment.truth_digest,
         sensors=tuple(draw.sensors for draw in draws),
         estimators={

@@ -11,11 +11,11 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from bench.config.checks import is_code
-from bench.config.tables import ROWS, Table, check_table
-from bench.config.toml_file import read_toml
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import quote_toml
+from bench.io.config.checks import is_code
+from bench.io.config.tables import ROWS, Table, check_table
+from bench.io.config.toml_file import read_toml
 
 Values = Mapping[str, Any]
 """Dotted keys of a profile, as --set takes them, and their values."""

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from bench import store
 from bench.campaigns.campaign_file import format_value
 from bench.campaigns.groups import PERCENTILES, Done, Group
 from bench.campaigns.plan import Condition, Plan
@@ -17,6 +16,7 @@ from bench.core.mathematics.units import unit_of
 from bench.evaluation.consistency.chi_square import mean_band
 from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
 
 RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 """Names of the tables."""
@@ -49,7 +49,7 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
     columns = {name: _unite(column) for name, column in columns.items()}
     known = {name: find_metric(name) for name in columns}
     units = {name: metric.unit for name, metric in known.items() if metric is not None}
-    store.write_table(path, columns, _find_units(plan) | units)
+    results.write_table(path, columns, _find_units(plan) | units)
 
 
 def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> None:
@@ -63,7 +63,7 @@ def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> 
     units = {"t_s": "s"}
     for channel, unit in CHANNELS.items():
         units |= {name: unit for name in columns if name.startswith(f"{channel}_")}
-    store.write_table(path, columns, _find_units(plan) | units, confidence=CONFIDENCE)
+    results.write_table(path, columns, _find_units(plan) | units, confidence=CONFIDENCE)
 
 
 def describe_instants(group: Group) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 
 import bench
-from bench import pipeline, store
+from bench import pipeline
 from bench.campaigns.card_bound import bound_errors_of
 from bench.campaigns.card_causality import hash_all_answers, judge_causality
 from bench.campaigns.card_conventions import judge_conventions
@@ -33,15 +33,16 @@ from bench.campaigns.card_requirements import judge_requirements, read_requireme
 from bench.campaigns.card_suite import FULL, QUICK, VERSION, Suite, hash_suite
 from bench.campaigns.plan import Plan, hash_estimator, plan_campaign
 from bench.campaigns.running import Progress, run_campaign
-from bench.config.profile import make_choice
-from bench.config.tables import ROWS, Table, check_table
 from bench.core.files.file_checks import read_json
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import make_frame, write_sentences, write_table
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import MET, Finding
-from bench.exchange.solution_folder import share_equal_files, write_sensors
+from bench.io import results
+from bench.io.config.profile import make_choice
+from bench.io.config.tables import ROWS, Table, check_table
+from bench.io.foreign.solution_folder import share_equal_files, write_sensors
 
 AGAINST = "loose-full"
 """The filter that others are compared with."""
@@ -180,11 +181,11 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
         If a file cannot be written; nothing is left behind.
     """
     folder = Path(folder)
-    store.check_folder(folder, force=False, kind=store.EXPORT)
+    results.check_folder(folder, force=False, kind=results.EXPORT)
     suite = QUICK if quick else FULL
     plan = plan_campaign(replace(suite, estimators=(YARDSTICK,)))
     draws = []
-    with store.make_folder(folder, kind=store.EXPORT) as partial:
+    with results.make_folder(folder, kind=results.EXPORT) as partial:
         for one in plan.runs:
             cell = plan.cells[one.cell]
             sensed = pipeline.sense(cell.profile, pipeline.fly(cell.profile), one.run)
@@ -194,7 +195,7 @@ def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
             )
         share_equal_files(partial)
         suite_hash = hash_suite(plan)
-        store.write_json(partial / "suite.json", {"suite": suite.name, "hash": suite_hash, "draws": draws})
+        results.write_json(partial / "suite.json", {"suite": suite.name, "hash": suite_hash, "draws": draws})
     return folder
 
 
@@ -278,7 +279,7 @@ def make_card(
         suite=f"{VERSION}, {'quick' if quick else 'full'}",
         suite_hash=hash_suite(plan),
         draws=suite.runs,
-        versions=dict(store.list_versions()),
+        versions=dict(results.list_versions()),
         lines=tuple(lines),
         speed=measure_speed(cpu.get(own, ()), cpu.get(yardstick, ()), yardstick),
         use=estimator,

@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from bench.campaigns.card_suite import SuiteFlight
-from bench.config.tables import ROWS, Table
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.wording import one_line
 from bench.evaluation.ensembles import ensemble
@@ -18,6 +17,7 @@ from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
 from bench.evaluation.ensembles.regression import average_changes
 from bench.evaluation.errors.error_series import TITLES
 from bench.evaluation.linear.quantities import count_freedom
+from bench.io.config.tables import ROWS, Table
 
 _LEAST = 2  # draws that have an interval
 ERRORS = {

@@ -9,12 +9,12 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench.campaigns.card_lines import Line, Rows
-from bench.config.checks import check_requirements
-from bench.config.profile_tables import RequirementTable
-from bench.config.tables import ROWS, Table, check_table
-from bench.config.toml_file import read_toml
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.requirements.required_metrics import judge_runs
+from bench.io.config.checks import check_requirements
+from bench.io.config.profile_tables import RequirementTable
+from bench.io.config.tables import ROWS, Table, check_table
+from bench.io.config.toml_file import read_toml
 
 
 class FlightRequirement(RequirementTable):

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bench import store
 from bench.campaigns.campaign_file import CampaignSpec, Values
 from bench.campaigns.plan import Plan
-from bench.config import load_profile
+from bench.io import results
+from bench.io.config import load_profile
 
 _EVENTS = ("fault", "gnss_outage")
 
@@ -122,7 +122,7 @@ def hash_suite(plan: Plan) -> str:
     parts = [
         [
             {key: value for key, value in cell.profile.document.items() if key != "estimator"},
-            store.hash_spec(cell.profile.sensors),
+            results.hash_spec(cell.profile.sensors),
         ]
         for cell in plan.cells
     ]

@@ -13,11 +13,11 @@ from concurrent.futures import CancelledError, Future
 from pathlib import Path
 from typing import Any
 
-from bench import store
 from bench.campaigns.plan import describe_software, find_module_files
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import ConfigError, WorkersLostError
 from bench.core.words.wording import one_line
+from bench.io import results
 
 _CONNECT = 20.0  # longest time to reach the scheduler [s]
 _PATIENCE = 120.0  # longest time without any worker [s]
@@ -121,10 +121,10 @@ class ClusterPool:
             with self._reach():
                 machines = self._client.run(_find_truth, key)
             without = {machine: worker for worker, (machine, found) in machines.items() if not found}
-            truth = store.read_truth(key) if without else None
+            truth = results.read_truth(key) if without else None
             if truth is not None:
                 with self._reach():
-                    self._client.run(store.write_truth, key, truth, workers=list(without.values()))
+                    self._client.run(results.write_truth, key, truth, workers=list(without.values()))
 
     def _check_software(self, address: str) -> None:
         try:
@@ -179,4 +179,4 @@ def _find_packages() -> None:
 
 def _find_truth(key: str) -> tuple[str, bool]:
     """Return the machine of a worker and whether a truth is in its cache."""
-    return platform.node(), store.read_truth(key) is not None
+    return platform.node(), results.read_truth(key) is not None

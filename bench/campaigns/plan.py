@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from bench import pipeline, store
+from bench import pipeline
 from bench.campaigns.campaign_file import (
     CampaignSpec,
     Values,
@@ -24,11 +24,12 @@ from bench.campaigns.campaign_file import (
     is_campaign_file,
     read_campaign_file,
 )
-from bench.config import load_profile
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
+from bench.io import results
+from bench.io.config import load_profile
 
 _BLOCK = 1 << 20  # [byte]
 _MOST_NAMED = 200  # files that wrappers name
@@ -66,7 +67,7 @@ class Cell:
         profile = self.profile
         parts = {
             "truth": self.truth_key,
-            "sensors": store.hash_spec(profile.sensors),
+            "sensors": results.hash_spec(profile.sensors),
             "seed": profile.seed,
             "estimators": [_describe_estimator(choice) for choice in profile.estimators],
             "evaluation": asdict(profile.evaluation),
@@ -124,12 +125,12 @@ def plan_runs(
         Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
         and noise are its own. None takes those of the campaign file, or 1.
     seed, estimators, overrides, allow_code, guard
-        As for `bench.config.load_profile`; they win over the campaign file.
+        As for `bench.io.config.load_profile`; they win over the campaign file.
 
     Raises
     ------
     ConfigError
-        As for `bench.config.load_profile`, and if an estimator is a solution in a file, which belongs to one
+        As for `config.load_profile`, and if an estimator is a solution in a file, which belongs to one
         draw, or if several flights would be the same.
     """
     spec = (
@@ -283,7 +284,7 @@ def find_module_files(use: str) -> list[Path]:
 @cache
 def describe_software() -> dict[str, str]:
     """Return the versions that results depend on, and a hash of the sources of bench."""
-    return {**store.list_versions(), "source": _hash_package()}
+    return {**results.list_versions(), "source": _hash_package()}
 
 
 @cache

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import bench
-from bench import pipeline, store
+from bench import pipeline
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.campaign_tables import EPOCHS, RUNS, describe_instants, write_epochs, write_runs
 from bench.campaigns.groups import gather
@@ -21,7 +21,6 @@ from bench.campaigns.outcome import Outcome, Pair, compare, pair_runs, summarize
 from bench.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
 from bench.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.campaigns.worker import RunTask, choose_step, fly, measure
-from bench.config.library import name_profile
 from bench.core.files import durable
 from bench.core.files.scratch import make_scratch
 from bench.core.files.spawned import Printed
@@ -30,6 +29,8 @@ from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.notebook import make_frame, write_sentences, write_table
 from bench.evaluation.ensembles.ensemble import Comparison
 from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
+from bench.io import results
+from bench.io.config.library import name_profile
 
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
@@ -251,10 +252,10 @@ def run_campaign(
         place = stack.enter_context(
             make_scratch()
             if folder is None
-            else store.keep_folder(
+            else results.keep_folder(
                 folder,
-                (NAME, RUNS, EPOCHS, PRINTED, store.CAMPAIGN_RESULT, store.REPORT, store.RECORDING),
-                store.CAMPAIGN,
+                (NAME, RUNS, EPOCHS, PRINTED, results.CAMPAIGN_RESULT, results.REPORT, results.RECORDING),
+                results.CAMPAIGN,
                 force=force,
                 resume=resume,
             )
@@ -402,8 +403,8 @@ def _finish(
     result = Campaign(
         outcomes=tuple(outcomes),
         comparisons=tuple(compare(pairs)),
-        runs=store.read_table(place / RUNS),
-        epochs=store.read_table(place / EPOCHS),
+        runs=results.read_table(place / RUNS),
+        epochs=results.read_table(place / EPOCHS),
         planned=len(plan.runs),
         finished=len(cpu),
         failed=failed,
@@ -411,13 +412,13 @@ def _finish(
             {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
             for number, one in enumerate(plan.conditions)
         ),
-        provenance=store.provenance(),
+        provenance=results.provenance(),
         timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
         estimator_cpu_s=used,
         interrupted=interrupted,
         folder=folder,
     )
-    store.write_json(place / store.CAMPAIGN_RESULT, describe(result))
+    results.write_json(place / results.CAMPAIGN_RESULT, describe(result))
     return result
 
 

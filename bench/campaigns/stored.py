@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, NonNegativeInt
 
-from bench import store
 from bench.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.campaigns.groups import PERCENTILES
 from bench.campaigns.outcome import Outcome
@@ -21,6 +20,7 @@ from bench.evaluation.consistency.chi_square import MeanNis
 from bench.evaluation.ensembles.ensemble import Comparison, Estimate
 from bench.evaluation.ensembles.ensemble_consistency import Consistency
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
 
 _Number = Annotated[float, BeforeValidator(lambda value: np.nan if value is None else value)]
 """A number; null is what JSON has for one that is not finite."""
@@ -132,10 +132,10 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         If the folder is not that of a campaign, or is damaged.
     """
     folder = Path(folder)
-    with store.open_summary(folder, store.CAMPAIGN_RESULT, "campaign") as summary:
+    with results.open_summary(folder, results.CAMPAIGN_RESULT, "campaign") as summary:
         found = _StoredSummary.model_validate(summary)
-        with store.report_damage(folder):
-            runs, epochs = (store.read_table(folder / name) for name in (RUNS, EPOCHS))
+        with results.report_damage(folder):
+            runs, epochs = (results.read_table(folder / name) for name in (RUNS, EPOCHS))
         _check_columns(folder / RUNS, runs, _RUN)
         _check_columns(folder / EPOCHS, epochs, _INSTANT)
         return Campaign(
@@ -156,7 +156,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
                 for row in summary["conditions"]
             ),
             estimator_cpu_s=found.estimator_cpu_s,
-            provenance={name: summary[name] for name in store.provenance()},
+            provenance={name: summary[name] for name in results.provenance()},
             timing=found.timing,
             interrupted=found.finished < found.planned,
             folder=folder,

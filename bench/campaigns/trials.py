@@ -15,9 +15,6 @@ from bench import log_pipeline, pipeline
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.heap import keep_freed_memory
 from bench.campaigns.worker import RunTask, choose_step, describe_error, get_truth, measure
-from bench.config import load_profile
-from bench.config.datasheets import MODIFIED, SENSORS
-from bench.config.library import find_profile
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
@@ -28,7 +25,10 @@ from bench.evaluation.consistency.log_score import score_claims, score_innovatio
 from bench.evaluation.ensembles import ensemble
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.errors.error_series import error_series, find_covered_epochs, select_epochs
-from bench.store import truth_key
+from bench.io.config import load_profile
+from bench.io.config.datasheets import MODIFIED, SENSORS
+from bench.io.config.library import find_profile
+from bench.io.results import truth_key
 
 Goal = Literal["consistency", "rmse"]
 Figures = Mapping[str, float]
@@ -66,7 +66,7 @@ class Trial(Protocol):
 class ProfileTrial:
     """Noise draws of a profile: 0 to ``runs`` - 1 tune, as many after them judge.
 
-    ``options`` are those of `bench.config.load_profile` but for the estimators.
+    ``options`` are those of `bench.io.config.load_profile` but for the estimators.
     """
 
     def __init__(

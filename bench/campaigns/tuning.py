@@ -14,13 +14,13 @@ import numpy as np
 from bench.campaigns.factor_search import REACH, FoundFactor, search_factors
 from bench.campaigns.pools import ProcessPool, count_processors
 from bench.campaigns.trials import Goal, HeldOutScore, LogTrial, ProfileTrial, Trial
-from bench.config.library import find_datasheet
-from bench.config.toml_file import read_toml
 from bench.core.files import durable
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number, suggest
+from bench.io.config.library import find_datasheet
+from bench.io.config.toml_file import read_toml
 
 DEFAULT_FACTORS = (
     "imu.gyro.noise",

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, store
+from bench import pipeline
 from bench.campaigns.heap import keep_freed_memory
 from bench.core.files.spawned import Printed
 from bench.core.mathematics.arrays import FloatArray
@@ -25,6 +25,7 @@ from bench.core.words.wording import one_line
 from bench.evaluation.consistency.chi_square import nis_by_sensor
 from bench.evaluation.ensembles.ensemble import sum_repetition
 from bench.evaluation.errors.error_series import heading_sd, select_epochs
+from bench.io import results
 
 _PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 
@@ -123,7 +124,7 @@ def get_truth(key: str, profile: Profile) -> Trajectory:
 
 @lru_cache(maxsize=1)
 def _read_truth(flight: _Keyed) -> Trajectory:
-    truth = store.read_truth(flight.key)
+    truth = results.read_truth(flight.key)
     return pipeline.fly(flight.profile) if truth is None else truth
 
 

@@ -89,14 +89,14 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
         raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")
     from bench.campaigns.running import describe
     from bench.evaluation.consistency.verdict import BROKEN
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.campaign_verb import run_campaign
     from bench.workbench.log_campaign import are_logs, run_logs
 
     if are_logs(sources):
         found = run_logs(sources, list_given(), console=new_console(stderr=as_json), **options)
         if as_json:
-            from bench.store.study_folder import describe_study
+            from bench.io.results.study_folder import describe_study
 
             click.echo(to_json(describe_study(found)), nl=False)
         return DONE if found.findings.good else NEGATIVE
@@ -165,7 +165,7 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
     """
     if options["log"] and options["seed"] is not None:
         raise click.UsageError("a log has no seed")
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.tune_verb import run_tuning
 
     found = run_tuning(source, console=new_console(stderr=as_json), **options)
@@ -230,7 +230,7 @@ def card(
       bench card --compare mine.json theirs.json
       bench card --verify mine.json
     """
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.campaign_verb import check_card, print_comparison, run_card, write_sensors
 
     if [estimator, compared, sensors, verified].count(None) != 3:

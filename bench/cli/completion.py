@@ -12,7 +12,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[str]]
 def _list_profiles() -> Iterable[str]:
     from pathlib import Path
 
-    from bench.config.listing import PROFILES
+    from bench.io.config.listing import PROFILES
 
     return [*(path.stem for path in PROFILES.glob("*.toml")), *(path.name for path in Path().glob("*.toml"))]
 
@@ -25,7 +25,7 @@ def _list_estimators() -> Iterable[str]:
 
 
 def _list_imus() -> Iterable[str]:
-    from bench.config.listing import find_sheets
+    from bench.io.config.listing import find_sheets
 
     return find_sheets("imu")
 
@@ -38,8 +38,8 @@ def _list_topics() -> Iterable[str]:
 
 def _list_settings() -> Iterable[str]:
     """Return the keys of single tables of a profile, and the sensors by name, as --set takes them."""
-    from bench.config.listing import KINDS, find_sheets
-    from bench.config.schemas import SCHEMAS
+    from bench.io.config.listing import KINDS, find_sheets
+    from bench.io.config.schemas import SCHEMAS
 
     whole = SCHEMAS["profile"]()
     schema, tables = whole["else"]["else"], whole["definitions"]

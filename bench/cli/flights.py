@@ -85,7 +85,7 @@ def run(profile: str, then_view: bool, live: bool, as_json: bool, strict: bool, 
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.flight_verbs import run as run_profile
     from bench.workbench.viewer import show_live
     from bench.workbench.viewer import view as view_folder
@@ -153,15 +153,15 @@ def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     if long and kind != "sensors":
         raise click.UsageError("--long is for bench list sensors")
     if long and as_json:
-        from bench.config.figure_table import tabulate_figures
-        from bench.config.listing import KINDS
-        from bench.store import to_json
+        from bench.io.config.figure_table import tabulate_figures
+        from bench.io.config.listing import KINDS
+        from bench.io.results import to_json
 
         click.echo(to_json({kind: tabulate_figures(kind) for kind in KINDS}), nl=False)
     elif long:
         print_sensors(new_console())
     elif as_json:
-        from bench.store import to_json
+        from bench.io.results import to_json
 
         rows = {name: [entry.as_dict() for entry in entries] for name, entries in list_catalog(kind).items()}
         click.echo(to_json(rows), nl=False)
@@ -282,7 +282,7 @@ def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: b
       bench compare runs/before runs/after -o runs/both
       bench compare campaigns/loose-22 campaigns/mine
     """
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.compare_verb import compare as compare_folders
 
     console = new_console(stderr=as_json)
@@ -343,7 +343,7 @@ def check(
       bench check --allow-code                         and check it after a change
       bench check figure-eight --set sensors.imu.gyro.noise_deg_sqrt_h=0.2
     """
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench import check_verb
 
     console = new_console(stderr=as_json)

@@ -205,7 +205,7 @@ def estimator_option(which: str) -> Decorator:
 def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if not asked or context.resilient_parsing:
         return
-    from bench.store.provenance import find_commit
+    from bench.io.results.provenance import find_commit
 
     click.echo(replace_control(f"bench, version {__version__}, commit {find_commit() or 'unknown'}"))
     context.exit()

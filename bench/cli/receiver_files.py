@@ -114,7 +114,7 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
 
     figures = solve_fixes(files, console=new_console(stderr=as_json), **options)
     if as_json:
-        from bench.store import to_json
+        from bench.io.results import to_json
 
         click.echo(to_json(figures), nl=False)
     return DONE if figures["fixes"] else NEGATIVE

@@ -88,7 +88,7 @@ def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
       bench navigate drive.toml -e loose-15 --outages 10,30,60
       bench navigate flight.bin -e autopilot -e loose-full
     """
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.record_verbs import navigate_log
 
     summary = navigate_log(log, console=new_console(stderr=as_json), **options)
@@ -219,7 +219,7 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
       bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
       bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
     """
-    from bench.store import to_json
+    from bench.io.results import to_json
     from bench.workbench.record_verbs import score_solution
 
     measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)

@@ -92,7 +92,7 @@ def serve(
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
     result, ended = serve_profile(profile, console=new_console(stderr=as_json), session=session, **options)
     if as_json:
-        from bench.store import to_json
+        from bench.io.results import to_json
 
         click.echo(to_json(result.metrics), nl=False)
     return max(end_flight(result, strict=strict), NEGATIVE if ended else DONE)

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.config.log import SourceSpec
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.core.records.specs import AUTOPILOT
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.exchange.imports.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
-from bench.exchange.imports.unreadable import explain_missing
-from bench.exchange.solutions import ForeignSolution, resample
+from bench.io.config.log import SourceSpec
+from bench.io.foreign.solutions import ForeignSolution, resample
+from bench.io.logs.formats.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
+from bench.io.logs.formats.unreadable import explain_missing
 
 NEAR = 0.5
 """Longest interval between rows of an estimate that is bridged [s]: loggers write 8 to 100 a second."""
@@ -36,10 +36,10 @@ def look(form: str, path: Path) -> Contents:
     try:
         with explain_missing(form, path):
             if form == "ulog":
-                from bench.exchange.imports import ulog
+                from bench.io.logs.formats import ulog
 
                 return ulog.look(path)
-            from bench.exchange.imports import flash_rows
+            from bench.io.logs.formats import flash_rows
 
             return flash_rows.look(path)
     except KeyError as error:
@@ -58,10 +58,10 @@ def read_truth(source: SourceSpec) -> OwnMotion:
     try:
         with explain_missing(source.format, path):
             if source.format == "ulog":
-                from bench.exchange.imports import ulog
+                from bench.io.logs.formats import ulog
 
                 return ulog.read_truth(ulog.open_log(path))
-            from bench.exchange.imports import flash_motion, flash_rows
+            from bench.io.logs.formats import flash_motion, flash_rows
 
             return flash_motion.read_truth(flash_rows.open_log(path))
     except KeyError as error:
@@ -82,11 +82,11 @@ def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
     try:
         with explain_missing(source.format, path):
             if source.format == "ulog":
-                from bench.exchange.imports import ulog, ulog_motion
+                from bench.io.logs.formats import ulog, ulog_motion
 
                 log = ulog.open_log(path)
                 return ulog_motion.read_estimate(log, instance, ulog.find_undulation(log))
-            from bench.exchange.imports import flash_motion, flash_rows
+            from bench.io.logs.formats import flash_motion, flash_rows
 
             return flash_motion.read_estimate(flash_rows.open_log(path), instance)
     except ConfigError as error:

@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.core.words.exceptions import EstimatorStoppedError
-from bench.exchange.streaming import wait_until
+from bench.io.streams.streaming import wait_until
 from bench.simulation.flight.guidance.steering import Commands
 
 _BLOCK = 1 << 16

@@ -23,7 +23,7 @@ from bench.exchange.flight_messages import (
     FrameReader,
     pack,
 )
-from bench.exchange.frames import make_frame
+from bench.io.streams.frames import make_frame
 
 UNKNOWN = float("nan")
 

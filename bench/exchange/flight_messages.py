@@ -1,4 +1,4 @@
-"""The messages of a flight with a client: frames of `bench.exchange.frames`, and what each holds.
+"""The messages of a flight with a client: frames of `bench.io.streams.frames`, and what each holds.
 
 The client begins with HELLO. The server answers with HELLO and START. Then it sends again and again what has
 arrived, and TURN; the client answers with at most one ESTIMATE and one of ATTITUDE and SURFACES, and DONE.
@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bench.core.records.instruments import INSTRUMENTS
-from bench.exchange.frames import FIX, IMU, SYNC
+from bench.io.streams.frames import FIX, IMU, SYNC
 
 VERSION = 1
 """Of the messages. It changes when an old client would misunderstand one; more kinds do not change it."""

@@ -13,7 +13,7 @@ from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.exchange import flight_messages as messages
 from bench.exchange.client_session import ClientSession
 from bench.exchange.flight_messages import FlightFrame, FrameReader, pack
-from bench.exchange.frames import make_frame, make_frames
+from bench.io.streams.frames import make_frame, make_frames
 from bench.navigation.engine.record_cuts import nothing_known
 from bench.simulation.flight.guidance.steering import AttitudeCommand, Commands, SurfaceCommand
 

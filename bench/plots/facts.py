@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from bench.config.listing import find_unit
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.run_result import RunResult
+from bench.io.config.listing import find_unit
 
 
 def list_facts(result: RunResult) -> Iterable[str]:

@@ -14,13 +14,13 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from bench import store
 from bench.core.files import disk_arrays, durable
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import series
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError, NothingToShowError
 from bench.evaluation.consistency.headline import find_best
+from bench.io import results
 from bench.plots.content import gather_content
 from bench.plots.tabs import TABS
 from bench.recording import drawing, layout, recording_text, sky_view, space
@@ -100,12 +100,12 @@ def write_recording(folder: str | Path, out: str | Path | None = None, *, force:
         If the file cannot be written; an existing file is left unchanged.
     """
     folder = Path(folder)
-    result = store.load(folder)
-    path = folder / store.RECORDING if out is None else Path(out)
+    result = results.load(folder)
+    path = folder / results.RECORDING if out is None else Path(out)
     check_recording(path, force=force or out is None)
     write(path, result.name or folder.resolve().name, result)
     if out is None:
-        store.add_to_mark(folder, store.RECORDING)
+        results.add_to_mark(folder, results.RECORDING)
     return path
 
 
@@ -120,7 +120,7 @@ def check_recording(path: Path, *, force: bool) -> None:
         with path.open("rb") as file:
             if file.read(4) != b"RRF2":
                 raise ConfigError(f"{path}: not replaced, it is not a recording; -o names another file")
-    store.check_file(path, force=force)
+    results.check_file(path, force=force)
 
 
 def column(

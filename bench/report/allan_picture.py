@@ -11,7 +11,7 @@ from bench.core.files import durable
 from bench.core.records.sensor_specs import ImuSpec
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, AllanResult, format_noise_figures
-from bench.store import check_file
+from bench.io.results import check_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench import store
 from bench.campaigns.outcome import POOLED, Outcome
 from bench.campaigns.plan import Condition
 from bench.campaigns.running import Campaign
@@ -24,6 +23,7 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot
 
@@ -105,7 +105,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         lost=_list_lost(campaign)[:_MOST_LOST],
         lost_count=len(_list_lost(campaign)),
         provenance=list(page.list_provenance(campaign.provenance)),
-        document=store.to_json([dict(one) for one in campaign.conditions]),
+        document=results.to_json([dict(one) for one in campaign.conditions]),
     )
 
 
@@ -131,7 +131,7 @@ def _list_facts(campaign: Campaign) -> Iterator[str]:
         if known:
             yield f"{name} {', '.join(known[:_MOST_NAMED])}" + (" ..." if len(known) > _MOST_NAMED else "")
     if campaign.folder is not None:
-        yield f"written {page.read_day(campaign.folder / store.CAMPAIGN_RESULT)}"
+        yield f"written {page.read_day(campaign.folder / results.CAMPAIGN_RESULT)}"
     yield f"figures are over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals"
 
 

@@ -7,15 +7,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench import store
 from bench.campaigns.stored import load_campaign
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.headline import make_headline
+from bench.io import results
+from bench.io.results.study_folder import load_study
 from bench.report import page
-from bench.store.study_folder import load_study
 
 INDEX = "index.html"
 
@@ -38,7 +38,7 @@ class _IndexRow(NamedTuple):
 
 def find_folders(root: Path) -> list[Path]:
     """Return the folders of runs, campaigns and studies below a folder, two levels deep."""
-    places = [f"{depth}/{name}" for depth in ("*", "*/*") for name in (store.RESULT, *_READERS)]
+    places = [f"{depth}/{name}" for depth in ("*", "*/*") for name in (results.RESULT, *_READERS)]
     return sorted({path.parent for place in places for path in root.glob(place)})
 
 
@@ -58,7 +58,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
     rows: list[_IndexRow] = []
     problems: list[str] = []
     for folder in folders:
-        name = next((name for name in _READERS if (folder / name).is_file()), store.RESULT)
+        name = next((name for name in _READERS if (folder / name).is_file()), results.RESULT)
         try:
             rows += _READERS.get(name, _list_run)(folder, _Place.of(folder / name, path.parent))
         except ConfigError as error:
@@ -77,12 +77,12 @@ class _Place(NamedTuple):
     @classmethod
     def of(cls, result: Path, root: Path) -> _Place:
         name = Path(os.path.relpath(result.parent, root)).as_posix()
-        there = (result.parent / store.REPORT).is_file()
-        return cls(name, f"{name}/{store.REPORT}" if there else "", page.read_day(result))
+        there = (result.parent / results.REPORT).is_file()
+        return cls(name, f"{name}/{results.REPORT}" if there else "", page.read_day(result))
 
 
 def _list_run(folder: Path, place: _Place) -> list[_IndexRow]:
-    summary = store.read_summary(folder)
+    summary = results.read_summary(folder)
     profile = summary["profile"]
     rows = []
     for label, values in summary["metrics"].items():
@@ -136,7 +136,7 @@ def _find_unit(profile: Mapping[str, Any]) -> str:
 
 
 _READERS: Mapping[str, Callable[[Path, _Place], list[_IndexRow]]] = {
-    store.CAMPAIGN_RESULT: _list_campaign,
-    store.STUDY_RESULT: _list_study,
+    results.CAMPAIGN_RESULT: _list_campaign,
+    results.STUDY_RESULT: _list_study,
 }
 """File that says what a folder is -> what lists its rows; other folders are runs."""

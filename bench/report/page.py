@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import bench
-from bench import store
 from bench.core.files.places import PACKAGE
 from bench.core.records.findings import series
 from bench.core.records.run_result import RunResult
@@ -24,6 +23,7 @@ from bench.evaluation.metrics.key_figures import MEANING, explain_rows, format_b
 from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
 from bench.evaluation.metrics.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.io import results
 from bench.plots.content import Content, gather_content
 from bench.plots.facts import list_facts, list_units
 from bench.plots.tabs import TABS
@@ -70,7 +70,7 @@ def check_page(path: Path, *, force: bool) -> None:
     """
     if path.is_file() and b'name="generator" content="bench' not in path.read_bytes()[:2000]:
         raise ConfigError(f"{path}: not replaced, bench did not write it; -o names another file")
-    store.check_file(path, force=force)
+    results.check_file(path, force=force)
 
 
 def make_page(name: str, result: RunResult) -> str:
@@ -110,7 +110,7 @@ def make_page(name: str, result: RunResult) -> str:
         events=list(_list_events(result)),
         provenance=list(list_provenance(result.provenance)),
         command=_find_command(result),
-        document=store.to_json(profile),
+        document=results.to_json(profile),
     )
 
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench import store
 from bench.campaigns.stored import load_campaign
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
+from bench.io import results
+from bench.io.results.study_folder import load_study
 from bench.report import campaign_page, index, page, paper, study_page
-from bench.store.study_folder import load_study
 
 
 def write_report(
@@ -47,26 +47,26 @@ def write_report(
         If a file cannot be written; an existing file is left unchanged.
     """
     folder = Path(folder)
-    of_campaign = (folder / store.CAMPAIGN_RESULT).is_file()
-    of_study = (folder / store.STUDY_RESULT).is_file()
-    single = of_campaign or of_study or (folder / store.RESULT).is_file()
+    of_campaign = (folder / results.CAMPAIGN_RESULT).is_file()
+    of_study = (folder / results.STUDY_RESULT).is_file()
+    single = of_campaign or of_study or (folder / results.RESULT).is_file()
     folders = [] if single else index.find_folders(folder)
-    path = Path(out) if out is not None else folder / (index.INDEX if folders else store.REPORT)
+    path = Path(out) if out is not None else folder / (index.INDEX if folders else results.REPORT)
     page.check_page(path, force=force or out is None)
     if not folders:
         name = folder.resolve().name
         if of_campaign:
             text = campaign_page.make_page(name, load_campaign(folder))
         elif of_study:
-            text = study_page.make_page(load_study(folder), page.read_day(folder / store.STUDY_RESULT))
+            text = study_page.make_page(load_study(folder), page.read_day(folder / results.STUDY_RESULT))
         else:
-            text = page.make_page(name, store.load(folder))
+            text = page.make_page(name, results.load(folder))
         durable.write(path, text)
         if out is None:
-            store.add_to_mark(folder, store.REPORT)
+            results.add_to_mark(folder, results.REPORT)
         return path
     for one in folders:
-        if not (one / store.REPORT).exists():
+        if not (one / results.REPORT).exists():
             try:
                 write_report(one)
             except ConfigError as error:
@@ -109,10 +109,10 @@ def write_figures(
     if form not in paper.FORMATS:
         raise ConfigError(f"form = {form!r} must be one of {', '.join(paper.FORMATS)}")
     out = Path(out)
-    study = load_study(folder) if (Path(folder) / store.STUDY_RESULT).is_file() else None
-    result = store.load(folder) if study is None else None
-    store.check_folder(out, force=force, kind=store.FIGURES)
-    with store.make_folder(out, force=force, kind=store.FIGURES) as partial:
+    study = load_study(folder) if (Path(folder) / results.STUDY_RESULT).is_file() else None
+    result = results.load(folder) if study is None else None
+    results.check_folder(out, force=force, kind=results.FIGURES)
+    with results.make_folder(out, force=force, kind=results.FIGURES) as partial:
         if study is not None:
             drawings = {name: [plot] for name, plot in study.figures.items()}
             written = paper.write_drawings(partial, drawings, (), form, width_mm=width_mm, serif=serif)

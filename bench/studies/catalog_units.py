@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.config.datasheets import read_imu
-from bench.config.library import find_datasheet
-from bench.config.listing import CATALOG, list_missing_figures
-from bench.config.toml_file import read_toml
 from bench.core.mathematics.units import from_si, to_si
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
+from bench.io.config.listing import CATALOG, list_missing_figures
+from bench.io.config.toml_file import read_toml
 
 CLASSES = ("consumer", "industrial", "tactical", "navigation")
 """Classes of IMUs, from cheap to dear. The catalog has no prices."""

@@ -8,12 +8,12 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from bench import store
 from bench.campaigns.pools import count_processors
 from bench.core.records.findings import Findings, StudyResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
-from bench.store.study_folder import save_study
+from bench.io import results
+from bench.io.results.study_folder import save_study
 from bench.studies import STUDIES, StudyEntry
 from bench.studies.study import Progress, StudyWorkers, make_command, read_options
 
@@ -65,7 +65,7 @@ def study(
     entry, module = find_study(name)
     chosen = read_options(name, module.Options, options)
     if out is not None:
-        store.check_folder(Path(out), force=force, kind=store.STUDY)
+        results.check_folder(Path(out), force=force, kind=results.STUDY)
     begun = time.perf_counter()
     with StudyWorkers(jobs or count_processors(), progress) as work:
         findings: Findings = module.run(chosen, work)
@@ -75,7 +75,7 @@ def study(
         shlex.join(make_command(name, chosen)),
         chosen.model_dump(),
         findings,
-        store.provenance(),
+        results.provenance(),
         time.perf_counter() - begun,
     )
     if out is not None:

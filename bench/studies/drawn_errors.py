@@ -9,7 +9,6 @@ from functools import lru_cache
 import numpy as np
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import Trajectory
@@ -17,6 +16,7 @@ from bench.core.records.specs import EstimatorChoice, Profile
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
+from bench.io.config import load_profile
 from bench.navigation import estimator
 from bench.simulation import sensors
 from bench.studies.study import read_settings

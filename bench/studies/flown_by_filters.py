@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from bench import closed_loop, pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
@@ -30,6 +29,7 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import Quantile, estimate_quantile, pool_rmse
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.errors.total_system import PARTS, resolve_along
+from bench.io.config import load_profile
 from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
 from bench.studies.study import (

@@ -16,9 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline, store
+from bench import pipeline
 from bench.campaigns.worker import fly, get_truth
-from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
@@ -28,6 +27,8 @@ from bench.core.words.exceptions import ConfigError, EstimatorFailedError
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.errors.failures import make_failed_solution
 from bench.evaluation.linear.drift_laws import split_drift
+from bench.io import results
+from bench.io.config import load_profile
 from bench.studies.catalog_units import find_units
 from bench.studies.outage_grades import fill_grades, plot_grades, predict_grades, tell_grades
 from bench.studies.outage_growth import Drift, pair_units
@@ -98,7 +99,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     work.map("flying", fly, list(flights.values()))
     grids = {phase: make_grid(flight, elapsed) for phase, flight in flights.items()}
     tasks = [
-        _Task(profile, store.truth_key(profile.flight), k, grids[phase])
+        _Task(profile, results.truth_key(profile.flight), k, grids[phase])
         for (_, phase), profile in profiles.items()
         for k in range(options.draws)
     ]
@@ -192,7 +193,7 @@ def find_law(profile: Profile, grid: Sequence[float]) -> dict[str, FloatArray]:
 
     The receiver leaves its slow velocity error at the loss, everything else is the unit's own.
     """
-    truth, loss = get_truth(store.truth_key(profile.flight), profile), profile.sensors.gnss_outages[0][0]
+    truth, loss = get_truth(results.truth_key(profile.flight), profile), profile.sensors.gnss_outages[0][0]
     at = np.arange(loss, loss + grid[-1] + 1.0)
     heading = rotation.to_euler(
         truth.q_nb[np.searchsorted(truth.t, at - SAME_INSTANT).clip(max=len(truth.t) - 1)]

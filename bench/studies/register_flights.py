@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics.units import HOUR, STANDARD_GRAVITY
 from bench.core.records.data import NavSolution, Trajectory
 from bench.core.records.specs import Profile
 from bench.evaluation.consistency.chi_square import MeanNis, mean_nis, nis_by_sensor
+from bench.io.config import load_profile
 from bench.navigation.engine.record_cuts import take_piece
 from bench.navigation.open_filters import PieceFilter
 from bench.simulation import sensors

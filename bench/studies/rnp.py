@@ -23,7 +23,6 @@ import numpy as np
 from pydantic import Field
 
 from bench import closed_loop, pipeline
-from bench.config import load_profile
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import HOUR, SAME_INSTANT
 from bench.core.records.data import NavSolution, Sensed, Trajectory
@@ -53,6 +52,7 @@ from bench.evaluation.requirements.required_performance import (
     judge_rate,
     judge_share,
 )
+from bench.io.config import load_profile
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_rows
 from bench.simulation.flight.guidance.desired_path import measure_off_path

@@ -18,9 +18,6 @@ import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
 from bench.campaigns.plan import plan_campaign
-from bench.config import load_profile
-from bench.config.library import find_datasheet
-from bench.config.toml_file import read_toml
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics.units import unit_of
 from bench.core.records.findings import Findings, FindingTable, make_table, series
@@ -30,6 +27,9 @@ from bench.evaluation.ensembles.ensemble import Estimate, pool_rmse
 from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.evaluation.requirements.required_metrics import Looks
+from bench.io.config import load_profile
+from bench.io.config.library import find_datasheet
+from bench.io.config.toml_file import read_toml
 from bench.studies.study import (
     Count,
     StudyWorkers,

@@ -18,8 +18,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from bench.config.datasheets import read_imu
-from bench.config.library import find_datasheet
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
@@ -30,6 +28,8 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number, suggest
 from bench.evaluation.linear import drift_laws
 from bench.evaluation.linear.drift_laws import SCHULER
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
 from bench.navigation import mechanization
 from bench.studies.catalog_units import find_units
 from bench.studies.study import Durations, Positive, StudyOptions, StudyWorkers, Words

@@ -18,8 +18,6 @@ import numpy as np
 
 from bench.campaigns.campaign_file import CampaignSpec
 from bench.campaigns.plan import plan_campaign
-from bench.config.datasheets import read_imu
-from bench.config.library import find_datasheet
 from bench.core.records.findings import Findings
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.drift_laws import drift_sd
@@ -31,6 +29,8 @@ from bench.evaluation.requirements.required_metrics import (
     list_requirements,
     take_value,
 )
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
 from bench.studies.catalog_units import CatalogImu, find_units
 from bench.studies.drawn_errors import UnitFlight
 from bench.studies.study import (

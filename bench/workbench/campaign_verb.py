@@ -13,19 +13,19 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from bench import store
 from bench.baselines.junit import check_required, write_requirements
 from bench.campaigns import plan, running
 from bench.campaigns.card import Card, describe_suite, make_card, read_card, verify_card, write_suite
 from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.campaigns.outcome import Outcome
 from bench.campaigns.running import Campaign, Progress
-from bench.config.profile import make_choice
 from bench.core.records.findings import FindingTable
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.metrics.metric_words import find_words, name_metric
+from bench.io import results
+from bench.io.config.profile import make_choice
 from bench.report import card_page, page
 from bench.report.writing import write_report
 from bench.workbench.console import PlainConsole
@@ -81,7 +81,7 @@ def run_campaign(
     if (folder / running.PRINTED).is_file():
         console.print(f"What filters printed is in {folder / running.PRINTED}.", soft_wrap=True)
     if report:
-        console.print(f"Report: {folder / store.REPORT}", soft_wrap=True)
+        console.print(f"Report: {folder / results.REPORT}", soft_wrap=True)
     return result
 
 
@@ -141,9 +141,9 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
     lost = [f"{one.condition}: {one.sentences[0]}" for one in result.outcomes if one.lost] if several else []
     if several:
-        console.print(f"The sentences on each condition are in {store.CAMPAIGN_RESULT}.", style="dim")
+        console.print(f"The sentences on each condition are in {results.CAMPAIGN_RESULT}.", style="dim")
     print_findings(console, sentences)
-    _print_failures(console, lost, f"conditions have such runs; {store.CAMPAIGN_RESULT} says why.")
+    _print_failures(console, lost, f"conditions have such runs; {results.CAMPAIGN_RESULT} says why.")
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
     _print_failures(console, failures, "failed.")
     missing = result.planned - result.finished
@@ -213,7 +213,7 @@ def run_card(
     words = [options["label"] or make_choice(estimator).label, "quick" if options["quick"] else "full"]
     kept = runs or CARDS / "-".join([*words, *([] if seed is None else [str(seed)])])
     if out is not None:
-        store.check_file(out, force=force)
+        results.check_file(out, force=force)
     if html is not None:
         page.check_page(html, force=force)
     check_required(junit, options["requirements"])
@@ -224,7 +224,7 @@ def run_card(
             console.print(f"{kept} has the finished runs; the same command with --resume continues.")
             raise
     if out is not None:
-        store.write_json(out, card.model_dump())
+        results.write_json(out, card.model_dump())
     if html is not None:
         card_page.write_card(html, card)
     if junit is not None:

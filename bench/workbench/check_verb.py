@@ -18,10 +18,10 @@ from bench.baselines.comparing import ONE_DRAW
 from bench.baselines.junit import write_junit
 from bench.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH, Verdict, Word
 from bench.campaigns.pools import count_processors
-from bench.config.listing import PROFILES
-from bench.config.log import is_datasheet
 from bench.core.records.findings import FindingTable
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.listing import PROFILES
+from bench.io.config.log import is_datasheet
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.log_campaign import list_recordings

@@ -11,7 +11,6 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench import store
 from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.campaigns.merging import merge_campaigns
 from bench.campaigns.stored import load_campaign
@@ -21,6 +20,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.metrics.key_figures import is_key_figure
 from bench.evaluation.metrics.metric_words import name_metric
+from bench.io import results
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page
 from bench.saving import save
@@ -40,7 +40,7 @@ def compare(
     All key figures are printed of the ``whole``, else the main ones.
     """
     if out is not None:
-        store.check_folder(out, force=force)
+        results.check_folder(out, force=force)
     begun = time.perf_counter()
     compared = compare_results(folders)
     notes: list[str] = []
@@ -96,14 +96,14 @@ def _write_overlay(
         names = [str(folder) for folder in folders]
     by_name = dict(zip(names, folders, strict=True))
     tables = [_describe_comparison(one) for one in compared]
-    of_campaigns = {(folder / store.CAMPAIGN_RESULT).is_file() for folder in folders}
+    of_campaigns = {(folder / results.CAMPAIGN_RESULT).is_file() for folder in folders}
     if of_campaigns == {True}:
         merged = merge_campaigns({name: load_campaign(folder) for name, folder in by_name.items()})
-        with store.make_folder(out, force=force) as partial:
+        with results.make_folder(out, force=force) as partial:
             text = campaign_page.make_page(" and ".join(names), merged, tables)
-            durable.write(partial / store.REPORT, text)
+            durable.write(partial / results.REPORT, text)
     elif of_campaigns == {False}:
-        result = merge_results({name: store.load(folder) for name, folder in by_name.items()})
+        result = merge_results({name: results.load(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})
         save(result, out, force=force, say=say)
     else:

@@ -16,7 +16,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.exchange import rinex_fixes
 from bench.exchange.receiver_settings import solve_rinex
 from bench.exchange.rinex.lines import find_kind
-from bench.store.folders import check_file
+from bench.io.results.folders import check_file
 from bench.workbench.printing import MOST_ROWS, print_findings
 
 _COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")

@@ -11,14 +11,14 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import config, store
 from bench.baselines.junit import check_required, write_requirements
-from bench.config.served import load_served
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.words.stages import FLYING, Stage, Watcher
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import judge_result
+from bench.io import config, results
+from bench.io.config.served import load_served
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings
 
@@ -46,14 +46,14 @@ def run(
 
     If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.config.load_profile`. ``table`` prints every main metric, too. ``junit`` is a file for what is
+    `bench.io.config.load_profile`. ``table`` prints every main metric, too. ``junit`` is a file for what is
     required. ``live`` gives what shows the flight of a profile while it flies.
     """
     find_own_estimators()
     profile = config.load_profile(name, **profile_options)
     check_required(junit, profile.document.get("requirement"))
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
-    store.check_folder(folder, force=force)
+    results.check_folder(folder, force=force)
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
     from bench import pipeline  # what takes half a second comes after the first line
 
@@ -88,7 +88,7 @@ def serve(
     find_own_estimators()
     profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
     folder = out or RUNS / f"{profile.name}-{profile.seed}-served"
-    store.check_folder(folder, force=force)
+    results.check_folder(folder, force=force)
     console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
     from bench.serving import serve as serve_flight
 
@@ -114,7 +114,7 @@ def write_first(console: Console, result: RunResult, folder: Path, **options: An
     from bench.saving import save
 
     notes: list[str] = []
-    store.leave_out_pandas()
+    results.leave_out_pandas()
     try:
         with show_stages() as watch:
             watch(Stage("writing"))
@@ -150,16 +150,16 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
 def print_end(console: Console, folder: Path, begun: float | None = None, *, table: bool = True) -> None:
     """Print the folder of the results, how long they took, and the next commands."""
     console.print()
-    for path in sorted(folder.glob(store.PRINTED.format("*"))):
+    for path in sorted(folder.glob(results.PRINTED.format("*"))):
         console.print(f"What a filter printed is in {path}.", soft_wrap=True)
     if begun is not None:
         console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.", soft_wrap=True)
-    page = folder / store.REPORT
+    page = folder / results.REPORT
     if page.is_file():
         console.print(f"Report: {page}", soft_wrap=True)
     if not table:
         console.print(f"All figures: bench show {folder}", soft_wrap=True)
-    if (folder / store.RECORDING).is_file():
+    if (folder / results.RECORDING).is_file():
         console.print(f"Next: bench view {folder}", soft_wrap=True)
 
 
@@ -189,10 +189,10 @@ def fly(name: str, *, console: Console, **profile_options: Any) -> None:
 def look_after_cache(limit: float | None, *, console: Console) -> None:
     """Reduce the cache of flown truth to a size [GB], if one is given, and print its size."""
     if limit is not None:
-        store.trim_cache(int(1e9 * limit))
-    cache = store.measure_cache()
+        results.trim_cache(int(1e9 * limit))
+    cache = results.measure_cache()
     size = f"{cache.folder}: {cache.flights} flights, {cache.size / 1e9:.3f} GB"
-    limits = f"limit: {cache.limit / 1e9:g} GB, set by {store.LIMIT}; the least recently used go first"
+    limits = f"limit: {cache.limit / 1e9:g} GB, set by {results.LIMIT}; the least recently used go first"
     print_findings(console, [size, limits])
 
 

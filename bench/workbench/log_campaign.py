@@ -9,10 +9,10 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.config.listing import PROFILES
-from bench.config.log import is_datasheet, is_log
 from bench.core.records.findings import StudyResult
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.listing import PROFILES
+from bench.io.config.log import is_datasheet, is_log
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.new_log import RECORDINGS, new_log
 from bench.workbench.study_verb import run_study

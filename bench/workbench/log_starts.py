@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bench.config.log import LogSpec, StartSpec
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.motion.recorded_motion import RecordedMotion
-from bench.exchange.log_records import LogRecords
-from bench.exchange.log_start import HOVER, choose_stretch, find_start
+from bench.io.config.log import LogSpec, StartSpec
+from bench.io.logs.log_records import LogRecords
+from bench.io.logs.log_start import HOVER, choose_stretch, find_start
 from bench.log_pipeline import Session
 from bench.navigation.start import alignment
 from bench.navigation.start.leveling import LEAST_REST

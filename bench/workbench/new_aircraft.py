@@ -17,9 +17,6 @@ from typing import Any, TypeVar
 import numpy as np
 from rich.console import Console
 
-from bench.config.external_truth import find_jsbsim_root, has_guidance, list_root_aircraft
-from bench.config.library import read_jsbsim_aircraft
-from bench.config.listing import JSBSIM, NAME, list_aircraft_folders
 from bench.core.files import durable
 from bench.core.files.spawned import count_work, measure_cpu
 from bench.core.mathematics.arrays import FloatArray
@@ -29,6 +26,9 @@ from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import AircraftSpec, ForeignSpec
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.wording import suggest
+from bench.io.config.external_truth import find_jsbsim_root, has_guidance, list_root_aircraft
+from bench.io.config.library import read_jsbsim_aircraft
+from bench.io.config.listing import JSBSIM, NAME, list_aircraft_folders
 from bench.simulation.flight.child_process import fly_in_child
 from bench.simulation.flight.guidance.gain_design import (
     BANK,

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from bench.config.log import LogSpec, load_log
 from bench.core.files import durable
 from bench.core.files.file_checks import check_file, read_json
 from bench.core.mathematics.units import split_unit
@@ -21,13 +20,15 @@ from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
-from bench.exchange import autopilot, found_datasheets, imports
-from bench.exchange.exporter_names import FORWARD_LEFT_UP
-from bench.exchange.exports.column_files import START
-from bench.exchange.imports.contents import Contents
-from bench.exchange.log_records import LogRecords, read_records
-from bench.exchange.mat_file import list_structures, read_mat
-from bench.exchange.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
+from bench.exchange import autopilot
+from bench.io.config.log import LogSpec, load_log
+from bench.io.exports.column_files import START
+from bench.io.logs import formats, found_datasheets
+from bench.io.logs.exporter_names import FORWARD_LEFT_UP
+from bench.io.logs.formats.contents import Contents
+from bench.io.logs.log_records import LogRecords, read_records
+from bench.io.logs.mat_file import list_structures, read_mat
+from bench.io.logs.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
 from bench.navigation.start.course import LEAST_SPEED
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 from bench.workbench.log_starts import ChosenStart, choose_start
@@ -137,7 +138,7 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
     held = autopilot.look(form, path)
     for kind in ("imu", "gnss"):
         if kind not in held.sensors:
-            imports.read(form, path, kind, None)  # says why
+            formats.read(form, path, kind, None)  # says why
             raise ConfigError(f"{path.name}: its {kind} has no usable row")
     sensors = [kind for kind in held.sensors if kind != "mag" or _has_field(held.date)]
     made: list[Path] = []

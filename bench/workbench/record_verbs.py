@@ -9,8 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import api, config, log_pipeline, store
-from bench.config.checks import is_code
+from bench import api, log_pipeline
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import TriadSpec
@@ -19,6 +18,8 @@ from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
 from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
 from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
+from bench.io import config, results
+from bench.io.config.checks import is_code
 from bench.workbench import result_table
 from bench.workbench.flight_verbs import (
     RUNS,
@@ -56,7 +57,7 @@ def navigate_log(
     find_own_estimators()
     name = _find_log(name, console, rates)
     folder = out or RUNS / Path(name).stem
-    store.check_folder(folder, force=force)
+    results.check_folder(folder, force=force)
     begun = time.perf_counter()
     log = log_pipeline.read_log(name, **log_options)
     title = one_line(log.spec.title)
@@ -124,7 +125,7 @@ def write_recording(folder: Path, out: Path | None, *, force: bool, console: Con
 
 def find_runs(folder: Path, which: Sequence[str]) -> dict[str, str] | None:
     """Return the commands of runs of a campaign by name; None if the folder is not that of a campaign."""
-    if not (folder / store.CAMPAIGN_RESULT).is_file():
+    if not (folder / results.CAMPAIGN_RESULT).is_file():
         return None
     from bench.campaigns.stored import choose_runs, load_campaign
 
@@ -143,15 +144,15 @@ def record_runs(
     """Fly runs of a campaign again, and record them side by side.
 
     Each run has ``profile``, ``draw``, and the ``seed``, ``estimators``, ``overrides`` and ``guard`` of
-    `bench.config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
+    `config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
     """
     from bench import recording
     from bench.plots.overlay import merge_results
 
-    path = folder / store.RECORDING if out is None else out
+    path = folder / results.RECORDING if out is None else out
     recording.check_recording(path, force=force or out is None)
     find_own_estimators()
-    results = {}
+    flown = {}
     for name, options in runs.items():
         code = [use for use in options["estimators"] or () if is_code(use)]
         if code and not allow_code:
@@ -161,9 +162,9 @@ def record_runs(
             )
         given = {key: options[key] for key in ("overrides", "seed", "estimators", "guard")}
         profile = config.load_profile(options["profile"], **given, allow_code=allow_code)
-        results[name] = api.run(profile, run=options["draw"])
-    recording.write(path, folder.resolve().name, merge_results(results))
-    console.print(f"Wrote {path}: {'; '.join(results)}.", soft_wrap=True)
+        flown[name] = api.run(profile, run=options["draw"])
+    recording.write(path, folder.resolve().name, merge_results(flown))
+    console.print(f"Wrote {path}: {'; '.join(flown)}.", soft_wrap=True)
 
 
 def write_report(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:

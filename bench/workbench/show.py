@@ -8,13 +8,13 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import config
-from bench.config.figure_table import ASSUMED, tabulate_figures
-from bench.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
+from bench.io import config
+from bench.io.config.figure_table import ASSUMED, tabulate_figures
+from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
 from bench.studies import STUDIES
@@ -104,7 +104,7 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
 
 def list_exports() -> list[CatalogEntry]:
     """Return every format of `bench.api.list_exports`."""
-    from bench.exchange.exports import list_formats
+    from bench.io.exports import list_formats
 
     return [CatalogEntry(name, title, "export") for name, title in list_formats().items()]
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench import store
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
+from bench.io import results
 from bench.workbench.flight_verbs import RUNS, describe_run, print_end, print_result
 
 
@@ -21,18 +21,18 @@ def show_results(folder: Path | None, *, console: Console) -> None:
         If the folder has no results.
     """
     folder = folder or _find_newest()
-    if (folder / store.CAMPAIGN_RESULT).is_file():
+    if (folder / results.CAMPAIGN_RESULT).is_file():
         from bench.campaigns.stored import load_campaign
         from bench.workbench.campaign_verb import print_campaign
 
         print_campaign(console, load_campaign(folder), table=True)
-    elif (folder / store.STUDY_RESULT).is_file():
-        from bench.store.study_folder import load_study
+    elif (folder / results.STUDY_RESULT).is_file():
+        from bench.io.results.study_folder import load_study
         from bench.workbench.study_verb import print_study
 
         print_study(console, load_study(folder))
     else:
-        result = store.load(folder)
+        result = results.load(folder)
         title = str(result.profile.get("title", folder.name))
         if "log" in result.more:
             console.print(f"{one_line(title)}\n{result.evaluation}\n")
@@ -46,7 +46,7 @@ def show_results(folder: Path | None, *, console: Console) -> None:
 
 
 def _find_newest() -> Path:
-    found = [path.parent for path in RUNS.glob(f"*/{store.RESULT}")]
+    found = [path.parent for path in RUNS.glob(f"*/{results.RESULT}")]
     if not found:
         raise ConfigError(f"no results below {RUNS}: bench run figure-eight makes some")
-    return max(found, key=lambda one: (one / store.RESULT).stat().st_mtime)
+    return max(found, key=lambda one: (one / results.RESULT).stat().st_mtime)

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
-from bench import store
 from bench.core.records.findings import StudyResult
+from bench.io import results
 from bench.report.writing import write_report
 from bench.studies.conducting import study
 from bench.studies.study import Progress
@@ -28,7 +28,7 @@ def run_study(name: str, *, console: Console, out: Path | None, report: bool, **
         write_report(out)
     print_study(console, result)
     if out is not None:
-        console.print(f"Wrote {out / store.REPORT if report else out}.", soft_wrap=True)
+        console.print(f"Wrote {out / results.REPORT if report else out}.", soft_wrap=True)
     return result
 
 

@@ -20,7 +20,7 @@ from rich.console import Console
 from bench.core.files.file_checks import check_file
 from bench.core.records.data import ShowFlight
 from bench.core.words.exceptions import ConfigError, ViewerError
-from bench.store import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
+from bench.io.results import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 from bench.workbench import web_page
 from bench.workbench.flight_verbs import RUNS
 from bench.workbench.web_page import LOCAL

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.compilation.compiled import choose_cache
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Profile
 from bench.core.words.exceptions import ConfigError
+from bench.io import config
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.flight.legs.level import Straight
 

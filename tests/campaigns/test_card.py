@@ -19,11 +19,11 @@ from bench.campaigns.card_comparison import list_differences
 from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
-from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.regression import average_changes
-from bench.exchange.solution_folder import name_draw
+from bench.io.config import load_profile
+from bench.io.foreign.solution_folder import name_draw
 from bench.report.card_page import write_card
 from tests.campaigns import card_power
 from tests.campaigns.test_campaign import PROFILE

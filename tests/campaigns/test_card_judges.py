@@ -19,10 +19,10 @@ from bench.campaigns.card_causality import hash_all_answers, judge_causality
 from bench.campaigns.card_comparison import compare_cards, name_cards
 from bench.campaigns.card_lines import SAME, SHARE, Line, write_figure
 from bench.campaigns.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
-from bench.config import load_profile
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import EstimatorFailedError
 from bench.evaluation.ensembles.regression import Change
+from bench.io.config import load_profile
 from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_card_lines import make_card, make_line

@@ -14,9 +14,9 @@ from bench.campaigns.card_suite import LATE, Suite, SuiteFlight
 from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.campaigns.worker import hash_answers
 from bench.cli import main
-from bench.config import load_profile
 from bench.core.records.specs import Guard
 from bench.core.words.exceptions import ConfigError
+from bench.io.config import load_profile
 from bench.workbench import guide
 from tests.campaigns.cheat_table import CHEATS
 from tests.campaigns.test_campaign import PROFILE

@@ -20,13 +20,13 @@ from bench.campaigns.pools import ExecutorPool, ProcessPool, SerialExecutor
 from bench.campaigns.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
 from bench.campaigns.worker import RunTask
 from bench.cli import main
-from bench.config import load_profile
 from bench.core.files.places import PACKAGE
 from bench.core.records.data import ErrorSeries, Innovations, no_innovations
 from bench.core.records.specs import DEFAULT_GUARD
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
-from bench.store import truth_key
+from bench.io.config import load_profile
+from bench.io.results import truth_key
 from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.data import Trajectory
 from bench.core.records.sensor_specs import AssumedSpecs, Fault, SensorsSpec
@@ -26,6 +26,7 @@ from bench.evaluation.causes.candidates import list_candidates
 from bench.evaluation.causes.search import Causes, find_causes
 from bench.evaluation.consistency.block_nees import BlockNees, find_broken_block, judge_blocks
 from bench.evaluation.errors.error_series import error_series
+from bench.io import config
 from bench.navigation import built_in, estimator
 from bench.simulation import sensors
 

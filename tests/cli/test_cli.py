@@ -19,12 +19,13 @@ import pytest
 import rerun as rr
 
 import bench
-from bench import pipeline, recording, store
+from bench import pipeline, recording
 from bench.cli import main
 from bench.cli.group import commands, end_run
 from bench.core.words.exceptions import FlightError
+from bench.io import results
+from bench.io.results import parquet
 from bench.report import page as report_page
-from bench.store import parquet
 from bench.workbench import viewer
 
 PROFILE = """
@@ -104,7 +105,7 @@ def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
     assert "✓ loose-15: consistent; horizontal error" in out
     assert out.endswith("Next: bench view runs/short-5\n")
     assert left(here / "runs") == ["short-5"]
-    result = store.load(folder)
+    result = results.load(folder)
     assert result.profile["sensors"]["assumed"]["imu"] == "matched-mems"
     assert result.metrics["loose-15"]["converged"] is True
 
@@ -141,7 +142,7 @@ def test_json_is_all_there_is_on_stdout(here, capsys):
     metrics = json.loads(out)
     assert metrics["loose-15"]["pos_rmse_h_m"] > 0
     assert "Wrote a/b" in err
-    assert store.load("a/b").seed == 8
+    assert results.load("a/b").seed == 8
 
 
 def test_every_option_has_an_effect(here, capsys):
@@ -338,7 +339,7 @@ def test_all_errors_are_said_at_once(here, capsys):
 
 @pytest.mark.parametrize("text", ["<output name='x'/>", "no XML", "<fdm_config/>"])
 def test_an_aircraft_that_does_not_load_is_status_3(here, capsys, text):
-    from bench.config.library import find_aircraft
+    from bench.io.config.library import find_aircraft
 
     own = here / "aircraft" / "kite"
     own.mkdir(parents=True)
@@ -376,7 +377,7 @@ def test_a_filter_that_diverges_is_a_result_and_status_1(here, capsys, monkeypat
     status, out, _ = say(capsys, "run", "short.toml", "-o", "a", "-e", "loose-15", "-e", "my_lab:Lost")
     assert status == 1
     assert "Lost: diverged; " in out
-    metrics = store.load("a").metrics
+    metrics = results.load("a").metrics
     assert (metrics["loose-15"]["converged"], metrics["Lost"]["converged"]) == (True, False)
     assert metrics["Lost"]["pos_rmse_h_m"] is None
 
@@ -419,7 +420,7 @@ def test_a_recording_or_report_that_fails_is_status_5_and_loses_nothing(
     verb = {"recording": "record", "report": "report"}[view]
     assert err == f"error: a: the results are written, but {reason}; bench {verb} a makes it again\n"
     made = {"recording": "flight.rrd", "report": "report.html"}
-    assert store.load("a").metrics["loose-15"]["converged"]
+    assert results.load("a").metrics["loose-15"]["converged"]
     assert [name for name in made.values() if (here / "a" / name).is_file()] == [
         name for one, name in made.items() if one != view
     ]

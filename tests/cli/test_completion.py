@@ -42,7 +42,7 @@ def test_a_profile_of_the_present_folder_is_completed(tmp_path, monkeypatch):
 
 
 def test_nothing_is_imported_for_it_before_it_is_asked_for():
-    code = "import sys, bench.cli; print('bench.config' in sys.modules, 'numpy' in sys.modules)"
+    code = "import sys, bench.cli; print('bench.io.config' in sys.modules, 'numpy' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
 

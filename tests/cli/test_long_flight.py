@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.config.library import find_profile
+from bench.io.config.library import find_profile
 
 MOST = 700e6
 """Memory of a process, that of its libraries and of what it has mapped of files included [byte]."""

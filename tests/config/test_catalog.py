@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench.cli import main
-from bench.config.datasheets import SENSORS, read_gnss, read_imu
-from bench.config.figure_table import tabulate_figures
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.datasheets import SENSORS, read_gnss, read_imu
+from bench.io.config.figure_table import tabulate_figures
 from bench.simulation.sensors import imu
 from bench.simulation.sensors.draws import SensorDraws
 from bench.studies.catalog_units import find_typical

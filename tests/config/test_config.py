@@ -16,15 +16,15 @@ from typing import get_args
 
 import pytest
 
-from bench import config
-from bench.config.datasheets import read_imu
-from bench.config.log import load_log
-from bench.config.overrides import split_overrides
-from bench.config.toml_file import read_toml
 from bench.core.files.places import PACKAGE
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io import config
+from bench.io.config.datasheets import read_imu
+from bench.io.config.log import load_log
+from bench.io.config.overrides import split_overrides
+from bench.io.config.toml_file import read_toml
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Straight
@@ -574,7 +574,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
 
 
 def test_every_class_has_a_shape_and_limits(tmp_path):
-    from bench.config.profile_tables import Category
+    from bench.io.config.profile_tables import Category
     from bench.recording.meshes import MESHES
     from bench.simulation.flight.sanity import LIMITS
 

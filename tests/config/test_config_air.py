@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from bench import config
 from bench.cli import main
-from bench.config.datasheets import SENSORS
+from bench.core.files.places import PACKAGE
 from bench.core.records.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io import config
+from bench.io.config.datasheets import SENSORS
 from bench.navigation.built_in import load
 
 PROFILE = """
@@ -242,7 +243,7 @@ def test_the_catalog_lists_them_with_what_is_assumed(capsys):
 
 def test_what_filters_assume_of_the_physical_barometer_follows_from_its_parts():
     """White noise at 0.083 m/Pa; bias: sensor and setting, and the day's deviation at 1000 m."""
-    path = Path(config.__file__).parents[1] / "catalog" / "baro" / "bmp388-physical.toml"
+    path = PACKAGE / "catalog" / "baro" / "bmp388-physical.toml"
     spec = SENSORS["baro"](path, path.name)
     unit = spec.physical
     metre = 288.15 * 287.05287 / (9.80665 * 101325.0)

@@ -4,9 +4,9 @@ import math
 
 import pytest
 
-from bench import config
 from bench.core.mathematics import earth
 from bench.core.records.flight_specs import Runway
+from bench.io import config
 from tests.config.test_config import errors, write
 
 RUNWAY_LEGS = [

@@ -11,8 +11,8 @@ from typing import Any
 import jsonschema
 import pytest
 
-from bench.config.schemas import SCHEMAS
 from bench.core.files.places import PACKAGE
+from bench.io.config.schemas import SCHEMAS
 
 AIRCRAFT = PACKAGE.parent / "aircraft"
 LOGS = PACKAGE.parent / "tests" / "logs"

@@ -16,11 +16,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.records.data import NavSolution, Sensed, Trajectory
 from bench.core.records.specs import Profile
 from bench.evaluation.consistency.verdict import BROKEN, add_verdict
 from bench.evaluation.conventions.convention_search import find_mistakes
+from bench.io import config
 from bench.navigation import built_in, estimator
 
 USE = "loose-15"

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import bench
-from bench.config.listing import list_profiles
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.instruments import BaroData
 from bench.evaluation.motion.recorded_motion import Check
 from bench.evaluation.motion.validity import check_recording
+from bench.io.config.listing import list_profiles
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench import pipeline
-from bench.config import load_profile
+from bench.io.config import load_profile
 from bench.navigation.models.loose_tight import Loose
 from tests.builders import ensemble
 

@@ -10,13 +10,13 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
-from bench.config.listing import list_profiles
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.instruments import BaroData
 from bench.evaluation.motion import axis_search, motion_checks, motion_fit, validity
 from bench.evaluation.motion.axis_search import Axes, describe_axes
 from bench.evaluation.motion.recorded_motion import RecordedMotion
+from bench.io.config.listing import list_profiles
 from tests.evaluation import seeded
 
 

@@ -11,8 +11,8 @@ import bench
 from bench.campaigns.groups import Group
 from bench.campaigns.plan import Condition, plan_runs
 from bench.campaigns.worker import CHANNELS
-from bench.config.listing import list_profiles
 from bench.core.records.specs import EvaluationWindow
+from bench.io.config.listing import list_profiles
 from bench.navigation import built_in
 from tests import nees_table
 

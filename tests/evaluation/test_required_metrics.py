@@ -152,7 +152,7 @@ def test_junit_without_a_requirement_is_refused(tmp_path, capsys, monkeypatch):
 
 
 def test_a_wrong_requirement_is_named(tmp_path):
-    from bench.config import load_profile
+    from bench.io.config import load_profile
 
     rows = (
         '[[requirement]]\nmetric = "pos_rms"\nmost = 1.0\n'

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.mathematics import earth
 from bench.core.records.data import NavSolution, OffPath
 from bench.core.records.specs import EvaluationWindow
@@ -18,6 +18,7 @@ from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.errors.total_system import locate_path, resolve
 from bench.evaluation.metrics import run_metrics
 from bench.evaluation.metrics.case import build_case
+from bench.io import config
 from bench.simulation.flight.guidance.desired_path import measure_off_path
 
 

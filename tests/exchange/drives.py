@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import TableSpec
-from bench.exchange.trajectory import read_trajectory
-from bench.store import join_pieces
+from bench.io.results import join_pieces
+from bench.io.trajectories.trajectory import read_trajectory
 
 ORIGIN = np.array([np.deg2rad(47.0), np.deg2rad(11.0), 600.0])
 REST, LENGTH, RATE = 20.0, 150.0, 100.0  # [s], [s], [Hz]

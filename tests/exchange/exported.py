@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from bench import config, store
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import select_epochs
 from bench.evaluation.metrics import run_metrics
+from bench.io import config, results
 from bench.simulation import sensors
 from tests.evaluation.solutions import wrong_solution
 from tests.synthetic import turning
@@ -48,8 +48,8 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
         {},
         records={"truth": truth, "sensed": sensed},
     )
-    with store.make_folder(folder) as partial:
-        store.save(partial, result)
+    with results.make_folder(folder) as partial:
+        results.save(partial, result)
     return truth, sensed
 
 

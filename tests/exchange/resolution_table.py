@@ -15,8 +15,8 @@ from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.flight_specs import TrackSpec
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.track_files import FixSeries
-from bench.exchange.track_motion import make_motion
+from bench.io.trajectories.track_files import FixSeries
+from bench.io.trajectories.track_motion import make_motion
 
 G = 9.80665
 FLIGHTS: dict[

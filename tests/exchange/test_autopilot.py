@@ -14,14 +14,15 @@ from numpy.testing import assert_allclose
 import bench
 from bench import log_pipeline
 from bench.cli import main
-from bench.config.log import SourceSpec, load_log
 from bench.core.mathematics import earth, rotation
 from bench.core.records.instruments import BaroData, RadarData
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot, log_start, own_judge
-from bench.exchange.imports.contents import tell_innovations, turn_quaternion
-from bench.exchange.log_records import _find_ground, read_records, set_altimeter
-from bench.exchange.log_start import choose_stretch, find_magnetic_heading, find_start
+from bench.exchange import autopilot, own_judge
+from bench.io.config.log import SourceSpec, load_log
+from bench.io.logs import log_start
+from bench.io.logs.formats.contents import tell_innovations, turn_quaternion
+from bench.io.logs.log_records import _find_ground, read_records, set_altimeter
+from bench.io.logs.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.simulation.signals.magnetic import field_n

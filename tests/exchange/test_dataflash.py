@@ -10,11 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.cli import main
-from bench.config.log import SourceSpec
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot, imports
-from bench.exchange.imports.dataflash import DataFlash
-from bench.exchange.imports.flash_rows import look
+from bench.exchange import autopilot
+from bench.io.config.log import SourceSpec
+from bench.io.logs import formats
+from bench.io.logs.formats.dataflash import DataFlash
+from bench.io.logs.formats.flash_rows import look
 from tests.exchange.flash import HEAD, unpack, write_flash
 
 FLIGHTS = Path(__file__).parents[1] / "logs" / "flights"
@@ -25,7 +26,7 @@ PARM = ("QNf", "TimeUS,Name,Value")
 
 
 def read(path: Path, kind: str, topic: str | None = None):
-    return imports.read("dataflash", path, kind, topic)
+    return formats.read("dataflash", path, kind, topic)
 
 
 def fix(t_us: int, status=3, lat=-35.0, spd=10.0, course=30.0, vz=-1.0, instance=0):
@@ -322,7 +323,7 @@ def test_an_instance_is_a_number(topic):
     with pytest.raises(ConfigError, match="the instance after the colon must be a number"):
         read(FLIGHTS / "copter.bin", "imu", topic)
     with pytest.raises(ConfigError, match="the instance after the colon must be a number"):
-        imports.read("ulog", FLIGHTS / "sitl.ulg", "imu", topic.replace("IMU", "sensor_combined"))
+        formats.read("ulog", FLIGHTS / "sitl.ulg", "imu", topic.replace("IMU", "sensor_combined"))
 
 
 def test_an_airspeed_without_a_barometer_says_so(tmp_path):

@@ -21,13 +21,13 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import store
 from bench.cli import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import InitialState
 from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
 from bench.core.words.exceptions import ExportError
-from bench.exchange.exports import FORMATS, gather, local, write
+from bench.io import results
+from bench.io.exports import FORMATS, gather, local, write
 from tests.exchange.exported import ERROR, make_run, text_rows
 
 SECOND = 4 * 86400 + 18.0  # 2026-01-01 is the fifth day of GPS week 2399, 18 s behind GPS time
@@ -168,7 +168,7 @@ def unknown_start(whole):
     """The same run, the initial state left to the alignment on the move."""
     unknown, wide = np.full(3, np.nan), np.diag(np.full(9, np.inf))
     asked = InitialState(0.0, unknown, unknown, np.full(4, np.nan), wide, "course", 10.0, drift_sd=0.02)
-    return replace(whole, start={**whole.start, "initial": store.write_initial_state(asked)})
+    return replace(whole, start={**whole.start, "initial": results.write_initial_state(asked)})
 
 
 def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
@@ -176,7 +176,7 @@ def test_a_start_that_the_filters_find_is_exported_from_there_on(run, tmp_path):
     _, truth, sensed = run
     whole = unknown_start(gather(run[0]))
     out, remark = whole.align()
-    initial = store.read_initial_state(out.start)
+    initial = results.read_initial_state(out.start)
     assert 9.0 < initial.t < 12.0
     lost = int((sensed.data.imu.t <= initial.t).sum())
     assert (len(whole.imu) - len(out.imu), out.fixes.t.min() > initial.t) == (lost, True)
@@ -200,7 +200,7 @@ def test_what_is_not_known_of_a_start_is_nan_in_matlab(run, tmp_path):
     from scipy.io import loadmat
 
     folder = shutil.copytree(run[0], tmp_path / "run")
-    store.write_json(folder / store.START, dict(unknown_start(gather(folder)).start))
+    results.write_json(folder / results.START, dict(unknown_start(gather(folder)).start))
     (tmp_path / "out").mkdir()
     write(tmp_path / "out", "mat", gather(folder), "circle")
     read = loadmat(tmp_path / "out" / "run.mat", squeeze_me=True, struct_as_record=False)["start"].initial
@@ -408,10 +408,10 @@ def degrees(angle: str, side: str) -> float:
 
 
 def test_nmea_of_the_south_west_and_of_a_full_minute():
-    from bench.exchange.exports.nmea import make_sentences
+    from bench.io.exports.nmea import make_sentences
 
     lla = np.array([np.deg2rad(-33.9999999999), np.deg2rad(-0.5), 10.0])
-    from bench.exchange.exports.outgoing import Calendar
+    from bench.io.exports.outgoing import Calendar
 
     calendar = Calendar(2399, 18.0, datetime(2026, 1, 4))
     gga, rmc = make_sentences(calendar, 86399.9996, lla, np.array([-1.0, -1e-9, 0.0]), 7, valid=True)
@@ -568,7 +568,7 @@ def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_pat
     assert err == f"error: {where}: not replaced, bench did not write it (no .bench.json of bench in it)\n"
     err = complaint(capsys, *to, "-o", str(run[0]), "--force")
     assert "not replaced" in err
-    assert store.load(run[0]).seed == 4
+    assert results.load(run[0]).seed == 4
 
 
 def test_the_default_folder_stands_beside_the_run(run, capsys):

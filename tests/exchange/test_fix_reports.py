@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bench.config.log import load_log
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.log_records import read_records
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
 from bench.log_pipeline import read_log
 from tests.exchange import drives
 

@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.sensor_search import (
+from bench.io.logs.sensor_search import (
     FoundSensor,
     _guess_angle,
     _guess_force,
@@ -20,7 +20,7 @@ from bench.exchange.sensor_search import (
     _guess_turn,
     find_texts,
 )
-from bench.exchange.table_files import group, list_columns, read_columns, read_table
+from bench.io.logs.table_files import group, list_columns, read_columns, read_table
 
 ROWS = ["0,47.5,11", "0.5,47.25,12"]
 KINDS = {"time": (group("clock", "t"),), "place": (group("angle", "lat", "lon"),)}

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from bench.config.datasheets import SENSORS, read_imu
 from bench.core.files.places import PACKAGE
-from bench.exchange.found_datasheets import read_imu_sheet, write_baro_sheet
+from bench.io.config.datasheets import SENSORS, read_imu
+from bench.io.logs.found_datasheets import read_imu_sheet, write_baro_sheet
 
 ROW = np.ones((1, 3))
 

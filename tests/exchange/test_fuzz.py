@@ -9,17 +9,18 @@ import pytest
 
 import bench
 from bench.cli import main
-from bench.config.datasheets import SENSORS
-from bench.config.log import load_log
 from bench.core.words.exceptions import BenchError, ConfigError
-from bench.exchange import almanac, imports
-from bench.exchange.resting_log import read_resting_log
+from bench.exchange import almanac
 from bench.exchange.rinex.ephemerides import read_navigation
 from bench.exchange.rinex.observations import read_observations
 from bench.exchange.rinex.precise_orbits import read_precise_orbits
-from bench.exchange.solutions import read_solution
-from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
+from bench.io.config.datasheets import SENSORS
+from bench.io.config.log import load_log
+from bench.io.foreign.solutions import read_solution
+from bench.io.logs import formats
+from bench.io.logs.resting_log import read_resting_log
+from bench.io.trajectories.track_files import read_track
 from tests import fuzz
 from tests.exchange import test_log_formats
 
@@ -206,17 +207,17 @@ LARGE = {
     "table.csv": read_solution,
     "table.parquet": read_solution,
     "table.mat": read_solution,
-    "log.ulg": lambda path: imports.read("ulog", path, "imu", None),
-    "log.bag": lambda path: imports.read("rosbag", path, "imu", None),
-    "log.mcap": lambda path: imports.read("mcap", path, "imu", None),
-    "imu.txt": lambda path: imports.read("kf-gins", path, "imu", None),
-    "log.pos": lambda path: imports.read("rtklib", path, "gnss", None),
-    "log.mat": lambda path: imports.read("navego", path, "imu", None),
+    "log.ulg": lambda path: formats.read("ulog", path, "imu", None),
+    "log.bag": lambda path: formats.read("rosbag", path, "imu", None),
+    "log.mcap": lambda path: formats.read("mcap", path, "imu", None),
+    "imu.txt": lambda path: formats.read("kf-gins", path, "imu", None),
+    "log.pos": lambda path: formats.read("rtklib", path, "gnss", None),
+    "log.mat": lambda path: formats.read("navego", path, "imu", None),
     "site.rnx": read_observations,
     "brdc.rnx": read_navigation,
     "orbits.sp3": read_precise_orbits,
     "log.ubx": read_ubx,
-    "log.bin": lambda path: imports.read("dataflash", path, "imu", None),
+    "log.bin": lambda path: formats.read("dataflash", path, "imu", None),
     "track.igc": read_track,
     "track.gpx": read_track,
     "yuma.txt": lambda path: almanac.read_yuma(path, 1.3e9),

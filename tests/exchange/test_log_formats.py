@@ -24,10 +24,10 @@ from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.imports import bags
-from bench.exchange.log_records import read_records
+from bench.io.config.log import load_log
+from bench.io.logs.formats import bags
+from bench.io.logs.log_records import read_records
 from tests.exchange import drives
 
 EPOCH = 1_751_000_000.0  # what a clock of ROS shows at t = 0 [s]

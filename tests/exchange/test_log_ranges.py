@@ -8,21 +8,20 @@ import numpy as np
 import pytest
 
 import bench
-from bench import config
-from bench.config.log import RANGES, SourceSpec, load_log
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GLONASS, SYSTEM_NAMES
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.exchange import exports
-from bench.exchange.exports.outgoing import ExportData
-from bench.exchange.log_ranges import read_ranges
-from bench.exchange.log_records import read_records
+from bench.io import config, exports
+from bench.io.config.log import RANGES, SourceSpec, load_log
+from bench.io.exports.outgoing import ExportData
+from bench.io.logs.log_ranges import read_ranges
+from bench.io.logs.log_records import read_records
+from bench.io.results import make_start_document
 from bench.log_pipeline import Session, read_log
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import compute_antenna_motion
-from bench.store import make_start_document
 from tests.navigation.test_tight import taken
 from tests.weaving import units, weaving
 

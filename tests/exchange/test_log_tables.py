@@ -9,13 +9,13 @@ from scipy.io import savemat
 
 import bench
 from bench.baselines.experiments import open_experiment
-from bench.config.log import load_log
-from bench.config.log_tables import LogAssumedTable, LogTable
 from bench.core.records.data import ImuData
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.log_records import divide_intervals, read_records
-from bench.exchange.rows import INSTRUMENT_ROWS
+from bench.io.config.log import load_log
+from bench.io.config.log_tables import LogAssumedTable, LogTable
+from bench.io.logs.log_records import divide_intervals, read_records
+from bench.io.logs.rows import INSTRUMENT_ROWS
 from tests.exchange import drives
 from tests.exchange.exported import INVALID, make_run
 

@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import config, pipeline, store
+from bench import pipeline
 from bench.cli import main
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.metrics import run_metrics
-from bench.exchange import outside
-from bench.exchange.outside import CommandEstimator
+from bench.io import config, results
+from bench.io.foreign import outside
+from bench.io.foreign.outside import CommandEstimator
 from bench.navigation import estimator
 from tests.cli.test_cli import PROFILE
 
@@ -115,7 +116,7 @@ def test_a_program_stands_in_a_comparison_beside_a_built_in_filter(tmp_path, hol
     assert main(["run", "short.toml", "--table", *options[:2]]) in (0, 1)
     said = capsys.readouterr().out
     assert ": exit status 0; stderr ends: " in said
-    result = store.load(tmp_path / "runs" / "short-5")
+    result = results.load(tmp_path / "runs" / "short-5")
     label = next(iter(result.metrics))
     assert label in ("hold", "awk")
     assert list(result.metrics) == [label, "loose-15"]
@@ -163,12 +164,14 @@ def test_the_program_sees_the_sensors_and_nothing_else(run, tmp_path, monkeypatc
 def test_the_start_holds_what_the_filters_of_the_bench_are_told_and_no_more(run):
     """Neither drawn biases nor truth are in what a program gets: it follows from the two arguments alone."""
     _, _, sensed = run
-    document = store.make_start_document(sensed.data, sensed.initial)
+    document = results.make_start_document(sensed.data, sensed.initial)
     assert set(document) == {"initial", "antenna_b_m", "ground_alt_m", "date", "assumed"}
     other = dataclasses.replace(
         sensed, truth=dataclasses.replace(sensed.truth, gyro_bias_b=sensed.truth.gyro_bias_b + 1)
     )
-    assert store.to_json(store.make_start_document(other.data, other.initial)) == store.to_json(document)
+    assert results.to_json(results.make_start_document(other.data, other.initial)) == results.to_json(
+        document
+    )
 
 
 def test_no_shell_is_between(run, tmp_path):

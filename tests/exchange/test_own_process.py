@@ -23,7 +23,6 @@ from numpy.testing import assert_array_equal
 import bench
 from bench import pipeline
 from bench.campaigns.plan import plan_runs
-from bench.config import load_profile
 from bench.core.records.data import InitialState, SensorData
 from bench.core.records.fields import Record
 from bench.core.records.specs import EstimatorChoice, Guard
@@ -33,8 +32,9 @@ from bench.core.words.exceptions import (
     EstimatorFailedError,
     EstimatorStoppedError,
 )
-from bench.exchange import filter_process, filter_server
-from bench.exchange.record_messages import RecordMessage, read_message
+from bench.io.config import load_profile
+from bench.io.foreign import filter_process, filter_server
+from bench.io.foreign.record_messages import RecordMessage, read_message
 from bench.simulation import sensors
 from tests.builders import assert_same_solution
 from tests.cli.test_cli import PROFILE

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import pytest
 
-from bench import store
 from bench.baselines.baseline_file import read_baseline
-from bench.config.toml_file import read_toml
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.imports import bags, text, ulog
-from bench.exchange.mat_file import read_mat
 from bench.exchange.rinex.lines import open_lines
-from bench.exchange.solutions import read_solution
-from bench.exchange.table_files import read_table
-from bench.exchange.track_files import read_track
 from bench.exchange.ubx import read_ubx
+from bench.io import results
+from bench.io.config.toml_file import read_toml
+from bench.io.foreign.solutions import read_solution
+from bench.io.logs.formats import bags, text, ulog
+from bench.io.logs.mat_file import read_mat
+from bench.io.logs.table_files import read_table
+from bench.io.trajectories.track_files import read_track
 from bench.simulation.signals.terrain import describe_terrain
 
 
@@ -42,7 +42,7 @@ READERS = {
     "x.hgt": lambda path: describe_terrain(path, path.name, 0.0, None),
     "x.json": read_baseline,
     "solution.csv": read_solution,
-    "result.json": lambda path: store.load(path.parent),
+    "result.json": lambda path: results.load(path.parent),
 }
 
 

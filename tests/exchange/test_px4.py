@@ -12,13 +12,14 @@ from numpy.testing import assert_allclose
 from pyulog import ULog
 
 from bench.cli import main
-from bench.config.log import SourceSpec, load_log
 from bench.core.mathematics.earth import difference_n
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot, imports
-from bench.exchange.imports import ulog, ulog_motion
-from bench.exchange.imports.ulog import find_undulation, measure_cover
-from bench.exchange.log_records import read_records
+from bench.exchange import autopilot
+from bench.io.config.log import SourceSpec, load_log
+from bench.io.logs import formats
+from bench.io.logs.formats import ulog, ulog_motion
+from bench.io.logs.formats.ulog import find_undulation, measure_cover
+from bench.io.logs.log_records import read_records
 from tests.exchange.test_dataflash import FLIGHTS
 
 
@@ -33,17 +34,17 @@ def raw(name: str, message: str) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", ["sitl.ulg", "sitl-truth.ulg"])
 def test_the_imu_is_the_stream_that_covers_the_time(name):
     """vehicle_imu is there, too, twice a second, and no IMU at all."""
-    rows, own = imports.read("ulog", FLIGHTS / name, "imu", None), raw(name, "sensor_combined")
+    rows, own = formats.read("ulog", FLIGHTS / name, "imu", None), raw(name, "sensor_combined")
     assert len(rows.t) == len(own["timestamp"]) > 50 * len(raw(name, "vehicle_imu")["timestamp"])
     for axis in range(3):
         assert_allclose(rows.values["gyro"][:, axis], own[f"gyro_rad[{axis}]"], rtol=1e-6)
     with pytest.raises(ConfigError, match="vehicle_imu has 2 rows a second"):
-        imports.read("ulog", FLIGHTS / name, "imu", "vehicle_imu:0")
+        formats.read("ulog", FLIGHTS / name, "imu", "vehicle_imu:0")
 
 
 def test_fixes_are_as_old_as_the_parameter_says():
     rows, own = (
-        imports.read("ulog", FLIGHTS / "sitl.ulg", "gnss", None),
+        formats.read("ulog", FLIGHTS / "sitl.ulg", "gnss", None),
         raw("sitl.ulg", "vehicle_gps_position"),
     )
     assert_allclose(rows.values["arrival"], 1e-6 * own["timestamp"])
@@ -53,7 +54,7 @@ def test_fixes_are_as_old_as_the_parameter_says():
 
 
 def test_a_magnetometer_is_in_tesla():
-    rows = imports.read("ulog", FLIGHTS / "sitl.ulg", "mag", None)
+    rows = formats.read("ulog", FLIGHTS / "sitl.ulg", "mag", None)
     assert 30e-6 < np.linalg.norm(rows.values["field_b"], axis=1).mean() < 65e-6  # of the Earth
 
 
@@ -122,7 +123,7 @@ def test_a_parameter_that_is_no_number_is_none(tmp_path):
     whole = (FLIGHTS / "sitl.ulg").read_bytes()
     path.write_bytes(whole.replace(b"float EKF2_GPS_DELAY", b"char8 EKF2_GPS_DELAY"))
     assert path.read_bytes() != whole
-    notes = imports.read("ulog", path, "gnss", None).notes
+    notes = formats.read("ulog", path, "gnss", None).notes
     assert not any("EKF2_GPS_DELAY" in note for note in notes)
 
 

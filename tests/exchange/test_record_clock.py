@@ -6,12 +6,12 @@ from numpy.testing import assert_allclose
 
 from bench import log_pipeline
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.validity import check_recording
-from bench.exchange.log_records import read_records
-from bench.exchange.record_clock import find_week, unwrap_week
-from bench.exchange.rows import LogRows
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
+from bench.io.logs.record_clock import find_week, unwrap_week
+from bench.io.logs.rows import LogRows
 from tests.exchange import drives
 
 WEEK = 604800.0

@@ -15,17 +15,17 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import config, store
 from bench.cli import main
-from bench.config import fault_tables
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import NavSolution
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.metrics import run_metrics
-from bench.exchange.solutions import FileEstimator, carry_rows, read_solution, resample
-from bench.store import columns, parquet
+from bench.io import config, results
+from bench.io.config import fault_tables
+from bench.io.foreign.solutions import FileEstimator, carry_rows, read_solution, resample
+from bench.io.results import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
 from tests.exchange.exported import LOST
 from tests.synthetic import turning
@@ -62,7 +62,7 @@ def test_a_solution_of_the_bench_scores_what_it_scored(run, tmp_path, capsys, ki
     )
     capsys.readouterr()
     measured, said = judged(capsys, str(tmp_path / "x" / f"solution-made.{kind}"), str(folder))
-    expected = store.load(folder).metrics["made"]
+    expected = results.load(folder).metrics["made"]
     assert expected["pos_rmse_h_m"] == pytest.approx(np.hypot(3, 2), rel=1e-6)
     assert set(expected) <= set(measured)
     for name, value in expected.items():
@@ -206,7 +206,7 @@ def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
 
 
 def as_read(made: NavSolution):
-    from bench.exchange.solutions import ForeignSolution
+    from bench.io.foreign.solutions import ForeignSolution
 
     rows = np.arange(1, len(made) + 1)
     columns_ = (made.t, made.lla, made.vel_n, made.q_nb, made.gyro_bias_b, made.accel_bias_b, made.cov)
@@ -293,11 +293,11 @@ def test_the_solution_is_added_to_a_copy_of_the_run(run, tmp_path, capsys):
     path = written(tmp_path / "mine.csv", wrong_solution(truth, pos_n=[5.0, 0.0, 0.0]))
     out = tmp_path / "both"
     judged(capsys, str(path), str(folder), "-o", str(out), "--label", "his")
-    both = store.load(out)
+    both = results.load(out)
     assert list(both.metrics) == ["made", "his"]
     assert both.metrics["his"]["pos_rmse_h_m"] == pytest.approx(5.0, rel=1e-6)
     assert both.errors["his"].pos_n[:, 0].mean() == pytest.approx(5.0, rel=1e-6)
-    assert list(store.load(folder).metrics) == ["made"]
+    assert list(results.load(folder).metrics) == ["made"]
     assert main(["score", str(path), str(folder), "-o", str(out), "--label", "his"]) == 2
     assert "exists; --force" in capsys.readouterr().err
     assert main(["score", str(path), str(out), "--label", "his"]) == 2
@@ -398,7 +398,7 @@ def test_a_huge_table_is_refused_in_bounded_memory(tmp_path):
         for k in range(0, 3_200_000, 100_000):
             file.write("".join(f"{n},47,11,1\n" for n in range(k, k + 100_000)))
     code = (
-        "import resource, sys; from pathlib import Path; from bench.exchange.solutions import read_solution\n"
+        "import resource, sys; from pathlib import Path; from foreign.solutions import read_solution\n"
         "from bench.core.words.exceptions import ConfigError\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         f"try: read_solution(Path({str(path)!r}))\n"

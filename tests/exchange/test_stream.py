@@ -162,8 +162,8 @@ def test_messages_come_when_they_would_arrive_and_not_before(run):
 def test_the_order_is_that_of_arrival(run):
     from dataclasses import replace
 
-    from bench.exchange.exports import gather
-    from bench.exchange.frames import make_messages
+    from bench.io.exports import gather
+    from bench.io.streams.frames import make_messages
 
     whole = gather(run)
     fixes = replace(whole.fixes, t_arrival=whole.fixes.t + 0.155)

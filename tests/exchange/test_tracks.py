@@ -16,10 +16,11 @@ from bench import cli
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import TableSpec, TrackSpec
 from bench.core.words.exceptions import ConfigError
-from bench.exchange import track_files
-from bench.exchange.track_files import FixSeries, order_fixes, read_track
-from bench.exchange.track_fit import _find_least, fit_track
-from bench.exchange.track_motion import (
+from bench.io.results.truth_cache import join_pieces
+from bench.io.trajectories import track_files
+from bench.io.trajectories.track_files import FixSeries, order_fixes, read_track
+from bench.io.trajectories.track_fit import _find_least, fit_track
+from bench.io.trajectories.track_motion import (
     _bank,
     _choose_piece,
     _coordinate,
@@ -29,11 +30,10 @@ from bench.exchange.track_motion import (
     _find_standing,
     make_motion,
 )
-from bench.exchange.trajectory import read_trajectory
+from bench.io.trajectories.trajectory import read_trajectory
 from bench.simulation.flight import fly
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import STurns
-from bench.store.truth_cache import join_pieces
 from tests.exchange.resolution_table import FLIGHTS, RATES, find_off
 from tests.flight.inertial import replay
 from tests.flight.plans import plan

@@ -17,15 +17,15 @@ from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
 from bench import cli, pipeline
-from bench.config import load_profile
 from bench.core.mathematics.earth import to_ecef
 from bench.core.mathematics.rotation import multiply, to_rotvec
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import TableSpec
 from bench.core.words.exceptions import ConfigError
-from bench.exchange import trajectory
-from bench.store import parquet as parquet_file
-from bench.store.truth_cache import join_pieces, truth_key
+from bench.io.config import load_profile
+from bench.io.results import parquet as parquet_file
+from bench.io.results.truth_cache import join_pieces, truth_key
+from bench.io.trajectories import trajectory
 from tests.flight.inertial import inertial, largest_difference, navigate, replay
 
 MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians

@@ -14,12 +14,14 @@ from pyulog import ULog
 
 import bench
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.records.instruments import HeadingData, MagData
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot, exports, imports
-from bench.exchange.exports.ulog_replay import read_definitions
-from bench.exchange.log_records import read_records
+from bench.exchange import autopilot
+from bench.io import exports
+from bench.io.config.log import load_log
+from bench.io.exports.ulog_replay import read_definitions
+from bench.io.logs import formats as imports
+from bench.io.logs.log_records import read_records
 from bench.simulation.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS

@@ -10,8 +10,8 @@ import math
 import sys
 from pathlib import Path
 
-from bench.config.external_truth import find_jsbsim_root, list_root_aircraft
 from bench.core.words.exceptions import FlightError
+from bench.io.config.external_truth import find_jsbsim_root, list_root_aircraft
 from bench.workbench.new_aircraft import _find_shipped, find_design
 
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec, Leg, ScriptSpec
+from bench.io.config import load_profile
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn

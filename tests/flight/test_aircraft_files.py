@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.config.library import read_aircraft, read_jsbsim_aircraft
-from bench.config.listing import list_aircraft
 from bench.core.records.flight_specs import AircraftSpec
+from bench.io.config.library import read_aircraft, read_jsbsim_aircraft
+from bench.io.config.listing import list_aircraft
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.trimming import TrimCondition, trim_aircraft
 

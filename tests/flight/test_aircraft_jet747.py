@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config import load_profile
-from bench.config.library import read_aircraft
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import FlightError
+from bench.io.config import load_profile
+from bench.io.config.library import read_aircraft
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.jsbsim_units import FT

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config.library import find_aircraft, read_aircraft
 from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
+from bench.io.config.library import find_aircraft, read_aircraft
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.jsbsim_units import FT

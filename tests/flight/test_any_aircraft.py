@@ -17,12 +17,13 @@ import numpy as np
 import pytest
 
 from bench import cli
-from bench.config import list_aircraft, load_profile
 from bench.core.mathematics.earth import difference_n, displace
 from bench.core.mathematics.rotation import rotate, to_euler
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.core.words.exceptions import ConfigError, FlightError
+from bench.io.config import list_aircraft, load_profile
+from bench.io.results.truth_cache import truth_key
 from bench.simulation.flight import child_process, fly, fly_pieces, recorder, trimming
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
@@ -30,7 +31,6 @@ from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.runway import Static, TakeOff
 from bench.simulation.flight.model_files import copy_aircraft
 from bench.simulation.flight.trimming import TrimCondition, move_surfaces, place, run_engines, trim_aircraft
-from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import FIGURE_EIGHT, fly_here
 

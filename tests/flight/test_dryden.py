@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
-from bench.config import load_profile
 from bench.core.mathematics.random_streams import stream
+from bench.io.config import load_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.jsbsim_units import FT

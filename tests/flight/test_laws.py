@@ -17,11 +17,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.io.config import load_profile
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.runway import Static, TakeOff

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter
 
-from bench import config
-from bench.config.leg_tables import build_leg_type
 from bench.core.mathematics.rotation import to_euler
 from bench.core.mathematics.units import split_unit
 from bench.core.records.flight_specs import LegStart
+from bench.io import config
+from bench.io.config.leg_tables import build_leg_type
 from bench.simulation.flight import fly, legs
 from bench.simulation.flight.guidance.shaping import smooth
 from bench.simulation.flight.legs.keys import AtSpeed, Bank, Key, keys_of, write_key

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import AircraftSpec, Runway
 from bench.core.words.exceptions import FlightError
+from bench.io.config import load_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.guidance.sequencer import FlownLeg, fly_legs
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll

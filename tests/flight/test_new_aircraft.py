@@ -12,12 +12,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import cli
-from bench.config import load_profile
-from bench.config.library import read_jsbsim_aircraft
-from bench.config.listing import PROFILES
 from bench.core.mathematics import rotation
 from bench.core.records.data import Events
 from bench.core.words.exceptions import FlightError
+from bench.io.config import load_profile
+from bench.io.config.library import read_jsbsim_aircraft
+from bench.io.config.listing import PROFILES
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.guidance.gain_design import (

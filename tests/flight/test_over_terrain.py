@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import RegularGridInterpolator
 
-from bench.config import load_profile
 from bench.core.records.instruments import RadarSpec
 from bench.core.words.exceptions import ConfigError, FlightError
+from bench.io.config import load_profile
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.tracks import Point, TerrainFollowing, clear_heights
 from bench.simulation.sensors import radar
@@ -135,10 +135,10 @@ def test_what_does_not_fit_a_terrain_is_refused(changes, said):
 
 def test_the_file_counts_and_not_where_it_is(tmp_path):
     """A copy of the profile and its grid elsewhere has the same truth, another grid another."""
-    from bench import store
+    from bench.io import results
 
     shipped = load_profile("terrain-following").flight
     moved = replace(shipped.terrain, path=tmp_path / "valley.asc")
-    assert store.truth_key(shipped) == store.truth_key(replace(shipped, terrain=moved))
+    assert results.truth_key(shipped) == results.truth_key(replace(shipped, terrain=moved))
     other = replace(shipped.terrain, digest="0" * 64)
-    assert store.truth_key(shipped) != store.truth_key(replace(shipped, terrain=other))
+    assert results.truth_key(shipped) != results.truth_key(replace(shipped, terrain=other))

@@ -21,12 +21,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import FlightError
+from bench.io.config import load_profile
+from bench.io.results.truth_cache import truth_pieces
 from bench.navigation import mechanization
 from bench.simulation.flight import Summary, fly, fly_pieces, summarise
 from bench.simulation.flight.increments import Motion, at_point, step_increments
@@ -34,7 +35,6 @@ from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn
 from bench.simulation.flight.recorder import simulation_step
 from bench.simulation.flight.truth import Stretch
-from bench.store.truth_cache import truth_pieces
 from tests.flight.inertial import inertial, largest_difference, navigate
 from tests.flight.plans import FIGURE_EIGHT, plan, short_plan, truth_of
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.flight_specs import AircraftSpec
+from bench.io.config import load_profile
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.recorder import prepare

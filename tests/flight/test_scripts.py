@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 
 from bench import cli
-from bench.config import load_profile
 from bench.core.mathematics.earth import to_ecef
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import ScriptSpec
 from bench.core.words.exceptions import ConfigError, FlightError
+from bench.io.config import load_profile
+from bench.io.results.truth_cache import truth_key
 from bench.simulation.flight import fly, recorder
 from bench.simulation.flight.executive import silent_log
 from bench.simulation.flight.increments import from_states
 from bench.simulation.flight.jsbsim_units import FT
 from bench.simulation.flight.model_files import class_of, script_facts
-from bench.store.truth_cache import truth_key
 from tests.flight.inertial import replay
 from tests.flight.plans import fly_here
 
@@ -253,7 +253,7 @@ def test_the_same_script_gives_the_same_bits_in_another_process_and_another_key_
     text = 'script = "dive.xml"\nduration_s = 3\n[evaluation]\nfrom_s = 0'
     first = profile(tmp_path, text)
     code = (
-        "import sys; from bench.config import load_profile; from bench.simulation.flight import fly;"
+        "import sys; from bench.io.config import load_profile; from bench.simulation.flight import fly;"
         "sys.stdout.buffer.write(fly(load_profile(sys.argv[1]).flight).dvel_b.tobytes())"
     )
     root = Path(__file__).parents[2]
@@ -276,7 +276,7 @@ def test_bench_run_shows_the_report_and_keeps_it_in_the_results(tmp_path, monkey
     assert cli.main(["run", "mine.toml"]) in (0, 1)
     out = " ".join(capsys.readouterr().out.split())
     assert "sanity, 0.0 s: script c172_elevator_doublet: the motion jumps at 1.00 s" in out
-    from bench.store import load_truth
+    from bench.io.results import load_truth
 
     assert "motion jumps" in sanity(load_truth(tmp_path / "runs/mine-0"))
     assert not list(tmp_path.glob("*.csv"))

@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from bench.config import load_profile
 from bench.core.records.data import NavSolution, SensorData, Trajectory
 from bench.core.records.sensor_specs import Fault, SensorsSpec
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.weaving import units, weaving

@@ -14,7 +14,6 @@ from numpy.testing import assert_allclose
 
 import bench
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory, no_air, no_controls, no_events
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
@@ -22,6 +21,7 @@ from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.metrics import run_metrics
+from bench.io.config import load_profile
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.loose_tight import Loose

@@ -11,10 +11,10 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.integrate import cumulative_simpson
 
-from bench.config import load_profile
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import InitialState
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
+from bench.io.config import load_profile
 from bench.navigation.error_state_filter import corrections, propagation
 from bench.navigation.error_state_filter.aiding_sensors import AIDING
 from bench.navigation.error_state_filter.error_state import GYRO

@@ -15,9 +15,9 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
 from bench.navigation.error_state_filter import antenna_rows, corrections, error_state

@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
-from bench.config.fault_tables import read_faults
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import HeadingSpec
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.metrics.case import bias_errors
+from bench.io.config.fault_tables import read_faults
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from bench.simulation.sensors import dual_antenna

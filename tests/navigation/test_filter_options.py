@@ -14,12 +14,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes, ImuData, Trajectory
 from bench.core.records.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.evaluation.errors import error_series as judge
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill

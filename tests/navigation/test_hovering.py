@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.config import load_profile
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import band

@@ -10,12 +10,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth
 from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model

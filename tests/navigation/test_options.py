@@ -6,8 +6,8 @@ import re
 import pytest
 from rich.console import Console
 
-from bench.config import load_profile
 from bench.core.words.exceptions import ConfigError
+from bench.io.config import load_profile
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.options import (
     ClassicOptions,

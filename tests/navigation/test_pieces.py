@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config
 from bench.core.files import disk_arrays
 from bench.core.words.exceptions import EstimatorError
+from bench.io import config
 from bench.navigation import built_in
 from bench.navigation.start import restart
 from bench.simulation import sensors

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.consistency.chi_square import mean_nis, nis_by_sensor
 from bench.evaluation.errors.error_series import error_series
-from bench.exchange.log_records import read_records
-from bench.exchange.log_start import find_start
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
+from bench.io.logs.log_start import find_start
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.start import alignment

@@ -16,9 +16,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run

@@ -15,7 +15,7 @@ import pytest
 
 import bench
 from bench.core.words.exceptions import ConfigError, EstimatorError
-from bench.store import filter_state
+from bench.io.results import filter_state
 from tests.navigation.test_pieces import opened, pieces, record
 
 RUN, SCHEDULE = "/passage/filter/run", "/passage/filter/schedule"

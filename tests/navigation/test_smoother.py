@@ -8,10 +8,10 @@ from filterpy.kalman import KalmanFilter
 from numpy.testing import assert_allclose
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.files import disk_arrays
 from bench.core.mathematics import rotation
 from bench.core.records.data import GnssFixes
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.error_state_filter.error_state import StateLayout, less_errors, state_errors

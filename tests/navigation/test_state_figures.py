@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config import load_profile
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import InitialState
 from bench.core.records.instruments import (
@@ -23,6 +22,7 @@ from bench.core.records.instruments import (
     RadarSpec,
 )
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, ThermalSpec, TriadSpec
+from bench.io.config import load_profile
 from bench.navigation.error_state_filter.aiding_sensors import (
     AIRSPEED,
     BARO,

@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import config
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import GLONASS, GPS
@@ -20,6 +19,7 @@ from bench.core.records.sensor_specs import Fault
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import chi2_quantile
 from bench.evaluation.metrics import run_metrics
+from bench.io import config
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter import error_state
 from bench.navigation.error_state_filter.error_state import StateLayout

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.config.log import load_log
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.errors.error_series import error_series
-from bench.exchange.log_records import read_records
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
 from bench.log_pipeline import Session, find_start
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK

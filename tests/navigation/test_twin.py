@@ -14,10 +14,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.mathematics import rotation
 from bench.core.records.data import GnssFixes, ImuData
 from bench.core.records.sensor_specs import ImuSpec
+from bench.io import config
 from bench.navigation.error_state_filter.ranges.ionosphere_anchors import ANCHORS
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels

@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import rotation
 from bench.core.records.data import InitialState
 from bench.core.records.instruments import MagSpec
 from bench.evaluation.errors.error_series import error_series
+from bench.io.config import load_profile
 from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose

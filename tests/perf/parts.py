@@ -11,9 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from bench import config, pipeline
+from bench import pipeline
 from bench.core.compilation.compiled import kernel
 from bench.core.records.data import Sensed
+from bench.io import config
 from bench.navigation import built_in
 from bench.navigation.error_state_filter import filter_run
 from bench.navigation.error_state_filter.error_state import (

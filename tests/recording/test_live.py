@@ -13,9 +13,10 @@ import pytest
 import rerun as rr
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import closed_loop, config, pipeline
+from bench import closed_loop, pipeline
 from bench.cli import main
 from bench.core.mathematics import earth
+from bench.io import config
 from bench.recording import column, live
 from bench.workbench import viewer
 from bench.workbench.console import PlainConsole

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import recording, store
+from bench import recording
 from bench.core.files import durable
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import (
@@ -39,6 +39,7 @@ from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, Tri
 from bench.core.records.specs import IN_FLIGHT
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.errors.error_series import error_series
+from bench.io import results
 from bench.plots.tabs import comparison
 from bench.recording import drawing, layout, recording_text
 
@@ -601,8 +602,8 @@ def test_the_desired_path_is_drawn_and_the_errors_along_it_add_up(run, tmp_path)
     right = np.where(t < t.mean(), 5.0, np.nan)
     path = OffPath(t, right, np.full(len(t), np.nan), np.full(len(t), course))
     (tmp_path / "out").mkdir()
-    store.save(tmp_path / "out", replace(result, records={**result.records, "path": path}))
-    loaded = store.load(tmp_path / "out")
+    results.save(tmp_path / "out", replace(result, records={**result.records, "path": path}))
+    loaded = results.load(tmp_path / "out")
     assert_array_equal(loaded.records["path"].right, right)
     found = static_batches_of(loaded, tmp_path)
     (drawn,) = found["/world/desired/0/path"].column("LineStrips3D:strips").to_pylist()[0]

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import config
 from bench.core.mathematics import rotation
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import Fault
+from bench.io import config
 from bench.recording import column, sky_view, write
 from bench.simulation.sensors import sense
 from tests.synthetic import still

@@ -16,15 +16,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import ndtri
 
 import bench
-from bench import config
-from bench.config.datasheets import read_gnss
-from bench.config.fault_tables import make_fault
-from bench.config.profile_tables import ExperimentTable
-from bench.config.tables import check_table
 from bench.core.mathematics import earth
 from bench.core.records.instruments import AirspeedSpec, BaroSpec, MagSpec
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, SensorsSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io import config
+from bench.io.config.datasheets import read_gnss
+from bench.io.config.fault_tables import make_fault
+from bench.io.config.profile_tables import ExperimentTable
+from bench.io.config.tables import check_table
 from bench.simulation.sensors import faults, sense
 from bench.simulation.sensors.draws import SensorDraws
 from tests.builders import band

@@ -15,10 +15,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench.config.datasheets import read_gnss
 from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import GnssSpec
 from bench.core.words.exceptions import ConfigError
+from bench.io.config.datasheets import read_gnss
 from bench.navigation.error_state_filter.aiding_sensors import fix_variance
 from bench.navigation.models.classic.process_model import per_axis
 from bench.simulation.sensors import gnss

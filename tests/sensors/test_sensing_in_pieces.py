@@ -13,7 +13,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench.config.datasheets import SENSORS
 from bench.core.records.data import AirData, SensorData, Trajectory
 from bench.core.records.sensor_specs import (
     AssumedSpecs,
@@ -23,6 +22,7 @@ from bench.core.records.sensor_specs import (
     TriadSpec,
     VibrationSpec,
 )
+from bench.io.config.datasheets import SENSORS
 from bench.simulation.sensors import sense, sense_piece
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import compute_antenna_motion, rate_at

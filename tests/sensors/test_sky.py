@@ -13,8 +13,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import config
-from bench.config.datasheets import read_gnss
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import GnssObservations
@@ -22,6 +20,8 @@ from bench.core.records.orbit_sets import GLONASS, GPS
 from bench.core.records.sensor_specs import SkySpec
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
+from bench.io import config
+from bench.io.config.datasheets import read_gnss
 from bench.simulation.sensors import gnss
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.measurement_level import clock, sky, view
@@ -688,7 +688,8 @@ def test_a_wrong_sky_gets_one_line(tmp_path, old, new, said):
 
 def test_a_profile_flies_with_it(short_truth, tmp_path):
     """The loose filter takes its fixes as those of the position level; observations reach the disk."""
-    from bench import pipeline, store
+    from bench import pipeline
+    from bench.io import results
     from bench.navigation.models.loose_tight import Loose
     from bench.simulation.sensors import sense
 
@@ -698,10 +699,10 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     solution = Loose().run(sensed.data, sensed.initial)
     errors, _ = pipeline.judge(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
-    facts = store.results._describe_record(sensed.data.observations, sensed.data)
-    path = tmp_path / store.results.OBSERVATIONS
-    store.results.parquet.write(path, sensed.data.observations, **facts)
-    back = store.load_observations(tmp_path)
+    facts = results.results._describe_record(sensed.data.observations, sensed.data)
+    path = tmp_path / results.results.OBSERVATIONS
+    results.results.parquet.write(path, sensed.data.observations, **facts)
+    back = results.load_observations(tmp_path)
     for name in GnssObservations.__slots__:
         assert_array_equal(getattr(back, name), getattr(sensed.data.observations, name), err_msg=name)
-    assert store.load_observations(tmp_path / "none") is None
+    assert results.load_observations(tmp_path / "none") is None

@@ -21,11 +21,11 @@ from scipy.special import gammaincinv
 
 import bench
 from bench.cli import main
-from bench.config.datasheets import read_imu
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import fit_noise, format_noise_figures, measure_model
-from bench.exchange.resting_log import read_resting_log
+from bench.io.config.datasheets import read_imu
+from bench.io.logs.resting_log import read_resting_log
 from bench.simulation.sensors import processes
 from bench.simulation.signals import allan
 

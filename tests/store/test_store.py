@@ -22,7 +22,6 @@ import pytest
 from numpy.testing import assert_array_equal
 
 import bench
-from bench import config, store
 from bench.core.files import disk_arrays, places
 from bench.core.records.data import (
     ErrorSeries,
@@ -43,7 +42,8 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.instruments import AirspeedData, BaroData, MagData
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import BenchError
-from bench.store import cache_size, truth_cache
+from bench.io import config, results
+from bench.io.results import cache_size, truth_cache
 from tests.exchange.exported import make_run
 from tests.synthetic import turning
 from tests.test_house import PACKAGE, imported, modules
@@ -184,13 +184,13 @@ def result(truth, sensed) -> RunResult:
 
 @pytest.fixture
 def saved(tmp_path, result) -> Path:
-    with store.make_folder(tmp_path / "runs" / "one") as partial:
-        store.save(partial, result)
+    with results.make_folder(tmp_path / "runs" / "one") as partial:
+        results.save(partial, result)
     return tmp_path / "runs" / "one"
 
 
 def test_what_is_saved_comes_back(saved, result, truth, sensed):
-    again = store.load(saved)
+    again = results.load(saved)
     for name in ("profile", "seed", "run", "metrics", "provenance"):
         assert getattr(again, name) == getattr(result, name)
     assert set(again.solutions) == set(again.errors) == {"loose-15", "free"}
@@ -201,7 +201,7 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
     equal(again.sensors, sensed.data)
     equal(again.sensed, sensed)
     assert again.events.kind == result.events.kind
-    imu, fixes, instruments = store.load_sensors(saved)
+    imu, fixes, instruments = results.load_sensors(saved)
     equal(imu, sensed.data.imu)
     equal(fixes, sensed.data.fixes)
     assert instruments.keys() == {"baro", "mag", "airspeed"}
@@ -211,10 +211,10 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
 
 @pytest.mark.parametrize("values", [1, 300])
 def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, result, truth, sensed, values):
-    monkeypatch.setattr(store.parquet, "_GROUP", values)
+    monkeypatch.setattr(results.parquet, "_GROUP", values)
     monkeypatch.setattr(disk_arrays, "LARGE", 0)
-    store.save(tmp_path, result)
-    again = store.load(tmp_path)
+    results.save(tmp_path, result)
+    again = results.load(tmp_path)
     equal(again.solutions["loose-15"], result.solutions["loose-15"])
     equal(again.errors["loose-15"], result.errors["loose-15"])
     equal(again.truth, truth)
@@ -224,8 +224,8 @@ def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, resul
 def test_a_csv_written_in_groups_of_rows_is_that_written_at_once(tmp_path, monkeypatch, sensed):
     imu, written = sensed.data.imu, []
     for values in (1 << 21, 1000):
-        monkeypatch.setattr(store.parquet, "_GROUP", values)
-        store.parquet.write_csv(tmp_path / "imu.csv", imu, store.parquet.layout_of(imu))
+        monkeypatch.setattr(results.parquet, "_GROUP", values)
+        results.parquet.write_csv(tmp_path / "imu.csv", imu, results.parquet.layout_of(imu))
         written.append((tmp_path / "imu.csv").read_bytes())
     assert written[0] == written[1]
     assert written[0].count(b"\n") == len(imu) + 1 > 300
@@ -234,8 +234,8 @@ def test_a_csv_written_in_groups_of_rows_is_that_written_at_once(tmp_path, monke
 def test_sensors_that_are_not_on_board_have_no_file(tmp_path, result, truth, sensed):
     none = dict.fromkeys(("fixes", "baro", "mag", "airspeed"))
     bare = dataclasses.replace(sensed, data=dataclasses.replace(sensed.data, **none))
-    store.save(tmp_path, dataclasses.replace(result, records={"truth": truth, "sensed": bare}))
-    assert store.load_sensors(tmp_path)[1:] == (None, {})
+    results.save(tmp_path, dataclasses.replace(result, records={"truth": truth, "sensed": bare}))
+    assert results.load_sensors(tmp_path)[1:] == (None, {})
 
 
 def test_every_column_has_a_unit_and_every_vector_a_frame(saved):
@@ -265,15 +265,15 @@ def test_no_bare_nan_in_json(tmp_path):
         "c": np.array([1.0, np.nan]),
         "d": (np.int64(3), True),
     }
-    assert json.loads(store.to_json(value)) == {"a": None, "b": None, "c": [1.0, None], "d": [3, True]}
-    store.write_json(tmp_path / "a.json", value)
+    assert json.loads(results.to_json(value)) == {"a": None, "b": None, "c": [1.0, None], "d": [3, True]}
+    results.write_json(tmp_path / "a.json", value)
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
 
 def test_json_is_replaced_as_a_whole(tmp_path):
-    store.write_json(tmp_path / "a.json", {"old": 1})
+    results.write_json(tmp_path / "a.json", {"old": 1})
     with pytest.raises(TypeError):
-        store.write_json(tmp_path / "a.json", {"new": object()})
+        results.write_json(tmp_path / "a.json", {"new": object()})
     assert json.loads((tmp_path / "a.json").read_text()) == {"old": 1}
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
 
@@ -281,7 +281,7 @@ def test_json_is_replaced_as_a_whole(tmp_path):
 @pytest.mark.parametrize("failure", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
 def test_a_failure_leaves_nothing_behind(tmp_path, failure):
     def fail() -> None:
-        with store.make_folder(tmp_path / "one") as partial:
+        with results.make_folder(tmp_path / "one") as partial:
             (partial / "truth.parquet").write_text("half")
             raise failure
 
@@ -291,7 +291,7 @@ def test_a_failure_leaves_nothing_behind(tmp_path, failure):
 
 
 def fill(folder: Path, name: str, *, force: bool = False, kind: str = "results folder") -> None:
-    with store.make_folder(folder, force=force, kind=kind) as partial:
+    with results.make_folder(folder, force=force, kind=kind) as partial:
         (partial / name).touch()
 
 
@@ -304,7 +304,7 @@ def test_a_folder_that_exists_is_replaced_only_when_asked(tmp_path):
     fill(folder, "old")
     with pytest.raises(BenchError, match="another run"):
         fill(folder, "new")
-    with pytest.raises(OSError, match="full"), store.make_folder(folder, force=True):
+    with pytest.raises(OSError, match="full"), results.make_folder(folder, force=True):
         raise OSError("full")
     assert names(folder) == [".bench.json", "old"]
     fill(folder, "new", force=True)
@@ -334,17 +334,17 @@ FOREIGN = {
 def test_a_folder_that_is_not_all_of_bench_is_never_replaced(tmp_path, what):
     """A file named result.json makes no results folder; what a user put into one is not deleted with it."""
     folder = tmp_path / "one"
-    with store.make_folder(folder) as partial:
+    with results.make_folder(folder) as partial:
         (partial / "result.json").touch()
         (partial / "sub").mkdir()
         (partial / "sub" / "a").touch()
-    store.check_folder(folder, force=True)
+    results.check_folder(folder, force=True)
     change, reason = FOREIGN[what]
     change(folder)
     before = sorted(folder.rglob("*"))
     for force in (False, True):
         with pytest.raises(BenchError, match=re.escape(f"{folder}: not replaced, {reason}")):
-            store.check_folder(folder, force=force)
+            results.check_folder(folder, force=force)
         with pytest.raises(BenchError, match="not replaced"):
             fill(folder, "new", force=force)
     assert sorted(folder.rglob("*")) == before
@@ -354,8 +354,8 @@ def test_a_folder_that_is_not_all_of_bench_is_never_replaced(tmp_path, what):
 def test_results_and_exports_do_not_replace_each_other(tmp_path):
     fill(tmp_path / "one", "a", kind="export")
     with pytest.raises(BenchError, match="not replaced, it is no results folder"):
-        store.check_folder(tmp_path / "one", force=True)
-    store.check_folder(tmp_path / "one", force=True, kind="export")
+        results.check_folder(tmp_path / "one", force=True)
+    results.check_folder(tmp_path / "one", force=True, kind="export")
 
 
 def test_a_folder_that_cannot_be_made_is_told_before_the_flight(tmp_path, monkeypatch):
@@ -383,17 +383,17 @@ def test_a_folder_that_cannot_be_made_is_told_before_the_flight(tmp_path, monkey
     for name, reason in wrong.items():
         for force in (False, True):
             with pytest.raises(BenchError, match=f"{re.escape(name)}: .*{re.escape(reason)}") as caught:
-                store.check_folder(Path(name), force=force)
+                results.check_folder(Path(name), force=force)
             assert "\n" not in str(caught.value)
     for name in ("empty", "new", "new/er", "x" * 255):
-        store.check_folder(Path(name), force=False)
+        results.check_folder(Path(name), force=False)
         fill(Path(name), "a")
     assert names(here) == sorted(["file", "empty", "link", "nowhere", "loop", "new", "x" * 255])
 
 
 def test_a_failure_takes_back_the_folders_above(tmp_path):
     (tmp_path / "a").mkdir()
-    with pytest.raises(KeyboardInterrupt), store.make_folder(tmp_path / "a" / "b" / "c"):
+    with pytest.raises(KeyboardInterrupt), results.make_folder(tmp_path / "a" / "b" / "c"):
         raise KeyboardInterrupt
     assert list((tmp_path / "a").iterdir()) == []
 
@@ -419,7 +419,7 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
     for content, reason in wrong.items():
         path.write_text(content)
         with pytest.raises(BenchError, match=reason) as caught:
-            store.load(saved)
+            results.load(saved)
         assert "\n" not in str(caught.value)
     path.unlink()
     for folder, reason in (
@@ -428,36 +428,36 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
         (saved / "truth.parquet", "is a file; name its folder"),
     ):
         with pytest.raises(BenchError, match=reason):
-            store.load(folder)
+            results.load(folder)
 
 
 def test_a_copy_of_results_holds_only_files_of_bench(saved, tmp_path):
     (saved / "notes.txt").touch()
     (saved / "flight.rrd").touch()
     (tmp_path / "copy").mkdir()
-    store.copy_results(saved, tmp_path / "copy")
+    results.copy_results(saved, tmp_path / "copy")
     assert names(tmp_path / "copy") == [
         name for name in names(saved) if name not in ("notes.txt", "flight.rrd", ".bench.json")
     ]
-    store.load(tmp_path / "copy")
+    results.load(tmp_path / "copy")
 
 
 def test_provenance_names_what_can_move_a_number():
-    said = store.provenance()
+    said = results.provenance()
     assert set(said["versions"]) == {"bench", "python", "numpy", "scipy", "numba", "jsbsim"}
     json.dumps(said)
 
 
 def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
     sensors = config.load_profile("figure-eight").sensors
-    said = store.hash_spec(sensors)
-    assert said == store.hash_spec(config.load_profile("figure-eight").sensors)
+    said = results.hash_spec(sensors)
+    assert said == results.hash_spec(config.load_profile("figure-eight").sensors)
     for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
         spec = getattr(sensors, name)
         before = getattr(spec, figure)
         moved = ((0.01, 0.0, 0.0),) * 3 if figure == "accel_arms" else before + 1e-9
         other = dataclasses.replace(sensors, **{name: dataclasses.replace(spec, **{figure: moved})})
-        assert store.hash_spec(other) != said, name
+        assert results.hash_spec(other) != said, name
 
 
 # --- the truth cache ----------------------------------------------------------------------------------
@@ -501,9 +501,9 @@ def cut(truth: Trajectory, *rows: int) -> list[Trajectory]:
 def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
     flights = Flights(truth)
     for _ in range(3):
-        equal(store.cached_truth(spec, flights), truth)
+        equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 1
-    cached = store.cached_truth(spec, flights)
+    cached = results.cached_truth(spec, flights)
     column = cached.lla
     while not isinstance(column, np.memmap):
         column = column.base
@@ -514,7 +514,7 @@ def test_a_truth_is_flown_once_and_mapped_from_disk(cache, spec, truth):
 
 
 def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
-    store.cached_truth(spec, Flights(truth))
+    results.cached_truth(spec, Flights(truth))
     (entry,) = cache.iterdir()
     whole = {path.name: path.read_bytes() for path in entry.iterdir()}
     for name, array in truth_cache._get_columns(truth).items():
@@ -523,7 +523,7 @@ def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
     (cache / "column.npy").unlink()
     shutil.rmtree(entry)
     flights = Flights(*cut(truth, 1, 150, 151, 399))
-    equal(store.cached_truth(spec, flights), truth)
+    equal(results.cached_truth(spec, flights), truth)
     assert {path.name: path.read_bytes() for path in entry.iterdir()} == whole
 
 
@@ -532,7 +532,7 @@ def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
     monkeypatch.setattr(truth_cache, "_PIECE", size)
     flights = Flights(*cut(truth, 250))
     for _ in range(2):
-        pieces = list(store.truth_pieces(spec, flights))
+        pieces = list(results.truth_pieces(spec, flights))
         assert len(pieces) == math.ceil(400 / size)
         assert all(len(piece) == size + 1 for piece in pieces[:-1])
         assert not any(len(piece.events) for piece in pieces[:-1])
@@ -549,7 +549,7 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
         return {"samples": calls[-1], "legs": [(0.0, 1.5, "climb")]}
 
     def said(*sources):
-        return store.cached_summary(spec, flights, say, sources)
+        return results.cached_summary(spec, flights, say, sources)
 
     first = said("bench/evaluation/errors/replay.py")
     assert first == {"samples": 401, "legs": [[0.0, 1.5, "climb"]]}
@@ -572,9 +572,9 @@ def test_what_is_said_of_a_truth_is_kept_beside_it(cache, spec, truth):
 def test_a_cache_that_cannot_be_written_costs_no_truth(cache, spec, truth, caplog):
     cache.parent.write_text("no folder")
     flights = Flights(*cut(truth, 100, 200))
-    equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
-    equal(store.cached_truth(spec, flights), truth)
-    assert store.cached_summary(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {
+    equal(truth_cache.join_pieces(results.truth_pieces(spec, flights)), truth)
+    equal(results.cached_truth(spec, flights), truth)
+    assert results.cached_summary(spec, flights, lambda pieces: {"pieces": len(list(pieces))}, ()) == {
         "pieces": 3
     }
     assert "is not cached" in caplog.text
@@ -584,7 +584,7 @@ def test_a_truth_without_events_is_cached_too(cache, spec, truth):
     none = dataclasses.replace(truth, events=Events.from_rows([]))
     flights = Flights(none)
     for _ in range(2):
-        equal(store.cached_truth(spec, flights), none)
+        equal(results.cached_truth(spec, flights), none)
     assert flights.count == 1
 
 
@@ -602,15 +602,15 @@ def _flip(path):
 @pytest.mark.parametrize("name", ["lla.npy", "air.t.npy", "texts.json", "index.json"])
 def test_a_damaged_entry_is_told_and_flown_again(cache, spec, truth, damage, name, caplog):
     flights = Flights(truth)
-    store.cached_truth(spec, flights)
+    results.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     damage(entry / name)
-    equal(store.cached_truth(spec, flights), truth)
+    equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
-    equal(store.cached_truth(spec, flights), truth)
+    equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
     damage(entry / name)
-    equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
+    equal(truth_cache.join_pieces(results.truth_pieces(spec, flights)), truth)
     assert flights.count == 3
     assert list(cache.iterdir()) == [entry]
     told = f"the truth in {entry} is damaged; it is flown again"
@@ -621,13 +621,13 @@ def test_a_damaged_entry_is_told_and_flown_again(cache, spec, truth, damage, nam
 def test_nothing_is_unpickled(cache, spec, truth):
     """An entry whose column is a pickle is flown again, not executed."""
     flights = Flights(truth)
-    store.cached_truth(spec, flights)
+    results.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     np.save(entry / "lla.npy", np.array([print], dtype=object), allow_pickle=True)
     index = cache_size.read_hashed(entry / "index.json")
     index["lla.npy"] = truth_cache._hash_file(entry / "lla.npy")
     cache_size.write_hashed(entry / "index.json", index)
-    equal(store.cached_truth(spec, flights), truth)
+    equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
 
 
@@ -636,7 +636,7 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
         raise RuntimeError("ground")
 
     with pytest.raises(RuntimeError):
-        store.cached_truth(spec, crash)
+        results.cached_truth(spec, crash)
 
     def full(*args, **keywords):
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -647,12 +647,12 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
 
     for fly in (crash, crash_later):
         with pytest.raises(RuntimeError):
-            list(store.truth_pieces(spec, fly))
+            list(results.truth_pieces(spec, fly))
     with pytest.raises(RuntimeError):
-        store.cached_truth(spec, crash_later)
+        results.cached_truth(spec, crash_later)
     assert list(cache.iterdir()) == []
     monkeypatch.setattr(truth_cache._GrowingColumn, "append", full)
-    equal(store.cached_truth(spec, Flights(*cut(truth, 100))), truth)
+    equal(results.cached_truth(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text
 
@@ -681,7 +681,7 @@ def test_every_module_that_makes_truth_counts_in_the_key():
     known = modules()
     todo = [name for name in known if name.startswith("bench.simulation.flight.")]
     assert todo, "the flight is found nowhere"
-    todo.append("bench.exchange.trajectory")
+    todo.append("bench.io.trajectories.trajectory")
     found = set()
     while todo:
         name = todo.pop()
@@ -749,29 +749,29 @@ def test_the_key_follows_every_module_that_makes_truth(spec, tmp_path, monkeypat
 
 
 def test_entries_nobody_reads_are_removed(cache, spec, truth):
-    store.cached_truth(spec, Flights(truth))
+    results.cached_truth(spec, Flights(truth))
     (entry,) = cache.iterdir()
     old = entry.stat().st_mtime - 31 * 86400
     os.utime(entry, (old, old))
-    store.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
+    results.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
     assert entry not in list(cache.iterdir())
     assert len(list(cache.iterdir())) == 1
 
 
 def test_an_index_that_was_changed_and_a_file_that_it_does_not_name_change_nothing(cache, spec, truth):
     flights = Flights(truth)
-    store.cached_truth(spec, flights)
+    results.cached_truth(spec, flights)
     (entry,) = cache.iterdir()
     np.save(entry / "own.npy", np.zeros(3))
     for _ in range(2):
-        equal(truth_cache.join_pieces(store.truth_pieces(spec, flights)), truth)
-        equal(store.cached_truth(spec, flights), truth)
+        equal(truth_cache.join_pieces(results.truth_pieces(spec, flights)), truth)
+        equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 1
     text = (entry / "index.json").read_text()
     _flip(entry / "lla.npy")
     code = truth_cache._hash_file(entry / "lla.npy")
     (entry / "index.json").write_text(re.sub(r'("lla.npy": )"\w+"', rf'\1"{code}"', text))
-    equal(store.cached_truth(spec, flights), truth)
+    equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
 
 
@@ -781,37 +781,37 @@ def three(cache, spec, truth) -> list[Path]:
     entries = []
     for k, speed in enumerate((25.0, 26.0, 27.0)):
         flight = dataclasses.replace(spec, speed=speed)
-        store.cached_truth(flight, Flights(truth))
+        results.cached_truth(flight, Flights(truth))
         entries.append(cache / truth_cache.truth_key(flight))
         os.utime(entries[-1], (time.time() - 100 + k,) * 2)
-    store.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
+    results.cached_truth(dataclasses.replace(spec, speed=26.0), Flights(truth))
     return entries
 
 
 def test_the_least_recently_used_flights_go_first(cache, spec, truth, three, monkeypatch):
-    size = store.measure_cache().size / 3
-    assert store.measure_cache()[1:] == (3, 3 * size, 2_000_000_000)
-    store.trim_cache(int(2.5 * size))
+    size = results.measure_cache().size / 3
+    assert results.measure_cache()[1:] == (3, 3 * size, 2_000_000_000)
+    results.trim_cache(int(2.5 * size))
     assert set(cache.iterdir()) == set(three[1:])
     monkeypatch.setenv("BENCH_CACHE_GB", str(2.5 * size / 1e9))
     fourth = dataclasses.replace(spec, speed=28.0)
-    store.cached_truth(fourth, Flights(truth))
+    results.cached_truth(fourth, Flights(truth))
     assert set(cache.iterdir()) == {three[1], cache / truth_cache.truth_key(fourth)}
     monkeypatch.setenv("BENCH_CACHE_GB", "0")
-    store.cached_truth(dataclasses.replace(spec, speed=29.0), Flights(truth))
-    assert store.measure_cache().flights == 1
-    store.trim_cache(0)
+    results.cached_truth(dataclasses.replace(spec, speed=29.0), Flights(truth))
+    assert results.measure_cache().flights == 1
+    results.trim_cache(0)
     assert list(cache.iterdir()) == []
 
 
 def test_a_flight_that_is_being_read_stays(cache, spec, truth, three, monkeypatch):
     monkeypatch.setattr(truth_cache, "_PIECE", 100)
-    pieces = store.truth_pieces(dataclasses.replace(spec, speed=25.0), Flights(truth))
+    pieces = results.truth_pieces(dataclasses.replace(spec, speed=25.0), Flights(truth))
     first = next(pieces)
-    store.trim_cache(0)
+    results.trim_cache(0)
     assert list(cache.iterdir()) == [three[0]]
     equal(truth_cache.join_pieces([first, *pieces]), truth)
-    store.trim_cache(0)
+    results.trim_cache(0)
     assert list(cache.iterdir()) == []
 
 
@@ -820,7 +820,7 @@ def test_a_limit_that_is_no_number_is_told_before_the_flight(cache, spec, truth,
         monkeypatch.setenv("BENCH_CACHE_GB", text)
         flights = Flights(truth)
         with pytest.raises(BenchError, match=r"BENCH_CACHE_GB = .* must be a number of GB"):
-            store.cached_truth(spec, flights)
+            results.cached_truth(spec, flights)
         assert flights.count == 0
 
 
@@ -893,14 +893,14 @@ def test_the_start_and_the_datasheets_come_back(name, tmp_path):
         0.0, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), np.diag(np.full(9, np.inf)), "course"
     )
     data = SensorData(imu=None, fixes=None, antenna_b=np.zeros(3), specs=specs, output_t=np.zeros(1))
-    store.write_json(tmp_path / store.START, store.make_start_document(data, initial))
-    document = store.load_start(tmp_path)
-    back = store.read_assumed_specs(document)
+    results.write_json(tmp_path / results.START, results.make_start_document(data, initial))
+    document = results.load_start(tmp_path)
+    back = results.read_assumed_specs(document)
     if specs.gnss is not None and specs.gnss.sky is not None:
         assert back.gnss.sky.day == specs.gnss.sky.day
     else:
         assert back == specs
-    again = store.read_initial_state(document)
+    again = results.read_initial_state(document)
     assert_array_equal(again.cov, initial.cov)
     assert np.isnan(again.lla).all()
 

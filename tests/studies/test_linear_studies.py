@@ -13,7 +13,6 @@ from rich.console import Console
 from scipy import stats
 
 import bench
-from bench.config import load_profile
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
@@ -21,6 +20,7 @@ from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import Observed, describe_direction, find_turns, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
+from bench.io.config import load_profile
 from bench.studies import bound as bound_study
 from bench.studies import budget as budget_study
 from bench.studies import observability

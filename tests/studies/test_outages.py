@@ -12,9 +12,9 @@ from scipy import stats
 
 import bench
 from bench import pipeline
-from bench.config.listing import PROFILES
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.drift_laws import drift_sd, split_drift
+from bench.io.config.listing import PROFILES
 from bench.studies import outage_drift, outage_grades, outage_tables
 from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
 from bench.studies.outage_grades import Grown, find_time, plot_grades

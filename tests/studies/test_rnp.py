@@ -13,13 +13,13 @@ from scipy import stats
 
 import bench
 from bench import pipeline
-from bench.config import load_profile
 from bench.core.mathematics import earth
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import Events, no_events
 from bench.core.records.findings import series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
+from bench.io.config import load_profile
 from bench.simulation.flight.guidance.off_track import measure_off_track
 from bench.simulation.flight.legs.tracks import Waypoint, Waypoints
 from bench.studies import rnp, stanford

@@ -17,15 +17,15 @@ from click.testing import CliRunner
 from rich.console import Console
 
 import bench
-from bench import store
 from bench.cli.group import commands
 from bench.core.records.findings import Findings, FindingTable, join_findings
 from bench.core.records.findings.series import Plot, draw_dots, draw_line
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
+from bench.io import results
+from bench.io.results.study_folder import save_study
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
-from bench.store.study_folder import save_study
 from bench.studies import (
     STUDIES,
     alignment_errors,
@@ -66,7 +66,7 @@ def test_a_folder_is_read_back(folder):
         for one, other in zip(again.series, plot.series, strict=True):
             np.testing.assert_array_equal(one.t, other.t)
             np.testing.assert_array_equal(one.values, other.values)
-    assert json.loads((folder / store.STUDY_RESULT).read_text())["provenance"]["versions"]["bench"]
+    assert json.loads((folder / results.STUDY_RESULT).read_text())["provenance"]["versions"]["bench"]
 
 
 def test_a_folder_is_not_replaced_unless_asked(folder):

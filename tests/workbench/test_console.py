@@ -13,10 +13,11 @@ from rich.table import Table
 from rich.text import Text
 
 import bench
-from bench import pipeline, store
+from bench import pipeline
 from bench.cli import main
 from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import one_line, replace_control
+from bench.io import results
 from bench.workbench.console import PlainConsole
 from tests.cli.test_cli import PROFILE
 from tests.exchange.exported import make_run
@@ -68,7 +69,7 @@ def test_verbs_print_through_this_door_only():
                     assert ast.unparse(call.args[0]).startswith(
                         ("to_json(", "f'error: {replace_control(", "replace_control(", "ctx.get_help(")
                     ), path
-    assert store.to_json(EVIL).isascii()
+    assert results.to_json(EVIL).isascii()
 
 
 @pytest.fixture
@@ -133,9 +134,9 @@ def test_hostile_names_in_the_answer_of_every_verb(here, capsys, monkeypatch):
 def test_a_hostile_title_is_one_line_of_a_result(here, capsys):
     """A title and a label that a results folder holds, printed with metrics by bench score."""
     make_run(here / "run")
-    run = store.load(here / "run")
-    summary = store.read_summary(here / "run")
-    store.write_json(
+    run = results.load(here / "run")
+    summary = results.read_summary(here / "run")
+    results.write_json(
         here / "run" / "result.json", summary | {"profile": run.profile | {"title": f"{EVIL}\nx"}}
     )
     assert main(["export", "run", "--to", "csv", "-o", "out", "--with", "solution:made"]) == 0

@@ -7,9 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.words.exceptions import WRONG
-from bench.exchange.log_records import read_records
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
 from tests.exchange import drives
 
 G = 9.80665

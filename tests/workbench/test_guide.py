@@ -25,10 +25,10 @@ import bench
 from bench.baselines.baseline_file import LEAST_DRAWS
 from bench.cli import main
 from bench.cli.group import commands
-from bench.config import load_profile
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.metrics.run_metrics import METRICS
-from bench.exchange.exports import FORMATS
+from bench.io.config import load_profile
+from bench.io.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
 from bench.workbench import guide

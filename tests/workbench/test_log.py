@@ -19,9 +19,7 @@ from pyarrow import parquet
 from scipy.io import savemat
 from scipy.stats import chi2
 
-from bench import store
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import ImuData
@@ -29,8 +27,10 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.fixes import judge
 from bench.evaluation.linear.drift_laws import drift_sd
 from bench.evaluation.motion import validity
-from bench.exchange.log_records import read_records
-from bench.exchange.log_start import find_start
+from bench.io import results
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
+from bench.io.logs.log_start import find_start
 from bench.log_pipeline import Session, read_log
 from bench.navigation import built_in, estimator
 from bench.navigation.models.loose_tight import Loose
@@ -289,7 +289,7 @@ def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys
     rows = {row["duration_s"]: row for row in printed["outages"]}
     assert rows[5.0]["median_h_m"] < rows[20.0]["median_h_m"]
     assert rows[20.0]["median_h_m"] < 10 * rows[20.0]["closed_form_median_h_m"]
-    result = store.load(out)
+    result = results.load(out)
     assert set(result.solutions) == {"loose-15"}
     error = result.errors["loose-15"]
     assert np.isfinite(error.pos_n[error.t > 40.0]).all()
@@ -459,7 +459,7 @@ def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, caps
         assert 2.0 < metrics["nees_mean"] < 4.0
         assert metrics.get("vel_rmse_3d_mps") is None
         assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
-    events = store.load(tmp_path / "out").solutions["loose-15"].events.select("timeline")
+    events = results.load(tmp_path / "out").solutions["loose-15"].events.select("timeline")
     assert sum("fixes without velocity" in text for _, _, text in events) == 1
 
 
@@ -467,7 +467,7 @@ def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_
     """What loose-15 said, written as a table: the same errors where the table has the same instants."""
     first = tmp_path / "first"
     assert main(["navigate", str(folder / "drive.toml"), "-o", str(first), "--no-rrd"]) == 0
-    solution = store.load(first).solutions["loose-15"]
+    solution = results.load(first).solutions["loose-15"]
     angles = np.rad2deg(np.column_stack(rotation.to_euler(solution.q_nb)))
     good = np.isfinite(angles).all(axis=1)
     columns = {"t_s": solution.t, "lat_deg": np.rad2deg(solution.lla[:, 0])}
@@ -479,7 +479,7 @@ def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_
     np.savetxt(table, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.14g")
     arguments = ["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-e", f"file:{table}"]
     main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"])
-    errors = store.load(tmp_path / "out").errors
+    errors = results.load(tmp_path / "out").errors
     late = errors["loose-15"].t > 40.0
     assert_allclose(errors["mine"].pos_n[late], errors["loose-15"].pos_n[late], atol=1e-3)
 
@@ -505,7 +505,7 @@ def test_results_of_a_log_go_out_and_have_no_truth(folder, tmp_path, capsys):
     main(["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-o", str(out), "--no-rrd"])
     with_solution = ["--with", "solution:loose-15"]
     assert main(["export", str(out), "--to", "rosbag2", "-o", str(bag), *with_solution]) == 0
-    fixes = store.load_sensors(out)[1]
+    fixes = results.load_sensors(out)[1]
     first = np.rad2deg(fixes.lla[fixes.valid][0, 0])
     assert f"{first:.9f}" in (bag / "README.md").read_text()
     capsys.readouterr()
@@ -624,7 +624,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
     assert "differ in length" in said()
     savemat(mat, {"zeros": np.zeros(3_000_000)}, do_compression=True)
     assert mat.stat().st_size < 100_000
-    monkeypatch.setattr("bench.exchange.mat_file.MOST_BYTES", 10_000_000)
+    monkeypatch.setattr("bench.io.logs.mat_file.MOST_BYTES", 10_000_000)
     assert "larger than 10 MB when unpacked" in said()
 
 

@@ -14,10 +14,10 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.flight_specs import TableSpec
 from bench.evaluation.motion import motion_fit
-from bench.exchange import imports
-from bench.exchange.trajectory import read_trajectory
+from bench.io.logs import formats
+from bench.io.results import join_pieces, parquet
+from bench.io.trajectories.trajectory import read_trajectory
 from bench.simulation import sensors
-from bench.store import join_pieces, parquet
 from tests.exchange import drives
 from tests.weaving import units
 
@@ -144,6 +144,6 @@ def test_a_text_file_read_in_blocks_is_that_read_at_once(tmp_path, in_blocks):
     numbers = np.random.default_rng(1).normal(size=(2500, 7))
     np.savetxt(tmp_path / "imu.txt", numbers, fmt="%.17g")
     in_blocks(999)
-    rows = imports.read("kf-gins", tmp_path / "imu.txt", "imu", None)
+    rows = formats.read("kf-gins", tmp_path / "imu.txt", "imu", None)
     assert_array_equal(rows.t, numbers[:, 0], strict=True)
     assert_array_equal(np.hstack([rows.values["dtheta"], rows.values["dvel"]]), numbers[:, 1:], strict=True)

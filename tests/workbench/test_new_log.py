@@ -14,10 +14,10 @@ from scipy.io import savemat
 
 import bench
 from bench.cli import main
-from bench.config.log import load_log
 from bench.core.words.exceptions import WRONG
 from bench.evaluation.motion.validity import check_recording
-from bench.exchange.log_records import read_records
+from bench.io.config.log import load_log
+from bench.io.logs.log_records import read_records
 from tests.exchange import drives
 from tests.exchange.exported import make_run
 from tests.exchange.test_log_tables import write_structures

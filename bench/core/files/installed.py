@@ -5,7 +5,7 @@ A package names in its ``pyproject.toml`` under ``[project.entry-points."bench.G
 - ``estimators``: NAME = "module:Class", a filter that ``-e NAME`` and ``use = "NAME"`` run;
 - ``catalog``: any name = "package.folder", a folder with ``imu/NAME.toml``, ``gnss/NAME.toml`` ...;
 - ``aircraft``: any name = "package.folder", a folder with ``NAME/aircraft.toml`` and ``NAME/NAME.xml``;
-- ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.exchange.exports`.
+- ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.io.exports`.
 """
 
 from __future__ import annotations

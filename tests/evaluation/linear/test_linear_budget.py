@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.config.datasheets import read_imu
-from bench.config.library import find_datasheet
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import BaroSpec
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
@@ -23,6 +21,8 @@ from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.path import make_path
 from bench.evaluation.linear.switching import keep_source, sense_alone
 from bench.evaluation.linear.terms import model_errors
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.measurement_rows import BARO as MEASURED_BARO
 from bench.navigation.error_state_filter.measurement_rows import POSITION, VELOCITY

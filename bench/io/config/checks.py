@@ -1,0 +1,239 @@
+"""Checks across the tables of a profile; each returns one line for each problem."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from bench.core.files.installed import find_installed
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.specs import AUTOPILOT, EstimatorChoice
+from bench.core.words.wording import quantity, suggest
+from bench.evaluation.requirements.required_metrics import is_metric
+from bench.io.config.profile_tables import ExperimentTable, RequirementTable
+from bench.navigation.built_in import BUILT_IN
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
+
+LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
+"""Label of an estimator, a part of the names of its files."""
+
+
+def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
+    """Check that fixes and outputs fall on instants of the truth."""
+    asked_rates = {
+        f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
+        for kind, spec in sensors.items()
+        if kind != "imu" and spec is not None
+    }
+    asked_rates["[evaluation] output_hz"] = table.evaluation.output_hz
+    return [
+        f"{key} = {rate:g} Hz must divide rate_hz = {table.rate_hz} Hz"
+        for key, rate in asked_rates.items()
+        if abs(table.rate_hz / rate - round(table.rate_hz / rate)) > 1e-9
+    ]
+
+
+def check_outages(table: ExperimentTable) -> list[str]:
+    """Check that outages do not overlap and, like the alignment window, lie inside the flight."""
+    wrong = []
+    rows = sorted(
+        (row.start_s, row.start_s + row.duration_s, number) for number, row in enumerate(table.gnss_outage, 1)
+    )
+    for (start, end, number), (later, _, other) in itertools.pairwise(rows):
+        if later < end:
+            what = f"[[gnss_outage]] {other}: {quantity('start_s', later)}"
+            wrong.append(f"{what} overlaps [[gnss_outage]] {number} ({start:g} to {end:g} s)")
+    length = math.inf if table.duration_s is None else table.duration_s
+    for _, end, number in rows:
+        if end > length:
+            what = f"[[gnss_outage]] {number}: its end at {end:g} s"
+            wrong.append(f"{what} is outside the flight, 0 to {length:g} s")
+    if rows and table.sensors.gnss is None:
+        wrong.append("[[gnss_outage]] 1: there is no gnss in [sensors] to lose")
+    if outside := table.evaluation.window().describe_outside(length, "flight"):
+        wrong.append(outside)
+    return wrong
+
+
+def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[EstimatorChoice]) -> list[str]:
+    """Check that each requirement names a metric, one limit and an estimator that there is."""
+    wrong, labels = [], [choice.label for choice in choices]
+    for k, row in enumerate(rows, 1):
+        place = f"[[requirement]] {k}"
+        if not is_metric(row.metric):
+            wrong.append(f"{place}: no metric {row.metric!r}: bench list metrics")
+        if (row.most is None) == (row.least is None):
+            wrong.append(f"{place}: give most or least, one of them")
+        if row.estimator is not None and row.estimator not in labels:
+            wrong.append(f"{place}: no estimator {row.estimator!r}; there are {', '.join(labels)}")
+    return wrong
+
+
+def check_alignment(table: ExperimentTable) -> list[str]:
+    """Check that an alignment has what it needs, and ends before the evaluation begins."""
+    asked = table.alignment
+    wrong, kind = [], f"kind = '{asked.kind}'"
+    if asked.kind == "given" and asked.duration_s is not None:
+        wrong.append(f"[alignment] duration_s is for kind = 'level' or 'course'; {kind} takes no time")
+    if asked.kind != "course" and asked.drift_deg is not None:
+        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if asked.kind == "course" and table.sensors.gnss is None:
+        wrong.append(f"[alignment] {kind} needs a gnss in [sensors]")
+    duration = choose_alignment_time(table)
+    if asked.kind != "given" and duration > (begin := table.evaluation.window().begin):
+        wrong.append(
+            f"[alignment] {quantity('duration_s', duration)} must not go beyond [evaluation] "
+            f"{quantity('from_s', begin)}"
+        )
+    return wrong
+
+
+def choose_alignment_time(table: ExperimentTable) -> float:
+    """Return the duration of an alignment [s]; default 60 s at rest, 10 s on the move."""
+    if table.alignment.duration_s is not None:
+        return table.alignment.duration_s
+    return 10.0 if table.alignment.kind == "course" else 60.0
+
+
+def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: bool) -> list[str]:
+    """Check that each setting of a sensor has an effect, and that the truth has the data a sensor needs.
+
+    ``sensors`` maps each kind to its spec, or to None if there is none on board.
+    """
+    wrong = [
+        f"[sensors.assumed] {kind} = {name!r} has no effect: there is no {kind} in [sensors]"
+        for kind, name in table.sensors.assumed
+        if name is not None and getattr(table.sensors, kind) is None
+    ]
+    physical = sensors["baro"] is not None and sensors["baro"].physical is not None
+    if table.sensors.qnh_hpa is not None and not physical:
+        what = quantity("qnh_hpa", table.sensors.qnh_hpa)
+        wrong.append(f"[sensors] {what} has no effect: it is the setting of a baro with [physical]")
+    sky = None if sensors["gnss"] is None else sensors["gnss"].sky
+    if sky is not None and table.date not in (None, sky.day):
+        wrong.append(
+            f"date = {table.date} is not that of gnss = {table.sensors.gnss!r}, {sky.day}; leave it out"
+        )
+    elif sky is not None and table.sensors.mag is not None and not FIRST_YEAR <= sky.day.year < LAST_YEAR:
+        wrong.append(
+            f"[sensors] mag = {table.sensors.mag!r}: the magnetic field is known from {FIRST_YEAR:g} to "
+            f"{LAST_YEAR - 1:g}; gnss = {table.sensors.gnss!r} starts {sky.day}"
+        )
+    if not has_air:
+        imu = sensors["imu"]
+        feels = {"imu": imu is not None and imu.feels_air} | {
+            kind: sensors[kind] is not None and row.feels_air(sensors[kind])
+            for kind, row in INSTRUMENTS.items()
+        }
+        wrong += [
+            f"[sensors] {kind} = {getattr(table.sensors, kind)!r} needs air data, which a trajectory table "
+            "does not have"
+            for kind, needs_air in feels.items()
+            if needs_air
+        ]
+    return wrong
+
+
+_EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other forms of an estimator name
+
+
+def is_autopilot(use: str) -> bool:
+    """Tell whether a name is that of an autopilot's own estimate: ``autopilot``, ``autopilot:INSTANCE``."""
+    return use.partition(":")[0] == AUTOPILOT
+
+
+def check_estimators(choices: Sequence[EstimatorChoice], *, of_log: bool = False) -> list[str]:
+    """Check that built-in estimators exist, and that labels are unique and can be part of a file name.
+
+    ``of_log``: of a recording, in which an autopilot may have its own.
+    """
+    wrong = []
+    labels: list[str] = []
+    for number, choice in enumerate(choices, 1):
+        place = f"[[estimator]] {number}: "
+        if choice.use in ("file:", "command:"):
+            wrong.append(f"{place}use = {choice.use!r} names no {choice.use[:-1]}")
+        if is_autopilot(choice.use):
+            if not of_log:
+                wrong.append(f"{place}use = {choice.use!r} is for the log of an autopilot: bench navigate")
+        elif not is_known(choice.use):
+            hint = suggest(choice.use, list_names(), "estimators")
+            wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
+        what = f"{place}label = {choice.label!r}"
+        if not LABEL.fullmatch(choice.label):
+            wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.', 100 at most")
+        if choice.guard.timeout is not None and not is_guarded(choice.use):
+            wrong.append(f"{place}timeout_s has no effect: it is for a class of yours or a program")
+        if choice.label in labels:
+            wrong.append(f"{what} is taken by an entry above; give each its own label")
+        labels.append(choice.label)
+    return wrong
+
+
+def check_options(document: Mapping[str, Any]) -> list[str]:
+    """Check the options of built-in estimators; entries that are not tables are checked elsewhere."""
+    wrong = []
+    rows = document.get("estimator")
+    for number, row in enumerate(rows if isinstance(rows, list) else (), 1):
+        use, values = (row.get("use"), row.get("options")) if isinstance(row, Mapping) else (None, None)
+        if isinstance(use, str) and use in BUILT_IN and isinstance(values, Mapping):
+            place = f"[[estimator]] {number} ({row.get('label', use)}): options: "
+            wrong += [f"{place}{line}" for line in BUILT_IN[use].wrong(values)]
+        elif isinstance(use, str) and use.startswith("command:") and "timeout_s" in (values or {}):
+            wrong.append(f"[[estimator]] {number}: options: timeout_s stands beside use, not in options")
+    return wrong
+
+
+def is_code(use: str) -> bool:
+    """Return whether a text names a program or a Python class, code that a file runs with permission only."""
+    return ":" in use and not use.startswith("file:") and use not in BUILT_IN and not is_autopilot(use)
+
+
+def is_guarded(use: str) -> bool:
+    """Return whether an estimator runs in a process of its own: a program, or a class that is not ours."""
+    return is_code(use) or (use not in BUILT_IN and use in find_installed("estimators", BUILT_IN))
+
+
+def is_known(use: str) -> bool:
+    """Return whether an estimator is built in, installed, or has one of the forms with a colon."""
+    return ":" in use or use in BUILT_IN or use in find_installed("estimators", BUILT_IN)
+
+
+def list_names() -> list[str]:
+    """Return the names of the estimators that are built in or installed."""
+    return [*BUILT_IN, *find_installed("estimators", BUILT_IN)]
+
+
+def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
+    """Refuse the code that a file would run, so that a foreign file runs none unnoticed.
+
+    ``own`` are the estimators of the file, ``run`` those to run: with -e the user names code himself. What
+    an installed package adds was installed by the user.
+    """
+    return [
+        f"[[estimator]] {number}: {choice.use[:60]!r} is code that would run on this machine; "
+        "--allow-code lets a file do so; code that you name with -e runs without it"
+        for number, choice in enumerate(own, 1)
+        if is_code(choice.use) and any(choice is one for one in run)
+    ]
+
+
+def check_requested(
+    choices: Sequence[EstimatorChoice], names: Sequence[str], *, of_log: bool = False
+) -> list[str]:
+    """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
+    if objects := [one for one in names if not isinstance(one, str)]:
+        return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
+    labels = {choice.label for choice in choices}
+    own = [name for name in names if is_autopilot(name) and name not in labels]
+    if own and not of_log:
+        return [f"estimator {own[0]!r} is for the log of an autopilot: bench navigate"]
+    unknown = [name for name in names if name not in {*labels, *own} and not is_known(name)]
+    known = labels.union(list_names()) if unknown else labels
+    return [
+        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"
+        for name in unknown
+    ]

@@ -1,0 +1,406 @@
+"""Read the TOML file of a log and check what its tables say against each other and the files they name."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.sensor_specs import DEFAULT_DATE, AssumedSpecs
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import as_toml
+from bench.io.config import checks
+from bench.io.config.datasheets import SENSORS
+from bench.io.config.library import find_datasheet
+from bench.io.config.log_tables import FileTable, GnssTable, LogAlignmentTable, LogTable
+from bench.io.config.overrides import DatasheetChanges, override, split_overrides
+from bench.io.config.profile import choose_estimators, describe_choice, less_empty, make_choices
+from bench.io.config.tables import check_table, collect_errors
+from bench.io.config.toml_file import check_kind, read_toml
+from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
+
+FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
+"""Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
+RANGES = "ranges"
+"""Format of a source that is the observation and navigation files of a receiver."""
+_MATLAB = ".mat"
+_TABLES = (".csv", ".tsv", ".parquet", _MATLAB)
+_ENDINGS = dict.fromkeys(_TABLES, "table") | {
+    ".ulg": "ulog",
+    ".bin": "dataflash",
+    ".px4log": "dataflash",
+    ".bag": "rosbag",
+    ".db3": "rosbag",
+    ".mcap": "mcap",
+    ".pos": "rtklib",
+}
+"""Ending of a file -> its format, if the log does not name it; a folder is a ROS 2 bag."""
+NAV = ".nav"
+"""Ending of a solution of KF-GINS, which only a reference may be."""
+WITHHOLD = 5
+"""One fix in so many judges a log without a reference."""
+_TOPICS = ("ulog", "dataflash", "rosbag", "mcap", "navego")
+"""Formats that name what they hold; so does a table, if it is a MATLAB file."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSpec:
+    """A file to read rows from."""
+
+    path: Path
+    format: str = "table"
+    topic: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)  # name with unit -> name in the file
+    time_offset: float = 0.0  # added to its times [s]
+    observations: tuple[Path, ...] = ()  # of a receiver whose fixes are solved; ``path`` is the first
+    navigation: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSpec:
+    """Where the reference of a log is, and how its unit is mounted."""
+
+    source: SourceSpec
+    point_b: tuple[float, float, float]  # relative to the IMU [m], b
+    mounting: tuple[float, float, float]  # roll, pitch, yaw of its axes in b [rad]
+    quality: tuple[int, ...]  # of the rows to use; empty: all
+
+
+@dataclass(frozen=True, slots=True)
+class StartSpec:
+    """What the estimators know of the initial state."""
+
+    alignment: str  # "given", "level", "hover" or "course"
+    at: float  # earliest start, since the first row of the IMU [s]
+    align_for: float  # level: longest standstill to use, course: length of the track to use [s]
+    drift_sd: float  # course: sd of the angle between track and heading [rad]
+    attitude: tuple[float, float, float]  # given: roll, pitch, heading [rad]
+    tilt_sd: float  # given [rad]
+    heading_sd: float  # given, or of its source [rad]
+    heading_from: str  # level, hover: "magnetometer" or "autopilot"; empty: unknown
+
+
+@dataclass(frozen=True, slots=True)
+class LogSpec:
+    """A recording and how to use it, in SI."""
+
+    name: str
+    title: str
+    imu: SourceSpec
+    gnss: SourceSpec | None
+    instruments: Mapping[str, SourceSpec]  # name of an instrument -> where its rows are
+    ground_alt: float | None  # ellipsoidal height of the ground below a radar [m]; None: not told
+    date: float  # decimal year
+    vibration: bool  # assume the noise of the record where it is more than that of the datasheet
+    mounting: tuple[float, float, float]  # roll, pitch, yaw of the IMU axes in b [rad]
+    misalignment: tuple[float, float, float]  # remaining rotation after the mounting, in b [rad]
+    antenna_b: tuple[float, float, float]  # relative to the IMU [m], b
+    velocity_offset: float  # time of the velocity minus time of the fix [s]
+    quality: tuple[int, ...]  # of the fixes to use; empty: all
+    quality_sd: Mapping[int, float]  # by class of quality: of each axis of a fix [m]; empty: not told
+    assumed: AssumedSpecs
+    start: StartSpec
+    estimators: tuple[EstimatorChoice, ...]
+    evaluation: EvaluationWindow
+    until: float  # end of what counts [s]
+    output_rate: float  # [Hz]
+    withhold: int
+    reference: ReferenceSpec | None  # None: withheld fixes judge
+    document: Mapping[str, Any]  # the file with every default filled in
+
+
+def is_log(path: Path) -> bool:
+    """Return whether a .toml file is a log: it names a recording."""
+    return not {"file", "imu"}.isdisjoint(_read_keys(path))
+
+
+def is_datasheet(path: Path) -> bool:
+    """Return whether a .toml file is a datasheet, as `bench new log` may write one beside a log."""
+    keys = _read_keys(path)
+    return "source" in keys and keys.isdisjoint({"file", "imu", "aircraft", "profiles"})
+
+
+def _read_keys(path: Path) -> set[str]:
+    """Return the keys of a .toml file; none if it cannot be read."""
+    try:
+        return set(read_toml(path, str(path)))
+    except ConfigError:
+        return set()
+
+
+def load_log(
+    name: str,
+    estimators: Sequence[str] | None = None,
+    allow_code: bool = False,
+    overrides: Mapping[str, Any] | None = None,
+    guard: Guard = DEFAULT_GUARD,
+) -> LogSpec:
+    """Read and check a log file; the files it names are searched beside it.
+
+    Parameters
+    ----------
+    name : str
+        Path of the ``.toml`` file.
+    estimators, allow_code, overrides, guard
+        As `bench.io.config.load_profile` takes them; the figures of a log are those of ``sensors.assumed``.
+
+    Raises
+    ------
+    ConfigError
+        One message for each problem in the file and the files it names.
+    """
+    path = Path(name)
+    document = read_toml(path, name)
+    check_kind(document, "a log", name)
+    overrides, changes = split_overrides(overrides or {}, path.parent)
+    at_top = {key: value for key, value in overrides.items() if "." not in key}
+    document = _spread_file({**document, **at_top}, name)
+    for key, value in overrides.items():
+        if key not in at_top:
+            document = override(document, key, value)
+    wrong = [f"{name}: {line}" for line in checks.check_options(document)]
+    try:
+        table = check_table(LogTable, document, name)
+    except ConfigError as error:
+        raise ConfigError(*error.messages, *wrong) from None
+    beside, place = path.parent, f"{name}: "
+    withhold = table.evaluation.withhold
+    if withhold is None:
+        withhold = 0 if table.reference else WITHHOLD
+        evaluation = table.evaluation.model_copy(update={"withhold": withhold})
+        table = table.model_copy(update={"evaluation": evaluation})
+    elif table.reference and withhold:
+        wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which judges alone")
+    tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
+    sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
+    reference = _find_source(table.reference, "reference", beside, place, wrong)
+    assumed: dict[str, Any] = {}
+    for kind in tables:
+        datasheet = getattr(table.sensors.assumed, kind)
+        if datasheet is None and tables[kind] is not None:
+            wrong.append(
+                f"{place}[sensors.assumed] {kind} is missing: name the datasheet that the filters assume"
+            )
+        with collect_errors(wrong, f"{place}[sensors.assumed] "):
+            sheet = None if datasheet is None else find_datasheet(kind, datasheet, beside)
+            with collect_errors(wrong):
+                figures = changes.assumed.get(kind)
+                assumed[kind] = None if sheet is None else SENSORS[kind](*sheet, figures)
+    wrong += [f"{place}{line}" for line in changes.check({}, dict(table.sensors.assumed))]
+    choices = make_choices(table.estimator, overrides, beside)
+    across = (
+        checks.check_estimators(choices, of_log=True)
+        + checks.check_requested(choices, estimators or (), of_log=True)
+        + checks.check_requirements(table.requirement, choices)
+        + _check_start(table)
+    )
+    wrong += [f"{place}{line}" for line in across]
+    if wrong:
+        raise ConfigError(*wrong)
+    choices = choose_estimators(name, choices, estimators, allow_code, guard)
+    imu = sources["imu"]
+    assert imu is not None
+    gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
+
+    def from_imu(at: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = (a - b for a, b in zip(at, table.imu.position_m, strict=True))
+        return x, y, z
+
+    return LogSpec(
+        name=path.stem,
+        title=table.title or path.stem,
+        imu=imu,
+        gnss=sources["gnss"],
+        instruments={kind: source for kind in INSTRUMENTS if (source := sources[kind]) is not None},
+        ground_alt=table.radar.ground_alt_m if table.radar else None,
+        date=DEFAULT_DATE if table.date is None else _to_year(table.date),
+        vibration=table.imu.vibration,
+        mounting=_to_radians(table.imu.mounting_deg),
+        misalignment=_to_radians(table.imu.misalignment_deg),
+        antenna_b=from_imu(gnss_at),
+        velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
+        quality=table.gnss.quality if table.gnss else (),
+        quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, path.name),
+        assumed=AssumedSpecs(**assumed),
+        start=_make_start(table.alignment),
+        estimators=choices,
+        evaluation=table.evaluation.window(),
+        until=math.inf if table.evaluation.until_s is None else float(table.evaluation.until_s),
+        output_rate=float(table.evaluation.output_hz),
+        withhold=withhold,
+        reference=ReferenceSpec(
+            reference,
+            from_imu(table.reference.position_m),
+            _to_radians(table.reference.mounting_deg),
+            table.reference.quality,
+        )
+        if table.reference and reference
+        else None,
+        document=_make_document(table, path.stem, choices, changes),
+    )
+
+
+def _spread_file(document: Mapping[str, Any], shown: str) -> dict[str, Any]:
+    """Return a document with a table for each sensor, where one file at its top holds several.
+
+    ``file = "all.mat"`` and ``imu = "imu1"`` are ``[imu] file = "all.mat"`` and ``topic = "imu1"``; a table
+    without a file has that of the top.
+
+    Raises
+    ------
+    ConfigError
+        If a sensor has a name and the document no file, or a file and no sensor in it.
+    """
+    top = {key: document[key] for key in ("file", "format") if key in document}
+    spread: dict[str, Any] = {}
+    for kind in ("imu", "gnss", *INSTRUMENTS, "reference"):
+        value = document.get(kind)
+        if isinstance(value, str):
+            if "file" not in top:
+                text = f'is a name in a file; say file = "..." above it, or write a table [{kind}]'
+                raise ConfigError(f"{shown}: {kind} = {as_toml(value)} {text}")
+            spread[kind] = {**top, "topic": value}
+        elif isinstance(value, dict) and "file" in top and {"file", "observations"}.isdisjoint(value):
+            spread[kind] = {**top, **value}
+    if top and not spread:
+        text = "is for the sensors in that file, and none is there; name one: imu = ..."
+        raise ConfigError(f"{shown}: {next(iter(top))} at the top {text}")
+    return {**{key: value for key, value in document.items() if key not in top}, **spread}
+
+
+def _find_source(
+    row: FileTable | None, kind: str, beside: Path, place: str, wrong: list[str]
+) -> SourceSpec | None:
+    if row is None:
+        return None
+    if isinstance(row, GnssTable) and not (row.file and not row.observations and not row.navigation):
+        return _find_ranges(row, beside, place, wrong)
+    path = beside / row.file
+    folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
+    endings = _ENDINGS | ({NAV: "kf-gins"} if kind == "reference" else {})
+    ending = path.suffix.lower()
+    form = row.format or ("rosbag" if folder else endings.get(ending))
+    what = f"{place}[{kind}] file = {row.file!r}"
+    if not os.path.exists(path):
+        wrong.append(f"{what}: no such file beside the log")
+    elif form is None:
+        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
+    elif folder and form != "rosbag":
+        wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
+    elif form == "table" and ending not in (*_TABLES, ".txt"):
+        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}, .txt")
+    elif form != "table" and row.columns:
+        wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
+    elif row.topic is not None and form not in _TOPICS and not (form == "table" and ending == _MATLAB):
+        listed = f"{', '.join(_TOPICS)} and tables in {_MATLAB}"
+        wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
+    else:
+        return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))
+    return None
+
+
+def _find_ranges(row: GnssTable, beside: Path, place: str, wrong: list[str]) -> SourceSpec | None:
+    """Return the files of a receiver's ranges; ``wrong`` gets a line for each problem."""
+    if row.file or not (row.observations and row.navigation):
+        wrong.append(f"{place}[gnss] give either file, or both observations and navigation")
+        return None
+    keys = ("format", "topic", "columns", "velocity_offset_s", "quality", "quality_sd_m")
+    found = [
+        f"{key} is for fixes in a file, not for observations" for key in keys if key in row.model_fields_set
+    ]
+    observations, navigation = (
+        tuple(beside / name for name in files) for files in (row.observations, row.navigation)
+    )
+    found += [
+        f"{path.name!r}: no such file beside the log"
+        for path in (*observations, *navigation)
+        if not path.is_file()
+    ]
+    wrong += [f"{place}[gnss] {line}" for line in found]
+    if found:
+        return None
+    offset = float(row.time_offset_s)
+    return SourceSpec(
+        observations[0], RANGES, time_offset=offset, observations=observations, navigation=navigation
+    )
+
+
+_GIVEN_KEYS = ("roll_deg", "pitch_deg", "heading_deg", "tilt_sd_deg", "heading_sd_deg")
+
+
+def _check_start(table: LogTable) -> list[str]:
+    """Check that the start has what its alignment needs, and nothing that would have no effect."""
+    asked = table.alignment
+    kind = f"kind = {asked.kind!r}"
+    present = [key for key in _GIVEN_KEYS if getattr(asked, key) is not None]
+    wrong = []
+    if asked.kind == "given":
+        wrong += [
+            f"[alignment] {key} is missing; {kind} needs it" for key in _GIVEN_KEYS[:3] if key not in present
+        ]
+        wrong += [f"[alignment] duration_s has no effect with {kind}"] if asked.duration_s is not None else []
+    else:
+        given = [key for key in present if not (key == "heading_sd_deg" and asked.heading)]
+        wrong += [f"[alignment] {key} is for kind = 'given', not for {kind}" for key in given]
+    if asked.heading and asked.kind not in ("level", "hover"):
+        wrong.append(f"[alignment] heading is for kind = 'level' or 'hover', not for {kind}")
+    if asked.heading == "magnetometer" and table.mag is None:
+        wrong.append("[alignment] heading = 'magnetometer' needs a table [mag]")
+    if asked.kind != "course" and asked.drift_deg is not None:
+        wrong.append(f"[alignment] drift_deg is for kind = 'course', not for {kind}")
+    if table.mag is not None:
+        year = None if table.date is None else table.date.year
+        if year is None or not FIRST_YEAR <= year < LAST_YEAR:
+            known = f"of {FIRST_YEAR:g} to {LAST_YEAR - 1:g}, by which the magnetic field is known"
+            wrong.append(f"[mag] needs a date above all tables, {known}: date = 2024-05-31")
+    if table.gnss is None:
+        wrong.append("[gnss] is missing: the start needs a position, and the evaluation needs fixes")
+    return wrong
+
+
+def _make_start(row: LogAlignmentTable) -> StartSpec:
+    attitude = (row.roll_deg or 0.0, row.pitch_deg or 0.0, row.heading_deg or 0.0)
+    default = {"course": 10.0, "hover": 4.0}.get(row.kind, 60.0)  # as in a profile
+    heading_sd = 10.0 if row.heading else 2.0
+    return StartSpec(
+        alignment=row.kind,
+        at=float(row.at_s),
+        align_for=float(default if row.duration_s is None else row.duration_s),
+        drift_sd=math.radians(2.0 if row.drift_deg is None else row.drift_deg),
+        attitude=_to_radians(attitude),
+        tilt_sd=math.radians(0.5 if row.tilt_sd_deg is None else row.tilt_sd_deg),
+        heading_sd=math.radians(heading_sd if row.heading_sd_deg is None else row.heading_sd_deg),
+        heading_from=row.heading or "",
+    )
+
+
+def _to_year(day: datetime.date) -> float:
+    """Return a day as a decimal year."""
+    return day.year + (day.timetuple().tm_yday - 1) / 365.25
+
+
+def _read_classes(table: Mapping[str, float], shown: str) -> dict[int, float]:
+    """Return the sd of each class of quality, whose names in TOML are text."""
+    if wrong := [name for name in table if not name.isdecimal()]:
+        text = f"[gnss] quality_sd_m: {wrong[0]!r} must be a class of quality, a whole number"
+        raise ConfigError(f"{shown}: {text}, such as 1 = 0.02")
+    return {int(name): float(sd) for name, sd in table.items()}
+
+
+def _to_radians(angles: tuple[float, float, float]) -> tuple[float, float, float]:
+    return (math.radians(angles[0]), math.radians(angles[1]), math.radians(angles[2]))
+
+
+def _make_document(
+    table: LogTable, name: str, choices: Sequence[EstimatorChoice], changes: DatasheetChanges
+) -> dict[str, Any]:
+    document: dict[str, Any] = {"title": name, **table.model_dump(mode="json", exclude_none=True)}
+    document["estimator"] = [describe_choice(choice) for choice in choices]
+    changes.mark(document)
+    return less_empty(document, "requirement")

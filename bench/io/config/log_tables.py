@@ -1,0 +1,215 @@
+"""The tables of the file of a log: keys, limits and defaults, in the units of the file."""
+
+from __future__ import annotations
+
+import datetime
+from collections import Counter
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field
+from pydantic_core import PydanticCustomError
+
+from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
+from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
+
+_Angle = Annotated[float, between(-360, 360)]
+_Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
+_Arm = Annotated[float, between(-100, 100)]
+_Arm3 = Annotated[tuple[_Arm, _Arm, _Arm], ROWS]
+_Shift = Annotated[float, between(-10, 10)]
+_Clock = Annotated[float, between(-1e10, 1e10)]
+
+
+def _check_column_names(value: dict[str, str]) -> dict[str, str]:
+    twice = [name for name, count in Counter(value.values()).items() if count > 1]
+    if twice:
+        raise PydanticCustomError("message", f"must not name the column '{twice[0]}' twice")
+    return value
+
+
+_Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
+
+
+class FileTable(Table):
+    """A file, its format, its column names, and the offset of its clock."""
+
+    file: str
+    """A path relative to the log."""
+    format: Literal["table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = (
+        None
+    )
+    """Format of the file; that of its ending if left out."""
+    topic: str | None = None
+    """What the file calls it: a message, a topic or a structure."""
+    columns: _Columns = Field(default_factory=dict)
+    """A table: a column with its unit, and what the file calls it."""
+    time_offset_s: _Clock = 0.0
+    """Added to its times."""
+
+
+class ImuTable(FileTable):
+    """The IMU: roll, pitch, yaw of its axes relative to forward, right, down, then the misalignment."""
+
+    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes relative to forward, right, down."""
+    misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """What it is turned beyond that: roll, pitch, yaw."""
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """Where it is, from any point on board: forward, right, down."""
+    vibration: bool = False
+    """Filters assume the noise from sample to sample of this record, where its datasheet has less."""
+
+
+class GnssTable(FileTable):
+    """The GNSS receiver: position of its antenna, from the same point as the IMU, and the fixes to use.
+
+    It gives fixes in a file, or ranges in those of a receiver, from which the fixes are solved.
+    """
+
+    file: str = ""
+    """A path relative to the log; left out with observations."""
+    observations: Annotated[tuple[str, ...], ROWS] = ()
+    """RINEX or UBX files of its ranges, a list of paths, in place of a file. Their times are in GPS time,
+    seconds since 1980-01-06."""
+    navigation: Annotated[tuple[str, ...], ROWS] = ()
+    """With observations: RINEX navigation files."""
+
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """Where the antenna is, from the same point."""
+    velocity_offset_s: _Shift = 0.0
+    """Time from a fix to its velocity."""
+    quality: Annotated[tuple[int, ...], ROWS] = ()
+    """Classes of the fixes that count; all if left out."""
+    quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)
+    """A table: class of a fix, and its standard deviation."""
+
+
+class BaroTable(FileTable):
+    """The barometer."""
+
+
+class MagTable(FileTable):
+    """The magnetometer, in the axes of the vehicle."""
+
+
+class AirspeedTable(FileTable):
+    """The airspeed sensor."""
+
+
+class RadarTable(FileTable):
+    """The range finder that looks down."""
+
+    ground_alt_m: Annotated[float, between(-1000, 10000)] | None = None
+    """Ellipsoidal height of the ground below it; by its first reading and the first fix if left out."""
+
+
+class OdometerTable(FileTable):
+    """The wheel."""
+
+
+class HeadingTable(FileTable):
+    """The receiver with two antennas that tells the heading."""
+
+
+class ReferenceTable(FileTable):
+    """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
+
+    position_m: _Arm3 = (0.0, 0.0, 0.0)
+    """The point whose motion it gives, from the same point as the IMU."""
+    mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes in those of the vehicle."""
+    quality: Annotated[tuple[int, ...], ROWS] = ()
+    """Classes of the rows that count; all if left out."""
+
+
+class LogAssumedTable(Table):
+    """The datasheets that the filters assume."""
+
+    imu: str
+    """Datasheet that the filters believe of the IMU."""
+    gnss: str | None = None
+    """That of the GNSS receiver; needed if there is one."""
+    baro: str | None = None
+    """That of the barometer; needed if there is one."""
+    mag: str | None = None
+    """That of the magnetometer; needed if there is one."""
+    airspeed: str | None = None
+    """That of the airspeed sensor; needed if there is one."""
+    radar: str | None = None
+    """That of the range finder; needed if there is one."""
+    odometer: str | None = None
+    """That of the wheel; needed if there is one."""
+    heading: str | None = None
+    """That of the receiver with two antennas; needed if there is one."""
+
+
+class LogSensorsTable(Table):
+    """What is known of the sensors."""
+
+    assumed: LogAssumedTable
+
+
+class LogAlignmentTable(Table):
+    """What the estimators know of the initial state; they find the rest by alignment.
+
+    ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
+    ``hover``: position, velocity and tilt by fixes and IMU in steady flight. ``course``: nothing.
+    """
+
+    kind: Literal["given", "level", "hover", "course"] = "course"
+    """What the estimators are told of the start."""
+    heading: Literal["magnetometer", "autopilot"] | None = None
+    """With "level" or "hover": whence the heading is. If left out it is unknown, and motion finds it."""
+    duration_s: Annotated[float, between(1, 3600)] | None = None
+    """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10;
+    with "hover" that of steady flight, 4."""
+    drift_deg: Annotated[float, between(0, 90)] | None = None
+    """With "course" the standard deviation of the angle from course to heading, 2 if left out."""
+    at_s: Annotated[float, between(0, 86400)] = 0.0
+    """Earliest start, since the first row of the IMU."""
+    roll_deg: _Angle | None = None
+    """With "given"."""
+    pitch_deg: Annotated[float, between(-90, 90)] | None = None
+    """With "given"."""
+    heading_deg: _Angle | None = None
+    """With "given"."""
+    tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
+    """With "given": how well roll and pitch are known, 0.5 if left out."""
+    heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
+    """How well the heading is known. If left out 2 with "given", 10 by a magnetometer or an autopilot."""
+
+
+class LogEvaluationTable(EvaluationTable):
+    """Withhold every n-th fix from the filters to judge them by; 0 withholds none.
+
+    Left out: 5, or 0 where a reference judges.
+    """
+
+    until_s: Annotated[float, between(0, 1e6)] | None = None
+    """Where the recording ends for filters and judge: before a crash, a shutdown; its end if left out."""
+    withhold: Annotated[int, NOT_NEGATIVE] | None = None
+    """Of so many fixes one is kept from the filters to judge them; 0: none. If left out 5, or 0 beside a
+    reference."""
+
+
+class LogTable(Table):
+    """The file of a log."""
+
+    title: str | None = None
+    """What it is, in words."""
+    date: datetime.date | None = None
+    """Day of the recording, by which the magnetic field is known; a magnetometer needs it."""
+    imu: ImuTable
+    gnss: GnssTable | None = None
+    baro: BaroTable | None = None
+    mag: MagTable | None = None
+    airspeed: AirspeedTable | None = None
+    radar: RadarTable | None = None
+    odometer: OdometerTable | None = None
+    heading: HeadingTable | None = None
+    reference: ReferenceTable | None = None
+    sensors: LogSensorsTable
+    alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)
+    estimator: Annotated[tuple[EstimatorTable, ...], ROWS] = (EstimatorTable(use="loose-15"),)
+    evaluation: LogEvaluationTable = Field(default_factory=LogEvaluationTable)
+    requirement: Annotated[tuple[RequirementTable, ...], ROWS] = ()

@@ -1,0 +1,1 @@
+"""Filters of others: classes, programs and solutions in files."""

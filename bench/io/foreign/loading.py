@@ -1,0 +1,48 @@
+"""Where an estimator runs: the one place that decides between here and a process of its own."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Protocol, Self, runtime_checkable
+
+from bench.core.records.specs import EstimatorChoice
+from bench.navigation import built_in
+from bench.navigation.built_in import BUILT_IN
+from bench.navigation.estimator import Estimator
+
+
+def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:
+    """Build estimators: built-in ones here, programs and classes of others in processes of their own.
+
+    Raises
+    ------
+    EstimatorError, ConfigError
+        If there is no such estimator, file or program, or its options are wrong.
+    EstimatorFailedError
+        If the module or the constructor of a class raised.
+    """
+    begun = [_begin(choice) for choice in choices]  # their processes start at the same time
+    return [one.wait() if isinstance(one, Awaited) else one for one in begun]
+
+
+@runtime_checkable
+class Awaited(Estimator, Protocol):
+    """An estimator that is being built in its process."""
+
+    def wait(self) -> Self:
+        """Return it when it is built."""
+        ...
+
+
+def _begin(choice: EstimatorChoice) -> Estimator:
+    if choice.use.startswith(("file:", "command:")):
+        from bench.io.foreign import outside
+
+        return outside.load(choice)
+    here = choice.guard.in_process or sys.platform == "win32"  # which lacks what holds a process
+    if choice.use in BUILT_IN or here or not built_in.is_class(choice.use):
+        return built_in.load(choice.use, choice.options)  # what is no name at all is told there
+    from bench.io.foreign.own_process import OwnProcessEstimator
+
+    return OwnProcessEstimator(choice)

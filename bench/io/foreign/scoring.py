@@ -1,0 +1,124 @@
+"""Judge a solution from a file on a run, like that of an estimator of the bench."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.run_result import RunResult
+from bench.core.words.exceptions import ConfigError
+from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+from bench.evaluation.conventions.convention_search import find_mistakes
+from bench.evaluation.errors.fixes import judge as judge_by_fixes
+from bench.evaluation.metrics import run_metrics
+from bench.evaluation.metrics.coverage import measure_coverage
+from bench.evaluation.requirements.required_metrics import list_requirements
+from bench.io import results
+from bench.io.config import fault_tables
+from bench.io.config.checks import LABEL
+from bench.io.foreign.solutions import check_unit, read_solution, resample
+from bench.io.logs import reference
+from bench.simulation.sensors.timing import select_output_times
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A solution, its errors and metrics, and the run it is judged on."""
+
+    label: str
+    solution: NavSolution  # at the output times of the run; NaN where the file has no solution
+    errors: ErrorSeries
+    metrics: Mapping[str, Any]
+    run: RunResult
+    coverage: float  # fraction of the output times with a solution [1]
+    rows: int  # number of rows in the file
+
+
+def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
+    """Judge a solution on a run; parameters and errors as `bench.api.score_solution`."""
+    label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
+    if not LABEL.fullmatch(label):
+        raise ConfigError(
+            f"--label {label!r} must be a name of letters, digits, '-', '_' and '.', 100 at most"
+        )
+    for option, seconds in (("--t0", t_0), ("--max-gap", longest)):
+        if seconds is not None and not math.isfinite(seconds):
+            raise ConfigError(f"{option} {seconds:g} must be a number of seconds")
+    if path.is_dir() and folder.is_file():
+        raise ConfigError(f"{folder} is a file and {path} a folder; the solution comes first, then the run")
+    with results.report_damage(folder):
+        run = results.load(folder)
+        if label in run.metrics:
+            raise ConfigError(f"{folder} has a solution {label!r} already; choose another name with --label")
+        if run.truth is None and "log" in run.more:
+            return _score_log(path, run, label, t_0, longest)
+        truth, sensed = results.load_truth(folder), run.sensed
+        profile = run.profile
+        rows = [
+            (row["start_s"], row["start_s"] + row["duration_s"]) for row in profile.get("gnss_outage", [])
+        ]
+        outages = tuple(sorted(rows))
+        faults = fault_tables.read_faults(profile.get("fault", []))
+        t = select_output_times(truth.t, profile["evaluation"]["output_hz"], outages)
+    foreign = read_solution(path, t_0=t_0)
+    check_unit(foreign, float(truth.t[0]), truth.lla[0])
+    solution = resample(foreign, t, longest)
+    errors, measured = run_metrics.judge(
+        truth,
+        solution,
+        evaluation=run.evaluation,
+        outages=outages,
+        faults=faults,
+        assumed=sensed.data.specs if sensed else None,
+        drawn=sensed.truth if sensed else None,
+        data=run.sensors,
+    )
+    return _make_score(label, solution, errors, measured, run, len(foreign), truth)
+
+
+def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: float | None) -> Score:
+    """Judge a solution on a log, by its reference or its withheld fixes."""
+    data, by = run.sensors, run.records.get("reference")
+    assert data is not None
+    foreign = read_solution(path, t_0=t_0)
+    if not len(data.output_t):
+        raise ConfigError("no estimator of this log has instants to compare with: navigate it again")
+    fixes = data.fixes
+    if fixes is not None and len(fixes):
+        check_unit(foreign, float(fixes.t[0]), fixes.lla[0])
+    solution = resample(foreign, data.output_t, longest)
+    if by is not None:
+        errors, measured = reference.judge(solution, by, data, run.evaluation)
+    else:
+        errors, measured = judge_by_fixes(solution, run.records["withheld"], data, run.evaluation)
+    return _make_score(label, solution, errors, measured, run, len(foreign))
+
+
+def _make_score(
+    label: str,
+    solution: NavSolution,
+    errors: ErrorSeries,
+    measured: dict[str, Any],
+    run: RunResult,
+    rows: int,
+    truth: Trajectory | None = None,
+) -> Score:
+    """Return the verdict of a solution; with a truth also for which convention it may be mistaken."""
+    blocks = (solution.lla, solution.vel_n, solution.q_nb)
+    empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
+    coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
+    required = list_requirements(run.profile, label)
+    covered = measure_coverage(solution, run.sensors)
+    judged = add_verdict(label, measured, covered, required)
+    if truth is not None and judged["verdict"] in BROKEN:
+        antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
+        found = find_mistakes(truth, [solution], antenna_b, run.evaluation.begin)
+        judged = add_verdict(label, {**measured, **found}, covered, required)
+    return Score(label, solution, errors, judged, run, coverage, rows)

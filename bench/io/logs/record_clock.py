@@ -1,0 +1,79 @@
+"""Clocks of records that go back: seconds of a GPS week at its end, those of a recorder when it restarts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from bench.core.files import disk_arrays
+from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
+from bench.core.words.exceptions import ConfigError
+from bench.io.logs.rows import LogRows
+from bench.simulation.signals.orbits import WEEK
+
+_NEAR = 600.0  # a gap over the end of a week may be twice as long [s]
+
+
+def unwrap_week(rows: LogRows, shown: str) -> LogRows:
+    """Return rows whose times, if they are seconds of a week, go on where a week ends."""
+    weeks = _count_weeks(rows.t)
+    if weeks is None:
+        return rows
+    values = dict(rows.values)
+    if "arrival" in values and (late := _count_weeks(values["arrival"])) is not None:
+        values["arrival"] = values["arrival"] + WEEK * late
+    first = int(np.argmax(weeks != 0)) + 1
+    note = f"{shown}: seconds of a week that ends before row {first}; times go on there"
+    t = disk_arrays.fill(len(rows.t), lambda block: rows.t[block] + WEEK * weeks[block])
+    return replace(rows, t=t, values=values, notes=(*rows.notes, note), week_ends=True)
+
+
+def _count_weeks(t: FloatArray) -> IntArray | None:
+    """Return how many weeks each time (N,) is after that of the first row; None if no week ends."""
+    if not len(t) or t.min() < 0.0 or t.max() > WEEK:
+        return None
+    ends, begins = t > WEEK - _NEAR, t < _NEAR
+    on, back = ends[:-1] & begins[1:], begins[:-1] & ends[1:]
+    if not on.any():
+        return None
+    return np.concatenate([[0], np.cumsum(on.astype(np.int64) - back)])
+
+
+def find_week(t: FloatArray, first: float, last: float) -> float:
+    """Return what to add to times that are a week from those of an IMU, from first to last [s]: 0 if not.
+
+    A receiver that begins after the end of the week, or ends before it, has the seconds of another week.
+    """
+    for week in (0.0, WEEK, -WEEK):
+        if len(t) and t.min() + week <= last and t.max() + week >= first:
+            return week if min(t.min(), first) >= 0.0 and max(t.max(), last) <= 2 * WEEK else 0.0
+    return 0.0
+
+
+def meet_week(rows: LogRows, first: float, last: float) -> LogRows:
+    """Return rows with times of the week of an IMU, whose times are from first to last [s]."""
+    week = find_week(rows.t, first, last)
+    if not week:
+        return rows
+    values = dict(rows.values)
+    if "arrival" in values:
+        values["arrival"] = values["arrival"] + week
+    return replace(rows, t=rows.t + week, values=values, week_ends=True)
+
+
+def check_order(t: FloatArray, valid: BoolArray, origin: float, shown: str) -> None:
+    """Raise ConfigError if most sound rows of a record are earlier than one above them: no filter uses them.
+
+    t = 0 is ``origin`` on the clock of the file [s].
+    """
+    sound = np.flatnonzero(valid)
+    newest = np.maximum.accumulate(t[sound])
+    earlier = np.flatnonzero(t[sound] < newest)
+    if 2 * len(earlier) > len(sound):
+        k = earlier[0]
+        clock = f"the clock goes back from {newest[k] + origin:.9g} to {t[sound[k]] + origin:.9g} s"
+        lost = f"{len(earlier)} of {len(t)} rows are earlier than one above them"
+        raise ConfigError(
+            f"{shown}: row {sound[k] + 1}: {clock}, and {lost}; give each part of the file a log of its own"
+        )

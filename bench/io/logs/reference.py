@@ -1,0 +1,226 @@
+"""The reference of a log: what another unit says of the same motion, and how it judges a solution.
+
+The reference may be any file that fixes or solutions are read from. Solution and reference have times of
+their own: the one with more rows is interpolated at the instants of the other, never across a gap of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics import rotation
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.earth import difference_n, matrix_en
+from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
+from bench.core.records.specs import EvaluationWindow
+from bench.core.words.exceptions import ConfigError
+from bench.evaluation.errors.error_series import select_epochs
+from bench.evaluation.errors.failures import describe_failure
+from bench.evaluation.errors.fixes import point_errors
+from bench.evaluation.metrics.run_metrics import judge_epochs
+from bench.evaluation.motion.recorded_motion import Check
+from bench.exchange.autopilot import NEAR, look, read_truth
+from bench.io.config.log import NAV, ReferenceSpec, SourceSpec
+from bench.io.foreign.solutions import DEVIATIONS, ForeignSolution, read_attitudes, read_solution, resample
+from bench.io.logs import formats
+from bench.io.logs.formats.contents import AUTOPILOTS
+from bench.io.logs.record_clock import meet_week, unwrap_week
+from bench.io.logs.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
+from bench.io.logs.table_files import check_times, read_table
+from bench.io.trajectories.trajectory import KINDS
+
+_TABLE = {
+    **GNSS,
+    "position sd": (*GNSS["position sd"], *DEVIATIONS["sd_pos"]),
+    "velocity sd": (*GNSS["velocity sd"], *DEVIATIONS["sd_vel"]),
+    "attitude": KINDS["attitude"],
+    "attitude sd": DEVIATIONS["sd_phi"],
+}
+"""Columns of a table: those of fixes or of a solution."""
+_FEWEST = 3  # rows
+_FAR, _SIGMAS = 20.0, 5.0  # distance to the fixes that is wrong: beyond [m], and so many of their sd
+
+
+def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference:
+    """Read the reference of a log.
+
+    Parameters
+    ----------
+    spec : ReferenceSpec
+        The file, and how the unit is mounted.
+    origin, last : float
+        t = 0 on the clock of the files, and the end of the IMU record after it [s].
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, has no position, or none of its rows can judge: one line.
+    """
+    source, shown = spec.source, spec.source.path.name
+    if source.path.suffix.lower() == NAV:
+        found = read_solution(source.path)
+        t, lla, vel_n, q_nb = found.t, found.lla, found.vel_n, found.q_nb
+        cov = np.zeros((len(t), 9, 9)) if found.cov is None else found.cov
+        good = np.ones(len(t), np.bool_)
+        values: dict[str, FloatArray] = {}
+    else:
+        rows, q_nb, sd_phi = _read_rows(spec)
+        rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
+        t, values = rows.t, dict(rows.values)
+        lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
+        cov = _make_covariance(values, sd_phi, len(t))
+        good = values.get("valid", np.ones(len(t))) > 0
+    if spec.quality:
+        if "quality" not in values:
+            raise ConfigError(f"{shown}: [reference] quality is set, but the file has no column quality")
+        good &= np.isin(values["quality"], spec.quality)
+    good &= np.isfinite(lla).all(axis=1) & lla[:, :2].any(axis=1) & np.isfinite(t)
+    for block in (vel_n, q_nb):
+        known = np.asarray(np.isfinite(block).all(axis=1))
+        if 2 * known.sum() > len(known):
+            good &= known
+        else:
+            block[:] = np.nan
+    if good.sum() < _FEWEST:
+        raise ConfigError(f"{shown}: {good.sum()} of {len(t)} rows can judge; at least {_FEWEST} are needed")
+    t = t[good] + source.time_offset - origin
+    check_times(t, "time", shown)
+    if t[-1] < 0.0 or t[0] > last:
+        there = f"{t[0] + origin:.9g} to {t[-1] + origin:.9g} s"
+        raise ConfigError(
+            f"{shown}: its times, {there}, do not overlap those of the IMU, {origin:.9g} to "
+            f"{last + origin:.9g} s; [reference] time_offset_s is added to them"
+        )
+    q_b = rotation.conjugate(rotation.from_euler(*spec.mounting))
+    track = _make_solution(t, lla[good], vel_n[good], rotation.multiply(q_nb[good], q_b), cov[good])
+    return Reference(track, np.asarray(spec.point_b))
+
+
+def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
+    """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them."""
+    source, shown = spec.source, spec.source.path.name
+    if source.format in AUTOPILOTS and source.topic is None and look(source.format, source.path).truth:
+        return _read_truth(source)
+    if source.format != "table":
+        rows = formats.read(source.format, source.path, "gnss", source.topic)
+        return rows, np.full((len(rows.t), 4), np.nan), None
+    optional = (*OPTIONAL, "attitude", "attitude sd")
+    table = read_table(source.path, _TABLE, optional, MOST_ROWS, source.columns, structure=source.topic)
+    rows = LogRows.from_table(table, shown)
+    lla = rows.values["lla"]
+    q_nb = np.full((len(lla), 4), np.nan)
+    if "attitude" in table.columns:
+        known = np.isfinite(lla).all(axis=1) & np.isfinite(table.columns["attitude"]).all(axis=1)
+        given = {kind: table.columns[kind][known] for kind in ("position", "attitude")}
+        q_en = rotation.from_matrix(matrix_en(*lla[known, :2].T))
+        q_nb[known] = read_attitudes(table, given, q_en, np.flatnonzero(known) + 1, shown)
+    return rows, q_nb, table.columns.get("attitude sd")
+
+
+def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:
+    """Return the truth of a simulator at the times of its positions."""
+    own = read_truth(source)
+    q_nb = np.full((len(own.t), 4), np.nan)
+    if len(own.attitude_t):
+        unknown = np.full((len(own.attitude_t), 3), np.nan)
+        cov = np.zeros((len(own.attitude_t), 9, 9))
+        attitude = _make_solution(own.attitude_t, unknown, unknown, own.q_nb, cov)
+        q_nb = resample(_as_foreign(attitude, source.path.name), own.t, NEAR).q_nb
+    return LogRows(own.t, {"lla": own.lla, "vel_n": own.vel_n}), q_nb, None
+
+
+def _make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n: int) -> FloatArray:
+    """Return covariances (N, 9, 9); zero where nothing is said, which counts as exact."""
+    cov = np.zeros((n, 9, 9))
+    for k, block in enumerate(("pos", "vel")):
+        part = slice(3 * k, 3 * k + 3)
+        if f"cov_{block}" in values:
+            cov[:, part, part] = values[f"cov_{block}"].reshape(-1, 3, 3)
+        elif f"sd_{block}" in values:
+            cov[:, part, part] = np.square(np.maximum(values[f"sd_{block}"], 0.0))[:, :, None] * np.eye(3)
+    if sd_phi is not None:
+        cov[:, 6:, 6:] = np.square(np.maximum(sd_phi, 0.0))[:, :, None] * np.eye(3)
+    return np.nan_to_num(cov)
+
+
+def _make_solution(
+    t: FloatArray, lla: FloatArray, vel_n: FloatArray, q_nb: FloatArray, cov: FloatArray
+) -> NavSolution:
+    unknown, none = np.full((len(t), 3), np.nan), np.empty((len(t), 0))
+    return NavSolution(t, lla, vel_n, q_nb, unknown, unknown, cov, (), none, none)
+
+
+def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
+    """Compare a reference with the fixes of the log: the distance tells another drive or another clock."""
+    track = reference.track
+    blocks = {"velocity": track.vel_n, "attitude": track.q_nb}
+    parts = ", ".join(["position", *(name for name, values in blocks.items() if np.isfinite(values).all())])
+    sd = np.sqrt(np.median(np.einsum("kii->ki", track.cov)[:, :2].mean(axis=1)))
+    exact = f"known to {sd:.3g} m" if sd > 0 else "taken as exact"
+    text = f"reference: {len(track)} rows, {track.t[0]:.2f} to {track.t[-1]:.2f} s, {parts}, {exact}"
+    order = np.argsort(fixes.t, kind="stable")
+    near = fixes.take(order[fixes.valid[order]])
+    own = resample(_as_foreign(track, "reference"), near.t)
+    known = np.isfinite(own.lla).all(axis=1) & np.isfinite(near.lla).all(axis=1)
+    if not known.any():
+        return Check("reference_to_fixes_m", None, f"{text}; no fix at its times to compare it with", True)
+    off = np.hypot(*difference_n(own.lla[known], near.lla[known])[:, :2].T)
+    spread = np.sqrt(np.einsum("kii->ki", near.cov_pos_n[known])[:, :2].sum(axis=1))
+    distance, most = float(np.median(off)), max(_FAR, _SIGMAS * float(np.median(spread)))
+    text += f"; {distance:.3g} m from the fixes in the median"
+    if distance > most:
+        text += ": is it of this drive, and time_offset_s of its clock?"
+    return Check("reference_to_fixes_m", distance, text, distance <= most)
+
+
+def judge(
+    solution: NavSolution, reference: Reference, data: SensorData, evaluation: EvaluationWindow
+) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return the errors of a solution against a reference, and the metrics of what it has.
+
+    Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
+    the estimate plus that of the reference.
+    """
+    errors, moved = compare(solution, reference, data)
+    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
+    if len(errors):
+        values = judge_epochs(errors, moved, evaluation)
+    return errors, {**values, "reference_epochs": len(errors)}
+
+
+def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
+    """Return the errors at the instants that both have, and the estimate there with the claims of both."""
+    estimate, track = _meet(solution, reference.track)
+    return point_errors(estimate, track, reference.point_b, data.imu)
+
+
+def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:
+    """Return estimate and reference at common instants."""
+    known = np.asarray(np.isfinite(solution.lla).all(axis=1))
+    if np.median(np.diff(track.t)) < np.median(np.diff(solution.t)) or not known.any():
+        own = resample(_as_foreign(track, "reference"), solution.t)
+        rows = np.asarray(np.isfinite(own.lla).all(axis=1))
+        return select_epochs(solution, rows), select_epochs(own, rows)
+    inside = (track.t >= solution.t[0]) & (track.t <= solution.t[-1])
+    track = select_epochs(track, inside)
+    estimate = resample(_as_foreign(select_epochs(solution, known), "the solution"), track.t)
+    return replace(estimate, innovations=solution.innovations, events=solution.events), track
+
+
+def _as_foreign(solution: NavSolution, shown: str) -> ForeignSolution:
+    """Return a solution as one that can be interpolated."""
+    return ForeignSolution(
+        shown=shown,
+        rows=np.arange(1, len(solution) + 1),
+        t=solution.t,
+        lla=solution.lla,
+        vel_n=solution.vel_n,
+        q_nb=solution.q_nb,
+        gyro_bias_b=solution.gyro_bias_b,
+        accel_bias_b=solution.accel_bias_b,
+        cov=solution.cov,
+        remarks=(),
+    )

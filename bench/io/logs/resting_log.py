@@ -1,0 +1,56 @@
+"""Read the log of an IMU at rest, to measure its Allan deviation."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
+from bench.evaluation.motion.noise_curves import INDEPENDENT
+from bench.io.logs.table_files import find_first, group, read_table
+
+FEWEST = 2 * INDEPENDENT
+"""Fewest rows: the shortest averaging time needs them."""
+MOST_ROWS = 20_000_000
+"""Most rows: 55 hours at 100 Hz."""
+_TRIADS = {
+    "gyro": (group("rate", "gyro_x", "gyro_y", "gyro_z"),),
+    "accel": (group("acceleration", "accel_x", "accel_y", "accel_z"),),
+}
+
+
+def read_resting_log(path: Path) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return the times (N,) [s] and the rates (N, 3) of each triad, in SI.
+
+    Parameters
+    ----------
+    path : Path
+        Table with a header (CSV, Parquet or MATLAB): ``t_s`` and one or both triads, ``gyro_x_rad_s``,
+        ``gyro_y_rad_s``, ``gyro_z_rad_s`` (or ``deg_s``, ``deg_h``), ``accel_x_m_s2`` ... (or ``g``, ``mg``):
+        rates, not increments. Other columns are not read.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is not such a table, has irregular times or is too short. The message names
+        file and row; row 1 is the first below the header.
+    """
+    shown = path.name
+    table = read_table(path, {"time": (group("time", "t"),), **_TRIADS}, tuple(_TRIADS), MOST_ROWS)
+    table.check_groups(_TRIADS, shown)
+    triads = {name: table.columns[name] for name in _TRIADS if name in table.columns}
+    t = table.columns["time"][:, 0]
+    if not triads:
+        raise ConfigError(f"{shown}: no column 'gyro_x_rad_s' or 'accel_x_m_s2' with its y and z")
+    if len(t) < FEWEST:
+        raise ConfigError(f"{shown}: {len(t)} samples; at least {FEWEST} are needed")
+    finite = np.isfinite(np.column_stack([t, *triads.values()])).all(axis=1)
+    if (k := find_first(~finite)) is not None:
+        raise ConfigError(f"{shown}: row {k + 1}: a value is not finite")
+    step = float(np.median(np.diff(t)))
+    if (k := find_first(np.abs(np.diff(t) - step) > 0.5 * step if step > 0 else np.ones(1))) is not None:
+        text = f"t_s must increase by about {step:g} s, as in the rest of the file"
+        raise ConfigError(f"{shown}: row {k + 2}: {text}")
+    return t, triads

@@ -1,0 +1,423 @@
+"""Find what each sensor measured in the tables and texts of other people, by names and by values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.units import ENDINGS, STANDARD_GRAVITY, split_unit
+from bench.core.words.exceptions import ConfigError
+from bench.io.logs import formats
+from bench.io.logs.exporter_names import make_plain, match_exporter
+from bench.io.logs.formats.navego_structures import list_sensors
+from bench.io.logs.rows import BARO, GNSS, IMU, MOST_ROWS
+from bench.io.logs.table_files import list_columns, read_columns
+
+_TABLES = (".csv", ".parquet", ".mat")
+TEXT = ".txt"
+"""Ending of the texts of KF-GINS, numbers without names, and of the tables of some programs."""
+_TEXTS = (TEXT, ".tsv")
+_GRAVITY = {"g": 1.0, "m_s2": STANDARD_GRAVITY, "mg": 1000.0}
+_NEAR, _SAME_WAY = 0.25, 0.5  # how near gravity the median is, and how much of it stays along an axis [1]
+_FORCES = (5.0, 20.0)  # that the median specific force is between [m/s^2]
+_UNKNOWN = -1.0  # that receivers write for a standard deviation they do not know
+_FASTEST = 10.0  # median angular rate of no vehicle [rad/s]
+_IMU_STEP, _OTHER_STEP = 0.5, 2.0  # longest step of the times of an IMU, of another sensor [s]
+_WRITTEN = {unit.symbol.replace("^", "").lower(): ending for ending, unit in ENDINGS.items()}
+"""Unit in brackets behind a name -> ending."""
+_FOREIGN = re.compile(r"f(oo|ee)?t(/s)?|km/?h|kph|kno?ts?|kn|mph|min|h|hours?")
+"""Units that no column of a log has."""
+_IN_BRACKETS = re.compile(r"[\[(](?!\d+[\])])")
+"""A unit, but no index."""
+_RUN_TOGETHER = {
+    **{"_dps": "_deg_s", "_degps": "_deg_s", "_degs": "_deg_s", "_radps": "_rad_s", "_rads": "_rad_s"},
+    **{"_mps2": "_m_s2", "_ms2": "_m_s2", "_mss": "_m_s2"},
+}
+"""Endings of units as others write them -> ending."""
+_SPELLINGS = {
+    "°": "deg",
+    "degrees": "deg",
+    "dps": "deg/s",
+    "µ": "u",
+    "μ": "u",
+    "²": "2",
+    "/s1": "/s",
+    "sec": "s",
+}
+
+
+def _guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
+    step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) / longest if len(t) > 1 else 0.0
+    return next((unit for most, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us")) if step < most), "ns")
+
+
+def _guess_rate(rate: FloatArray) -> str:
+    return "deg_s" if float(np.nanquantile(np.abs(rate), 0.99)) > 3.5 else "rad_s"
+
+
+def _guess_turn(dtheta: FloatArray) -> str:
+    return "deg" if float(np.nanquantile(np.abs(dtheta), 0.99)) > 0.2 else "rad"
+
+
+def _guess_force(force: FloatArray) -> str:
+    """Return the unit with which the median is gravity, along the same axis most of the time; else empty."""
+    size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
+    if not np.linalg.norm(np.nanmedian(force, axis=0)) > _SAME_WAY * size:
+        return ""  # without gravity
+    return next((unit for unit, g in _GRAVITY.items() if abs(size / g - 1.0) < _NEAR), "")
+
+
+def _guess_angle(angle: FloatArray) -> str:
+    largest = float(np.nanmax(np.abs(angle), initial=0.0))
+    return "deg_e7" if largest > 1000.0 else "deg" if largest > np.pi else "rad"
+
+
+def _guess_length(value: FloatArray) -> str:
+    """Return mm for integers, as receivers write them, else m."""
+    return "mm" if np.array_equal(value, np.round(value)) and np.ptp(value) > 1.0 else "m"
+
+
+class _SensorQuantity(NamedTuple):
+    """Columns that belong together: names of the bench, patterns of others, and their unit by the values."""
+
+    stems: tuple[str, ...]
+    patterns: tuple[str, ...]
+    guess: Callable[[FloatArray], str]
+    needed: bool = True
+
+
+def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _SensorQuantity:
+    patterns = tuple(rf"(.*{words})(_?{axis}|\.{k})" for k, axis in enumerate("xyz", 1))  # .1: of a matrix
+    return _SensorQuantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
+
+
+_TIME = _SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), _guess_time)
+_INCREMENTS = (
+    _TIME,
+    _name_axes("dtheta", "d(elta_?)?theta", _guess_turn),
+    _name_axes("dvel", "d(elta_?)?v(el|elocity)?", lambda _: "m_s"),
+)
+_VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
+
+
+def _name_velocity(third: str, word: str) -> _SensorQuantity:
+    patterns = tuple(_VELOCITY.format(words) for words in ("n|north", "e|east", f"{third}|{word}"))
+    return _SensorQuantity(("vel_n", "vel_e", f"vel_{third}"), patterns, lambda _: "mps", needed=False)
+
+
+_ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
+_NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
+"""What is beside the specific force in the tables of phones and filters."""
+_TURNS = ("gyro_", "dtheta_")
+_MILLIMETRES = ("alt", "vel_n", "vel_e", "vel_d")
+_RATES = (
+    _TIME,
+    _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
+    _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
+)
+_FIX = (
+    _TIME,
+    _SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
+    _SensorQuantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
+    _name_velocity("d", "down"),
+    _name_velocity("u", "up"),
+)
+_HEIGHT = (_TIME, _SensorQuantity(("alt_baro",), (r"alt_?baro|baro_?alt(itude)?",), lambda _: "m"))
+_KINDS: Mapping[str, tuple[tuple[_SensorQuantity, ...], ...]] = {
+    "imu": (_RATES, _INCREMENTS),
+    "gnss": (_FIX,),
+    "baro": (_HEIGHT,),
+}
+"""The sets of columns of each sensor, one of which a table has."""
+
+
+class FoundSensor(NamedTuple):
+    """A file, or a structure in it, with what a sensor measured."""
+
+    path: Path
+    columns: Mapping[str, str]  # name of the bench -> name in the file
+    guessed: tuple[str, ...]  # what the values, not the names, say of units
+    structure: str = ""  # of a MATLAB file
+    others: tuple[str, ...] = ()  # structures alike
+    form: str = ""  # where the ending does not tell the format
+    turns: bool = False  # it has an attitude too, as no receiver measures it
+    told: str = ""  # what is known of the unit of its gyros
+    program: str = ""  # that wrote it
+    axes: tuple[float, float, float] | None = None  # of an IMU, as the program has them [deg]
+    sheet: str = ""  # file of the datasheet that was in it
+
+    @property
+    def doubtful(self) -> tuple[str, ...]:
+        """The columns of gyros whose unit only their values tell."""
+        turns = {ours: theirs for ours, theirs in self.columns.items() if ours.startswith(_TURNS)}
+        told = any(theirs in line for line in self.guessed for theirs in turns.values())
+        return tuple(turns) if told else ()
+
+    def turn_unit(self) -> FoundSensor:
+        """Return it with gyros in the other unit."""
+        other = {"_rad_s": "_deg_s", "_deg_s": "_rad_s", "_rad": "_deg", "_deg": "_rad"}
+
+        def swap(ours: str) -> str:
+            end = next((one for one in other if ours.endswith(one)), "")
+            return ours.removesuffix(end) + other[end] if ours in self.doubtful and end else ours
+
+        return self._replace(columns={swap(ours): theirs for ours, theirs in self.columns.items()})
+
+
+def find_tables(path: Path) -> dict[str, FoundSensor]:
+    """Return the table of each sensor: the file itself if it has the columns, else one beside it.
+
+    Raises
+    ------
+    ConfigError
+        If there is no IMU in the file, no receiver in any, or a unit cannot be told.
+    """
+    endings = (*_TABLES, *_TEXTS) if path.suffix.lower() in _TEXTS else _TABLES
+    beside = sorted(p for p in path.parent.iterdir() if p.suffix.lower() in endings and p != path)
+    found: dict[str, FoundSensor] = {}
+    wrong: list[ConfigError] = []
+    for kind in _KINDS:
+        matches: list[FoundSensor] = []
+        for place in (path, *beside) if kind != "imu" else (path,):
+            try:
+                match = _find_sensor(place, kind, _IMU_STEP if place == path else _OTHER_STEP)
+            except ConfigError as error:
+                if place == path:
+                    raise
+                wrong.append(error)  # or another file that is not a table
+                continue
+            if match is not None:
+                matches.append(match)
+                if not match.turns:
+                    break
+        if matches:
+            best = min(matches, key=lambda match: match.turns)
+            found[kind] = best._replace(form="table") if best.path.suffix.lower() in _TEXTS else best
+    if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
+        there = ", ".join(list_columns(path)[:30])[:300]
+        where = ""
+        if missing[0] == "gnss":
+            named = ", ".join(place.name for place in beside[:10])
+            where = f", there or in a table beside it ({named or 'there is none'})"
+        because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide own-log"
+        raise ConfigError(
+            f"{path.name}: no columns that look like those of {missing[0]}{where}; it has {there or 'none'}"
+            f"{because}"
+        )
+    return found
+
+
+def has_names(path: Path) -> bool:
+    """Tell whether a text is a table with names above its columns; raise ConfigError if it is not a text."""
+    return any(re.search(r"[a-z]{2}", name.lower()) for name in list_columns(path))
+
+
+def find_texts(path: Path) -> dict[str, FoundSensor]:
+    """Return the files of increments and fixes of KF-GINS; numbers without names are told by their values.
+
+    Raises
+    ------
+    ConfigError
+        If the file has no increments, or no file beside it the fixes; it says why.
+    """
+    imu = formats.read("kf-gins", path, "imu", None)
+    steps = np.diff(imu.t, prepend=np.nan)
+    forward = steps > 0
+    rate, force = (
+        float(np.nanmedian(np.linalg.norm(imu.values[name][forward], axis=1) / steps[forward]))
+        if forward.any()
+        else np.nan
+        for name in ("dtheta", "dvel")
+    )
+    if not (_FORCES[0] < force < _FORCES[1] and rate < _FASTEST):
+        raise ConfigError(
+            f"{path.name}: no increments of an IMU as KF-GINS has them: second of week, angles [rad] and "
+            "velocities [m/s] forward, right, down"
+        )
+    faults = []
+    for place in sorted(one for one in path.parent.iterdir() if one.suffix.lower() == TEXT and one != path):
+        if not (fault := _find_fault(place, imu.t)):
+            files = {"imu": path, "gnss": place}
+            return {kind: FoundSensor(file, {}, (), form="kf-gins") for kind, file in files.items()}
+        faults.append(fault)
+    raise ConfigError(
+        f"{path.name}: no fixes beside it, as KF-GINS has them: a {TEXT} with second of week, latitude, "
+        f"longitude [deg], height, three standard deviations [m]; {'; '.join(faults[:3]) or 'there is none'}"
+    )
+
+
+def _find_fault(path: Path, imu_t: FloatArray) -> str:
+    """Return why a text does not hold the fixes beside an IMU; empty if it does."""
+    try:
+        fixes = formats.read("kf-gins", path, "gnss", None)
+    except ConfigError as error:
+        return str(error)
+    first, last = fixes.t.min(), fixes.t.max()
+    if not (first <= imu_t.max() and imu_t.min() <= last):
+        return f"{path.name}: its times, {first:.9g} to {last:.9g} s, do not overlap those of the IMU"
+    lat, lon, _ = np.abs(fixes.values["lla"]).T
+    sd = fixes.values["sd_pos"]
+    below = ((sd < 0) & (sd != _UNKNOWN)).any(axis=1)  # as an increment may be
+    wrong = (lat > 0.5 * np.pi) | (lon > 2 * np.pi) | below
+    if wrong.any():
+        return f"{path.name}: row {int(np.argmax(wrong)) + 1} holds no fix"
+    return ""
+
+
+def _find_sensor(path: Path, kind: str, longest: float) -> FoundSensor | None:
+    """Return the columns of a sensor in a table, or its structure in a MATLAB file; None if it has none.
+
+    ``longest``: step of the times of the table [s].
+    """
+    names, structures = list_columns(path), [""]
+    if path.suffix.lower() == ".mat":
+        if whole := list_sensors(path, kind):
+            return FoundSensor(path, {}, (), whole[0], tuple(whole[1:]))
+        dots = {name[: dot.start() + 1] for name in names for dot in re.finditer(r"\.", name)}
+        longest = _IMU_STEP if kind == "imu" else _OTHER_STEP  # a structure has times of its own
+        structures = [*sorted(dots, key=lambda prefix: (prefix.count("."), prefix)), ""]
+    found: list[FoundSensor] = []
+    for prefix in structures:
+        if not prefix and (known := _match_program(path, names, kind, longest)) is not None:
+            found.append(known)
+            continue
+        ways = (_match_columns(path, names, prefix, q, longest) for q in _KINDS[kind])
+        found += [way for way in ways if way is not None][:1]
+    if not found:
+        return None
+    found.sort(key=lambda match: match.turns)
+    return found[0]._replace(others=tuple(one.structure for one in found[1:] if one.structure))
+
+
+def _match_program(path: Path, names: Sequence[str], kind: str, longest: float) -> FoundSensor | None:
+    """Return the columns of a sensor in the table of a program that is known; None if it is of no such."""
+    sets = _KINDS[kind]
+    needed = [[stem for one in way if one.needed and one is not _TIME for stem in one.stems] for way in sets]
+    matched = match_exporter(names, needed)
+    if matched is None:
+        return None
+    program, theirs = matched
+    groups = {"imu": IMU, "gnss": GNSS, "baro": BARO}[kind].values()
+    stems = {stem for ways in groups for way in ways for stem in way}
+    wanted = {ours: name for ours, name in theirs.items() if (ours in stems or split_unit(ours)[0] in stems)}
+    motion = next((set(one) for one in needed if set(one) <= {_stem(ours, stems) for ours in wanted}), set())
+    other = {stem for one in needed for stem in one} - motion
+    columns: dict[str, str] = {}
+    guessed: list[str] = []
+    for ours, name in wanted.items():
+        stem = _stem(ours, stems)
+        if stem in other:
+            continue
+        written, known = _split_name(name)[1], ours.removeprefix(stem)
+        unit = written if _IN_BRACKETS.search(name) and written else known or written
+        if _FOREIGN.fullmatch(unit.removeprefix("_")):
+            raise ConfigError(f"{path.name}: {name!r} is in a unit that no column of a log has; convert it")
+        if not unit and stem != "satellites":
+            unit = "_" + _guess_unit(path, stem, wanted, stems, longest)
+            if stem.startswith(_TURNS):
+                guessed.append(name)
+        columns[f"{stem}{unit}"] = name
+    turns = any(re.fullmatch(r"pitch|qu?a?t?w", make_plain(name)) for name in names)
+    unit = next(
+        (o.removeprefix(s) for s in stems if s.startswith(_TURNS) for o in columns if o.startswith(s)), ""
+    )
+    asked = (f"{', '.join(guessed)}: taken as {unit[1:]} by the values",) if guessed else ()
+    return FoundSensor(path, columns, asked, turns=turns, program=program.title, axes=program.axes)
+
+
+def _stem(ours: str, stems: Collection[str]) -> str:
+    return ours if ours in stems else split_unit(ours)[0]
+
+
+def _guess_unit(
+    path: Path, stem: str, columns: Mapping[str, str], stems: Collection[str], longest: float
+) -> str:
+    """Return the unit of a column by its values and those of the columns that belong to it."""
+    quantities = [q for ways in _KINDS.values() for way in ways for q in way]
+    quantity = next((q for q in quantities if stem in q.stems), _TIME)
+    names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
+    values = np.column_stack(list(read_columns(path, names, MOST_ROWS).values()))
+    if quantity is _TIME:
+        return _guess_time(values, longest)
+    if stem in _MILLIMETRES:
+        return _guess_length(values) + ("ps" if stem != "alt" else "")
+    return quantity.guess(values) or _refuse_force(path, names)
+
+
+def _refuse_force(path: Path, names: Sequence[str]) -> str:
+    text = (
+        "not gravity in m/s^2, g or mg, as a specific force has it; increments are dtheta_x_rad, dvel_x_mps"
+    )
+    raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide own-log")
+
+
+def _match_columns(
+    path: Path, names: Sequence[str], prefix: str, quantities: tuple[_SensorQuantity, ...], longest: float
+) -> FoundSensor | None:
+    """Return the columns of a sensor among the names with a prefix; None if one that it needs is missing."""
+    inside = [name.removeprefix(prefix) for name in names if name.startswith(prefix)]
+    plain = {name: _split_name(name) for name in inside}
+    columns: dict[str, str] = {}
+    guessed: list[str] = []
+    for quantity in quantities:
+        if any(split_unit(name)[0] in quantity.stems for name in columns):
+            continue  # the velocity down, and up as well
+        theirs = [_find_name(pattern, plain, columns) for pattern in quantity.patterns]
+        known = [name for name in theirs if name is not None]
+        if len(known) < len(theirs):
+            if quantity.needed:
+                return None
+            continue
+        endings = [plain[name][1] for name in known]
+        if foreign := next((name for name in known if _FOREIGN.fullmatch(plain[name][1])), None):
+            text = f"{foreign!r} is in a unit that no column of a log has; convert it: bench guide own-log"
+            raise ConfigError(f"{path.name}: {text}")
+        if "" in endings:
+            whole = [f"{prefix}{name}" for name in known]
+            values = np.column_stack(list(read_columns(path, whole, MOST_ROWS).values()))
+            unit = _guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
+            if not unit:
+                unit = _refuse_force(path, known)
+            guessed.append(f"{', '.join(known)}: taken as {unit} by the values")
+            endings = [f"_{unit}"] * len(known)
+        columns |= {
+            f"{stem}{ending}": name for stem, ending, name in zip(quantity.stems, endings, known, strict=True)
+        }
+    turns = any(re.fullmatch(r"(.*_)?(pitch|q(_nb|_eb)?_?w)", stem) for stem, _ in plain.values())
+    return FoundSensor(path, columns, tuple(guessed), prefix.removesuffix("."), turns=turns)
+
+
+def _split_name(name: str) -> tuple[str, str]:
+    """Return the words of a name, and the ending of its unit, which may stand in brackets behind them.
+
+    A unit that no column of a log has is returned as it is; empty if there is none.
+    """
+    words, _, bracket = re.sub(r"[\])].*", "", name.lower().replace("[", "(")).partition("(")
+    words = words.strip().lstrip("#").strip().replace(" ", "_")
+    for theirs, ours in _RUN_TOGETHER.items():
+        if words.endswith(theirs):
+            return words.removesuffix(theirs), ours
+    stem = split_unit(words)[0]
+    if stem != words:
+        return stem, words[len(stem) :]
+    written = re.sub(r"[\s^]", "", re.sub(r"[ .*·]*s\.?\^?-", "/s", bracket.strip()))
+    for theirs, ours in _SPELLINGS.items():
+        written = written.replace(theirs, ours)
+    return stem, written if _FOREIGN.fullmatch(written) else _WRITTEN.get(written, "")
+
+
+def _find_name(pattern: str, plain: Mapping[str, tuple[str, str]], taken: Mapping[str, str]) -> str | None:
+    """Return the shortest name that fits a pattern, is not taken, and is not that of an accuracy."""
+    fitting = [
+        name
+        for name, (stem, _) in plain.items()
+        if re.fullmatch(pattern, stem)
+        and not any(other.fullmatch(stem) for other in (_ACCURACY, _NO_GRAVITY))
+        and name not in taken.values()
+    ]
+    return min(fitting, key=len, default=None)

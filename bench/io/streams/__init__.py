@@ -1,0 +1,1 @@
+"""A run as a stream of messages, sent to a socket."""

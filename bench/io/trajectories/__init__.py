@@ -1,0 +1,1 @@
+"""Trajectories and tracks of others, read as truth."""
