@@ -104,7 +104,7 @@ if TYPE_CHECKING:
         EstimatorError as EstimatorError,
         FlightError as FlightError,
     )
-    from bench.log_pipeline import navigate_log as navigate_log, read_log as read_log
+    from bench.pipeline.log_pipeline import navigate_log as navigate_log, read_log as read_log
     from bench.navigation.engine.record_cuts import take_piece as take_piece
     from bench.navigation.estimator import Estimator as Estimator, check_estimator as check_estimator
     from bench.navigation.filter_adapters import fix_steps as fix_steps, track_solution as track_solution
@@ -145,11 +145,11 @@ _PUBLIC = {
     "make_card": "bench.campaigns.card",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
-    "navigate_log": "bench.log_pipeline",
+    "navigate_log": "bench.pipeline.log_pipeline",
     "open_filter": "bench.api",
     "plot_result": "bench.report.paper",
     "read_card": "bench.campaigns.card",
-    "read_log": "bench.log_pipeline",
+    "read_log": "bench.pipeline.log_pipeline",
     "record_baselines": "bench.baselines.checking",
     "resume_filter": "bench.io.results.filter_state",
     "run": "bench.api",

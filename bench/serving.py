@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import CLIENT, Profile
@@ -18,6 +18,7 @@ from bench.exchange.flight_session import FlightFacts, FlightSession
 from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.io.config.served import load_served
 from bench.io.streams.streaming import listen, parse_address
+from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.steering import Commands
 
 Gives = Literal["estimate", "commands"]

@@ -15,9 +15,9 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.log_pipeline import Session, find_start, read_log
 from bench.navigation.estimator import answer
 from bench.navigation.mechanization import propagate
+from bench.pipeline.log_pipeline import Session, find_start, read_log
 
 LOG = Path(__file__).parent / "logs" / "drive.toml"
 SPANS = (10, 20)  # [s]

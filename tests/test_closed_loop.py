@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.cli import main
 from bench.core.records.data import NavSolution
 from bench.core.records.flight_specs import FlightSpec
@@ -17,6 +17,7 @@ from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.io import config, results
 from bench.io.config.listing import list_profiles
 from bench.navigation.open_filters import PieceFilter
+from bench.pipeline import closed_loop
 from bench.simulation.flight import fly_pieces
 from bench.simulation.flight.guidance.belief import Belief, NavEstimate
 from bench.simulation.flight.legs.level import Straight

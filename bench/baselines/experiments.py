@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from bench import log_pipeline, pipeline
+from bench import pipeline
 from bench.baselines.baseline_file import CPU, UNKNOWN, Baseline, EstimatorValues, Value, get_name
 from bench.baselines.digests import digest_record
 from bench.campaigns.worker import describe_error, get_truth
@@ -25,7 +25,7 @@ from bench.evaluation.metrics.run_metrics import find_metric
 from bench.io import results
 from bench.io.config import load_profile
 from bench.io.config.toml_file import read_toml
-from bench.pipeline import build_estimator
+from bench.pipeline import build_estimator, log_pipeline
 
 STRETCHES = 20
 """A recording has one draw of noise; it is cut into this many stretches, each of which counts as one."""

@@ -11,7 +11,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from bench import log_pipeline, pipeline
+from bench import pipeline
 from bench.campaigns.batches import Lost, Pool, compute
 from bench.campaigns.heap import keep_freed_memory
 from bench.campaigns.worker import RunTask, choose_step, describe_error, get_truth, measure
@@ -29,6 +29,7 @@ from bench.io.config import load_profile
 from bench.io.config.datasheets import MODIFIED, SENSORS
 from bench.io.config.library import find_profile
 from bench.io.results import truth_key
+from bench.pipeline import log_pipeline
 
 Goal = Literal["consistency", "rmse"]
 Figures = Mapping[str, float]

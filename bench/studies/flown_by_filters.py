@@ -1,9 +1,9 @@
 """Where an aircraft ends that a filter flies, and how far off its path it was, by filter and unit.
 
-Each draw is a flight of its own (`bench.closed_loop`). The miss distance is that from where the same flight
-ends when the truth guides it: an estimate without error flies the same bits, so the miss is what navigation
-did. It is that of the touch-down if the flight has a flare, else of the end. A crash has missed by more than
-any distance.
+Each draw is a flight of its own (`bench.pipeline.closed_loop`). The miss distance is that from where the
+same flight ends when the truth guides it: an estimate without error flies the same bits, so the miss is
+what navigation did. It is that of the touch-down if the flight has a flare, else of the end. A crash has
+missed by more than any distance.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
@@ -30,6 +30,7 @@ from bench.evaluation.ensembles.ensemble import Quantile, estimate_quantile, poo
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.errors.total_system import PARTS, resolve_along
 from bench.io.config import load_profile
+from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
 from bench.studies.study import (

@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench import log_pipeline
 from bench.core.records.findings import Findings, FindingTable, make_table, series
 from bench.core.records.findings.series import Plot, Series
 from bench.core.words.exceptions import ConfigError, EstimatorError
@@ -27,6 +26,7 @@ from bench.core.words.wording import one_line
 from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.ensembles.regression import average_changes, decide
 from bench.io.config.log import is_log
+from bench.pipeline import log_pipeline
 from bench.studies.study import Settings, StudyOptions, StudyWorkers, Words, format_estimate, read_settings
 
 _LEAST = 3  # logs that tell how much ratios scatter

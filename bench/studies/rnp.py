@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import HOUR, SAME_INSTANT
 from bench.core.records.data import NavSolution, Sensed, Trajectory
@@ -55,6 +55,7 @@ from bench.evaluation.requirements.required_performance import (
 from bench.io.config import load_profile
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_rows
+from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_off_path
 from bench.studies.stanford import PLANES, known_size, plot_stanford, tabulate_stanford
 from bench.studies.study import (

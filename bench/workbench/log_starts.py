@@ -13,9 +13,9 @@ from bench.evaluation.motion.recorded_motion import RecordedMotion
 from bench.io.config.log import LogSpec, StartSpec
 from bench.io.logs.log_records import LogRecords
 from bench.io.logs.log_start import HOVER, choose_stretch, find_start
-from bench.log_pipeline import Session
 from bench.navigation.start import alignment
 from bench.navigation.start.leveling import LEAST_REST
+from bench.pipeline.log_pipeline import Session
 
 _SILENT = 0.5  # an IMU silent for longer is a new start [s]
 _EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]

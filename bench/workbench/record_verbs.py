@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import api, log_pipeline
+from bench import api
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import TriadSpec
@@ -20,6 +20,7 @@ from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
 from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.io import config, results
 from bench.io.config.checks import is_code
+from bench.pipeline import log_pipeline
 from bench.workbench import result_table
 from bench.workbench.flight_verbs import (
     RUNS,

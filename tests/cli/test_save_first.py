@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench import log_pipeline, serving
+from bench import serving
 from bench.baselines import checking
 from bench.campaigns import card, running
 from bench.campaigns.card_suite import Suite, SuiteFlight
@@ -27,6 +27,7 @@ from bench.cli import main
 from bench.core.words import plain_output
 from bench.core.words.exceptions import DONE, MACHINE, NEGATIVE
 from bench.evaluation.ensembles.ensemble import Estimate
+from bench.pipeline import log_pipeline
 from bench.report import allan_picture
 from bench.studies import sensor_requirements
 from bench.workbench import campaign_verb, fixes_verb, tune_verb

@@ -12,7 +12,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench import log_pipeline
 from bench.cli import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.instruments import BaroData, RadarData
@@ -25,6 +24,7 @@ from bench.io.logs.log_records import _find_ground, read_records, set_altimeter
 from bench.io.logs.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
+from bench.pipeline import log_pipeline
 from bench.simulation.signals.magnetic import field_n
 from tests.evaluation.solutions import wrong_solution
 from tests.exchange import flown

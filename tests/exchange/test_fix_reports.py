@@ -6,7 +6,7 @@ import pytest
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
-from bench.log_pipeline import read_log
+from bench.pipeline.log_pipeline import read_log
 from tests.exchange import drives
 
 SD = ("sd_n_m", "sd_e_m", "sd_d_m")

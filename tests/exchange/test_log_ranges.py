@@ -17,8 +17,8 @@ from bench.io.exports.outgoing import ExportData
 from bench.io.logs.log_ranges import read_ranges
 from bench.io.logs.log_records import read_records
 from bench.io.results import make_start_document
-from bench.log_pipeline import Session, read_log
 from bench.navigation.built_in import load
+from bench.pipeline.log_pipeline import Session, read_log
 from bench.simulation import sensors
 from bench.simulation.sensors.draws import SensorDraws
 from bench.simulation.sensors.gnss import compute_antenna_motion

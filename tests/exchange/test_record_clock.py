@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import log_pipeline
 from bench.cli import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.validity import check_recording
@@ -12,6 +11,7 @@ from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
 from bench.io.logs.record_clock import find_week, unwrap_week
 from bench.io.logs.rows import LogRows
+from bench.pipeline import log_pipeline
 from tests.exchange import drives
 
 WEEK = 604800.0

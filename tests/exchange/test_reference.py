@@ -16,7 +16,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.error_series import select_epochs
 from bench.io.logs.log_start import find_start
 from bench.io.logs.reference import _make_covariance, check_reference
-from bench.log_pipeline import Session
+from bench.pipeline.log_pipeline import Session
 from tests.builders import assert_same_solution
 from tests.evaluation.solutions import wrong_solution
 from tests.exchange import drives

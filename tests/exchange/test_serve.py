@@ -21,7 +21,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import closed_loop, serving
+from bench import serving
 from bench.cli import commands, main
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import INSTRUMENTS
@@ -32,6 +32,7 @@ from bench.exchange.flight_client import FlightClient
 from bench.exchange.mavlink_session import ActuatorChannels
 from bench.io import config
 from bench.io.streams.frames import make_frames
+from bench.pipeline import closed_loop
 from tests.exchange.test_stream import crc16, decoded
 from tests.test_closed_loop import PROFILE
 

@@ -16,9 +16,9 @@ from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.errors.error_series import error_series
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
-from bench.log_pipeline import Session, find_start
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.state_blocks import CLOCK_WALK
+from bench.pipeline.log_pipeline import Session, find_start
 from bench.simulation import sensors
 from tests.builders import put
 from tests.weaving import units, weaving

@@ -15,10 +15,11 @@ from itertools import pairwise
 import numpy as np
 
 import bench
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.core.records.data import Sensed
 from bench.exchange.flight_client import FlightClient
 from bench.io import config
+from bench.pipeline import closed_loop
 from bench.serving import serve
 
 ROUNDS = 3

@@ -13,10 +13,11 @@ import pytest
 import rerun as rr
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import closed_loop, pipeline
+from bench import pipeline
 from bench.cli import main
 from bench.core.mathematics import earth
 from bench.io import config
+from bench.pipeline import closed_loop
 from bench.recording import column, live
 from bench.workbench import viewer
 from bench.workbench.console import PlainConsole

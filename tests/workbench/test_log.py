@@ -31,9 +31,9 @@ from bench.io import results
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records
 from bench.io.logs.log_start import find_start
-from bench.log_pipeline import Session, read_log
 from bench.navigation import built_in, estimator
 from bench.navigation.models.loose_tight import Loose
+from bench.pipeline.log_pipeline import Session, read_log
 from bench.recording import column
 from tests.exchange import drives
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench import log_pipeline
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.flight_specs import TableSpec
@@ -17,6 +16,7 @@ from bench.evaluation.motion import motion_fit
 from bench.io.logs import formats
 from bench.io.results import join_pieces, parquet
 from bench.io.trajectories.trajectory import read_trajectory
+from bench.pipeline import log_pipeline
 from bench.simulation import sensors
 from tests.exchange import drives
 from tests.weaving import units

@@ -61,7 +61,7 @@ _SOURCES = (
 """Files and folders that truth depends on."""
 
 _LOOP = (
-    "bench/closed_loop.py",
+    "bench/pipeline/closed_loop.py",
     "bench/core/records/instruments.py",
     "bench/navigation",
     "bench/simulation/sensors",

@@ -92,7 +92,7 @@ def _summarize(profile: Profile, pieces: Iterable[Trajectory]) -> dict[str, Any]
 
 
 def _fly_closed(profile: Profile, *arguments: Any) -> Any:
-    from bench import closed_loop  # it needs the filters, which a flight by the truth does without
+    from bench.pipeline import closed_loop  # it needs the filters, which a flight by the truth does without
 
     return closed_loop.fly(profile, *arguments)
 
@@ -242,7 +242,7 @@ def _run(
         truth = fly(profile, progress=tell, show=show)
     elif profile.guidance is not None and profile.guidance.navigation.use != CLIENT:
         stages.begin("navigating the flight again")
-        from bench import closed_loop
+        from bench.pipeline import closed_loop
 
         steered = closed_loop.replay(profile, truth, run)
     if profile.guidance is None:  # an estimate may end a flight before an outage or a fault
