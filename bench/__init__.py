@@ -68,18 +68,18 @@ if TYPE_CHECKING:
         stream_run as stream_run,
     )
     from bench.exchange.receiver_settings import solve_rinex as solve_rinex
-    from bench.baselines.checking import check as check, record_baselines as record_baselines
-    from bench.baselines.comparing import compare_results as compare_results
-    from bench.campaigns.card import (
+    from bench.experiments.baselines.checking import check as check, record_baselines as record_baselines
+    from bench.experiments.baselines.comparing import compare_results as compare_results
+    from bench.experiments.card.card_making import (
         Card as Card,
         make_card as make_card,
         read_card as read_card,
         write_suite as write_suite,
     )
-    from bench.campaigns.card_comparison import compare_cards as compare_cards
-    from bench.campaigns.running import Campaign as Campaign, campaign as campaign
-    from bench.campaigns.stored import load_campaign as load_campaign
-    from bench.campaigns.tuning import Tuning as Tuning, tune as tune
+    from bench.experiments.card.card_comparison import compare_cards as compare_cards
+    from bench.experiments.campaigns.running import Campaign as Campaign, campaign as campaign
+    from bench.experiments.campaigns.stored import load_campaign as load_campaign
+    from bench.experiments.tuning.noise_factors import Tuning as Tuning, tune as tune
     from bench.io.config import (
         list_aircraft as list_aircraft,
         list_estimators as list_estimators,
@@ -117,16 +117,16 @@ if TYPE_CHECKING:
     from bench.core.records.specs import Guard as Guard, Profile as Profile
     from bench.io.results import load as load, to_arrow as to_arrow, to_pandas as to_pandas
     from bench.io.results.filter_state import resume_filter as resume_filter, save_filter as save_filter
-    from bench.studies.conducting import study as study
+    from bench.experiments.studies.conducting import study as study
     from bench.core.records.findings import StudyResult as StudyResult
     from bench.io.results.study_folder import load_study as load_study
 
 _PUBLIC = {
-    "campaign": "bench.campaigns.running",
-    "check": "bench.baselines.checking",
+    "campaign": "bench.experiments.campaigns.running",
+    "check": "bench.experiments.baselines.checking",
     "check_estimator": "bench.navigation.estimator",
-    "compare_cards": "bench.campaigns.card_comparison",
-    "compare_results": "bench.baselines.comparing",
+    "compare_cards": "bench.experiments.card.card_comparison",
+    "compare_results": "bench.experiments.baselines.comparing",
     "describe_flight": "bench.api",
     "export_run": "bench.api",
     "fix_steps": "bench.navigation.filter_adapters",
@@ -139,18 +139,18 @@ _PUBLIC = {
     "list_profiles": "bench.io.config",
     "list_sensors": "bench.io.config",
     "load": "bench.io.results",
-    "load_campaign": "bench.campaigns.stored",
+    "load_campaign": "bench.experiments.campaigns.stored",
     "load_profile": "bench.io.config",
     "load_study": "bench.io.results.study_folder",
-    "make_card": "bench.campaigns.card",
+    "make_card": "bench.experiments.card.card_making",
     "measure_allan": "bench.api",
     "navigate": "bench.api",
     "navigate_log": "bench.pipeline.log_pipeline",
     "open_filter": "bench.api",
     "plot_result": "bench.report.paper",
-    "read_card": "bench.campaigns.card",
+    "read_card": "bench.experiments.card.card_making",
     "read_log": "bench.pipeline.log_pipeline",
-    "record_baselines": "bench.baselines.checking",
+    "record_baselines": "bench.experiments.baselines.checking",
     "resume_filter": "bench.io.results.filter_state",
     "run": "bench.api",
     "save": "bench.saving",
@@ -160,19 +160,19 @@ _PUBLIC = {
     "serve": "bench.serving",
     "solve_rinex": "bench.exchange.receiver_settings",
     "stream_run": "bench.api",
-    "study": "bench.studies.conducting",
+    "study": "bench.experiments.studies.conducting",
     "take_piece": "bench.navigation.engine.record_cuts",
     "to_arrow": "bench.io.results",
     "to_pandas": "bench.io.results",
     "track_solution": "bench.navigation.filter_adapters",
-    "tune": "bench.campaigns.tuning",
+    "tune": "bench.experiments.tuning.noise_factors",
     "write_figures": "bench.report.writing",
     "write_recording": "bench.recording",
     "write_report": "bench.report.writing",
-    "write_suite": "bench.campaigns.card",
+    "write_suite": "bench.experiments.card.card_making",
     "BenchError": "bench.core.words.exceptions",
-    "Campaign": "bench.campaigns.running",
-    "Card": "bench.campaigns.card",
+    "Campaign": "bench.experiments.campaigns.running",
+    "Card": "bench.experiments.card.card_making",
     "ConfigError": "bench.core.words.exceptions",
     "ErrorSeries": "bench.core.records.data",
     "Estimator": "bench.navigation.estimator",
@@ -189,7 +189,7 @@ _PUBLIC = {
     "SensorData": "bench.core.records.data",
     "StudyResult": "bench.core.records.findings",
     "Trajectory": "bench.core.records.data",
-    "Tuning": "bench.campaigns.tuning",
+    "Tuning": "bench.experiments.tuning.noise_factors",
 }
 
 __all__ = ["__version__", *_PUBLIC]

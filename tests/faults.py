@@ -31,19 +31,19 @@ import numpy as np
 
 import bench
 from bench import saving
-from bench.baselines import checking
-from bench.baselines.baseline_file import read_baseline, write_baseline
-from bench.baselines.checking import _write_change as write_change
-from bench.baselines.checking import record_baselines
-from bench.baselines.junit import write_junit
-from bench.campaigns.campaign_tables import EPOCHS, RUNS
-from bench.campaigns.card import Card, Line
-from bench.campaigns.journal import NAME, Journal
-from bench.campaigns.pools import SerialExecutor
-from bench.campaigns.running import Progress
 from bench.core.files import durable
 from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
 from bench.core.words.exceptions import BenchError
+from bench.experiments.baselines import checking
+from bench.experiments.baselines.baseline_file import read_baseline, write_baseline
+from bench.experiments.baselines.checking import _write_change as write_change
+from bench.experiments.baselines.checking import record_baselines
+from bench.experiments.baselines.junit import write_junit
+from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
+from bench.experiments.campaigns.journal import NAME, Journal
+from bench.experiments.campaigns.pools import SerialExecutor
+from bench.experiments.campaigns.running import Progress
+from bench.experiments.card.card_making import Card, Line
 from bench.io import results as store
 from bench.io.results import truth_cache
 from bench.report import card_page

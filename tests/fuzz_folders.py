@@ -18,14 +18,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import bench
-from bench.baselines import checking
-from bench.baselines.baseline_file import read_baseline
-from bench.baselines.checking import record_baselines
-from bench.baselines.comparing import compare
-from bench.campaigns.card import read_card
-from bench.campaigns.card_comparison import compare_cards, list_differences
-from bench.campaigns.journal import NAME, _sum
-from bench.campaigns.pools import SerialExecutor
+from bench.experiments.baselines import checking
+from bench.experiments.baselines.baseline_file import read_baseline
+from bench.experiments.baselines.checking import record_baselines
+from bench.experiments.baselines.comparing import compare
+from bench.experiments.campaigns.journal import NAME, _sum
+from bench.experiments.campaigns.pools import SerialExecutor
+from bench.experiments.card.card_comparison import compare_cards, list_differences
+from bench.experiments.card.card_making import read_card
 from bench.io import results
 from bench.io.results.folders import MARK
 from bench.io.results.study_folder import save_study

@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from bench.campaigns.campaign_file import CampaignTable
 from bench.core.mathematics.units import from_si
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
@@ -24,6 +23,7 @@ from bench.core.records.sensor_specs import GnssSpec, SkySpec, ThermalSpec, Tria
 from bench.core.words.exceptions import STATUSES, ConfigError
 from bench.core.words.wording import as_toml, read_words
 from bench.evaluation.metrics.run_metrics import METRICS
+from bench.experiments.campaigns.campaign_file import CampaignTable
 from bench.io.config.datasheets import ImuSheet, LayoutTable
 from bench.io.config.fault_tables import FAULTS
 from bench.io.config.library import ForeignTable

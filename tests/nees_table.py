@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from scipy.special import stdtrit
 
-from bench.campaigns.groups import Group, gather
-from bench.campaigns.journal import NAME, Journal
-from bench.campaigns.plan import plan_runs
-from bench.campaigns.worker import CHANNELS
 from bench.core.files.file_checks import read_json
 from bench.core.records.specs import Profile
 from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
+from bench.experiments.campaigns.groups import Group, gather
+from bench.experiments.campaigns.journal import NAME, Journal
+from bench.experiments.campaigns.plan import plan_runs
+from bench.experiments.campaigns.worker import CHANNELS
 from bench.io import results
 from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants

@@ -284,9 +284,9 @@ LASER = AidingSensor(
 
 STUDY = Toy(
     new={
-        "bench/studies/coin.py": """
+        "bench/experiments/studies/coin.py": """
 from bench.core.records.findings import Findings, FindingTable
-from bench.studies.study import Count, StudyOptions, StudyWorkers
+from bench.experiments.studies.study import Count, StudyOptions, StudyWorkers
 
 
 class Options(StudyOptions):
@@ -300,10 +300,10 @@ def run(options: Options, work: StudyWorkers) -> Findings:
 """
     },
     inserted={
-        "bench/studies/__init__.py": [
+        "bench/experiments/studies/__init__.py": [
             (
                 '    "requirements": StudyEntry(\n',
-                '    "coin": StudyEntry("bench.studies.coin", "Is it a coin?"),\n',
+                '    "coin": StudyEntry("bench.experiments.studies.coin", "Is it a coin?"),\n',
             )
         ]
     },

@@ -94,7 +94,7 @@ ELSEWHERE = {
     "bench/io/foreign/record_messages.py": "records for the process of a filter, in scratch",
     "bench/io/foreign/outside.py": "messages to and from programs, in scratch",
     "bench/io/foreign/filter_process.py": "messages of the process of a filter, in scratch",
-    "bench/campaigns/cluster.py": "a module packed for workers, in a temporary folder",
+    "bench/experiments/campaigns/cluster.py": "a module packed for workers, in a temporary folder",
 }
 
 
@@ -110,7 +110,7 @@ def test_only_one_module_writes_what_stays():
 AUDITED = """
 import os, sys
 kept, outside = sys.argv[1], []
-allowed = "/bench/core/files/durable.py", "/bench/core/files/scratch.py", "/bench/campaigns/journal.py"
+allowed = "/core/files/durable.py", "/core/files/scratch.py", "/experiments/campaigns/journal.py"
 
 def hook(event, arguments):
     if event == "open":

@@ -109,7 +109,7 @@ def test_a_class_name_is_used_once():
             if isinstance(node, ast.ClassDef):
                 names.setdefault(node.name.lstrip("_"), []).append(name)
     twice = {cls: homes for cls, homes in names.items() if len(homes) > 1}
-    by_contract = [one for one in twice.pop("Options") if not one.startswith("bench.studies.")]
+    by_contract = [one for one in twice.pop("Options") if not one.startswith("bench.experiments.studies.")]
     assert by_contract == ["bench.navigation.options"]
     assert twice == {}, "rename one of them"
 

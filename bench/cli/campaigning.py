@@ -87,8 +87,8 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     """
     if options["jobs"] and options["scheduler"]:
         raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")
-    from bench.campaigns.running import describe
     from bench.evaluation.consistency.verdict import BROKEN
+    from bench.experiments.campaigns.running import describe
     from bench.io.results import to_json
     from bench.workbench.campaign_verb import run_campaign
     from bench.workbench.log_campaign import are_logs, run_logs

@@ -33,20 +33,20 @@ class _Studies(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all studies."""
-        from bench.studies import STUDIES
+        from bench.experiments.studies import STUDIES
 
         return list(STUDIES)
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command:
         """Return the command of a study; an unknown name ends with those that are known."""
-        from bench.studies.conducting import find_study
+        from bench.experiments.studies.conducting import find_study
 
         entry, module = find_study(name)
         return _make_command(name, entry.question, module)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the studies with their questions in full."""
-        from bench.studies import STUDIES
+        from bench.experiments.studies import STUDIES
 
         with formatter.section("Studies"):
             formatter.write_dl([(name, entry.question) for name, entry in STUDIES.items()])

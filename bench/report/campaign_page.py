@@ -9,9 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bench.campaigns.outcome import POOLED, Outcome
-from bench.campaigns.plan import Condition
-from bench.campaigns.running import Campaign
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import unit_of
 from bench.core.records.findings import series
@@ -23,6 +20,9 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
+from bench.experiments.campaigns.outcome import POOLED, Outcome
+from bench.experiments.campaigns.plan import Condition
+from bench.experiments.campaigns.running import Campaign
 from bench.io import results
 from bench.report import page, svg
 from bench.report.page import CaptionedPlot

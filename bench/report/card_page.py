@@ -7,11 +7,11 @@ from datetime import datetime
 from pathlib import Path
 from statistics import median
 
-from bench.campaigns.card import Card, describe_suite
-from bench.campaigns.card_lines import CONVENTIONS, Line
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.wording import format_number
+from bench.experiments.card.card_lines import CONVENTIONS, Line
+from bench.experiments.card.card_making import Card, describe_suite
 from bench.report import page
 from bench.report.forest import RatioRow, draw_ratios
 

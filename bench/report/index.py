@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.campaigns.stored import load_campaign
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.headline import make_headline
+from bench.experiments.campaigns.stored import load_campaign
 from bench.io import results
 from bench.io.results.study_folder import load_study
 from bench.report import page

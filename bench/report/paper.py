@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from bench.campaigns.card import Card
-    from bench.campaigns.running import Campaign
     from bench.core.records.findings import StudyResult
+    from bench.experiments.campaigns.running import Campaign
+    from bench.experiments.card.card_making import Card
 
 _T = TypeVar("_T")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from bench.campaigns.stored import load_campaign
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns.stored import load_campaign
 from bench.io import results
 from bench.io.results.study_folder import load_study
 from bench.report import campaign_page, index, page, paper, study_page

@@ -13,17 +13,24 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
-from bench.baselines.junit import check_required, write_requirements
-from bench.campaigns import plan, running
-from bench.campaigns.card import Card, describe_suite, make_card, read_card, verify_card, write_suite
-from bench.campaigns.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
-from bench.campaigns.outcome import Outcome
-from bench.campaigns.running import Campaign, Progress
 from bench.core.records.findings import FindingTable
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.metrics.metric_words import find_words, name_metric
+from bench.experiments.baselines.junit import check_required, write_requirements
+from bench.experiments.campaigns import plan, running
+from bench.experiments.campaigns.outcome import Outcome
+from bench.experiments.campaigns.running import Campaign, Progress
+from bench.experiments.card.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
+from bench.experiments.card.card_making import (
+    Card,
+    describe_suite,
+    make_card,
+    read_card,
+    verify_card,
+    write_suite,
+)
 from bench.io import results
 from bench.io.config.profile import make_choice
 from bench.report import card_page, page
@@ -56,7 +63,7 @@ def run_campaign(
 ) -> Campaign:
     """Run a campaign, write its report and what is required to ``junit``, print and return it.
 
-    The options are those of `bench.campaigns.plan.plan_runs`.
+    The options are those of `bench.experiments.campaigns.plan.plan_runs`.
     If ``out`` is None the folder is ``campaigns/<profile>-<seed>``.
     """
     find_own_estimators()

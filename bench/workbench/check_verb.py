@@ -12,14 +12,14 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.text import Text
 
-from bench.baselines import checking
-from bench.baselines.annotations import MOVED, annotate
-from bench.baselines.comparing import ONE_DRAW
-from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH, Verdict, Word
-from bench.campaigns.pools import count_processors
 from bench.core.records.findings import FindingTable
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.baselines import checking
+from bench.experiments.baselines.annotations import MOVED, annotate
+from bench.experiments.baselines.comparing import ONE_DRAW
+from bench.experiments.baselines.junit import write_junit
+from bench.experiments.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH, Verdict, Word
+from bench.experiments.campaigns.pools import count_processors
 from bench.io.config.listing import PROFILES
 from bench.io.config.log import is_datasheet
 from bench.workbench.console import PlainConsole

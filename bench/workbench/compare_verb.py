@@ -11,15 +11,15 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench.baselines.comparing import ONE_DRAW, Compared, compare_results
-from bench.campaigns.merging import merge_campaigns
-from bench.campaigns.stored import load_campaign
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.metrics.key_figures import is_key_figure
 from bench.evaluation.metrics.metric_words import name_metric
+from bench.experiments.baselines.comparing import ONE_DRAW, Compared, compare_results
+from bench.experiments.campaigns.merging import merge_campaigns
+from bench.experiments.campaigns.stored import load_campaign
 from bench.io import results
 from bench.plots.overlay import merge_results
 from bench.report import campaign_page

@@ -11,12 +11,12 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.baselines.junit import check_required, write_requirements
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.words.stages import FLYING, Stage, Watcher
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import judge_result
+from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.io import config, results
 from bench.io.config.served import load_served
 from bench.workbench.console import PlainConsole

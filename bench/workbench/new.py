@@ -12,12 +12,12 @@ from pathlib import Path
 
 from rich.console import Console
 
-from bench.baselines.checking import DIRECTORY
-from bench.baselines.pinning import find_requirement
-from bench.campaigns.campaign_file import CampaignTable
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
+from bench.experiments.baselines.checking import DIRECTORY
+from bench.experiments.baselines.pinning import find_requirement
+from bench.experiments.campaigns.campaign_file import CampaignTable
 from bench.io.config.checks import is_code
 from bench.io.config.schemas import DIALECT, SCHEMAS, make_schema
 from bench.workbench import check_verb

@@ -128,7 +128,7 @@ def find_runs(folder: Path, which: Sequence[str]) -> dict[str, str] | None:
     """Return the commands of runs of a campaign by name; None if the folder is not that of a campaign."""
     if not (folder / results.CAMPAIGN_RESULT).is_file():
         return None
-    from bench.campaigns.stored import choose_runs, load_campaign
+    from bench.experiments.campaigns.stored import choose_runs, load_campaign
 
     return choose_runs(load_campaign(folder), [name.strip() for name in which])
 

@@ -12,12 +12,12 @@ from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
+from bench.experiments.studies import STUDIES
 from bench.io import config
 from bench.io.config.figure_table import ASSUMED, tabulate_figures
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
-from bench.studies import STUDIES
 from bench.workbench.printing import print_table, print_tables
 
 _DEG = 180 / math.pi

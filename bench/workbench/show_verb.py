@@ -22,7 +22,7 @@ def show_results(folder: Path | None, *, console: Console) -> None:
     """
     folder = folder or _find_newest()
     if (folder / results.CAMPAIGN_RESULT).is_file():
-        from bench.campaigns.stored import load_campaign
+        from bench.experiments.campaigns.stored import load_campaign
         from bench.workbench.campaign_verb import print_campaign
 
         print_campaign(console, load_campaign(folder), table=True)

@@ -12,10 +12,10 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
 from bench.core.records.findings import StudyResult
+from bench.experiments.studies.conducting import study
+from bench.experiments.studies.study import Progress
 from bench.io import results
 from bench.report.writing import write_report
-from bench.studies.conducting import study
-from bench.studies.study import Progress
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import MOST_ROWS, print_findings
 

@@ -8,8 +8,8 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench.campaigns.tuning import Tuning, tune
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.tuning.noise_factors import Tuning, tune
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.printing import print_findings

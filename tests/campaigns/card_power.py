@@ -9,8 +9,8 @@ import argparse
 import numpy as np
 
 import bench
-from bench.campaigns.card import Card
-from bench.campaigns.card_lines import Line, compare_rms
+from bench.experiments.card.card_lines import Line, compare_rms
+from bench.experiments.card.card_making import Card
 
 TOPICS, FLIGHTS, DRAWS = ("accuracy", "heading", "outages", "faults", "honesty"), 7, 8
 

@@ -12,10 +12,11 @@ from typing import Any
 from unittest.mock import patch
 
 import bench
-from bench.campaigns import card, running
-from bench.campaigns.card_suite import LATE, QUICK
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.core.records.specs import Guard
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.card import card_making
+from bench.experiments.card.card_suite import LATE, QUICK
 from tests.measured import stamp, write_measured
 
 _PLAIN = "s-turns-matched"
@@ -68,7 +69,7 @@ def make_rows() -> Iterator[tuple[str, str]]:
         members = tuple(replace(member, without="") for member in QUICK.members if member.name == one.flight)
         use = f"tests.campaigns.cheats:{one.name}" if one.name[0].isupper() else one.name
         here = patch.object(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
-        with here, patch.object(card, "QUICK", replace(QUICK, members=members)):
+        with here, patch.object(card_making, "QUICK", replace(QUICK, members=members)):
             found = bench.make_card(
                 use,
                 against="loose-15",

@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from bench.campaigns.batches import BATCH, Lost, _Pace, compute
-from bench.campaigns.pools import THREADS, ProcessPool
+from bench.experiments.campaigns.batches import BATCH, Lost, _Pace, compute
+from bench.experiments.campaigns.pools import THREADS, ProcessPool
 
 
 def square(x: int) -> int:
@@ -80,8 +80,8 @@ def test_what_runs_is_finished_at_the_end_and_ended_by_an_error():
 
 DRIVER = """
 import time
-from bench.campaigns.batches import compute
-from bench.campaigns.pools import ProcessPool
+from bench.experiments.campaigns.batches import compute
+from bench.experiments.campaigns.pools import ProcessPool
 from tests.campaigns.test_batches import tell
 with ProcessPool(2) as pool:
     for _ in compute(tell, [0, 1], pool):
@@ -134,7 +134,7 @@ def test_batches_last_a_few_seconds_and_the_last_ones_are_small():
 
 STOPPED_WHILE_IT_BEGINS = """
 import os, signal, sys
-from bench.campaigns import pools
+from bench.experiments.campaigns import pools
 
 class Thread:
     def __init__(self, **options): pass

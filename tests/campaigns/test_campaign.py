@@ -27,19 +27,19 @@ from scipy import stats
 
 import bench
 from bench import recording
-from bench.campaigns import running
-from bench.campaigns.campaign_tables import EPOCHS, RUNS
-from bench.campaigns.journal import NAME, Journal
-from bench.campaigns.merging import merge_campaigns
-from bench.campaigns.outcome import Outcome, Pair, _pool_nis, compare
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.cli import main
 from bench.core.words.exceptions import INTERRUPTED, MACHINE, ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, mean_band
 from bench.evaluation.ensembles.ensemble import Estimate, compare_rmse
 from bench.evaluation.errors.error_series import heading_sd, select_epochs
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
+from bench.experiments.campaigns.journal import NAME, Journal
+from bench.experiments.campaigns.merging import merge_campaigns
+from bench.experiments.campaigns.outcome import Outcome, Pair, _pool_nis, compare
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.recording import drawing
 from bench.report import campaign_page
 from bench.report.index import find_folders, write_index
@@ -443,7 +443,7 @@ def test_a_journal_survives_half_a_line_and_names_damage(tmp_path):
 
 KILLED = """
 import os, signal, bench
-from bench.campaigns.pools import SerialExecutor
+from bench.experiments.campaigns.pools import SerialExecutor
 from tests.campaigns.test_campaign import OPTIONS
 
 def kill(progress):
@@ -513,7 +513,7 @@ def test_only_runs_of_the_same_profile_estimator_and_versions_are_taken(here, mo
     )
     assert count(**own) == 0
     assert count(**own, overrides=OPTIONS["overrides"] | {"sensors.imu.gyro.noise_deg_sqrt_h": 0.2}) == 0
-    monkeypatch.setattr("bench.campaigns.plan.describe_software", lambda: {"bench": "another"})
+    monkeypatch.setattr("bench.experiments.campaigns.plan.describe_software", lambda: {"bench": "another"})
     assert count(**own) == 0
 
 

@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 
 import bench
-from bench.campaigns import groups, running
-from bench.campaigns.binned import BinnedRuns
-from bench.campaigns.plan import plan_runs
-from bench.campaigns.pools import SerialExecutor
 from bench.cli import main
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns import groups, running
+from bench.experiments.campaigns.binned import BinnedRuns
+from bench.experiments.campaigns.plan import plan_runs
+from bench.experiments.campaigns.pools import SerialExecutor
 from tests.campaigns.test_campaign import PROFILE
 
 CAMPAIGN = """

@@ -14,14 +14,15 @@ import pytest
 import scipy.stats
 
 import bench
-from bench.campaigns import card, card_comparison, card_lines, running
-from bench.campaigns.card_comparison import list_differences
-from bench.campaigns.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.cli import main
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.regression import average_changes
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.card import card_comparison, card_lines, card_making
+from bench.experiments.card.card_comparison import list_differences
+from bench.experiments.card.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
 from bench.io.config import load_profile
 from bench.io.foreign.solution_folder import name_draw
 from bench.report.card_page import write_card
@@ -60,7 +61,7 @@ def made(tmp_path_factory):
     place = tmp_path_factory.mktemp("card")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr(card, "QUICK", make_suite())
+        patch.setattr(card_making, "QUICK", make_suite())
         patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         assert main(["card", *BOTH, "-o", "a.json", "--html", "a.html"]) == 0
         assert main(["card", *BOTH, "-o", "again.json"]) == 0
@@ -68,7 +69,7 @@ def made(tmp_path_factory):
         yield place
 
 
-def find(found: card.Card, flight: str, topic: str) -> card_lines.Line:
+def find(found: card_making.Card, flight: str, topic: str) -> card_lines.Line:
     same = (one for one in found.lines if (one.flight, one.topic) == (flight, topic))
     (line,) = (one for one in same if not one.figure.startswith("longest time"))
     return line
@@ -143,7 +144,7 @@ def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monk
     assert other.suite_hash == first.suite_hash
     assert not any("times that of" in text for text in other.sentences)
     moved = make_suite(FAULT.replace("400.0", "401.0")).members[:1]
-    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=DRAWS, members=moved))
+    monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=DRAWS, members=moved))
     assert bench.make_card("loose-22", against="loose-22", quick=True).suite_hash != first.suite_hash
 
 
@@ -172,7 +173,7 @@ def test_two_cards_compare_draw_by_draw(made, capsys):
 def test_the_better_filter_is_named(made):
     line = find(bench.read_card(made / "a.json"), "short", "accuracy")
 
-    def with_errors(values: list[float]) -> card.Card:
+    def with_errors(values: list[float]) -> card_making.Card:
         base = bench.read_card(made / "a.json")
         return base.model_copy(update={"lines": (line.model_copy(update={"by_draw": tuple(values)}),)})
 
@@ -199,7 +200,7 @@ def test_flights_that_share_their_noise_are_no_further_draws(made):
     line = find(bench.read_card(made / "a.json"), "short", "accuracy")
     base = bench.read_card(made / "a.json")
 
-    def repeat(flights: int, values: list[float]) -> card.Card:
+    def repeat(flights: int, values: list[float]) -> card_making.Card:
         copies = [
             line.model_copy(update={"flight": f"flight {k}", "by_draw": tuple(values)})
             for k in range(flights)
@@ -259,7 +260,7 @@ def test_a_filter_that_loses_its_worst_draws_is_not_better(made):
     line = find(bench.read_card(made / "a.json"), "short", "accuracy")
     base = bench.read_card(made / "a.json")
 
-    def make(values: list[float | None]) -> card.Card:
+    def make(values: list[float | None]) -> card_making.Card:
         copies = tuple(
             line.model_copy(update={"flight": f"flight {k}", "by_draw": tuple(values)}) for k in range(2)
         )
@@ -309,7 +310,7 @@ def test_a_time_to_the_heading_is_compared_in_words(made):
     ],
 )
 def test_a_value_of_a_card_is_the_same_but_for_the_processor(one, other, same):
-    assert card._same_value(one, other) == same
+    assert card_making._same_value(one, other) == same
 
 
 def test_the_ratio_that_would_be_found_is_that_of_students_t():
@@ -352,13 +353,13 @@ def test_a_card_is_verified_by_runs_that_nobody_knows_before(made, monkeypatch, 
     assert re.search(r"short, draw \d: horizontal error: card and repetition \d", told)
     assert re.search(r"gap, draw \d: horizontal error: card and repetition - and \d", told)
     other = bench.read_card(made / "a.json").model_copy(update={"use": "loose-22"})
-    assert any("is not the program that the card names" in text for text in card.verify_card(other))
+    assert any("is not the program that the card names" in text for text in card_making.verify_card(other))
     for change, message in (
         ({"use": ""}, "which estimator it ran"),
         ({"suite_hash": "0"}, "the card is of suite 0"),
     ):
         with pytest.raises(ConfigError, match=message):
-            card.verify_card(other.model_copy(update=change))
+            card_making.verify_card(other.model_copy(update=change))
 
 
 def test_a_reviewer_draws_noise_of_their_own_and_runs_are_kept(made, monkeypatch):
@@ -455,7 +456,7 @@ def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys
     assert main(["card", "--sensors", "draws", "--quick"]) == 0
     assert "Next: solution.csv into each, then bench card -e file:draws --quick" in capsys.readouterr().out
     written = json.loads((made / "draws" / "suite.json").read_text())
-    flights = {one.name: one for one in card.QUICK.members}
+    flights = {one.name: one for one in card_making.QUICK.members}
     assert len({row["folder"] for row in written["draws"]}) == DRAWS * len(flights)
     for row in written["draws"]:
         place = made / "draws" / row["folder"]

@@ -13,15 +13,15 @@ import pytest
 import scipy.stats
 
 import bench
-from bench.campaigns import card_causality, card_comparison, card_conventions, card_suite
-from bench.campaigns.card_bound import bound_errors_of
-from bench.campaigns.card_causality import hash_all_answers, judge_causality
-from bench.campaigns.card_comparison import compare_cards, name_cards
-from bench.campaigns.card_lines import SAME, SHARE, Line, write_figure
-from bench.campaigns.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import EstimatorFailedError
 from bench.evaluation.ensembles.regression import Change
+from bench.experiments.card import card_causality, card_comparison, card_conventions, card_suite
+from bench.experiments.card.card_bound import bound_errors_of
+from bench.experiments.card.card_causality import hash_all_answers, judge_causality
+from bench.experiments.card.card_comparison import compare_cards, name_cards
+from bench.experiments.card.card_lines import SAME, SHARE, Line, write_figure
+from bench.experiments.card.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
 from bench.io.config import load_profile
 from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE

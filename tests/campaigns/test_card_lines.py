@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from bench.campaigns import card_lines as lines
-from bench.campaigns.card import AGAINST, Card, LostDraw, read_card
-from bench.campaigns.card_lines import Line
-from bench.campaigns.card_suite import SuiteFlight
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.quantities import count_freedom
+from bench.experiments.card import card_lines as lines
+from bench.experiments.card.card_lines import Line
+from bench.experiments.card.card_making import AGAINST, Card, LostDraw, read_card
+from bench.experiments.card.card_suite import SuiteFlight
 
 FLIGHT, HURT = SuiteFlight("f", "p"), SuiteFlight("g", "p", {}, "f")
 TURNED = SuiteFlight("h", "p", {"initial_error_sd.heading_deg": 10.0})

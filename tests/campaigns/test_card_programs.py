@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.campaigns import card, running
-from bench.campaigns.card_suite import Suite, SuiteFlight
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.core.files.places import PACKAGE
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.card import card_making
+from bench.experiments.card.card_suite import Suite, SuiteFlight
 from tests.campaigns.test_campaign import PROFILE
 
 COMPILER = shutil.which("c++") or shutil.which("g++")
@@ -34,14 +35,14 @@ def test_a_filter_in_cpp_gets_the_card_of_the_same_filter_in_python(tmp_path, mo
     monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     Path("short.toml").write_text(PROFILE)
     flight = SuiteFlight("plain", "short.toml", {})
-    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
+    monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
     for name in ("carry.cpp", "carry_fix.py"):
         Path(name).write_text(read_block(name))
     subprocess.check_call([str(COMPILER), "-O2", "-Wall", "-Werror", "-o", "carry", "carry.cpp"])
     Path("wrapper.sh").write_text('#!/bin/sh\nexec "$(dirname "$0")/carry" "$@"\n')
     Path("wrapper.sh").chmod(0o755)
 
-    def judge(use: str, **options: object) -> card.Card:
+    def judge(use: str, **options: object) -> card_making.Card:
         return bench.make_card(use, against="free-inertial", quick=True, **options)
 
     own = judge("command:./wrapper.sh {sensors} {solution}")

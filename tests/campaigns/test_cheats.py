@@ -7,15 +7,16 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.campaigns import card, card_causality, running
-from bench.campaigns.card_causality import judge_causality
-from bench.campaigns.card_lines import CONVENTIONS, UNPROVEN, Line, Rows
-from bench.campaigns.card_suite import LATE, Suite, SuiteFlight
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.worker import hash_answers
 from bench.cli import main
 from bench.core.records.specs import Guard
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.campaigns.worker import hash_answers
+from bench.experiments.card import card_causality, card_making
+from bench.experiments.card.card_causality import judge_causality
+from bench.experiments.card.card_lines import CONVENTIONS, UNPROVEN, Line, Rows
+from bench.experiments.card.card_suite import LATE, Suite, SuiteFlight
 from bench.io.config import load_profile
 from bench.workbench import guide
 from tests.campaigns.cheat_table import CHEATS
@@ -48,16 +49,16 @@ def here(place, monkeypatch):
 
 
 def use_flights(monkeypatch, *members: SuiteFlight, runs: int = DRAWS) -> None:
-    monkeypatch.setattr(card, "QUICK", Suite("card-quick", (), runs=runs, members=members))
+    monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=runs, members=members))
 
 
-def judge(name: str, **options) -> card.Card:
+def judge(name: str, **options) -> card_making.Card:
     return bench.make_card(
         f"tests.campaigns.cheats:{name}", **{"against": "loose-15", "quick": True, "guard": HERE, **options}
     )
 
 
-def find(found: card.Card, topic: str, flight: str = "plain") -> Line:
+def find(found: card_making.Card, topic: str, flight: str = "plain") -> Line:
     return next(one for one in found.lines if (one.flight, one.topic) == (flight, topic))
 
 
@@ -182,15 +183,17 @@ def list_rows(label: str) -> list[Rows]:
 def test_a_smoother_is_marked_and_files_prove_nothing(monkeypatch):
     use_flights(monkeypatch, PLAIN, runs=2)
     Path("answers").mkdir(exist_ok=True)
-    plan, labels = card._plan(card.QUICK, "smoother", "file:answers", HERE)
+    plan, labels = card_making._plan(card_making.QUICK, "smoother", "file:answers", HERE)
     told = [
-        judge_causality(plan, card.QUICK, label, list_rows(label)) for label in labels if "ans" not in label
+        judge_causality(plan, card_making.QUICK, label, list_rows(label))
+        for label in labels
+        if "ans" not in label
     ]
     assert [line.sentence for line in told] == [
         "plain: uses the future: the whole record.",
         "plain: uses the future: no.",
     ]
-    files = judge_causality(plan, card.QUICK, labels[1], [[{"answers": "x"}]])
+    files = judge_causality(plan, card_making.QUICK, labels[1], [[{"answers": "x"}]])
     assert files.sentence == "plain: uses the future: not proven, its answers were made elsewhere."
     assert files.word == ""
 
@@ -235,7 +238,7 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     assert "wide: pos_rmse_h_m is at most 0.001 m in 0 of 3 runs" in capsys.readouterr().out
     assert Path("need.xml").read_text().count("<testcase") == 2
     assert Path("cards/wide-quick/journal.jsonl").is_file()
-    assert card.verify_card(found, guard=HERE) == []
+    assert card_making.verify_card(found, guard=HERE) == []
     other = judge("Gain", label="one")
     assert (other.program != found.program, other.answers == once.answers) == (True, True)
     Path("need.toml").write_text("[[requirement]]\nmetric = 'pos_rmse_h_m'\nmost = 1.0\nflight = 'moon'\n")
@@ -255,13 +258,13 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     ],
 )
 def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels):
-    plan, found = card._plan(card.QUICK, *uses, HERE, label, options)
+    plan, found = card_making._plan(card_making.QUICK, *uses, HERE, label, options)
     assert found == (*labels, "free-inertial")
     assert set(found) == set(plan.cells[0].profile.labels)
     said = "^the card has 'loose-15' already: give the one to judge another name with --label$"
     for own, name in (("loose-22", "loose-15"), ("loose-15", None)):
         with pytest.raises(ConfigError, match=said):
-            card._plan(card.QUICK, own, "loose-15", HERE, name, {"baro": False})
+            card_making._plan(card_making.QUICK, own, "loose-15", HERE, name, {"baro": False})
 
 
 def test_the_guide_has_a_row_for_each_cheat_of_its_table():

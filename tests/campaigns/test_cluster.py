@@ -21,11 +21,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import bench
-from bench.campaigns import cluster
-from bench.campaigns.journal import NAME
-from bench.campaigns.pools import SerialExecutor
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import ConfigError, WorkersLostError
+from bench.experiments.campaigns import cluster
+from bench.experiments.campaigns.journal import NAME
+from bench.experiments.campaigns.pools import SerialExecutor
 from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, sem, t, ttest_1samp
 
-from bench.campaigns.factor_search import (
+from bench.experiments.tuning.factor_search import (
     REACH,
     _find_ends,
     _SpentError,

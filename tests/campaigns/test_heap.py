@@ -9,7 +9,7 @@ import pytest
 RUNS = """
 import resource
 import numpy as np
-from bench.campaigns.heap import keep_freed_memory
+from bench.experiments.campaigns.heap import keep_freed_memory
 
 def run():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

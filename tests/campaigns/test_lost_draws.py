@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import bench
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import ProfileTrial
 from bench.core.records.data import InitialState, NavSolution, SensorData
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.tuning.trials import ProfileTrial
 from bench.navigation.built_in import load
 from bench.report.writing import write_report
 from tests.campaigns.test_campaign import PROFILE
@@ -87,7 +87,7 @@ def test_a_lost_draw_is_a_row_with_its_reason(here, which):
 
 def test_what_cannot_be_kept_of_a_draw_is_its_reason(here, monkeypatch):
     """A run whose errors cannot be kept fails as one that raises: the others go on."""
-    real, calls = bench.campaigns.worker.nis_by_sensor, list[int]()
+    real, calls = bench.experiments.campaigns.worker.nis_by_sensor, list[int]()
 
     def fail_once(*arguments):
         calls.append(1)
@@ -95,7 +95,7 @@ def test_what_cannot_be_kept_of_a_draw_is_its_reason(here, monkeypatch):
             raise ZeroDivisionError("of the second estimator")
         return real(*arguments)
 
-    monkeypatch.setattr(bench.campaigns.worker, "nis_by_sensor", fail_once)
+    monkeypatch.setattr(bench.experiments.campaigns.worker, "nis_by_sensor", fail_once)
     found = bench.campaign("short.toml", 2, estimators=["loose-15"], executor=SerialExecutor())
     assert list(found.failed.values()) == ["ZeroDivisionError('of the second estimator')"]
     assert [row["converged"] for row in found.runs.to_pylist()] == [False, True]

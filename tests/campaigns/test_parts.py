@@ -21,7 +21,9 @@ import pyarrow as pa
 import pytest
 
 import bench
-from bench.campaigns import (
+from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns import (
     batches,
     campaign_file,
     campaign_tables,
@@ -33,16 +35,19 @@ from bench.campaigns import (
     stored,
     worker,
 )
-from bench.campaigns.batches import ATTEMPTS, Lost, compute
-from bench.campaigns.binned import BinnedRuns
-from bench.campaigns.campaign_file import CampaignSpec, format_value, is_campaign_file, read_campaign_file
-from bench.campaigns.groups import Group
-from bench.campaigns.journal import Journal
-from bench.campaigns.plan import Condition
-from bench.campaigns.running import Campaign, _Counter
-from bench.campaigns.worker import CHANNELS, choose_step, decode, encode
-from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
-from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns.batches import ATTEMPTS, Lost, compute
+from bench.experiments.campaigns.binned import BinnedRuns
+from bench.experiments.campaigns.campaign_file import (
+    CampaignSpec,
+    format_value,
+    is_campaign_file,
+    read_campaign_file,
+)
+from bench.experiments.campaigns.groups import Group
+from bench.experiments.campaigns.journal import Journal
+from bench.experiments.campaigns.plan import Condition
+from bench.experiments.campaigns.running import Campaign, _Counter
+from bench.experiments.campaigns.worker import CHANNELS, choose_step, decode, encode
 
 # --- batches and pools ------------------------------------------------------------------------------------
 
@@ -613,7 +618,9 @@ def test_to_continue_needs_a_folder_and_does_not_replace_it(options):
 
 def test_the_counter_counts_runs_and_flight_time(monkeypatch):
     seen, now = [], iter([100.0, 102.0, 105.0])
-    monkeypatch.setattr("bench.campaigns.running.time", SimpleNamespace(perf_counter=lambda: next(now)))
+    monkeypatch.setattr(
+        "bench.experiments.campaigns.running.time", SimpleNamespace(perf_counter=lambda: next(now))
+    )
     counter = _Counter(5, 2, seen.append)
     counter.count(20.0, failed=True)
     counter.count(30.0, failed=False)
@@ -697,7 +704,7 @@ class FakeClient:
 def cluster(monkeypatch):
     """The module and a pool with a client that is not one."""
     pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
-    from bench.campaigns import cluster
+    from bench.experiments.campaigns import cluster
 
     pool = object.__new__(cluster.ClusterPool)
     pool._client = FakeClient()
@@ -708,10 +715,10 @@ def cluster(monkeypatch):
 def test_a_truth_is_written_once_on_each_machine_without_it(cluster, monkeypatch):
     module, pool = cluster
     truths = {"k": "truth", "gone": None}
-    monkeypatch.setattr(module.store, "read_truth", truths.get)
+    monkeypatch.setattr(module.results, "read_truth", truths.get)
     pool._client.found = {"w1": ("one", True), "w2": ("two", False), "w3": ("two", False)}
     pool.share(["k", "gone"])
-    assert pool._client.sent == [(module.store.write_truth, ("k", "truth"), ["w3"])]
+    assert pool._client.sent == [(module.results.write_truth, ("k", "truth"), ["w3"])]
     assert pool.workers == 3
     pool._client.sent.clear()
     pool._client.found = {"w1": ("one", True)}

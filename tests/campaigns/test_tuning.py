@@ -15,16 +15,16 @@ from scipy.stats import multivariate_normal
 
 import bench
 from bench import pipeline
-from bench.campaigns import trials, tuning
-from bench.campaigns.pools import ExecutorPool, ProcessPool, SerialExecutor
-from bench.campaigns.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
-from bench.campaigns.worker import RunTask
 from bench.cli import main
 from bench.core.files.places import PACKAGE
 from bench.core.records.data import ErrorSeries, Innovations, no_innovations
 from bench.core.records.specs import DEFAULT_GUARD
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
+from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, SerialExecutor
+from bench.experiments.campaigns.worker import RunTask
+from bench.experiments.tuning import noise_factors, trials
+from bench.experiments.tuning.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
 from bench.io.config import load_profile
 from bench.io.results import truth_key
 from tests.campaigns import tune_power
@@ -53,7 +53,7 @@ def here(tmp_path, monkeypatch) -> Path:
     )
     (tmp_path / "short.toml").write_text(profile)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tuning, "ProcessPool", HerePool)
+    monkeypatch.setattr(noise_factors, "ProcessPool", HerePool)
     return tmp_path
 
 
@@ -123,7 +123,9 @@ def test_a_state_that_is_missing_is_told_by_innovations_that_repeat(here):
 def test_what_is_known_of_a_factor_is_told(factor, ends, told):
     one = Estimate(1.0, 0.9, 1.1)
     judged, name = HeldOutScore(one, one, {}), "imu.gyro.noise"
-    found = tuning.Tuning("x", "consistency", {name: factor}, {name: ends}, True, 3, 3, judged, judged, 9, {})
+    found = noise_factors.Tuning(
+        "x", "consistency", {name: factor}, {name: ends}, True, 3, 3, judged, judged, 9, {}
+    )
     assert told in found.sentences[1]
 
 
@@ -132,11 +134,15 @@ def test_draws_that_are_lost_are_told(here):
     one = Estimate(1.0, 0.9, 1.1)
     kept, lost = HeldOutScore(one, one, {}), HeldOutScore(one, one, {}, lost=3)
     ends = {"imu.gyro.noise": (0.9, 1.1)}
-    found = tuning.Tuning("x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, lost, 9, {})
+    found = noise_factors.Tuning(
+        "x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, lost, 9, {}
+    )
     assert (
         found.sentences[-1] == "draws that did not converge, which are in neither figure: 0 before, 3 after"
     )
-    whole = tuning.Tuning("x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, kept, 9, {})
+    whole = noise_factors.Tuning(
+        "x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, kept, 9, {}
+    )
     assert not any("did not converge" in text for text in whole.sentences)
 
 
@@ -247,7 +253,7 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
     text = (here / "poor.toml").read_text()
     white = [float(x) for x in re.findall(r"^pos_._white_sd_m = ([\d.]+)", text, re.MULTILINE)]
     first = sum(np.log(white))
-    monkeypatch.setattr(tuning, "ProfileTrial", Fake)
+    monkeypatch.setattr(noise_factors, "ProfileTrial", Fake)
     names = ["gnss.gnss.pos_h_white,gnss.gnss.pos_v_white"]
     bench.tune(
         "short.toml", "x", goal="rmse", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c)
@@ -257,10 +263,10 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
     bench.tune("short.toml", "x", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c))
     assert seen[0] == pytest.approx(50.0)
     workers: list[int] = []
-    monkeypatch.setattr(tuning, "ProcessPool", lambda count: workers.append(count) or HerePool(count))
+    monkeypatch.setattr(noise_factors, "ProcessPool", lambda count: workers.append(count) or HerePool(count))
     for jobs in (3, None):
         bench.tune("short.toml", "x", factors=names, evaluations=1, jobs=jobs)
-    assert workers == [3, tuning.count_processors()]
+    assert workers == [3, noise_factors.count_processors()]
 
 
 def test_draws_cost_the_same_in_processes_of_their_own(here, monkeypatch):
@@ -270,7 +276,7 @@ def test_draws_cost_the_same_in_processes_of_their_own(here, monkeypatch):
         return bench.tune("short.toml", "loose-15", factors=names, runs=2, evaluations=1, jobs=1)
 
     expected = tune()
-    monkeypatch.setattr(tuning, "ProcessPool", ProcessPool)
+    monkeypatch.setattr(noise_factors, "ProcessPool", ProcessPool)
     found = tune()
     assert (found.factors, found.before, found.after) == (expected.factors, expected.before, expected.after)
 
@@ -278,7 +284,7 @@ def test_draws_cost_the_same_in_processes_of_their_own(here, monkeypatch):
 @pytest.mark.slow
 def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
     """Eight draws whose filter is right but for four noises; they hardly show that of the accelerometers."""
-    monkeypatch.setattr(tuning, "ProcessPool", HerePool)
+    monkeypatch.setattr(noise_factors, "ProcessPool", HerePool)
     wrong = tune_power.WRONG
     given = {**tune_power.FLIGHT, **tune_power.write_wrong(tmp_path)}
     found = bench.tune("figure-eight-matched", "loose-15", runs=8, seed=31_057, overrides=given)
@@ -340,14 +346,14 @@ def test_what_is_lost_costs_most(value, cost):
     assert trials._limit_cost(value) == cost
 
 
-def make_tuning(**changes: Any) -> tuning.Tuning:
+def make_tuning(**changes: Any) -> noise_factors.Tuning:
     one, other = Estimate(2.0, 1.5, 2.5), Estimate(1.0, 0.9, 1.1)
     given: dict[str, Any] = {
         "label": "x", "goal": "consistency", "factors": {}, "intervals": {}, "converged": True, "starts": 3,
         "agreed": 3, "before": HeldOutScore(one, one, {}), "after": HeldOutScore(other, other, {}),
         "evaluations": 9, "datasheets": {},
     }  # fmt: skip
-    return tuning.Tuning(**{**given, **changes})
+    return noise_factors.Tuning(**{**given, **changes})
 
 
 def test_a_search_and_what_it_changes_are_told():
@@ -385,19 +391,22 @@ def test_figures_are_grouped_by_how_they_begin():
         "gnss.gnss.pos_h_white_sd": 3.0,
         "baro.baro.noise": 4.0,
     }
-    found = tuning._group_figures(known, None)
+    found = noise_factors._group_figures(known, None)
     assert found == {
         "imu.gyro.noise": ["imu.gyro.noise_x"],
         "imu.accel.noise": ["imu.accel.noise_x"],
         "gnss.gnss.pos_h_white,gnss.gnss.pos_v_white": ["gnss.gnss.pos_h_white_sd"],
     }
-    two = tuning._group_figures(known, ["imu.gyro,baro"])
+    two = noise_factors._group_figures(known, ["imu.gyro,baro"])
     assert two == {"imu.gyro,baro": ["imu.gyro.noise_x", "baro.baro.noise"]}
-    assert tuning._scale(two, known, np.array([3.0])) == {"imu.gyro.noise_x": 3.0, "baro.baro.noise": 12.0}
+    assert noise_factors._scale(two, known, np.array([3.0])) == {
+        "imu.gyro.noise_x": 3.0,
+        "baro.baro.noise": 12.0,
+    }
     with pytest.raises(ConfigError, match=r"no assumed figure begins with 'imu\.gyra'"):
-        tuning._group_figures(known, ["imu.gyro", "imu.gyra"])
+        noise_factors._group_figures(known, ["imu.gyro", "imu.gyra"])
     with pytest.raises(ConfigError, match="have no figure to tune"):
-        tuning._group_figures({"baro.baro.noise": 4.0}, None)
+        noise_factors._group_figures({"baro.baro.noise": 4.0}, None)
 
 
 def test_figures_above_zero_of_the_assumed_datasheets_are_known(tmp_path):
@@ -405,8 +414,8 @@ def test_figures_above_zero_of_the_assumed_datasheets_are_known(tmp_path):
         "name = 'x'\nlevel = 3.0\n[gnss]\na = 2\nb = 0.0\nc = -1.0\nd = 'text'\n"
     )
     trial: Any = SimpleNamespace(assumed={"gnss": "own.toml"}, beside=tmp_path, label="x")
-    assert tuning._read_figures(trial) == {"gnss.gnss.a": 2.0}
-    texts = tuning._write_datasheets(trial, {"gnss.gnss.a": 2.5})
+    assert noise_factors._read_figures(trial) == {"gnss.gnss.a": 2.0}
+    texts = noise_factors._write_datasheets(trial, {"gnss.gnss.a": 2.5})
     assert texts["gnss"].splitlines() == [
         "# own.toml, its noise tuned for x by bench tune.", "name = 'x'", "level = 3.0", "[gnss]", "a = 2.5",
         "b = 0.0", "c = -1.0", "d = 'text'",

@@ -17,19 +17,20 @@ import pytest
 
 import bench
 from bench import serving
-from bench.baselines import checking
-from bench.campaigns import card, running
-from bench.campaigns.card_suite import Suite, SuiteFlight
-from bench.campaigns.pools import ExecutorPool, SerialExecutor
-from bench.campaigns.trials import HeldOutScore
-from bench.campaigns.tuning import Tuning
 from bench.cli import main
 from bench.core.words import plain_output
 from bench.core.words.exceptions import DONE, MACHINE, NEGATIVE
 from bench.evaluation.ensembles.ensemble import Estimate
+from bench.experiments.baselines import checking
+from bench.experiments.campaigns import running
+from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
+from bench.experiments.card import card_making
+from bench.experiments.card.card_suite import Suite, SuiteFlight
+from bench.experiments.studies import sensor_requirements
+from bench.experiments.tuning.noise_factors import Tuning
+from bench.experiments.tuning.trials import HeldOutScore
 from bench.pipeline import log_pipeline
 from bench.report import allan_picture
-from bench.studies import sensor_requirements
 from bench.workbench import campaign_verb, fixes_verb, tune_verb
 from tests.cli.test_cli import HEAD, PROFILE
 
@@ -96,7 +97,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
             "rest.csv", rows, "%.9f", ",", header="t_s,gyro_x_rad_s,gyro_y_rad_s,gyro_z_rad_s", comments=""
         )
         flights = (SuiteFlight("plain", "short.toml"),)
-        patch.setattr(card, "QUICK", Suite("card-quick", (), runs=2, members=flights))
+        patch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=flights))
         patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         for owner, name in (
             (log_pipeline, "read_log"),

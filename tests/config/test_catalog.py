@@ -14,11 +14,11 @@ from bench.cli import main
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.studies.unit_study.catalog_units import find_typical
 from bench.io.config.datasheets import SENSORS, read_gnss, read_imu
 from bench.io.config.figure_table import tabulate_figures
 from bench.simulation.sensors import imu
 from bench.simulation.sensors.draws import SensorDraws
-from bench.studies.catalog_units import find_typical
 from tests.synthetic import still
 
 CATALOG = Path(bench.__file__).parent / "catalog"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import bench
-from bench.campaigns.groups import Group
-from bench.campaigns.plan import Condition, plan_runs
-from bench.campaigns.worker import CHANNELS
 from bench.core.records.specs import EvaluationWindow
+from bench.experiments.campaigns.groups import Group
+from bench.experiments.campaigns.plan import Condition, plan_runs
+from bench.experiments.campaigns.worker import CHANNELS
 from bench.io.config.listing import list_profiles
 from bench.navigation import built_in
 from tests import nees_table

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
 import bench
-from bench.baselines.experiments import open_experiment
 from bench.core.records.data import ImuData
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.baselines.baseline_draws import open_experiment
 from bench.io.config.log import load_log
 from bench.io.config.log_tables import LogAssumedTable, LogTable
 from bench.io.logs.log_records import divide_intervals, read_records

@@ -22,7 +22,6 @@ from numpy.testing import assert_array_equal
 
 import bench
 from bench import pipeline
-from bench.campaigns.plan import plan_runs
 from bench.core.records.data import InitialState, SensorData
 from bench.core.records.fields import Record
 from bench.core.records.specs import EstimatorChoice, Guard
@@ -32,6 +31,7 @@ from bench.core.words.exceptions import (
     EstimatorFailedError,
     EstimatorStoppedError,
 )
+from bench.experiments.campaigns.plan import plan_runs
 from bench.io.config import load_profile
 from bench.io.foreign import filter_process, filter_server
 from bench.io.foreign.record_messages import RecordMessage, read_message

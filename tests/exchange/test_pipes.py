@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from bench.baselines.baseline_file import read_baseline
 from bench.core.words.exceptions import ConfigError
 from bench.exchange.rinex.lines import open_lines
 from bench.exchange.ubx import read_ubx
+from bench.experiments.baselines.baseline_file import read_baseline
 from bench.io import results
 from bench.io.config.toml_file import read_toml
 from bench.io.foreign.solutions import read_solution

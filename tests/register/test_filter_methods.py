@@ -12,12 +12,12 @@ from scipy import stats
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
+from bench.experiments.studies.linear_flight import GRADES, LinearFlight, update
 from bench.navigation.models.classic import Classic22, process_model, square_root
 from bench.navigation.models.classic.covariance_forms import Joseph, make_form
 from bench.navigation.options import ClassicOptions
 from bench.navigation.register import given_gains
 from bench.simulation import sensors
-from bench.studies.linear_flight import GRADES, LinearFlight, update
 from tests.weaving import units, weaving
 
 FLIGHT, GRADE = LinearFlight(), GRADES["grade-3"]

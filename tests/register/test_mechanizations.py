@@ -12,12 +12,12 @@ from scipy.integrate import solve_ivp
 
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.errors.route_errors import allowed_heading_error, cross_track_error
+from bench.experiments.studies.mechanization_costs import coning_drift
 from bench.navigation.register.mechanizations import accelerometers, attitude, coning, earth_series
 from bench.navigation.register.mechanizations.earth_series import EarthModel
 from bench.navigation.register.mechanizations.error_integral import quaternion_error
 from bench.navigation.register.mechanizations.solving import FRAMES, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
-from bench.studies.mechanization_costs import coning_drift
 from tests.inertial_motion import inertial_solution, integrate_rates
 
 DEG, ARCSEC = math.pi / 180, math.pi / 648_000

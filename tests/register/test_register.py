@@ -16,6 +16,8 @@ from bench.core.mathematics.earth import EARTH_RATE
 from bench.core.mathematics.units import DEG
 from bench.core.mathematics.units import STANDARD_GRAVITY as G0
 from bench.evaluation.errors.error_series import error_series
+from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight, update
+from bench.experiments.studies.register_linear import draw_consistency
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.models.classic import (
@@ -28,8 +30,6 @@ from bench.navigation.models.classic import (
 from bench.navigation.models.classic.navigator import R3, Nav
 from bench.navigation.register import attitude_errors
 from bench.simulation import sensors
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight, update
-from bench.studies.register_linear import draw_consistency
 from tests.register import equations
 from tests.weaving import IMU, units, weaving
 

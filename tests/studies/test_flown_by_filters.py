@@ -12,9 +12,9 @@ import bench
 from bench import pipeline
 from bench.core.mathematics import earth
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.studies import flown_by_filters
+from bench.experiments.studies.flown_by_filters import FlownByFilter, compare_misses, measure_miss
 from bench.io import config
-from bench.studies import flown_by_filters
-from bench.studies.flown_by_filters import FlownByFilter, compare_misses, measure_miss
 from tests.test_closed_loop import PROFILE
 
 

@@ -9,9 +9,9 @@ import pytest
 from scipy.linalg import expm
 
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
+from bench.experiments.studies.linear_flight import GRADES, LOST, Grade, LinearFlight, make_sigmas, update
 from bench.navigation.models.classic import process_model
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
-from bench.studies.linear_flight import GRADES, LOST, Grade, LinearFlight, make_sigmas, update
 
 TABLE = {  # before the outage: E m, h m, V_E m/s, tilt deg, heading deg, gyro deg/h, accelerometer ug; E at
     # +60, +120, +300 and +600 s; growth of E at +60 and +300 s; after how many s it has grown by 5 m

@@ -20,15 +20,15 @@ from bench.evaluation.linear.best_linear import Bound
 from bench.evaluation.linear.directions import Observed, describe_direction, find_turns, observe
 from bench.evaluation.linear.error_budget import Budget
 from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mean_interval
+from bench.experiments.studies import bound as bound_study
+from bench.experiments.studies import budget as budget_study
+from bench.experiments.studies import observability
+from bench.experiments.studies.budget import _give_colours
+from bench.experiments.studies.drawn_errors import key_instants, output_times, split_draws
+from bench.experiments.studies.linear_flight import _CLIMB as CLIMB
+from bench.experiments.studies.linear_flight import _STEADY as STEADY
+from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight
 from bench.io.config import load_profile
-from bench.studies import bound as bound_study
-from bench.studies import budget as budget_study
-from bench.studies import observability
-from bench.studies.budget import _give_colours
-from bench.studies.drawn_errors import key_instants, output_times, split_draws
-from bench.studies.linear_flight import _CLIMB as CLIMB
-from bench.studies.linear_flight import _STEADY as STEADY
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight
 from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 

@@ -10,9 +10,9 @@ from scipy import stats
 import bench
 from bench.cli import main
 from bench.core.words.exceptions import DONE, NEGATIVE, WRONG
+from bench.experiments.studies import recorded_logs
+from bench.experiments.studies.recorded_logs import LogResult, compare_filters, name_logs
 from bench.io.results.study_folder import load_study
-from bench.studies import recorded_logs
-from bench.studies.recorded_logs import LogResult, compare_filters, name_logs
 from bench.workbench.check_verb import list_sources
 from bench.workbench.log_campaign import are_logs
 from tests.exchange import drives

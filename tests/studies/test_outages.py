@@ -14,12 +14,12 @@ import bench
 from bench import pipeline
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.drift_laws import drift_sd, split_drift
+from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
+from bench.experiments.studies.outage_study import outage_drift, outage_grades, outage_tables
+from bench.experiments.studies.outage_study.outage_grades import Grown, find_time, plot_grades
+from bench.experiments.studies.outage_study.outage_growth import Drift, pair_units
+from bench.experiments.studies.outage_study.outage_tables import tell_drifts
 from bench.io.config.listing import PROFILES
-from bench.studies import outage_drift, outage_grades, outage_tables
-from bench.studies.linear_flight import GRADES, LOST, LinearFlight, Phase
-from bench.studies.outage_grades import Grown, find_time, plot_grades
-from bench.studies.outage_growth import Drift, pair_units
-from bench.studies.outage_tables import tell_drifts
 from tests.synthetic import turning
 
 ALONE = {  # section 4, outage s: accelerometer m, gyro m, of the bias of each grade alone
@@ -226,7 +226,7 @@ def test_every_draw_is_in_the_drift_of_its_unit_and_phase(monkeypatch, own):
         return []
 
     monkeypatch.setattr(outage_drift, "make_profile", make)
-    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: flight)
+    monkeypatch.setattr(outage_drift.results, "truth_key", lambda flight: flight)
     monkeypatch.setattr(outage_drift, "make_grid", lambda one, at: (1.0, 2.0, float(len(one[1]))))
     monkeypatch.setattr(outage_drift, "find_law", lambda one, grid: {"law": np.full(3, made[one[:2]] + 0.5)})
     monkeypatch.setattr(outage_drift, "predict_grades", lambda longest, work: [longest])
@@ -254,7 +254,7 @@ def test_the_closed_form_is_asked_with_the_headings_since_the_loss(monkeypatch):
         return {"velocity": 2.0 * T, "gyro bias": T, "noise": 0.0}
 
     monkeypatch.setattr(outage_drift, "get_truth", lambda key, profile: turning(60.0, 10.0, turn_rate=0.05))
-    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: "key")
+    monkeypatch.setattr(outage_drift.results, "truth_key", lambda flight: "key")
     monkeypatch.setattr(outage_drift, "split_drift", split)
     gnss = SimpleNamespace(vel_markov_sd=0.3)
     sensors = SimpleNamespace(gnss_outages=((20.0, 60.0),), imu=None, gnss=gnss)
@@ -450,7 +450,7 @@ def test_a_flight_that_ends_in_the_outage_has_the_heading_of_its_end(monkeypatch
     """Asked for longer than it lasts: the last attitude holds on."""
     truth = turning(30.0, 10.0)
     monkeypatch.setattr(outage_drift, "get_truth", lambda key, profile: truth)
-    monkeypatch.setattr(outage_drift.store, "truth_key", lambda flight: "key")
+    monkeypatch.setattr(outage_drift.results, "truth_key", lambda flight: "key")
     profile = outage_drift.make_profile(outage_drift.Options(), "stim300", "straight", 60.0)
     sensors = SimpleNamespace(gnss_outages=((25.0, 99.0),), imu=profile.sensors.imu, gnss=None)
     found = outage_drift.find_law(SimpleNamespace(sensors=sensors, flight=None), (5.0, 20.0))

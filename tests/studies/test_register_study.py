@@ -14,10 +14,10 @@ from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.requirements.required_performance import JudgedFigure, count_windows
-from bench.studies import register_flights, register_proofs, register_rows, rnp
-from bench.studies.register_measures import Bounded, RowFinding, below
-from bench.studies.register_rows import ROWS
-from bench.studies.watched_flights import WatchedFlight
+from bench.experiments.studies import register_flights, register_proofs, register_rows, rnp
+from bench.experiments.studies.register_measures import Bounded, RowFinding, below
+from bench.experiments.studies.register_rows import ROWS
+from bench.experiments.studies.watched_flights import WatchedFlight
 
 ROOT = Path(__file__).parents[2]
 
@@ -136,7 +136,7 @@ def test_a_row_that_does_not_hold_is_said(monkeypatch):
         ROWS[41],
         ROWS[16]._replace(test="", open_because="nobody"),
     )
-    monkeypatch.setattr("bench.studies.register_study.ROWS", rows)
+    monkeypatch.setattr("bench.experiments.studies.register_study.ROWS", rows)
     found = bench.study("register", jobs=1)
     assert not found.findings.good
     holds = {name: table.columns["holds"] for name, table in found.tables.items()}
@@ -169,8 +169,8 @@ def test_a_row_is_proven_by_all_cases_of_its_test(tmp_path, monkeypatch):
         ROWS[14]._replace(test="test_made.py::test_some"),
         ROWS[13]._replace(test="test_made.py::test_all"),
     )
-    monkeypatch.setattr("bench.studies.register_study.ROWS", rows)
-    monkeypatch.setattr("bench.studies.register_study.find_root", lambda: tmp_path)
+    monkeypatch.setattr("bench.experiments.studies.register_study.ROWS", rows)
+    monkeypatch.setattr("bench.experiments.studies.register_study.find_root", lambda: tmp_path)
     study = bench.study("register", prove=True, jobs=1)
     assert not study.findings.good
     table = study.tables["sensors"].columns

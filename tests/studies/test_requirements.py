@@ -12,7 +12,7 @@ from bench.core.mathematics import earth
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
-from bench.studies import sensor_requirements
+from bench.experiments.studies import sensor_requirements
 from tests.studies.made_units import write_unit
 
 PRINTED = {  # outage s: accelerometer ug, gyro deg/h, for 5 m

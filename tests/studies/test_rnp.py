@@ -19,11 +19,11 @@ from bench.core.records.data import Events, no_events
 from bench.core.records.findings import series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.studies import rnp, stanford
+from bench.experiments.studies.watched_flights import WatchedFlight
 from bench.io.config import load_profile
 from bench.simulation.flight.guidance.off_track import measure_off_track
 from bench.simulation.flight.legs.tracks import Waypoint, Waypoints
-from bench.studies import rnp, stanford
-from bench.studies.watched_flights import WatchedFlight
 
 FLIGHT = """
 aircraft = "aerosonde"

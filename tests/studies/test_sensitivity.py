@@ -12,9 +12,9 @@ from scipy import stats
 import bench
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
-from bench.studies import sensitivity
-from bench.studies.sensitivity import Options, Swept, compare_ends, find_values
-from bench.studies.study import read_options
+from bench.experiments.studies import sensitivity
+from bench.experiments.studies.sensitivity import Options, Swept, compare_ends, find_values
+from bench.experiments.studies.study import read_options
 
 METRIC = "pos_rmse_h_m"
 

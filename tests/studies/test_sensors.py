@@ -14,13 +14,13 @@ import bench
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.requirements.required_metrics import MET
-from bench.studies import unit_limits, unit_table
-from bench.studies.catalog_units import CLASSES, find_typical, find_units, list_units
-from bench.studies.drawn_errors import UnitFlight
-from bench.studies.unit_answer import find_margin
-from bench.studies.unit_limits import VarianceShares, find_limit
-from bench.studies.unit_ranking import UnitFlown, rank_units
-from bench.studies.unit_table import Options, find_law
+from bench.experiments.studies.drawn_errors import UnitFlight
+from bench.experiments.studies.unit_study import unit_limits, unit_table
+from bench.experiments.studies.unit_study.catalog_units import CLASSES, find_typical, find_units, list_units
+from bench.experiments.studies.unit_study.unit_answer import find_margin
+from bench.experiments.studies.unit_study.unit_limits import VarianceShares, find_limit
+from bench.experiments.studies.unit_study.unit_ranking import UnitFlown, rank_units
+from bench.experiments.studies.unit_study.unit_table import Options, find_law
 from tests.studies.made_units import write_unit
 
 METRIC = "outage_1_drift_h_m"

@@ -22,20 +22,14 @@ from bench.core.records.findings import Findings, FindingTable, join_findings
 from bench.core.records.findings.series import Plot, draw_dots, draw_line
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
+from bench.experiments.studies import STUDIES, alignment_errors, mechanization_costs, requirements, rnp
+from bench.experiments.studies.conducting import find_study
+from bench.experiments.studies.outage_study import outage_drift
+from bench.experiments.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import save_study
 from bench.report import study_page, svg
 from bench.report.study_page import format_cell
-from bench.studies import (
-    STUDIES,
-    alignment_errors,
-    mechanization_costs,
-    outage_drift,
-    requirements,
-    rnp,
-)
-from bench.studies.conducting import find_study
-from bench.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.workbench.printing import print_table
 
 SHORT = {"outages_s": (60, 300)}

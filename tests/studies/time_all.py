@@ -13,8 +13,8 @@ import subprocess
 import sys
 import time
 
-from bench.campaigns.pools import count_processors
-from bench.studies import STUDIES
+from bench.experiments.campaigns.pools import count_processors
+from bench.experiments.studies import STUDIES
 
 ARGUMENTS = {
     "budget": ("figure-eight", "--estimator", "loose-22"),

@@ -16,20 +16,20 @@ import pytest
 from rich.console import Console
 
 from bench import pipeline
-from bench.baselines import checking, experiments
-from bench.baselines.annotations import annotate
-from bench.baselines.baseline_file import CPU, read_baseline
-from bench.baselines.checking import check, record_baselines
-from bench.baselines.digests import digest_record
-from bench.baselines.experiments import Draw, EstimatorDraw
-from bench.baselines.junit import write_junit
-from bench.baselines.verdict_rows import BY_SEED, OTHER_TRUTH, UNPAIRED, Verdict
-from bench.campaigns.batches import Lost
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import ImuData
 from bench.core.records.specs import DEFAULT_GUARD, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.metrics.run_metrics import METRICS
+from bench.experiments.baselines import baseline_draws, checking
+from bench.experiments.baselines.annotations import annotate
+from bench.experiments.baselines.baseline_draws import Draw, EstimatorDraw
+from bench.experiments.baselines.baseline_file import CPU, read_baseline
+from bench.experiments.baselines.checking import check, record_baselines
+from bench.experiments.baselines.digests import digest_record
+from bench.experiments.baselines.junit import write_junit
+from bench.experiments.baselines.verdict_rows import BY_SEED, OTHER_TRUTH, UNPAIRED, Verdict
+from bench.experiments.campaigns.batches import Lost
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
 from bench.workbench.check_verb import print_verdicts
@@ -207,7 +207,7 @@ def every_metric(k, worse=0.0):
 
 def test_every_metric_is_judged_or_said_not_to_be(measure, tmp_path):
     judged = [m.name.format("1") for m in METRICS if m.direction != "not judged"]
-    watched = {name for name in every_metric(0) if experiments.is_watched(name)}
+    watched = {name for name in every_metric(0) if baseline_draws.is_watched(name)}
     assert watched == set(judged)
     measure(lambda k: {name: every_metric(k)[name] for name in judged})
     record_baselines(["survey.toml"], directory=tmp_path)
@@ -227,7 +227,9 @@ def test_an_offset_in_time_that_is_gone_is_better_and_a_new_one_worse(measure, t
 def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_path, monkeypatch):
     (tmp_path / "short.toml").write_text(test_cli.PROFILE)
     here = Guard(in_process=True)
-    flight = experiments.FlightDraws(str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False, here)
+    flight = baseline_draws.FlightDraws(
+        str(tmp_path / "short.toml"), [f"{__name__}:FailsAtTimes"], False, here
+    )
     flight.prepare()
     rows = [flight.measure(k).estimators["FailsAtTimes"] for k in range(6)]
     failed = [not row.converged for row in rows]
@@ -236,8 +238,8 @@ def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_p
         assert (row.reason == "failed: run() raised ValueError: unlucky") == (not row.converged)
         assert any(value is not None for value in row.metrics.values()) == row.converged
     monkeypatch.setattr(pipeline, "sense", lambda *_: 1 / 0)
-    assert flight.measure(0) == experiments.lose_draw(flight, "ZeroDivisionError('division by zero')")
-    whole = experiments.make_baseline(flight, [Draw("", {"x": row}) for row in rows], None).estimators["x"]
+    assert flight.measure(0) == baseline_draws.lose_draw(flight, "ZeroDivisionError('division by zero')")
+    whole = baseline_draws.make_baseline(flight, [Draw("", {"x": row}) for row in rows], None).estimators["x"]
     assert whole.converged == tuple(not one for one in failed)
     assert whole.expected["nees_mean"] == 9.0
 
@@ -388,7 +390,7 @@ def test_the_cpu_time_of_a_filter_is_in_units_of_the_strapdown(tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     here = Guard(in_process=True)
     uses = [f"{__name__}:{name}" for name in ("WorksOnce", "WorksTwice")]
-    flight = experiments.FlightDraws("short.toml", uses, True, here, cpu=True)
+    flight = baseline_draws.FlightDraws("short.toml", uses, True, here, cpu=True)
     flight.prepare()
     draws = [flight.measure(k) for k in range(6)]
     values = [[draw.estimators[label].metrics[CPU] for draw in draws] for label in flight.labels]
@@ -622,9 +624,9 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
         records=SimpleNamespace(imu=SimpleNamespace(t=np.array([109.0]))),
         estimators={"x": None},
     )
-    monkeypatch.setattr(experiments.log_pipeline, "read_log", lambda *a, **k: log)
-    monkeypatch.setattr(experiments.log_pipeline, "navigate_log", lambda log: result)
-    recording = experiments.Recording("drive.toml", None, False, DEFAULT_GUARD)
+    monkeypatch.setattr(baseline_draws.log_pipeline, "read_log", lambda *a, **k: log)
+    monkeypatch.setattr(baseline_draws.log_pipeline, "navigate_log", lambda log: result)
+    recording = baseline_draws.Recording("drive.toml", None, False, DEFAULT_GUARD)
     assert (recording.name, recording.draws) == ("drive", 20)
     row = recording.measure(1).estimators["x"]
     inside = np.arange(14.0, 19.0)

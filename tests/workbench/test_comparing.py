@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import bench
-from bench.baselines import comparing
-from bench.baselines.baseline_file import Baseline, EstimatorValues
-from bench.baselines.comparing import Side
-from bench.baselines.verdict_rows import BY_SEED
 from bench.cli import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles import ensemble
+from bench.experiments.baselines import comparing
+from bench.experiments.baselines.baseline_file import Baseline, EstimatorValues
+from bench.experiments.baselines.comparing import Side
+from bench.experiments.baselines.verdict_rows import BY_SEED
 from tests.test_api import SHORT
 
 

@@ -22,11 +22,11 @@ import pytest
 from rich.console import Console
 
 import bench
-from bench.baselines.baseline_file import LEAST_DRAWS
 from bench.cli import main
 from bench.cli.group import commands
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.metrics.run_metrics import METRICS
+from bench.experiments.baselines.baseline_file import LEAST_DRAWS
 from bench.io.config import load_profile
 from bench.io.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load

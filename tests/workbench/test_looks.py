@@ -6,12 +6,12 @@ from typing import get_args
 import pytest
 from rich.text import Text
 
-from bench.baselines.verdict_rows import Verdict, Word
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import LOOKS, find_look
 from bench.evaluation.consistency import verdict
 from bench.evaluation.ensembles import ensemble_consistency, paired_draws
 from bench.evaluation.requirements import required_metrics
+from bench.experiments.baselines.verdict_rows import Verdict, Word
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import print_findings

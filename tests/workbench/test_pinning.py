@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.baselines import pinning
-from bench.baselines.pinning import find_requirement
+from bench.experiments.baselines import pinning
+from bench.experiments.baselines.pinning import find_requirement
 
 COMMIT = "0123456789abcdef0123456789abcdef01234567"
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from bench.baselines.verdict_rows import Verdict
-from bench.campaigns.outcome import Outcome
-from bench.campaigns.running import Campaign
 from bench.core.files.places import PACKAGE
 from bench.core.records.findings import FindingTable
 from bench.core.words.notebook import ShownFigure
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.metrics.outages import tabulate_drifts
 from bench.evaluation.motion.noise_curves import AllanCurve
+from bench.experiments.baselines.verdict_rows import Verdict
+from bench.experiments.campaigns.outcome import Outcome
+from bench.experiments.campaigns.running import Campaign
 from bench.workbench import record_verbs
 from bench.workbench.campaign_verb import print_campaign
 from bench.workbench.check_verb import tabulate_verdicts

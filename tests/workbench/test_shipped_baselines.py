@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from bench.baselines import checking
-from bench.baselines.baseline_file import read_baseline
 from bench.core.mathematics.units import unit_of
 from bench.evaluation.ensembles import ensemble
+from bench.experiments.baselines import checking
+from bench.experiments.baselines.baseline_file import read_baseline
 from bench.navigation.models.loose_tight import Loose
 
 DIRECTORY = Path(__file__).parents[1] / "baselines"

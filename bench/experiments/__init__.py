@@ -1,0 +1,1 @@
+"""Many runs: campaigns, the card, tuning, baselines and studies."""

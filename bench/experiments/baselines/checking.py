@@ -1,0 +1,380 @@
+"""Record baselines, and check the code against them."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from bench.core.files import durable
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
+from bench.experiments.baselines.baseline_draws import (
+    Draw,
+    Experiment,
+    lose_draw,
+    make_baseline,
+    open_experiment,
+)
+from bench.experiments.baselines.baseline_file import (
+    CPU,
+    LEAST_DRAWS,
+    Baseline,
+    get_name,
+    is_same_source,
+    read_baseline,
+    write_baseline,
+)
+from bench.experiments.baselines.verdict_rows import LOOKS, UncorrectedVerdict, Verdict, compare, decide
+from bench.experiments.campaigns.batches import Lost, Pool, compute
+from bench.experiments.campaigns.pools import open_pool
+from bench.io.config.checks import is_code
+
+DIRECTORY = Path("tests/baselines")
+"""Default folder of the baselines of ``bench check``."""
+
+DRAWS = LOOKS[-1]
+"""Number of draws of a new baseline; a check flies the first of them, and more only to decide."""
+
+CHANGES = "CHANGES.md"
+"""File in the folder of the baselines that says why each number moved."""
+
+_HEADING = """# Changes of the accuracy baselines
+
+One line per record: *date estimators, profile: metric old -> new; cause.*
+
+"""
+
+_UNJUDGED = "nothing to compare with, as of an autopilot that has used every fix"
+
+Progress = Callable[[str, int, int], None]
+"""Called with the name of the profile, the number of finished draws and the number of all draws."""
+
+
+@dataclass
+class _Measured:
+    """An experiment with the draws measured so far."""
+
+    experiment: Experiment
+    requested: Sequence[str] | None
+    progress: Progress | None
+    overrides: Mapping[str, Any]
+    draws: list[Draw] = field(default_factory=list)
+
+    def measure(self, count: int, pool: Pool) -> Baseline:
+        """Measure up to a number of draws and return their values."""
+        known, found = len(self.draws), dict[int, Draw]()
+        self._show(known, count)
+        self.experiment.prepare()
+        if self.experiment.draws is not None:
+            pool = open_pool(1)
+        first = () if known else (0,)  # compiles what the others load
+        for k, draw in compute(self.experiment.measure, range(known, count), pool, first):
+            found[k] = lose_draw(self.experiment, draw.reason) if isinstance(draw, Lost) else draw
+            self._show(known + len(found), count)
+        self.draws += [found[k] for k in range(len(found))]
+        return make_baseline(self.experiment, self.draws[:count], self.requested, self.overrides)
+
+    def _show(self, done: int, count: int) -> None:
+        if self.progress:
+            self.progress(self.experiment.name, done, count)
+
+    def find_unjudged(self) -> list[str]:
+        """Return the estimators that did not fail and have no value in any draw.
+
+        Raises
+        ------
+        ConfigError
+            If one failed in every draw, or no other is left.
+        """
+        name, found = self.experiment.name, list[str]()
+        for label, first in self.draws[0].estimators.items():
+            rows = [draw.estimators[label] for draw in self.draws]
+            if any(value is not None for row in rows for value in row.metrics.values()):
+                continue
+            if not first.converged:
+                raise ConfigError(
+                    f"{name}: {label} has no value in {len(rows)} draws, nothing to compare "
+                    f"with; draw 0: {first.reason}"
+                )
+            found.append(label)
+        if len(found) == len(self.draws[0].estimators):
+            raise ConfigError(f"{name}: {', '.join(found)}: {_UNJUDGED}; -e names a filter to record")
+        return found
+
+
+def record_baselines(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = DIRECTORY,
+    estimators: Sequence[str] | None = None,
+    runs: int | None = None,
+    reason: str = "",
+    overrides: Mapping[str, Any] | None = None,
+    cpu: bool = False,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+    jobs: int = 1,
+    progress: Progress | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> list[Path]:
+    """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        Shipped names or paths of profiles and logs; empty records all that have a baseline again.
+    directory : str or Path
+        Folder of the baselines, one ``<profile>.json`` each.
+    estimators : sequence of str or None
+        Estimators to record, as for :func:`bench.run`; None takes those of the old baseline, or of the
+        profile.
+    runs : int or None
+        Number of draws, at least `LEAST_DRAWS`; default `DRAWS`.
+    reason : str
+        Why the numbers moved, for ``CHANGES.md``.
+    overrides : mapping or None
+        As for `bench.load_profile`; the baseline keeps them. None takes those of the old baseline.
+    cpu : bool
+        Record CPU time, too: `baseline_file.CPU`. A baseline that has it keeps it.
+    allow_code : bool
+        Let profiles and baselines run the code they name, programs and classes.
+    guard : Guard
+        What that code may take, and whether a class gets a process of its own.
+    jobs : int
+        Number of processes; 1 takes this one. A script that asks for more guards its start by
+        ``if __name__ == "__main__"``, because the processes import it.
+    progress : callable
+        Called at the start and after each draw, as `Progress` says.
+    say : callable
+        Called with a line for each estimator that is left out: an autopilot's own has used every fix.
+
+    Raises
+    ------
+    ConfigError
+        If a profile is missing or wrong, there is none, two have one name, or there are too few draws. This
+        is checked before anything is flown. If an estimator failed in every draw.
+    """
+    if runs is not None and runs < LEAST_DRAWS:
+        raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
+    directory = Path(directory)
+    before = {path.stem: read_baseline(path) for path in sorted(directory.glob("*.json"))}
+    asked = _name_sources(profiles or list(before), before)
+    if not asked:
+        raise ConfigError(f"{directory}: no baseline to record again; name a profile")
+    measured = []
+    for name, source in asked.items():
+        old = before.get(name)
+        requested = old.requested if old and estimators is None else estimators
+        given = (old.overrides if old else {}) if overrides is None else overrides
+        timed = cpu or (old is not None and has_cpu(old))
+        measured.append(_open(source, requested, estimators, allow_code, guard, progress, given, cpu=timed))
+    paths = []
+    with open_pool(jobs) as pool:
+        for one in measured:
+            count = one.experiment.draws or runs or DRAWS
+            baseline = one.measure(count, pool)
+            unjudged = one.find_unjudged()
+            for label in unjudged:
+                say(f"{one.experiment.name}: {label} is left out: {_UNJUDGED}")
+            kept = {label: row for label, row in baseline.estimators.items() if label not in unjudged}
+            baseline = baseline.model_copy(update={"estimators": kept})
+            paths.append(write_baseline(directory, baseline))
+            _write_change(directory, before.get(one.experiment.name), baseline, reason)
+    return paths
+
+
+def _name_sources(given: Sequence[str], baselines: Mapping[str, Baseline]) -> dict[str, str]:
+    """Return profiles and logs by name, a bare name as that of its baseline; ConfigError if two share one."""
+    named: dict[str, str] = {}
+    for source in given:
+        name = get_name(source)
+        whole = baselines[name].profile if source == name and name in baselines else source
+        first = named.setdefault(name, whole)
+        if not is_same_source(first, whole):
+            raise ConfigError(
+                f"{first} and {whole} have one name, {name!r}, and so one baseline; rename one of them"
+            )
+    return named
+
+
+def _open(
+    source: str,
+    requested: Sequence[str] | None,
+    named: Sequence[str] | None,
+    allow_code: bool,
+    guard: Guard,
+    progress: Progress | None,
+    overrides: Mapping[str, Any],
+    *,
+    cpu: bool,
+) -> _Measured:
+    """Open a profile with the estimators of its baseline; code needs permission or the user's own -e."""
+    code = [use for use in requested or () if is_code(use) and use not in (named or ())]
+    if code and not allow_code:
+        raise ConfigError(
+            f"{source}: its baseline names {code[0][:60]!r}, which runs code on this machine; "
+            "--allow-code permits it"
+        )
+    experiment = open_experiment(source, requested, allow_code, guard, overrides, cpu)
+    return _Measured(experiment, requested, progress, overrides)
+
+
+def has_cpu(baseline: Baseline) -> bool:
+    """Tell whether a baseline holds CPU times."""
+    return any(CPU in values.metrics for values in baseline.estimators.values())
+
+
+def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
+    """Add a line to ``CHANGES.md``: the largest changes of each estimator, and the cause."""
+    today = datetime.date.today().isoformat()
+    name = get_name(new.profile)
+    if old is None:
+        lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} draws.*"]
+    else:
+        cause = reason or "say here why"
+        rows = [one for one in compare(old, new, name, numbered=True) if one.side or not one.certain]
+        rows.sort(key=lambda one: -abs(one.row.change or 0.0))
+        moved: dict[str, list[UncorrectedVerdict]] = {label: [] for label in new.estimators}
+        for one in rows:
+            moved.setdefault(one.row.estimator, []).append(one)
+        lines = [
+            f"*{today} {label}, {name}: {_describe_rows(found, old.tolerance)}; {cause}.*"
+            for label, found in moved.items()
+        ]
+    path = directory / CHANGES
+    text = path.read_text(encoding="utf-8") if path.is_file() else _HEADING
+    durable.write(path, text + "".join(f"{line}\n" for line in lines))
+
+
+def _describe_rows(candidates: Sequence[UncorrectedVerdict], tolerance: float, most: int = 3) -> str:
+    """Return the numbers that moved beyond the tolerance, the largest changes first."""
+    if not candidates:
+        return "recorded again, no number moved"
+    rows = [one.row for one in candidates if one.side]
+    if not rows:
+        numbers = "1 number" if len(candidates) == 1 else f"{len(candidates)} numbers"
+        return f"recorded again, {numbers} moved, none by more than {100 * tolerance:g} %"
+    shown = [f"{row.metric} {row.old:.4g} -> {row.new:.4g}" for row in rows[:most] if row.old is not None]
+    more = f", and {len(rows) - most} more" if len(rows) > most else ""
+    return ", ".join(shown) + more
+
+
+def check(
+    profiles: Sequence[str] = (),
+    *,
+    directory: str | Path = DIRECTORY,
+    estimators: Sequence[str] | None = None,
+    runs: int | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+    jobs: int = 1,
+    progress: Progress | None = None,
+) -> list[Verdict]:
+    """Fly the profiles that have a baseline and compare every metric with it, draw by draw.
+
+    The first of `LOOKS` draws of each profile are flown. While a metric is undecided and its baseline has
+    more draws, the draws of its profile are doubled.
+
+    Parameters
+    ----------
+    profiles : sequence of str
+        Names or paths of profiles and logs; empty checks all that have a baseline.
+    directory : str or Path
+        Folder of the baselines, one ``<profile>.json`` each.
+    estimators : sequence of str or None
+        Check only these estimators of the baselines, by label or by the name they were recorded with.
+    runs : int or None
+        Number of draws of the first look; more are flown only to decide.
+    overrides : mapping or None
+        As for `bench.load_profile`, over those of the baseline: what another unit or figure does.
+    allow_code, guard, jobs, progress
+        As for :func:`record_baselines`.
+
+    Returns
+    -------
+    verdicts : list of Verdict
+        Each has its ``word`` ("same", "better", "worse", "undecided"), the pooled values ``old`` and ``new``,
+        the ``change`` with its interval, and a ``sentence``.
+
+    Raises
+    ------
+    ConfigError
+        If a baseline or its profile is missing or malformed, two profiles have one name, or a file is not
+        the one its baseline was recorded of. This is checked before anything is flown.
+    """
+    if runs is not None and runs < 2:
+        raise ConfigError(f"runs = {runs} must be at least 2")
+    directory = Path(directory)
+    known = sorted(path.stem for path in directory.glob("*.json"))
+    if not known:
+        raise ConfigError(f"{directory}: no baseline (*.json) in it; 'bench check --record' makes one")
+    wanted = list(dict.fromkeys(get_name(name) for name in profiles)) or known
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise ConfigError(
+            *(f"{directory}: no baseline {name!r}{suggest(name, known, 'baselines')}" for name in unknown)
+        )
+    baselines = {name: read_baseline(directory / f"{name}.json") for name in wanted}
+    for name, source in _name_sources(profiles, baselines).items():
+        there = baselines[name].profile
+        if Path(source).is_file() and not is_same_source(source, there):
+            raise ConfigError(
+                f"{directory / name}.json: is the baseline of {there}, not of {source}; "
+                f"'bench check {name}' checks {there}, --baselines names another folder"
+            )
+    measured = {}
+    for name, baseline in baselines.items():
+        chosen, requested = _choose(baseline, estimators, directory / f"{name}.json")
+        baselines[name] = chosen
+        given = {**baseline.overrides, **(overrides or {})}
+        measured[name] = _open(
+            chosen.profile, requested, estimators, allow_code, guard, progress, given, cpu=has_cpu(chosen)
+        )
+    looks = sorted({runs or LOOKS[0], *LOOKS})
+    found: dict[str, list[UncorrectedVerdict]] = {}
+    words: dict[tuple[str, str, str], Verdict] = {}
+    unsure = set(baselines)
+    with open_pool(jobs) as pool:
+        for look in looks[looks.index(runs or LOOKS[0]) :][: len(LOOKS)]:
+            for name in sorted(unsure):
+                count = min(look, baselines[name].draws)
+                new = measured[name].measure(count, pool)
+                found[name] = compare(baselines[name], new, name, numbered=True)
+            everything = [one for name in baselines for one in found[name]]
+            for verdict in decide(everything):
+                key = (verdict.profile, verdict.estimator, verdict.metric)
+                if key not in words or words[key].word == "undecided":
+                    words[key] = verdict
+            unsure = {
+                row.profile
+                for row in words.values()
+                if row.word == "undecided" and baselines[row.profile].draws > look
+            }
+            if not unsure:
+                break
+    return list(words.values())
+
+
+def _choose(
+    baseline: Baseline, estimators: Sequence[str] | None, path: Path
+) -> tuple[Baseline, Sequence[str] | None]:
+    """Return a baseline with only some of its estimators, and what to request of the profile."""
+    if estimators is None:
+        return baseline, baseline.requested
+    labels = list(baseline.estimators)
+    by_request = dict(zip(baseline.requested or labels, labels, strict=False))
+    unknown = [use for use in estimators if use not in labels and use not in by_request]
+    if unknown:
+        raise ConfigError(
+            *(f"{path}: no estimator {use!r}{suggest(use, labels, 'estimators')}" for use in unknown),
+            "--record -e writes a baseline of another estimator",
+        )
+    wanted = [by_request.get(use, use) for use in estimators]
+    chosen = {label: row for label, row in baseline.estimators.items() if label in wanted}
+    requests = [use for use, label in by_request.items() if label in wanted]
+    return baseline.model_copy(update={"estimators": chosen}), requests

@@ -1,0 +1,141 @@
+"""The finished runs of a campaign by condition and estimator."""
+
+from __future__ import annotations
+
+import itertools
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics.arrays import BoolArray, FloatArray
+from bench.core.records.specs import EvaluationWindow
+from bench.experiments.campaigns.binned import BinnedRuns
+from bench.experiments.campaigns.journal import Journal
+from bench.experiments.campaigns.plan import Cell, Condition, Plan, PlannedRun
+from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, decode
+
+MOST_EXACT = 2000
+"""Runs of a group whose instants are all kept in memory; beyond, percentiles come from fixed bins."""
+
+PERCENTILES = (5, 50, 95)
+"""Percentiles over the runs, at each instant."""
+
+Done = Iterable[tuple[PlannedRun, Mapping[str, Any]]]
+"""Finished runs with their rows of the journal."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """The finished runs of one condition and one estimator."""
+
+    number: int  # of the condition
+    condition: Condition
+    label: str
+    seeds: tuple[int, ...]  # of its flights
+    evaluation: EvaluationWindow
+    metrics: tuple[Mapping[str, Any], ...]  # of each run
+    states: int  # number of states in NEES
+    nis_dof: tuple[Mapping[str, int], ...]  # degrees of freedom of the updates of each run, by sensor
+    t: FloatArray  # (M,) instants [s]
+    mean: FloatArray  # (M, C) over the runs that converged
+    percentiles: FloatArray  # (P, M, C) over them
+    kept_t: FloatArray  # (K,) instants whose values are kept for each run [s]
+    kept: FloatArray  # (R, K, C) single precision
+
+    @property
+    def converged(self) -> BoolArray:
+        """Mask (R,) of the runs that converged."""
+        return np.array([one["converged"] for one in self.metrics], np.bool_)
+
+    def channel(self, name: str, begin: float) -> FloatArray:
+        """Return a channel (G, K) of the G runs that converged, from an instant on, where all have values."""
+        column = self.kept[self.converged][:, :, list(CHANNELS).index(name)]
+        column = np.asarray(column[:, self.kept_t >= begin], np.float64)
+        late = np.isfinite(column).all(axis=0)
+        return column[:, late]
+
+
+def gather(plan: Plan, journal: Journal) -> Iterator[Group]:
+    """Yield the groups in the order of the plan; those of one condition are in memory."""
+    for number, runs in itertools.groupby(plan.runs, lambda one: plan.cells[one.cell].condition):
+        keys = [key for one in runs if (key := plan.run_key(one)) in journal]
+        cells = [cell for cell in plan.cells if cell.condition == number]
+        yield from _gather_condition(plan, number, cells, keys, journal)
+
+
+def _gather_condition(
+    plan: Plan, number: int, cells: Sequence[Cell], keys: Sequence[str], journal: Journal
+) -> Iterator[Group]:
+    labels = cells[0].profile.labels
+    stride = -(-len(keys) // MOST_EXACT)
+    binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
+    rows = {label: list[dict[str, Any]]() for label in labels}
+    kept = {label: list[FloatArray]() for label in labels}
+    step = 0.0
+    for key in keys:
+        whole = journal[key]
+        step = whole.get("step", step)
+        for label, row in whole.get("estimators", {}).items():
+            instants = decode(row.pop("instants"))
+            rows[label].append(row)
+            kept[label].append(instants[stride - 1 :: stride])
+            if stride > 1 and row["metrics"]["converged"]:
+                binned[label].add(instants)
+    for label in labels if rows[labels[0]] else ():
+        metrics = tuple(row["metrics"] for row in rows[label])
+        values = _stack(kept[label])
+        if stride == 1:
+            mean, percentiles = _describe(values, np.array([one["converged"] for one in metrics], np.bool_))
+        else:
+            mean = binned[label].mean()
+            percentiles = np.stack([binned[label].percentile(p) for p in PERCENTILES])
+        yield Group(
+            number=number,
+            condition=plan.conditions[number],
+            label=label,
+            seeds=tuple(cell.profile.seed for cell in cells),
+            evaluation=cells[0].profile.evaluation,
+            metrics=metrics,
+            states=max(row["states"] for row in rows[label]),
+            nis_dof=tuple(row["nis_dof"] for row in rows[label]),
+            t=np.asarray(step * np.arange(1, len(mean) + 1)),
+            mean=mean,
+            percentiles=percentiles,
+            kept_t=step * stride * np.arange(1, values.shape[1] + 1),
+            kept=values,
+        )
+
+
+def _stack(runs: Sequence[FloatArray]) -> Any:
+    """Return the runs (M, C) as one array (R, M, C); those of shorter flights end with NaN."""
+    stacked = np.full((len(runs), max(map(len, runs)), len(CHANNELS)), np.nan, np.float32)
+    for k, values in enumerate(runs):
+        stacked[k, : len(values)] = values
+    return stacked
+
+
+def _describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean (M, C) and `PERCENTILES` (P, M, C) over the runs (R, M, C) that converged."""
+    if not converged.any():
+        unknown = np.full(values.shape[1:], np.nan)
+        return unknown, np.stack([unknown] * len(PERCENTILES))
+    good = values[converged].astype(np.float64)
+    with warnings.catch_warnings():  # no run has a value there: NaN
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmean(good, axis=0), _find_percentiles(good)
+
+
+def _find_percentiles(values: FloatArray) -> FloatArray:
+    """Return `PERCENTILES` (P, M, C) over runs (R, M, C); values that only some runs have are slow."""
+    unknown = np.isnan(values).sum(axis=0)
+    found = np.full((len(PERCENTILES), *values.shape[1:]), np.nan)
+    for columns, percentile in (
+        (unknown == 0, np.percentile),
+        ((unknown > 0) & (unknown < len(values)), np.nanpercentile),
+    ):
+        if columns.any():
+            found[:, columns] = percentile(values[:, columns], PERCENTILES, axis=0)
+    return found

@@ -1,0 +1,143 @@
+"""What the runs of an estimator say together: figures with intervals, and sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number, one_line
+from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, mean_band
+from bench.evaluation.ensembles import ensemble, regression
+from bench.evaluation.ensembles.ensemble import Comparison, Estimate
+from bench.evaluation.ensembles.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
+from bench.experiments.campaigns.groups import Group
+
+POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
+"""Metrics whose squares are averaged over the runs."""
+
+_LEAST = 2  # runs that have an interval
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The statistics of one estimator over runs; those of errors are over the runs that converged."""
+
+    condition: str  # its name
+    label: str
+    runs: int
+    converged: Estimate  # rate [1]
+    errors: Mapping[str, Estimate]  # by metric of `POOLED`, and "cep50_m", "cep95_m"
+    consistency: Consistency | None  # None with fewer than 40 runs, or if no accuracy is claimed
+    lost: str = ""  # why the first run that did not converge did not
+
+    @property
+    def converged_runs(self) -> int:
+        """Number of runs that converged."""
+        return round(self.runs * self.converged.value)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the figures mean."""
+        rate, bad = self.converged, self.runs - self.converged_runs
+        least, most = (format_number(100 * (1 - end), 2) for end in (rate.high, rate.low))
+        found = [
+            f"{self.label}: all {self.runs} runs converged; the share that does not is 0 to {most} %"
+            if bad == 0
+            else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all; "
+            f"the first: {self.lost}"
+        ]
+        if self.consistency is not None:
+            found.append(f"{self.label} is {self.consistency.sentence}")
+            found += [f"{self.label}: {reason}" for reason in self.consistency.reasons]
+        return tuple(found)
+
+
+def summarize(group: Group) -> Outcome:
+    """Return the statistics of a group of runs."""
+    good = [one for one, converged in zip(group.metrics, group.converged, strict=True) if converged]
+    errors: dict[str, Estimate] = {}
+    consistency = None
+    late = group.evaluation.first
+    if len(good) >= _LEAST:
+        by_name = {name: [one.get(name) for one in good] for name in POOLED}
+        errors = {
+            name: ensemble.pool_rmse(np.square(np.array(values, float)))
+            for name, values in by_name.items()
+            if None not in values
+        }
+        size = np.hypot(*(group.channel(f"pos_err_{axis}_m", late) for axis in "ne"))
+        if size.size:
+            errors |= {f"cep{100 * p:.0f}_m": ensemble.pool_quantile(size, p) for p in (0.5, 0.95)}
+    nees = group.channel("nees", late)
+    if len(good) >= LEAST_RUNS and group.states and nees.size:
+        consistency = check_consistency(nees, group.states, _pool_nis(group))
+    return Outcome(
+        condition=group.condition.name,
+        label=group.label,
+        runs=len(group.metrics),
+        converged=ensemble.estimate_rate(len(good), len(group.metrics)),
+        errors=errors,
+        consistency=consistency,
+        lost=next(
+            (one_line(str(one.get("reason")))[:200] for one in group.metrics if not one["converged"]), ""
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two estimators of a condition: a metric of each in the runs in which both converged."""
+
+    names: tuple[str, str]
+    first: FloatArray
+    second: FloatArray
+
+
+def pair_runs(groups: Sequence[Group], metric: str = "pos_rmse_h_m") -> list[Pair]:
+    """Return the first of the groups of a condition beside each other one."""
+    found = []
+    for other in groups[1:]:
+        both = groups[0].converged & other.converged
+        pairs = [
+            (a.get(metric), b.get(metric))
+            for a, b, converged in zip(groups[0].metrics, other.metrics, both, strict=True)
+            if converged
+        ]
+        if len(pairs) >= _LEAST and all(None not in pair for pair in pairs):
+            first, second = np.array(pairs, float).T
+            found.append(Pair((groups[0].label, other.label), first, second))
+    return found
+
+
+def compare(pairs: Sequence[Pair], unit: str = "m") -> list[Comparison]:
+    """Compare the pairs of all conditions of a campaign.
+
+    By Holm's method over them the probability of any false "better" is 5 %, however many there are.
+    """
+    changes = [regression.estimate_change(one.second**2, one.first**2, np.sqrt, paired=True) for one in pairs]
+    _, levels = regression.decide(changes, 1.0 - ensemble.CONFIDENCE)
+    return [
+        ensemble.compare_rmse(one.names, one.first, one.second, unit, 1.0 - level)
+        for one, level in zip(pairs, levels, strict=True)
+    ]
+
+
+def _pool_nis(group: Group) -> dict[str, MeanNis]:
+    """Return the mean NIS of each sensor over the runs that converged, with its band."""
+    pooled = {}
+    good = group.converged
+    for sensor in dict.fromkeys(name for dof in group.nis_dof for name in dof):
+        rows = [
+            (one[f"nis_mean_{sensor}"], one[f"updates_{sensor}"], dof[sensor])
+            for one, dof, converged in zip(group.metrics, group.nis_dof, good, strict=True)
+            if converged and sensor in dof
+        ]
+        if rows:
+            mean, updates, dof = np.array(rows, float).T
+            n = int(updates.sum())
+            low, high = mean_band(float(dof.sum()) / n, n, NIS_PROBABILITY)
+            pooled[sensor] = MeanNis(float(mean @ updates) / n, low, high, n)
+    return pooled

@@ -1,0 +1,300 @@
+"""What a campaign runs: every run with its profile in full, its key, and the command that repeats it."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import re
+import shlex
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cache, cached_property
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from bench import pipeline
+from bench.core.files.places import PACKAGE
+from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
+from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns.campaign_file import (
+    CampaignSpec,
+    Values,
+    format_value,
+    is_campaign_file,
+    read_campaign_file,
+)
+from bench.io import results
+from bench.io.config import load_profile
+
+_BLOCK = 1 << 20  # [byte]
+_MOST_NAMED = 200  # files that wrappers name
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What statistics are about: a profile with some values replaced."""
+
+    source: str  # the profile, as it was named
+    values: Values  # that distinguish it from the other conditions
+
+    @property
+    def name(self) -> str:
+        """The profile and the values, in a line."""
+        return ", ".join([self.source, *(f"{key} = {_shorten(value)}" for key, value in self.values.items())])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One flight of a condition with its sensors and estimators; its runs differ only in noise."""
+
+    condition: int  # its number in the plan
+    profile: Profile
+    command: tuple[str, ...]  # ``bench run ...`` without --run
+
+    @cached_property
+    def truth_key(self) -> str:
+        """Hash of all that the truth depends on."""
+        return pipeline.find_truth_key(self.profile)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of all that the results of a run depend on, besides its number."""
+        profile = self.profile
+        parts = {
+            "truth": self.truth_key,
+            "sensors": results.hash_spec(profile.sensors),
+            "seed": profile.seed,
+            "estimators": [_describe_estimator(choice) for choice in profile.estimators],
+            "evaluation": asdict(profile.evaluation),
+            "software": describe_software(),
+        }
+        return hashlib.sha256(json.dumps(parts, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+    def repeat(self, run: int) -> str:
+        """Return the command that repeats a run alone."""
+        return shlex.join([*self.command, "--run", str(run)])
+
+
+@dataclass(frozen=True)
+class PlannedRun:
+    """A run of a cell."""
+
+    cell: int  # its number in the plan
+    run: int  # number of the noise draw
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The conditions of a campaign, their flights and their runs, in the order of the tables."""
+
+    name: str
+    conditions: tuple[Condition, ...]
+    cells: tuple[Cell, ...]
+    runs: tuple[PlannedRun, ...]
+
+    def run_key(self, planned: PlannedRun) -> str:
+        """Return the key of a run in the journal."""
+        return f"{self.cells[planned.cell].key}-{planned.run}"
+
+
+def plan_runs(
+    source: str,
+    runs: int | None = None,
+    *,
+    flights: int | None = None,
+    seed: int | None = None,
+    estimators: Sequence[str] | None = None,
+    overrides: Values | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+) -> Plan:
+    """Read a profile or a campaign file and plan its runs.
+
+    Parameters
+    ----------
+    source : str
+        Shipped name or path of a profile, or path of a campaign file.
+    runs : int or None
+        Noise draws of each flight, from 0 on; None takes those of the campaign file, or 200.
+    flights : int or None
+        Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
+        and noise are its own. None takes those of the campaign file, or 1.
+    seed, estimators, overrides, allow_code, guard
+        As for `bench.io.config.load_profile`; they win over the campaign file.
+
+    Raises
+    ------
+    ConfigError
+        As for `config.load_profile`, and if an estimator is a solution in a file, which belongs to one
+        draw, or if several flights would be the same.
+    """
+    spec = (
+        read_campaign_file(source, allow_code=allow_code)
+        if is_campaign_file(source)
+        else CampaignSpec(Path(source).stem, (source,))
+    )
+    spec = replace(
+        spec,
+        runs=spec.runs if runs is None else runs,
+        flights=spec.flights if flights is None else flights,
+        seed=spec.seed if seed is None else seed,
+        estimators=tuple(estimators) if estimators else spec.estimators,
+    )
+    return plan_campaign(spec, overrides, allow_code, guard)
+
+
+def plan_campaign(
+    spec: CampaignSpec,
+    overrides: Values | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+) -> Plan:
+    """Plan the runs of a campaign; errors as for :func:`plan_runs`."""
+    uses = spec.estimators
+    conditions, cells = [], []
+    for number, (name, values) in enumerate(spec.conditions()):
+        conditions.append(Condition(name, values))
+        given = {**spec.fixed, **values, **(overrides or {})}
+        first = load_profile(name, given, spec.seed, uses, allow_code, guard)
+        cells.append(_make_cell(number, name, first, uses, given, allow_code))
+        given = {key: value for key, value in given.items() if key not in ("seed", "turbulence_seed")}
+        for j in range(1, spec.flights):
+            another = load_profile(name, given, first.seed + j, uses, allow_code, guard)
+            if not isinstance(first.flight, FlightSpec) or first.flight.severity == 0:
+                raise ConfigError(f"{name}: has no turbulence, so all its flights are the same")
+            cells.append(_make_cell(number, name, another, uses, given, allow_code))
+    planned = tuple(PlannedRun(k, run) for k in range(len(cells)) for run in range(spec.runs))
+    return Plan(spec.name, tuple(conditions), tuple(cells), planned)
+
+
+def _make_cell(
+    condition: int,
+    source: str,
+    profile: Profile,
+    estimators: Sequence[str] | None,
+    overrides: Values,
+    allow_code: bool,
+) -> Cell:
+    files = [choice for choice in profile.estimators if choice.use.startswith("file:")]
+    for choice in files:
+        if not (choice.beside / choice.use.removeprefix("file:")).is_dir():
+            raise ConfigError(
+                f"{source}: {choice.label!r} is a solution in a file, which belongs to one noise draw; "
+                "file:FOLDER names a folder with one for each"
+            )
+    words = ["bench", "run", source]
+    for use in estimators or ():
+        words += ["-e", use]
+    turbulence = profile.document.get("turbulence_seed", profile.seed)
+    given = {key: value for key, value in overrides.items() if key not in ("seed", "turbulence_seed")}
+    given |= {} if turbulence == profile.seed else {"turbulence_seed": turbulence}
+    for key, value in given.items():
+        words += ["--set", f"{key}={format_value(value)}"]
+    words += ["--allow-code"] if allow_code else []
+    words += next((_name_limits(one.guard) for one in profile.estimators if one.guard != DEFAULT_GUARD), [])
+    return Cell(condition, profile, (*words, "--seed", str(profile.seed)))
+
+
+def _name_limits(guard: Guard) -> list[str]:
+    """Return the options of the command line that give a guard."""
+    limits = {"--timeout": guard.timeout, "--memory": guard.memory, "--output": guard.output}
+    factors = {"--timeout": 1.0, "--memory": 1e-9, "--output": 1e-6}
+    given = {name: value for name, value in limits.items() if value not in (None, DEFAULT_GUARD.output)}
+    words = [word for name, value in given.items() for word in (name, f"{factors[name] * value:g}")]
+    return [*words, "--in-process"] if guard.in_process else words
+
+
+def _shorten(value: Any) -> str:
+    return value if isinstance(value, str) else format_value(value)
+
+
+def _describe_estimator(choice: EstimatorChoice) -> dict[str, Any]:
+    """Return what the results of an estimator depend on; the sources of bench are counted elsewhere."""
+    plain = dataclasses.asdict(choice) | {"beside": ""}
+    return plain | {"source": [_hash_file(path) for path in _find_sources(choice)]}
+
+
+def hash_estimator(plan: Plan, label: str) -> str:
+    """Return a hash of the sources, or of the program, of an estimator of a plan, and of its options."""
+    (choice,) = (one for one in plan.cells[0].profile.estimators if one.label == label)
+    own = {**_describe_estimator(choice), "guard": "", "package": _hash_package()}
+    return hashlib.sha256(json.dumps(own, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def _find_sources(choice: EstimatorChoice) -> list[Path]:
+    """Return the files of an estimator: those of its package or module, or of its program."""
+    kind, _, rest = choice.use.partition(":")
+    if kind == "command":
+        try:
+            words = [word.replace("{here}", str(choice.beside)) for word in shlex.split(rest)]
+        except ValueError:  # building the estimator tells it
+            return []
+        on_path = [Path(found) for found in [shutil.which(words[0]) if words else None] if found]
+        given = [path for path in (*on_path, *(choice.beside / word for word in words)) if path.is_file()]
+        return given + find_named_files(given[len(on_path) :])
+    if kind == "file":
+        return sorted(path for path in (choice.beside / rest).rglob("*") if path.is_file())
+    found = find_module_files(choice.use)
+    return found + find_named_files(found)
+
+
+def find_named_files(sources: Sequence[Path]) -> list[Path]:
+    """Return the files beside some sources that their texts name: the program that a wrapper calls.
+
+    And those that these name. What a wrapper finds by the PATH, or puts together, is not seen.
+    """
+    found, todo = dict.fromkeys(path.resolve() for path in sources), list(sources)
+    given = len(found)
+    while todo and len(found) < _MOST_NAMED:
+        path = todo.pop()
+        try:
+            text = path.read_text("utf-8") if path.stat().st_size <= _BLOCK else ""
+        except (OSError, UnicodeDecodeError):  # a program
+            continue
+        words = dict.fromkeys(re.findall(r"[\w./+-]*\w", text))
+        for word in dict.fromkeys([*words, *(word.rpartition("/")[2] for word in words)]):
+            named = path.parent / word
+            with contextlib.suppress(OSError):
+                if named.is_file() and named.resolve() not in found:
+                    found[named.resolve()] = None
+                    todo.append(named)
+    return sorted(list(found)[given:])
+
+
+def find_module_files(use: str) -> list[Path]:
+    """Return the file of the module of an estimator ``module:Class``, or all of its package."""
+    module, _, rest = use.partition(":")
+    if not rest or module in ("command", "file"):
+        return []
+    try:
+        found = find_spec(module.partition(".")[0])
+    except (ImportError, ValueError):
+        return []
+    if found is None or found.origin is None or Path(found.origin).is_relative_to(PACKAGE):
+        return []
+    origin = Path(found.origin)
+    return sorted(origin.parent.rglob("*.py")) if found.submodule_search_locations else [origin]
+
+
+@cache
+def describe_software() -> dict[str, str]:
+    """Return the versions that results depend on, and a hash of the sources of bench."""
+    return {**results.list_versions(), "source": _hash_package()}
+
+
+@cache
+def _hash_package() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(PACKAGE.rglob("*.py")):
+        digest.update(f"{path.relative_to(PACKAGE)}\0{_hash_file(path)}".encode())
+    return digest.hexdigest()
+
+
+def _hash_file(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,444 @@
+"""Run a campaign: fly, let the workers run, keep a journal, and write the tables."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bench
+from bench import pipeline
+from bench.core.files import durable
+from bench.core.files.scratch import make_scratch
+from bench.core.files.spawned import Printed
+from bench.core.records.specs import DEFAULT_GUARD, Guard
+from bench.core.words.exceptions import ConfigError, FlightError
+from bench.core.words.notebook import make_frame, write_sentences, write_table
+from bench.evaluation.ensembles.ensemble import Comparison
+from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
+from bench.experiments.campaigns.batches import Lost, Pool, compute
+from bench.experiments.campaigns.campaign_tables import (
+    EPOCHS,
+    RUNS,
+    describe_instants,
+    write_epochs,
+    write_runs,
+)
+from bench.experiments.campaigns.groups import gather
+from bench.experiments.campaigns.journal import NAME, Journal
+from bench.experiments.campaigns.outcome import Outcome, Pair, compare, pair_runs, summarize
+from bench.experiments.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
+from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, count_processors
+from bench.experiments.campaigns.worker import RunTask, choose_step, fly, measure
+from bench.io import results
+from bench.io.config.library import name_profile
+
+PRINTED = "printed.txt"
+"""File of a campaign with what filters of others have printed."""
+
+_WAVE = 50  # flights before their runs: all fit into the cache of truth
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a campaign is."""
+
+    runs: int
+    done: int  # those taken from the journal included
+    failed: int  # of them, as a whole
+    new: int  # finished since the start
+    elapsed: float  # since the start [s]
+    flown: float  # flight time of the new runs [s]
+
+    @property
+    def rate(self) -> float:
+        """Runs per second."""
+        return self.new / self.elapsed if self.elapsed else 0.0
+
+    @property
+    def remaining(self) -> float | None:
+        """Time to the end [s]; None before the first run."""
+        return (self.runs - self.done) / self.rate if self.rate else None
+
+    @property
+    def real_time(self) -> float:
+        """Seconds of flight per second."""
+        return self.flown / self.elapsed if self.elapsed else 0.0
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """The result of a campaign."""
+
+    outcomes: tuple[Outcome, ...]
+    comparisons: tuple[Comparison, ...]
+    runs: Any  # pyarrow.Table, a row for each run and estimator
+    epochs: Any  # pyarrow.Table, a row for each estimator and instant
+    planned: int
+    finished: int
+    failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
+    conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
+    provenance: Mapping[str, Any]  # versions, commit
+    timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
+    interrupted: bool
+    folder: Path | None
+    estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of each finished run [s]
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the figures mean."""
+        own = (text for outcome in self.outcomes for text in outcome.sentences)
+        required = (one.sentence for one in self.requirements)
+        return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons), *required)
+
+    @property
+    def requirements(self) -> tuple[Finding, ...]:
+        """Whether the runs keep what is required, of each condition and estimator."""
+        if not any("requirement" in condition["as_flown"] for condition in self.conditions):
+            return ()
+        every, found = self.runs.to_pylist(), list[Finding]()
+        for k, condition in enumerate(self.conditions):
+            own = [row for row in every if row["condition"] == k]
+            varied = ", ".join(f"{name} = {value}" for name, value in condition["values"].items())
+            for label in dict.fromkeys(row["estimator"] for row in own):
+                rows = list_requirements(condition["as_flown"], label)
+                runs = [row for row in own if row["estimator"] == label]
+                shown = f"{varied}: {label}" if varied else label
+                found += judge_runs(shown, runs, rows)
+        return tuple(found)
+
+    def __repr__(self) -> str:
+        """Return the number of runs and the sentences."""
+        return "\n".join([f"<Campaign: {self.finished} of {self.planned} runs>", *self.sentences])
+
+    def _repr_html_(self) -> str:
+        """Return the sentences, and a table of the figures with their intervals."""
+        names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
+        rows = [
+            [one.condition, one.label, f"{one.converged_runs} of {one.runs}"]
+            + [one.errors[name].show() if name in one.errors else None for name in names]
+            for one in self.outcomes
+        ]
+        head = ["condition", "estimator", "converged", *names]
+        caption = f"{self.finished} of {self.planned} runs"
+        return write_sentences(self.sentences) + write_table(caption, head, rows)
+
+    def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
+        """Draw a quantity along the runs, a plot for each condition: see `bench.plot_result`."""
+        return bench.plot_result(self, quantity, **look)
+
+    def frame(self) -> Any:
+        """Return the table of runs as a pandas.DataFrame, a row for each run and estimator."""
+        return make_frame(self.runs.to_pydict())
+
+
+def campaign(
+    profile: str | Path,
+    runs: int | None = None,
+    *,
+    flights: int | None = None,
+    seed: int | None = None,
+    estimators: Sequence[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    allow_code: bool = False,
+    guard: Guard = DEFAULT_GUARD,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> Campaign:
+    """Run many noise draws of a profile on all processors and return their statistics.
+
+    Draw k is ``bench.run(profile, run=k)``. A script that calls this guards its start by
+    ``if __name__ == "__main__"``, because the processes import it.
+
+    Parameters
+    ----------
+    profile : str or Path
+        Shipped name, path of a profile, or path of a campaign file.
+    runs, flights : int or None
+        Noise draws of each flight, default 200; flights with turbulence of their own, default 1.
+    seed, estimators, overrides, allow_code, guard
+        As for `bench.load_profile`.
+    jobs, executor, scheduler, out, force, resume, progress
+        As for :func:`run_campaign`; ``out`` is its folder.
+
+    Returns
+    -------
+    campaign : Campaign
+        ``runs`` and ``epochs`` are Arrow tables, ``outcomes`` and ``comparisons`` figures with intervals,
+        ``sentences`` what they mean.
+
+    Raises
+    ------
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
+        If no run can begin, or the folder cannot be used.
+    """
+    if resume and (out is None or force):
+        raise ConfigError("bench.campaign: resume continues the campaign in out, and force replaces it")
+    plan = plan_runs(
+        name_profile(profile),
+        runs,
+        flights=flights,
+        seed=seed,
+        estimators=estimators,
+        overrides=overrides,
+        allow_code=allow_code,
+        guard=guard,
+    )
+    folder = None if out is None else Path(out)
+    return run_campaign(
+        plan,
+        jobs=jobs,
+        executor=executor,
+        scheduler=scheduler,
+        folder=folder,
+        force=force,
+        resume=resume,
+        progress=progress,
+    )
+
+
+def run_campaign(
+    plan: Plan,
+    *,
+    jobs: int | None = None,
+    executor: Executor | None = None,
+    scheduler: str | None = None,
+    pool: Pool | None = None,
+    folder: Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+    progress: Callable[[Progress], None] = lambda progress: None,
+) -> Campaign:
+    """Run what a plan holds and return its tables and sentences.
+
+    The result does not depend on the number of processes or the order in which runs finish. After Ctrl-C it
+    is that of the runs that are finished.
+
+    Parameters
+    ----------
+    plan : Plan
+        As `bench.experiments.campaigns.plan` makes it.
+    jobs : int or None
+        Number of processes; None takes one for each processor.
+    executor : Executor or None
+        Use the ``jobs`` workers of this executor instead of processes of its own.
+    scheduler : str or None
+        Use the workers of the Dask scheduler at this address; it needs the extra "cluster".
+    pool : Pool or None
+        Workers that run already, and go on afterwards.
+    folder : Path or None
+        Where journal and tables are written; None leaves nothing behind.
+    force : bool
+        Replace the campaign in the folder.
+    resume : bool
+        Continue the campaign in the folder, if there is one: runs of the same profile, estimators and
+        versions are taken from its journal; those that failed as a whole are tried again.
+    progress : callable
+        Called at the start and after each run.
+
+    Raises
+    ------
+    bench.ConfigError, bench.EstimatorError, bench.FlightError
+        As for :func:`campaign`.
+    OSError
+        If the journal cannot be written; ``resume`` continues from there.
+    """
+    begun = time.perf_counter()
+    with contextlib.ExitStack() as stack:
+        place = stack.enter_context(
+            make_scratch()
+            if folder is None
+            else results.keep_folder(
+                folder,
+                (NAME, RUNS, EPOCHS, PRINTED, results.CAMPAIGN_RESULT, results.REPORT, results.RECORDING),
+                results.CAMPAIGN,
+                force=force,
+                resume=resume,
+            )
+        )
+        journal = stack.enter_context(Journal(place / NAME))
+        before = journal.find_labels()
+        now = {cell.profile.labels for cell in plan.cells}
+        if before and before not in now:
+            raise ConfigError(
+                f"{folder}: holds runs of {', '.join(before)}; name them again to continue, -o names another "
+                "folder, --force replaces it"
+            )
+        if before:
+            journal.keep_runs_of(before)
+        printed = Printed()
+        if (place / PRINTED).is_file():
+            printed.add((place / PRINTED).read_bytes())
+        try:
+            with (
+                contextlib.nullcontext(pool)
+                if pool
+                else _open_pool(plan, jobs or count_processors(), executor, scheduler) as workers
+            ):
+                _work(plan, journal, workers, printed, progress)
+            interrupted = False
+        except KeyboardInterrupt:
+            interrupted = True
+        if printed.text:
+            durable.write(place / PRINTED, printed.text)
+        return _finish(plan, journal, place, folder, begun, interrupted=interrupted)
+
+
+def _open_pool(
+    plan: Plan, jobs: int, executor: Executor | None, scheduler: str | None
+) -> contextlib.AbstractContextManager[Pool]:
+    if scheduler is not None:
+        from bench.experiments.campaigns.cluster import ClusterPool
+
+        used = {choice.use: choice for cell in plan.cells for choice in cell.profile.estimators}
+        return ClusterPool(scheduler, list(used.values()))
+    return ProcessPool(jobs) if executor is None else ExecutorPool(executor, jobs)
+
+
+def _work(
+    plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Callable[[Progress], None]
+) -> None:
+    """Run what the journal does not hold, write each finished run into it, and keep what filters print."""
+    todo: dict[int, list[PlannedRun]] = {}
+    for planned in plan.runs:
+        key = plan.run_key(planned)
+        if key not in journal or "error" in journal[key]:
+            todo.setdefault(planned.cell, []).append(planned)
+    for cell in {plan.cells[k].condition: plan.cells[k] for k in todo}.values():
+        pipeline.build_estimators(cell.profile)
+    known = len(plan.runs) - sum(map(len, todo.values()))
+    counter = _Counter(len(plan.runs), known, progress)
+    lengths: dict[str, float] = {}
+    numbers, warm = list(todo), set[tuple[str, ...]]()
+    for begin in range(0, len(numbers), _WAVE):
+        wave = [plan.cells[k] for k in numbers[begin : begin + _WAVE]]
+        firsts = [next(c for c in plan.cells if c.condition == cell.condition) for cell in wave]
+        _fly([*firsts, *wave], lengths, pool)
+        tasks, first, commands = list[RunTask](), list[int](), list[str]()
+        for cell, number, its_first in zip(wave, numbers[begin : begin + _WAVE], firsts, strict=True):
+            uses = tuple(choice.use for choice in cell.profile.estimators)
+            if uses not in warm:  # its kernels are compiled once, not by every worker
+                first.append(len(tasks))
+                warm.add(uses)
+            step = choose_step(lengths[its_first.truth_key], cell.profile.answer_rate)
+            tasks += [
+                RunTask(plan.run_key(one), cell.truth_key, cell.profile, one.run, step)
+                for one in todo[number]
+            ]
+            commands += [cell.repeat(one.run) for one in todo[number]]
+        for k, found in compute(measure, tasks, pool, first):
+            row: dict[str, Any] = (
+                {"key": tasks[k].key, "error": found.reason} if isinstance(found, Lost) else dict(found)
+            )
+            for label, text in row.pop("printed", {}).items():
+                printed.add(f"--- {label}: {commands[k]}\n{text.rstrip()}\n".encode())
+            journal.append(row)
+            counter.count(lengths[tasks[k].truth_key], failed="error" in row)
+
+
+def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
+    """Fly into the cache what is not there, check the times of the profiles, and add the durations [s]."""
+    new = {cell.truth_key: cell for cell in cells if cell.truth_key not in lengths}
+    profiles = [cell.profile for cell in new.values()]
+    for k, length in enumerate(map(fly, profiles)) if pool.remote else compute(fly, profiles, pool):
+        if isinstance(length, Lost):
+            raise FlightError(f"{list(new.values())[k].profile.name}: {length.reason} while it flew")
+        lengths[list(new)[k]] = length
+    pool.share(list(new))
+    for cell in cells:
+        if cell.profile.guidance is None:
+            pipeline.check_times(cell.profile, lengths[cell.truth_key])
+
+
+class _Counter:
+    """Reports the progress of a campaign."""
+
+    def __init__(self, runs: int, known: int, progress: Callable[[Progress], None]) -> None:
+        self._runs, self._known, self._progress = runs, known, progress
+        self._new, self._failed, self._flown, self._begun = 0, 0, 0.0, time.perf_counter()
+        progress(Progress(runs, known, 0, 0, 0.0, 0.0))
+
+    def count(self, length: float, *, failed: bool) -> None:
+        self._new += 1
+        self._failed += failed
+        self._flown += length
+        elapsed, done = time.perf_counter() - self._begun, self._known + self._new
+        self._progress(Progress(self._runs, done, self._failed, self._new, elapsed, self._flown))
+
+
+def _finish(
+    plan: Plan, journal: Journal, place: Path, folder: Path | None, begun: float, *, interrupted: bool
+) -> Campaign:
+    """Write the tables and the summary of the finished runs."""
+    outcomes: list[Outcome] = []
+    pairs: list[Pair] = []
+    epochs: list[dict[str, Any]] = []
+    for _, groups in itertools.groupby(gather(plan, journal), lambda group: group.number):
+        of_condition = list(groups)
+        outcomes += map(summarize, of_condition)
+        pairs += pair_runs(of_condition)
+        epochs += map(describe_instants, of_condition)
+    failed: dict[str, str] = {}
+    cpu: list[float] = []
+    used: dict[str, list[float]] = {}
+
+    def rows() -> Iterator[tuple[PlannedRun, Mapping[str, Any]]]:
+        for planned in plan.runs:
+            if (key := plan.run_key(planned)) in journal:
+                row = journal[key]
+                if "error" in row:
+                    failed[plan.cells[planned.cell].repeat(planned.run)] = row["error"]
+                cpu.append(sum(row.get("cpu_s", {}).values()))
+                for label, seconds in row.get("estimator_cpu_s", {}).items():
+                    used.setdefault(label, []).append(seconds)
+                yield planned, row
+
+    write_runs(place / RUNS, plan, rows())
+    write_epochs(place / EPOCHS, plan, epochs)
+    profiles = {cell.condition: cell.profile.document for cell in reversed(plan.cells)}
+    result = Campaign(
+        outcomes=tuple(outcomes),
+        comparisons=tuple(compare(pairs)),
+        runs=results.read_table(place / RUNS),
+        epochs=results.read_table(place / EPOCHS),
+        planned=len(plan.runs),
+        finished=len(cpu),
+        failed=failed,
+        conditions=tuple(
+            {"profile": one.source, "values": one.values, "as_flown": profiles[number]}
+            for number, one in enumerate(plan.conditions)
+        ),
+        provenance=results.provenance(),
+        timing={"wall_s": time.perf_counter() - begun, "run_cpu_s": sum(cpu)},
+        estimator_cpu_s=used,
+        interrupted=interrupted,
+        folder=folder,
+    )
+    results.write_json(place / results.CAMPAIGN_RESULT, describe(result))
+    return result
+
+
+def describe(campaign: Campaign) -> dict[str, Any]:
+    """Return the figures and sentences of a campaign, for JSON."""
+    return {
+        "planned": campaign.planned,
+        "finished": campaign.finished,
+        "failed": campaign.failed,
+        "sentences": campaign.sentences,
+        "outcomes": [asdict(one) for one in campaign.outcomes],
+        "comparisons": [asdict(one) for one in campaign.comparisons],
+        "conditions": campaign.conditions,
+        "estimator_cpu_s": campaign.estimator_cpu_s,
+        "timing": campaign.timing,
+        **campaign.provenance,
+    }

@@ -1,0 +1,239 @@
+"""Two cards of the same suite: where one filter is better, draw by draw."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.exceptions import ConfigError
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.regression import Change, average_changes, decide
+from bench.experiments.card.card_lines import CONVENTIONS, COUNT, SAME, SHARE, Line, write_figure
+from bench.experiments.card.card_making import Card
+
+_ERROR = 1.0 - ensemble.CONFIDENCE  # probability of any false word over the quantities
+_POWER = 0.8
+
+
+@dataclass(frozen=True)
+class ComparedLine:
+    """A figure of two cards."""
+
+    topic: str
+    flight: str
+    figure: str
+    values: tuple[float | None, float | None]  # as they stand on the cards
+    sentence: str
+    better: str | None = None  # the filter that is proven better, as the sentence calls it
+
+
+def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = None) -> list[ComparedLine]:
+    """Compare the figures that both cards have, on the same noise.
+
+    Parameters
+    ----------
+    first, second : Card
+        As `bench.make_card` or `bench.read_card` returns them.
+    names : (str, str) or None
+        What the sentences call them; None takes the names of the estimators.
+
+    Raises
+    ------
+    ConfigError
+        If they are not of the same suite.
+    """
+    names = names or name_cards((first, second), ("the first", "the second"))
+    if (first.suite, first.suite_hash) != (second.suite, second.suite_hash):
+        raise ConfigError(
+            f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "
+            f"{names[1]} has {second.suite}, {second.suite_hash}"
+        )
+    found: list[ComparedLine] = []
+    same = 0
+    quantities: dict[tuple[str, str], list[_Pair]] = {}
+    others = {(line.topic, line.flight, line.figure): line for line in second.lines}
+    for line in first.lines:
+        other = others.get((line.topic, line.flight, line.figure))
+        if other is None or line.topic in ("robustness", "requirements", CONVENTIONS):
+            continue
+        if _are_same(line, other):
+            same += 1
+        elif text := _tell_values(line, other):
+            sentence = f"{line.flight}: {text}."
+            found.append(
+                ComparedLine(line.topic, line.flight, line.figure, (line.value, other.value), sentence)
+            )
+        elif (changes := _list_changes(line, other)) is not None:
+            quantities.setdefault((line.topic, line.figure), []).append((line, other, changes))
+    found = _judge_quantities(names, list(quantities.values())) + found
+    if same:
+        sentence = f"{same} figures are the same in every draw."
+        found.append(ComparedLine("same", "all flights", "figures", (None, None), sentence))
+    if first.speed and second.speed:
+        a, b = first.speed.value, second.speed.value
+        if a and b:
+            sentence = f"speed: {names[0]} takes {write_figure(a / b)} times the CPU of {names[1]}."
+            found.append(ComparedLine("speed", "all flights", first.speed.figure, (a, b), sentence))
+    return found
+
+
+def list_differences(first: Card, second: Card) -> list[str]:
+    """Return what differs besides the filters: versions of bench and its libraries."""
+    names = dict.fromkeys([*first.versions, *second.versions])
+    return [
+        f"{name} {first.versions.get(name, '-')} and {second.versions.get(name, '-')}"
+        for name in names
+        if first.versions.get(name) != second.versions.get(name)
+    ]
+
+
+def _are_same(one: Line, other: Line) -> bool:
+    """Tell whether every draw has the same value, but for the processor."""
+    a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
+    return a.shape == b.shape and bool(np.isclose(a, b, rtol=SAME, atol=0.0, equal_nan=True).all())
+
+
+def _tell_values(one: Line, other: Line) -> str | None:
+    """Return the values of a figure that no test is made of."""
+    if one.figure.startswith("median"):
+        texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "heading found after {} and {}".format(*texts)
+    if one.topic == "coverage" and one.figure != SHARE:
+        waited = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "first answer after {} and {}".format(*waited)
+    if one.topic == "coverage":
+        shares = (f"{100.0 * (line.value or 0.0):.4g}" for line in (one, other))
+        return "answers at {} and {} % of the instants".format(*shares)
+    if one.topic == "causality":
+        ahead = ("not proven" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
+        return "look-ahead: {} and {}".format(*ahead)
+    if one.word == COUNT:
+        counts = (f"{sum(value or 0.0 for value in line.by_draw):.0f}" for line in (one, other))
+        return f"{one.figure}: {' and '.join(counts)} of {len(one.by_draw)}"
+    return None
+
+
+_Pair = tuple[Line, Line, FloatArray]
+"""A figure of a flight on two cards, and by draw the log of how much larger the first is; NaN: unknown."""
+
+
+def _list_changes(one: Line, other: Line) -> FloatArray | None:
+    """Return by draw the log of the ratio of the first to the second; None if fewer than two draws have both.
+
+    Of NEES it is that of the factors between each draw and its expectation. The factor of a mean over draws
+    has no derivative where it is right, and a jackknife of it claims too much for two honest filters.
+    """
+    a, b = (np.array(line.by_draw, float) for line in (one, other))
+    known = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
+    if known.sum() < 2:
+        return None
+    changes = np.full(len(a), np.nan)
+    logs = np.log(a[known]), np.log(b[known])
+    mine, theirs = np.abs(logs) if one.topic == "honesty" else logs
+    changes[known] = mine - theirs
+    return changes
+
+
+def _pool_flights(changes: FloatArray) -> Change:
+    """Return the mean over flights (rows) and draws (columns), by Student over draws.
+
+    The flights of a draw may share their noise, so a draw counts once. A draw that lacks a flight is compared
+    with the means of the flights that it has.
+    """
+    means = np.nanmean(changes, axis=1)
+    seen = np.isfinite(changes).any(axis=0)
+    by_draw = np.nanmean((changes - means[:, None])[:, seen], axis=0)
+    return replace(average_changes(by_draw), estimate=float(means.mean()))
+
+
+def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
+    """Say of each quantity, pooled over its flights, which filter is better; then on which flights.
+
+    Holm's method over the quantities keeps the probability of any false word. Only the flights of a quantity
+    that differs are tested, by Holm within it, on its share of that probability: over all lines at once
+    eight draws would prove nothing.
+    """
+    pooled = [_pool_flights(np.array([changes for _, _, changes in pairs])) for pairs in quantities]
+    proven, levels = decide(pooled, _ERROR)
+    found = []
+    for pairs, change, differs, level in zip(quantities, pooled, proven, levels, strict=True):
+        one, other, _ = pairs[0]
+        lost = _count_lost(pairs)
+        if differs and lost[change.estimate > 0.0] > lost[change.estimate <= 0.0]:
+            found.append(_tell_lost(names, one, change, lost))
+            continue
+        if len(pairs) == 1:
+            found.append(_tell_change(names, one, other, one.flight, change, level, differs))
+            continue
+        found.append(_tell_change(names, one, other, "all flights", change, level, differs))
+        flights = [_pool_flights(changes[None]) for *_, changes in pairs]
+        there, flight_levels = decide(flights, _ERROR / len(quantities))
+        for k, (mine, theirs, _) in enumerate(pairs):
+            word = bool(there[k]) if differs else None
+            by = flight_levels[k] if differs else _ERROR
+            found.append(_tell_change(names, mine, theirs, mine.flight, flights[k], by, word))
+    return found
+
+
+def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
+    """Return how many draws each card lacks that the other one has."""
+    lacks = [[np.isnan(np.array(line.by_draw, float)) for line in pair[:2]] for pair in pairs]
+    return sum(int((a & ~b).sum()) for a, b in lacks), sum(int((b & ~a).sum()) for a, b in lacks)
+
+
+def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
+    """Say that a filter is better only in the draws that it has not lost: it may lose the worst."""
+    k = int(change.estimate > 0.0)
+    text = (
+        f"{names[k]} is better in the draws that both have, but lost {lost[k]} that {names[1 - k]} kept: "
+        "not proven to differ"
+    )
+    text = f"all flights: {one.figure}: {text}."
+    return ComparedLine(one.topic, "all flights", one.figure, (None, None), text)
+
+
+def _tell_change(
+    names: tuple[str, str],
+    one: Line,
+    other: Line,
+    flight: str,
+    change: Change,
+    level: float,
+    differs: bool | None,
+) -> ComparedLine:
+    """Return the line of a change; ``differs`` is None where no test is made, and nothing is said."""
+    low, high = change.interval(level)
+    ratio, least, most = (write_figure(float(np.exp(end))) for end in (change.estimate, low, high))
+    name = names[0] if change.estimate < 0.0 else names[1]
+    if one.topic != "honesty":
+        text = f"{one.figure} of {names[0]} {ratio} times that of {names[1]} ({least} to {most})"
+    elif flight == "all flights":
+        text = (
+            f"NEES of {names[0]} in a draw off by {ratio} times the factor of {names[1]} ({least} to {most})"
+        )
+    else:
+        text = f"NEES is {write_figure(one.value)} and {write_figure(other.value)} times its expectation"
+    better = name if differs else None
+    if better is not None:
+        text += f": {better} is {'nearer' if one.topic == 'honesty' else 'better'}"
+    elif differs is not None:
+        text += f": not proven to differ; {_find_power(change, level)} would be found in {_POWER:.0%}"
+    values = (None, None) if flight == "all flights" else (one.value, other.value)
+    return ComparedLine(one.topic, flight, one.figure, values, f"{flight}: {text}.", better)
+
+
+def _find_power(change: Change, level: float) -> str:
+    """Return the ratio that these draws tell from 1, in words."""
+    from scipy.special import stdtrit
+
+    reach = float(stdtrit(change.dof, 1.0 - 0.5 * level) + stdtrit(change.dof, _POWER))
+    return f"a ratio of {write_figure(float(np.exp(reach * change.standard_error)))}"
+
+
+def name_cards(cards: Sequence[Card], paths: Sequence[str]) -> tuple[str, str]:
+    """Return names for two cards: their estimators, or their files if those are the same."""
+    first, second = (card.estimator for card in cards)
+    return (first, second) if first != second else (paths[0], paths[1])

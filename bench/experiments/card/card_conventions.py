@@ -1,0 +1,70 @@
+"""The line of a card that says which wrong convention a filter of broken claim looks like."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bench import pipeline
+from bench.core.words.exceptions import EstimatorError, EstimatorFailedError
+from bench.evaluation.consistency.verdict import BROKEN
+from bench.evaluation.conventions.convention_search import find_mistakes
+from bench.experiments.campaigns.plan import Plan
+from bench.experiments.card.card_lines import CONVENTIONS, Line, Rows
+from bench.experiments.card.card_suite import Suite
+from bench.navigation.built_in import BUILT_IN
+
+_DRAWS = 3  # that have to share the constants
+_MOST_BROKEN = 0.5  # of the draws of a flight
+
+
+def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> list[Line]:
+    """Return the convention that a filter of others looks like, in one line; none where no one fits.
+
+    Its answers of some draws of a flight on which its claim is broken are made again and searched together,
+    so that one constant has to do for all. A flight is taken on which nothing breaks, if there is one.
+
+    Parameters
+    ----------
+    plan, suite : Plan, Suite
+        Of the card.
+    label : str
+        Of the filter.
+    own : sequence of rows
+        Its rows of each flight.
+    """
+    profiles = {cell.condition: cell.profile for cell in plan.cells}
+    broken = {
+        k: [draw for draw, row in enumerate(rows) if row.get("verdict") in BROKEN]
+        for k, rows in enumerate(own)
+    }
+    flights = [k for k, draws in broken.items() if len(draws) > _MOST_BROKEN * len(own[k])]
+    if not flights:
+        return []
+    number = min(flights, key=lambda k: (bool(profiles[k].sensors.faults), k))
+    profile, name = profiles[number], suite.members[number].name
+    (choice,) = (one for one in profile.estimators if one.label == label)
+    if choice.use in BUILT_IN:
+        return []
+    truth = pipeline.fly(profile)
+    solutions, antenna_b = [], np.zeros(3)
+    try:
+        for draw in broken[number][:_DRAWS]:
+            sensed = pipeline.sense(profile, truth, draw)
+            antenna_b = sensed.data.antenna_b
+            solutions.append(pipeline.navigate(choice, sensed.data, sensed.initial))
+        found = find_mistakes(truth, solutions, antenna_b, profile.evaluation.begin)
+    except (ValueError, EstimatorError, EstimatorFailedError):  # the card says of its runs what they raised
+        return []
+    if not found:
+        return []
+    text = str(found["why_text"])
+    text = f"{text[0].lower()}{text[1:].rstrip('.')}, with the same constants in {len(solutions)} draws"
+    return [
+        Line(
+            topic=CONVENTIONS, flight=name, figure=" and ".join(dict.fromkeys(
+                str(row["convention"]) for row in found["looks_like"])),
+            value=None, low=None, high=None, sentence=f"{name}: {text}.",
+        )
+    ]  # fmt: skip

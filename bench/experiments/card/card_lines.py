@@ -1,0 +1,399 @@
+"""The lines of a card: what the runs of a flight say of an estimator, in a figure and a sentence each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+import numpy as np
+from scipy.special import gammaincinv
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import one_line
+from bench.evaluation.ensembles import ensemble
+from bench.evaluation.ensembles.ensemble import Estimate
+from bench.evaluation.ensembles.ensemble_consistency import TOLERATED
+from bench.evaluation.ensembles.regression import average_changes
+from bench.evaluation.errors.error_series import TITLES
+from bench.evaluation.linear.quantities import count_freedom
+from bench.experiments.card.card_suite import SuiteFlight
+from bench.io.config.tables import ROWS, Table
+
+_LEAST = 2  # draws that have an interval
+ERRORS = {
+    "accuracy": ("horizontal error", "pos_rmse_h_m", ""),
+    "height": ("height error", "pos_rmse_d_m", ""),
+    "velocity": ("velocity error", "vel_rmse_3d_mps", ""),
+    "tilt": ("tilt", "tilt_rmse_deg", ""),
+    "heading": ("heading error", "heading_rmse_deg", ""),
+    "outages": ("growth of the error in outages", "outage_", "_growth_h_m"),
+    "faults": ("largest error during faults", "fault_", "_max_h_m"),
+}
+"""Topic -> its figure in words, and how the names of its metrics begin and end."""
+_ANSWERED = "answered_"
+_UNLIKELY = 1e-5  # that an error is below the bound by chance: one of 1000 cards with 90 such errors
+_BELOW = 0.9  # of the bound; nearer to it a filter that is not linear may come
+_RIGHT = "heading_right_s_all"
+
+SAME = 1e-6
+"""Relative difference of a value that is the same, on another processor for example."""
+
+COUNT = "count"
+"""Word of a line that counts."""
+
+SHARE = "least share of instants"
+"""Figure of the line of coverage."""
+
+IMPOSSIBLE = "impossible"
+"""Word of an error below the bound."""
+
+CONVENTIONS = "conventions"
+"""Topic of the line that says which convention a filter looks like."""
+
+UNPROVEN = "not proven"
+"""Word of a filter whose causality cannot be proven: it fails, or does not repeat its answers."""
+
+_UNEVEN = "uneven"  # word of a claim that is right in the mean of all instants only
+_INSIDE = 0.8  # of the time with NEES in the central 95 % of its distribution: less is uneven
+
+Rows = Sequence[Mapping[str, Any]]
+"""Metrics of an estimator by draw."""
+
+
+class Line(Table):
+    """One figure of a card."""
+
+    topic: str  # "convergence", "coverage", "causality", a key of `ERRORS`, "honesty", "alarms", ... "speed"
+    flight: str
+    figure: str  # what it is of
+    value: float | None  # None: never
+    low: float | None  # 95 % interval; None: open to this side
+    high: float | None
+    sentence: str
+    word: str = ""  # of honesty the verdict; COUNT: ``by_draw`` holds 1 where it happened, else 0
+    by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the estimator achieved itself
+    over_bound: Annotated[tuple[float, float, float] | None, ROWS] = None  # of an error, with interval
+
+
+def judge_flight(
+    flight: SuiteFlight,
+    own: Rows,
+    other: Rows,
+    label: str,
+    without: Rows,
+    bound: tuple[Mapping[str, float], str] = ({}, ""),
+) -> list[Line]:
+    """Return the lines of a flight.
+
+    Parameters
+    ----------
+    flight : SuiteFlight
+        What it is.
+    own, other : rows
+        Of the estimator, and of the one to compare with, whose ``label`` that is; no rows: with none.
+    without : rows
+        Of the estimator on the same flight without what happens in this one; no rows if nothing does.
+    bound : (mapping, str)
+        What `bench.experiments.card.card_bound.bound_errors_of` returns.
+    """
+    lines = [_judge_coverage(flight, own), _judge_start(flight, own), _judge_convergence(flight, own)]
+    lines += _compare_errors(flight, own, other, label, bound)
+    lines += _judge_honesty(flight, own)
+    lines += _judge_alarms(flight, own)
+    if without:
+        lines += _judge_robustness(flight, own, without)
+    return lines + _judge_heading(flight, own)
+
+
+def _judge_convergence(flight: SuiteFlight, own: Rows) -> Line:
+    by_draw = tuple(float(row["converged"]) for row in own)
+    rate = ensemble.estimate_rate(int(sum(by_draw)), len(own))
+    text = f"converged in {sum(by_draw):.0f} of {len(own)} draws"
+    lost = [k for k, good in enumerate(by_draw) if not good]
+    if lost:
+        text += f"; draw {lost[0]}: {one_line(str(own[lost[0]].get('reason')))[:200]}"
+    return _make_line("convergence", flight, "draws that converged", rate, text, by_draw, COUNT)
+
+
+def _judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
+    """Return the least share of the instants that a draw answers, by block, and what is not estimated."""
+    shares = {title: [row.get(f"{_ANSWERED}{block}") for row in own] for block, title in TITLES.items()}
+    declared = {title: values for title, values in shares.items() if any(v is not None for v in values)}
+    least = {title: min(v or 0.0 for v in values) for title, values in declared.items()}
+    by_draw = tuple(
+        min((values[k] or 0.0 for values in declared.values()), default=0.0) for k in range(len(own))
+    )
+    if not declared:
+        text = "answers nothing"
+    elif min(least.values()) == 1.0:
+        text = "answers at all instants"
+    else:
+        parts = [f"{title} at {100.0 * share:.4g} %" for title, share in least.items()]
+        text = f"answers {', '.join(parts)} of the instants, each in the draw with the fewest"
+    absent = [title for title in TITLES.values() if title not in declared]
+    if absent and declared:
+        text += f"; no {', no '.join(absent)}"
+    found = Estimate(min(by_draw), min(by_draw), max(by_draw))
+    return _make_line("coverage", flight, SHARE, found, text, by_draw)
+
+
+def _judge_start(flight: SuiteFlight, own: Rows) -> Line:
+    """Return how long the draw waits that answers last."""
+    by_draw = tuple(row.get("first_answer_s_all") if _answers(row) else None for row in own)
+    known = [value for value in by_draw if value is not None]
+    longest = max(known) if len(known) == len(own) else None
+    text = "never answers in some draw" if longest is None else f"first answer after {longest:.3g} s at most"
+    return Line(
+        topic="coverage", flight=flight.name, figure="longest time to the first answer [s]", value=longest,
+        low=min(known, default=None), high=longest, sentence=f"{flight.name}: {text}.", by_draw=by_draw,
+    )  # fmt: skip
+
+
+def _answers(row: Mapping[str, Any]) -> bool:
+    return any(row.get(f"{_ANSWERED}{block}_all") is not None for block in TITLES)
+
+
+def _compare_errors(
+    flight: SuiteFlight, own: Rows, other: Rows, label: str, bound: tuple[Mapping[str, float], str]
+) -> list[Line]:
+    """Return errors as ratios to those of another estimator on the same draws, and to the bound."""
+    lines = []
+    for topic, (figure, start, end) in ERRORS.items():
+        if topic == "faults" and flight.without:
+            continue
+        names = _find_names(own, start, end)
+        values = _pool_names(own, names)
+        ratio = compare_rms(values, _pool_names(other, names)) if other else None
+        held, word = compare_bound(values, bound[0].get(topic))
+        parts = [] if ratio is None else [f"{_format(ratio)} times that of {label}"]
+        parts += [] if held is None else [f"{_format(held)} times the bound"]
+        if not parts:
+            continue
+        text = f"{figure} {' and '.join(parts)}"
+        both = sum(value is not None for value in values)
+        text += "" if both == len(own) else f", in the {both} of {len(own)} draws that converged"
+        if topic == "accuracy" and bound[1]:
+            text += f"; {bound[1]}"
+        if word:
+            text += ": no causal filter can; it has the future, or the truth"
+        shown = ratio or held
+        assert shown is not None
+        line = _make_line(topic, flight, figure, shown, text, values, word)
+        over = None if held is None else (held.value, held.low, held.high)
+        lines.append(line.model_copy(update={"over_bound": over}))
+    return lines
+
+
+def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
+    """Return the error over the bound, pooled over the draws, and `IMPOSSIBLE` if it is below for certain.
+
+    Certain is what the spread of the draws allows: the upper end of the mean square of so many independent
+    errors as they hold (`count_freedom`). The bound is of all draws: of a filter that has lost some, perhaps
+    the worst, nothing is certain.
+    """
+    squares = np.square([value for value in values if value is not None])
+    if not bound or len(squares) < _LEAST or not squares.all():
+        return None, ""
+    pooled = ensemble.pool_rmse(squares)
+    half = 0.5 * count_freedom(squares)
+    most = pooled.value * (half / float(gammaincinv(half, _UNLIKELY))) ** 0.5
+    whole = len(squares) == len(values)
+    word = IMPOSSIBLE if whole and most < bound and pooled.value < _BELOW * bound else ""
+    return Estimate(pooled.value / bound, pooled.low / bound, pooled.high / bound), word
+
+
+def list_values(row: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return what the lines of a flight hold of a draw, by topic."""
+    found = {
+        topic: _pool_names([row], _find_names([row], start, end))[0]
+        for topic, (_, start, end) in ERRORS.items()
+    }
+    return {**found, "honesty": _normalize(row)}
+
+
+def _normalize(row: Mapping[str, Any]) -> float | None:
+    """Return NEES over its expectation; None without one, or if the draw is lost."""
+    mean = row.get("nees_mean") if row["converged"] else None
+    return None if mean is None else float(mean / row["nees_states"])
+
+
+def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return the ratio of NEES to its expectation; none without a covariance."""
+    by_draw = tuple(map(_normalize, own))
+    known = np.array([value for value in by_draw if value is not None], float)
+    if len(known) < _LEAST:
+        return []
+    root = ensemble.pool_rmse(known)
+    ratio = Estimate(root.value**2, root.low**2, root.high**2)
+    least, most = TOLERATED
+    if ratio.low > most:
+        word = "overconfident"
+    elif ratio.high < least:
+        word = "underconfident"
+    else:
+        word = "consistent" if least <= ratio.low and ratio.high <= most else "undecided"
+    text = f"NEES is {_format(ratio)} times its expectation: {word}"
+    share = _estimate_share(
+        np.array([row["nees_inside_95"] for row in own if _normalize(row) is not None], float)
+    )
+    if word not in ("overconfident", "underconfident") and share.high < _INSIDE:
+        word = _UNEVEN
+        text = (
+            f"NEES is {_format(ratio)} times its expectation in the mean, but within the central 95 % of its "
+            f"distribution for {_format(share, 100.0)} % of the time: {word}"
+        )
+    return [_make_line("honesty", flight, "NEES over its expectation", ratio, text, by_draw, word)]
+
+
+def _judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return how many of the faults were noticed, of those that can be, and how many alarms are false."""
+    lines = []
+    names = [] if flight.without else _find_names(own, "fault_", "_detected")
+    by_draw = tuple(row[name] for row in own for name in names if row.get(name) is not None)
+    if by_draw:
+        rate = ensemble.estimate_rate(int(sum(by_draw)), len(by_draw))
+        text = f"noticed {sum(by_draw):.0f} of {len(by_draw)} faults"
+        lines.append(_make_line("faults", flight, "faults noticed", rate, text, by_draw, COUNT))
+    shares, rates = (
+        [row[name] for row in own if row.get(name) is not None]
+        for name in ("false_alarm_share", "false_alarm_rate_per_h")
+    )
+    if len(shares) >= _LEAST and not flight.without:
+        share = _estimate_share(np.array(shares))
+        text = f"in alarm for {_format(share, 100.0)} % of the time outside faults"
+        text += f", {np.mean(rates):.3g} false alarms an hour"
+        values = tuple(row.get("false_alarm_share") for row in own)
+        lines.append(_make_line("alarms", flight, "time in false alarm", share, text, values))
+    return lines
+
+
+def _estimate_share(by_draw: FloatArray) -> Estimate:
+    """Return the mean of shares by draw, by Student's t."""
+    mean = average_changes(by_draw)
+    low, high = mean.interval(1.0 - ensemble.CONFIDENCE)
+    return Estimate(mean.estimate, max(low, 0.0), min(high, 1.0))
+
+
+def _judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
+    """Return the ratio of the error to that on the same draws of the same flight where nothing happens."""
+    _, start, end = ERRORS["accuracy"]
+    values = [_pool_names(rows, _find_names(own, start, end)) for rows in (own, without)]
+    ratio = compare_rms(*values)
+    if ratio is None:
+        return []
+    text = f"horizontal error {_format(ratio)} times its own on the same flight without them"
+    return [_make_line("robustness", flight, "horizontal error", ratio, text, values[0])]
+
+
+def _judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return the median time after which the heading stays right, of a flight that begins with it wrong."""
+    estimated = any(row.get("heading_rmse_deg") is not None for row in own)
+    if "initial_error_sd.heading_deg" not in flight.values or not estimated:
+        return []
+    by_draw = tuple(row.get(_RIGHT) if row["converged"] else None for row in own)
+    times = np.array([np.inf if value is None else value for value in by_draw])
+    found = ensemble.estimate_quantile(times, 0.5)
+    low, high = (end if end is not None and np.isfinite(end) else None for end in (found.low, found.high))
+    if not np.isfinite(found.value):
+        text = "most draws never find the heading"
+    else:
+        text = f"half of the draws have the heading within 3 deg of the truth after {found.value:.3g} s"
+        last = "never" if high is None else f"{high:.3g} s"
+        text += f" ({'the start' if low is None else f'{low:.3g} s'} to {last})"
+    value = found.value if np.isfinite(found.value) else None
+    return [
+        Line(
+            topic="convergence",
+            flight=flight.name,
+            figure="median time to the heading [s]",
+            value=value,
+            low=low,
+            high=high,
+            sentence=f"{flight.name}: {text}.",
+            by_draw=by_draw,
+        )
+    ]
+
+
+def measure_speed(own: Sequence[float], yardstick: Sequence[float], label: str) -> Line | None:
+    """Return the CPU time as a multiple of that of the yardstick in the same runs."""
+    if not own:
+        return None
+    found = ensemble.estimate_quantile(np.array(own) / np.array(yardstick), 0.5)
+    interval = f"{found.low or found.value:.3g} to {found.high or found.value:.3g}"
+    return Line(
+        topic="speed",
+        flight="all flights",
+        figure=f"CPU time over that of {label}",
+        value=found.value,
+        low=found.low,
+        high=found.high,
+        sentence=f"speed: {found.value:.3g} ({interval}) times the CPU of {label} on the same samples; "
+        "measured anew for each card.",
+    )
+
+
+def _make_line(
+    topic: str,
+    flight: SuiteFlight,
+    figure: str,
+    found: Estimate,
+    text: str,
+    by_draw: Sequence[float | None],
+    word: str = "",
+) -> Line:
+    low, high = (end if np.isfinite(end) else None for end in (found.low, found.high))
+    return Line(
+        topic=topic,
+        flight=flight.name,
+        figure=figure,
+        value=found.value,
+        low=low,
+        high=high,
+        sentence=f"{flight.name}: {text}.",
+        word=word,
+        by_draw=tuple(by_draw),
+    )
+
+
+def _find_names(rows: Rows, start: str, end: str) -> list[str]:
+    """Return the metrics between these ends that any row has."""
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
+    return [
+        name for name in names if name == start or (end and name.startswith(start) and name.endswith(end))
+    ]
+
+
+def _pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Return the root mean square of some metrics in each draw; None if it has none or did not converge."""
+    return tuple(
+        float(np.sqrt(np.mean([row[name] ** 2 for name in names])))
+        if names and row["converged"] and all(row.get(name) is not None for name in names)
+        else None
+        for row in rows
+    )
+
+
+def compare_rms(own: Sequence[float | None], other: Sequence[float | None]) -> Estimate | None:
+    """Return the ratio of root mean squares, over the draws that have both; None if too few.
+
+    The mean of the log ratios of the draws, by Student's t: its interval holds what it says with eight draws,
+    too, where that of a ratio of pooled squares holds 91 to 94 instead of 95 %.
+    """
+    pairs = [(a, b) for a, b in zip(own, other, strict=True) if a is not None and b is not None]
+    if len(pairs) < _LEAST or not np.all(pairs):
+        return None
+    mine, theirs = np.array(pairs, float).T
+    change = average_changes(np.log(mine / theirs))
+    low, high = change.interval(1.0 - ensemble.CONFIDENCE)
+    return Estimate(*np.exp([change.estimate, low, high]).tolist())
+
+
+def _format(found: Estimate, scale: float = 1.0) -> str:
+    value, low, high = (write_figure(scale * one) for one in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def write_figure(value: float | None) -> str:
+    """Return a number with three digits; a dash for None."""
+    return "-" if value is None else f"{value:#.3g}".rstrip(".")

@@ -1,0 +1,130 @@
+"""The suite of the cards: fixed flights, units, faults and draws."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bench.experiments.campaigns.campaign_file import CampaignSpec, Values
+from bench.experiments.campaigns.plan import Plan
+from bench.io import results
+from bench.io.config import load_profile
+
+_EVENTS = ("fault", "gnss_outage")
+
+VERSION = 3
+"""Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
+
+
+@dataclass(frozen=True)
+class SuiteFlight:
+    """A shipped profile with some values replaced."""
+
+    name: str
+    profile: str
+    values: Values = field(default_factory=dict)
+    without: str = ""  # name of the same flight without what happens in this one
+
+
+@dataclass(frozen=True)
+class Suite(CampaignSpec):
+    """Flights that a card stands on."""
+
+    members: tuple[SuiteFlight, ...] = ()
+
+    def conditions(self) -> Iterator[tuple[str, Values]]:
+        """Yield profile and values of each flight, in order; with a seed at other times of what breaks."""
+        for one in self.members:
+            moved = {} if self.seed is None else move_events(one, self.seed)
+            yield one.profile, {**one.values, **moved}
+
+
+_FARTHEST = 20.0  # that a fault is moved [s]
+_OF_GAP = 0.4  # of the time to its neighbours
+
+
+def move_events(flight: SuiteFlight, seed: int) -> Values:
+    """Return the faults and outages of a flight, each moved in time by a draw of the seed.
+
+    So a filter that knows the times of the suite by heart finds others. What lasts from the start on, or
+    touches something else, stays; the order stays, too.
+    """
+    profile = load_profile(flight.profile, flight.values, estimators=["free-inertial"])
+    rows = [(key, row) for key in _EVENTS for row in profile.document.get(key, ())]
+    spans = [(row["start_s"], row["start_s"] + row["duration_s"]) for _, row in rows]
+    end = float(profile.document["duration_s"]) if "duration_s" in profile.document else np.inf
+    rng = np.random.default_rng([seed, *flight.name.encode()])
+    moved: dict[str, list[Any]] = {}
+    for (key, row), (first, last) in zip(rows, spans, strict=True):
+        before = max([profile.evaluation.begin, *(b for a, b in spans if a < first)])
+        after = min([end, *(a for a, _ in spans if a > first)])
+        room = max(0.0, min(_FARTHEST, _OF_GAP * (first - before), _OF_GAP * (after - last)))
+        start = round(first + rng.uniform(-room, room), 1)
+        moved.setdefault(key, []).append({**row, "start_s": start if room else first})
+    return moved
+
+
+def _drop_imu(start_s: float, duration_s: float) -> Values:
+    return {"kind": "dropped", "sensor": "imu", "start_s": start_s, "duration_s": duration_s}
+
+
+_PLAIN = "s-turns-matched"
+LATE = "late-fixes"
+"""Name of the flight on which fixes come late."""
+_MATCHED: Values = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
+_GAPS = [_drop_imu(100.0, 0.5), _drop_imu(170.0, 2.0), _drop_imu(250.0, 10.0), _drop_imu(340.0, 5.0)]
+_LATE = [{"kind": "latency", "sensor": "gnss", "start_s": 0.0, "duration_s": 425.0, "added_s": 0.5}]
+_WEAVE = [
+    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 60.0, "bank_deg": 30.0, "count": 4},
+    {"kind": "straight", "duration_s": 30.0},
+]
+_WIDE = [
+    {"kind": "straight", "duration_s": 60.0},
+    {"kind": "s-turns", "by_deg": 40.0, "bank_deg": 20.0, "count": 3},
+    {"kind": "straight", "duration_s": 20.0},
+]
+_AWAY = [{"kind": "straight", "duration_s": 240.0}]
+_QUICK = (
+    SuiteFlight("figure-eight-matched", "figure-eight-matched"),
+    SuiteFlight("figure-eight", "figure-eight"),
+    SuiteFlight("gnss-faults", "gnss-faults"),
+    SuiteFlight(_PLAIN, "s-turns", _MATCHED),
+    SuiteFlight("imu-gaps", "s-turns", {**_MATCHED, "fault": _GAPS}, _PLAIN),
+    SuiteFlight(LATE, "s-turns", {**_MATCHED, "fault": _LATE}, _PLAIN),
+    SuiteFlight("heading-30-deg-off", "s-turns", {**_MATCHED, "initial_error_sd.heading_deg": 30.0}),
+    SuiteFlight("start-not-told", "s-turns", {"leg": _WEAVE, "alignment.kind": "course"}),
+    SuiteFlight("magnetometer", "s-turns", {"leg": _WEAVE, "sensors.mag": "rm3100"}),
+    SuiteFlight("standing-still", "static", {"leg.1.duration_s": 180.0}),
+    SuiteFlight("straight-out-mpu-9250", "s-turns", {"leg": _AWAY, "sensors.imu": "mpu-9250"}),
+    SuiteFlight("navion", "s-turns", {"leg": _WIDE, "aircraft": "navion", "start.speed_mps": 55.0}),
+)
+_FULL = (
+    *_QUICK,
+    SuiteFlight("survey", "survey"),
+    SuiteFlight("survey-stim300", "survey", {"sensors.imu": "stim300"}),
+    SuiteFlight("survey-icm-42688-p", "survey", {"sensors.imu": "icm-42688-p"}),
+    SuiteFlight("gnss-denied-leg", "gnss-denied-leg"),
+    SuiteFlight("high-dynamics", "high-dynamics"),
+    SuiteFlight("turbulent-loiter", "turbulent-loiter"),
+)
+QUICK = Suite("card-quick", (), runs=8, members=_QUICK)
+FULL = Suite("card", (), runs=40, members=_FULL)
+
+
+def hash_suite(plan: Plan) -> str:
+    """Return a hash of the flights, sensors and draws, whatever the estimators are."""
+    parts = [
+        [
+            {key: value for key, value in cell.profile.document.items() if key != "estimator"},
+            results.hash_spec(cell.profile.sensors),
+        ]
+        for cell in plan.cells
+    ]
+    text = json.dumps([VERSION, parts, len(plan.runs)], sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

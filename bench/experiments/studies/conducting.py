@@ -1,0 +1,83 @@
+"""Run a study by its name."""
+
+from __future__ import annotations
+
+import shlex
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from bench.core.records.findings import Findings, StudyResult
+from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import suggest
+from bench.experiments.campaigns.pools import count_processors
+from bench.experiments.studies import STUDIES, StudyEntry
+from bench.experiments.studies.study import Progress, StudyWorkers, make_command, read_options
+from bench.io import results
+from bench.io.results.study_folder import save_study
+
+
+def find_study(name: str) -> tuple[StudyEntry, Any]:
+    """Return the entry and the module of a study.
+
+    Raises
+    ------
+    ConfigError
+        If there is none of this name.
+    """
+    if name not in STUDIES:
+        raise ConfigError(f"study {name!r} is unknown{suggest(name, STUDIES, 'studies')}")
+    return STUDIES[name], import_module(STUDIES[name].module)
+
+
+def study(
+    name: str,
+    *,
+    jobs: int | None = None,
+    out: str | Path | None = None,
+    force: bool = False,
+    progress: Progress = lambda what, done, of: None,
+    **options: Any,
+) -> StudyResult:
+    """Run a study and return what it found.
+
+    Parameters
+    ----------
+    name : str
+        One of ``bench list studies``.
+    jobs : int or None
+        Number of processes; None takes one for each processor.
+    out : str, Path or None
+        Folder for tables, figures and ``study.json``; None leaves nothing behind.
+    force : bool
+        Replace the study in the folder.
+    progress : callable
+        Called with what is being done, how many parts are done, and of how many.
+    **options
+        Those of the study; ``bench study NAME --help`` lists them.
+
+    Raises
+    ------
+    bench.ConfigError
+        If there is no such study, an option is wrong, or the folder cannot be made.
+    """
+    entry, module = find_study(name)
+    chosen = read_options(name, module.Options, options)
+    if out is not None:
+        results.check_folder(Path(out), force=force, kind=results.STUDY)
+    begun = time.perf_counter()
+    with StudyWorkers(jobs or count_processors(), progress) as work:
+        findings: Findings = module.run(chosen, work)
+    result = StudyResult(
+        name,
+        entry.question,
+        shlex.join(make_command(name, chosen)),
+        chosen.model_dump(),
+        findings,
+        results.provenance(),
+        time.perf_counter() - begun,
+    )
+    if out is not None:
+        save_study(Path(out), result, force=force)
+    return result

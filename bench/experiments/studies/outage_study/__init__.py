@@ -1,0 +1,1 @@
+"""Drift without GNSS, by unit and by grade."""

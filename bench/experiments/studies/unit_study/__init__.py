@@ -1,0 +1,1 @@
+"""Which IMU is enough, and what limits it."""

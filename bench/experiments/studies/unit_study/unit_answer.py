@@ -1,0 +1,275 @@
+"""The answer of the study of units: sentences, tables, and pictures with names on their dots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bench.core.records.findings import FindingTable, make_table, series
+from bench.core.records.findings.series import Plot, Series
+from bench.evaluation.ensembles.ensemble import estimate_quantile
+from bench.evaluation.metrics.run_metrics import find_metric
+from bench.evaluation.requirements.required_metrics import EVERY, MET, UNDECIDED, describe_limit
+from bench.experiments.studies.study import format_estimate
+from bench.experiments.studies.unit_study.catalog_units import CLASSES, CatalogImu
+from bench.experiments.studies.unit_study.unit_limits import VarianceShares
+from bench.experiments.studies.unit_study.unit_ranking import ClassStep, Ranking, UnitFlown
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is found of all units on one flight by one filter."""
+
+    profile: str
+    label: str
+    metric: str
+    required: Sequence[Mapping[str, Any]]
+    ranking: Ranking  # with gaps as typical of the class
+    bare: Ranking  # with gaps as zero
+    limits: Sequence[tuple[str, VarianceShares]]  # by unit
+
+    @property
+    def missed(self) -> bool:
+        """Whether every unit misses what is required, or is not usable."""
+        words = {one.verdict for one in self.ranking.flown.values()}
+        return bool(self.required) and not words & {MET, UNDECIDED}
+
+    @property
+    def undecided(self) -> bool:
+        """Whether a cheaper class may meet what is required, or none is shown to and not all miss it."""
+        none = self.ranking.recommended is None and not self.missed
+        return none or bool(self.ranking.list_undecided())
+
+    @property
+    def unit_of_metric(self) -> str:
+        """The unit of the metric."""
+        known = find_metric(self.metric.replace(EVERY, "1"))
+        return known.unit if known else ""
+
+    @property
+    def what(self) -> str:
+        """The metric in words, with its unit."""
+        words = {
+            "outage_*_drift_h_m": "horizontal drift in the outage",
+            "pos_rmse_h_m": "horizontal RMSE",
+        }
+        return f"{words.get(self.metric, self.metric)} [{self.unit_of_metric}]"
+
+    @property
+    def where(self) -> str:
+        """Flight and filter."""
+        return f"{self.profile}, {self.label}"
+
+
+# --- words ------------------------------------------------------------------------------------------------
+
+
+def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
+    """Yield the answer in sentences: what to buy, what it rests on, what limits, what is not usable."""
+    ranking = answer.ranking
+    yield from _tell_required(answer) if answer.required else ()
+    yield f"{answer.where}, {answer.what}, from the cheapest class on: {'; '.join(_tell_steps(ranking))}."
+    if ranking.alike:
+        most = 100.0 * (ranking.spread - 1.0)
+        yield (
+            f"{answer.where}: here the IMU does not matter, the errors of all "
+            f"{sum(not one.lost for one in ranking.flown.values())} usable units are within {most:.1f} %; "
+            "the cheapest does."
+        )
+    lost = [one.loss for one in ranking.flown.values() if one.lost]
+    if lost:
+        yield f"{answer.where}: not usable on this flight, draws lost: {', '.join(lost)}."
+    yield from _tell_gaps(answer, units)
+    yield from (limit.tell(name) for name, limit in answer.limits)
+    outside = [name for name in ranking.flown if units[name].grade not in CLASSES]
+    if outside:
+        yield (
+            f"Without a class, so beside the classes: {', '.join(outside)}; class = "
+            f'"{CLASSES[0]}" in a file gives it one, of {", ".join(CLASSES)}.'
+        )
+
+
+def _tell_steps(ranking: Ranking) -> Iterator[str]:
+    for step in ranking.steps:
+        one = step.best
+        known = f" {format_estimate(one.rms)}" if one.rms else ""
+        text = f"{step.grade} {one.unit}{known}"
+        if step.gain is not None:
+            text += (
+                f", {step.gain.ratio.value:.2g} times {step.gain.second}"
+                if step.pays
+                else f", {'no better' if step.gain.word != 'undecided' else 'not shown to be better'} "
+                f"than {step.gain.second} ({_tell_pair(step)})"
+            )
+        same = [pair.first for pair in step.beside if pair.word != "undecided"]
+        told = [f"the same: {', '.join(same)}"] if same else []
+        told += [
+            f"{pair.first} not told from it: about {pair.deciding - pair.draws} more draws would"
+            if pair.deciding
+            else f"{pair.first} not told from it, and more draws would hardly"
+            for pair in step.beside
+            if pair.word == "undecided"
+        ]
+        yield f"{text} ({'; '.join(told)})" if told else text
+    if not ranking.steps:
+        yield "no class has a usable unit"
+
+
+def _tell_pair(step: ClassStep) -> str:
+    gain = step.gain
+    assert gain is not None
+    text = f"{gain.ratio.value:.3g} times, {gain.ratio.interval}"
+    more = f"; about {gain.deciding - gain.draws} more draws would tell" if gain.deciding else ""
+    return f"{text}{more}"
+
+
+def _tell_required(answer: Answer) -> Iterator[str]:
+    ranking = answer.ranking
+    asked = " and ".join(
+        f"{row['metric']} {describe_limit(row)} in {100.0 * row['share']:g} % of the runs"
+        for row in answer.required
+    )
+    found = ranking.recommended
+    if found is None:
+        word = "no unit meets it" if answer.missed else "no unit is shown to meet it"
+        yield f"{answer.where}: required is {asked}; {word}."
+    else:
+        margin = find_margin(found.best, answer.required, answer.metric)
+        shown = f", margin {margin:.2g}" if margin else ""
+        open_ones = ", ".join(one.unit for one in ranking.list_undecided())
+        meets = "is shown to meet" if open_ones else "meets"
+        maybe = f"; undecided of cheaper classes: {open_ones}" if open_ones else ""
+        yield (
+            f"{answer.where}: required is {asked}; the cheapest class that {meets} it is {found.grade}: "
+            f"{found.best.unit}{shown}{maybe}."
+        )
+    for one in ranking.list_undecided():
+        yield from (
+            each.sentence.replace(f"{answer.label}:", f"{one.unit}, {answer.label}:", 1)
+            for each in one.findings
+        )
+
+
+def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
+    """Return the limit over the quantile of the draws that has to keep it; None if that is no limit."""
+    for row in required:
+        if row["metric"] == metric and "most" in row and not one.lost:
+            return float(row["most"]) / estimate_quantile(one.values, float(row["share"])).value
+    return None
+
+
+def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]:
+    """Yield whether what no source states decides the answer."""
+    first, second = (_name_choice(one) for one in (answer.ranking, answer.bare))
+    filled = [name for name in answer.ranking.flown if units[name].typical]
+    if not filled:
+        return
+    if first == second:
+        yield (
+            f"{answer.where}: figures that datasheets leave out are typical of the class here (table gaps); "
+            "with zero in their place the answer is the same."
+        )
+    else:
+        yield (
+            f"{answer.where}: the answer rests on figures that datasheets leave out (table gaps): with what "
+            f"is typical of the class it is {first}, with zero in their place {second}."
+        )
+
+
+def _name_choice(ranking: Ranking) -> str:
+    """Return the units that a ranking puts first: that which meets what is required, and the front."""
+    asked = any(one.findings for one in ranking.flown.values())
+    if asked:
+        return ranking.recommended.best.unit if ranking.recommended else "no unit"
+    return ", ".join(step.best.unit for step in ranking.front) or "no unit"
+
+
+# --- tables -----------------------------------------------------------------------------------------------
+
+
+def fill_tables(
+    answers: Sequence[Answer], units: Mapping[str, CatalogImu], laws: Mapping[str, float], law_s: float
+) -> tuple[FindingTable, ...]:
+    """Return the errors of all units, and the figures that no source states of each."""
+    rows = []
+    for answer in answers:
+        for name, one in answer.ranking.flown.items():
+            bare = answer.bare.flown[name]
+            rms = (one.rms.value, one.rms.low, one.rms.high) if one.rms else (None,) * 3
+            margin = find_margin(one, answer.required, answer.metric)
+            rows.append(
+                (
+                    name, answer.profile, answer.label, units[name].grade, one.verdict, *rms,
+                    bare.rms.value if bare.rms else None, margin, one.lost, len(one.values), laws[name],
+                )
+            )  # fmt: skip
+    names = (
+        *("unit", "profile", "estimator", "class", "verdict", "rms", "low", "high", "gaps_zero"),
+        *("margin", "lost", "draws", f"law_{law_s:g}_s_m"),
+    )
+    metrics = ", ".join(dict.fromkeys(one.what for one in answers))
+    title = (
+        f"{metrics}: RMS with its 95 % interval, gaps typical of the class; drift that the datasheet expects"
+    )
+    return (make_table("units", title, names, rows), _fill_gaps(units))
+
+
+def _fill_gaps(units: Mapping[str, CatalogImu]) -> FindingTable:
+    rows: list[tuple[Any, ...]] = []
+    for name, unit in units.items():
+        for gap in unit.absent:
+            mine = [one for one in unit.typical if one.gap == gap]
+            for one in mine:
+                there = "assumed" if one.assumed else "stated"
+                rows.append((name, gap, one.key, one.value, ", ".join(one.units), there))
+            if not mine:
+                unlimited = gap.endswith((" range", " bandwidth"))
+                rows.append((name, gap, "", None, "", "no limit" if unlimited else "zero"))
+    names = ("unit", "absent", "key", "typical", "median_of", "basis")
+    return make_table("gaps", "Figures that no source states, and what is typical of the class", names, rows)
+
+
+# --- pictures ---------------------------------------------------------------------------------------------
+
+
+def draw_units(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[Plot]:
+    """Yield the errors over the class, a named dot each with its interval, and the front."""
+    ranking = answer.ranking
+    shown = [one for one in ranking.flown.values() if one.rms and one.grade in CLASSES]
+    if not shown:
+        return
+    usable = [one for one in shown if not one.lost]
+    lost = [one for one in shown if one.lost]
+    layers: list[Series] = []
+    for key, words, here, colour in (
+        ("units", "usable", usable, series.ESTIMATORS[0]),
+        ("lost", "draws lost: not usable", lost, series.REJECTED),
+    ):
+        if here:
+            at = np.array([1.0 + CLASSES.index(one.grade) for one in here])
+            values = np.array([one.rms.value for one in here if one.rms])
+            names = tuple(units[one.unit].short for one in here)
+            layers.append(series.draw_dots(key, at, values, words, colour, 4.0, labels=names))
+    front = [step.best for step in ranking.front]
+    if len(front) > 1:
+        at = np.array([1.0 + CLASSES.index(one.grade) for one in front])
+        values = np.array([one.rms.value for one in front if one.rms])
+        layers.append(series.draw_line("front", at, values, "shown to be better", series.ESTIMATORS[0]))
+    for row in answer.required:
+        if row["metric"] == answer.metric and "most" in row:
+            ends = np.array([1.0, float(len(CLASSES))])
+            layers.append(
+                series.draw_line("limit", ends, np.full(2, float(row["most"])), "required", series.OUTAGE)
+            )
+    yield Plot(
+        ("sensors", f"{answer.profile.rpartition('/')[2].removesuffix('.toml')}-{answer.label}"),
+        f"{answer.where}: {answer.what}",
+        tuple(layers),
+        across="",
+        over="class",
+        log="y",
+        ticks=tuple((1.0 + k, name) for k, name in enumerate(CLASSES)),
+    )

@@ -1,0 +1,158 @@
+"""Which unit of which class is worth its price on one flight by one filter: by pairs of the same draws.
+
+From the cheapest class on, the best unit of a class is held against the best of the classes below. A unit
+that lost a draw is not usable and takes no part; one that no draw tells from the best of its class stands
+beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bench.core.mathematics.arrays import FloatArray
+from bench.core.words.wording import format_number
+from bench.evaluation.ensembles.ensemble import SAME, Estimate, estimate_rate, pool_rmse
+from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_of
+from bench.evaluation.requirements.required_metrics import MET, UNDECIDED, Finding
+from bench.experiments.studies.unit_study.catalog_units import CLASSES
+
+_LEAST = 2  # draws that have an interval
+
+
+@dataclass(frozen=True)
+class UnitFlown:
+    """One unit on one flight by one filter."""
+
+    unit: str
+    grade: str  # of `CLASSES`, or another word for a unit that stands outside of them
+    values: FloatArray  # (R,) the figure that is compared, of each draw in order; NaN: lost
+    findings: tuple[Finding, ...] = ()  # of what is required
+
+    @property
+    def lost(self) -> int:
+        """Draws whose estimator diverged, failed or has no such figure."""
+        return int(np.isnan(self.values).sum())
+
+    @property
+    def rms(self) -> Estimate | None:
+        """Root mean square over the draws that are not lost, with its interval; None of fewer than two."""
+        known = self.values[~np.isnan(self.values)]
+        return pool_rmse(np.square(known)) if len(known) >= _LEAST else None
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is usable, and keeps what is required."""
+        if self.lost:
+            return "not usable"
+        words = {one.word for one in self.findings}
+        return "usable" if not words else next(word for word in ("missed", UNDECIDED, MET) if word in words)
+
+    @property
+    def loss(self) -> str:
+        """How many draws it lost, and of how many of all it loses."""
+        rate = estimate_rate(self.lost, len(self.values))
+        ends = (format_number(100.0 * end, 2) for end in (rate.low, rate.high))
+        return f"{self.unit} {self.lost} of {len(self.values)} ({' to '.join(ends)} % of all)"
+
+
+@dataclass(frozen=True)
+class ClassStep:
+    """A class of units: the best in it, and what it buys over the classes below."""
+
+    grade: str
+    best: UnitFlown
+    beside: tuple[PairedRatio, ...]  # units of the class over the best that are the same or undecided
+    gain: PairedRatio | None  # the best over that of the classes below; None: there is none below
+
+    @property
+    def pays(self) -> bool:
+        """Whether it is shown to be better than what is cheaper."""
+        return self.gain is None or self.gain.word == "better"
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """The classes from cheap to dear, on one flight by one filter."""
+
+    steps: tuple[ClassStep, ...]
+    flown: Mapping[str, UnitFlown] = field(default_factory=dict)  # by unit
+    alike: bool = False  # the unit does not matter: all usable ones are shown to err by the same
+
+    @property
+    def front(self) -> tuple[ClassStep, ...]:
+        """The classes that are shown to be better than those below."""
+        return tuple(step for step in self.steps if step.pays)
+
+    @property
+    def recommended(self) -> ClassStep | None:
+        """The cheapest class with a unit that is shown to meet what is required; None: none does."""
+        return next((step for step in self.steps if step.best.verdict == MET), None)
+
+    @property
+    def spread(self) -> float:
+        """The largest over the smallest error of usable units; infinite of fewer than two."""
+        found = [one.rms.value for one in self.flown.values() if not one.lost and one.rms]
+        return max(found) / min(found) if len(found) > 1 and min(found) > 0.0 else math.inf
+
+    def list_open(self) -> list[PairedRatio]:
+        """Return the pairs that are undecided, of classes that pay or may."""
+        gains = [step.gain for step in self.steps if step.gain is not None]
+        pairs = [*gains, *(pair for step in self.front for pair in step.beside)]
+        return [pair for pair in pairs if pair.word == "undecided"]
+
+    def list_undecided(self) -> list[UnitFlown]:
+        """Return the units that may meet what is required, of classes below the cheapest that does."""
+        found = self.recommended
+        top = len(CLASSES) if found is None else CLASSES.index(found.grade)
+        return [
+            one
+            for one in self.flown.values()
+            if one.verdict == UNDECIDED and one.grade in CLASSES and CLASSES.index(one.grade) < top
+        ]
+
+
+def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
+    """Return the best of each class, and which classes pay.
+
+    Parameters
+    ----------
+    flown : sequence of Flown
+        On one flight by one filter; draw k of all has the same noise.
+    error : float
+        Probability of a wrong word about a class: that its best is better than what is cheaper.
+    """
+    steps: list[ClassStep] = []
+    best: UnitFlown | None = None
+    for grade in CLASSES:
+        usable = [one for one in flown if one.grade == grade and not one.lost and len(one.values) >= _LEAST]
+        if not usable:
+            continue
+        met = [one for one in usable if one.verdict == MET]  # a unit that meets is asked for, if there is one
+        top = min(met or usable, key=_measure)
+        share = error / len(usable)  # the best of several is held against another (Bonferroni)
+        pairs = [_compare(one, top, share) for one in usable if one is not top]
+        beside = tuple(pair for pair in pairs if pair.word != "worse")
+        gain = None if best is None else _compare(top, best, share)
+        steps.append(ClassStep(grade, top, beside, gain))
+        best = min((one for one in (best, *usable) if one is not None), key=_measure)
+    return Ranking(tuple(steps), {one.unit: one for one in flown}, _are_alike(flown, error))
+
+
+def _are_alike(flown: Sequence[UnitFlown], error: float) -> bool:
+    """Return whether no usable unit may err by more than `SAME` over the best: the ends of the ratios."""
+    usable = sorted((one for one in flown if not one.lost and len(one.values) >= _LEAST), key=_measure)
+    ratios = [_compare(one, usable[0], error / len(usable)).ratio for one in usable[1:]]
+    return bool(ratios) and all(one.high <= 1.0 + SAME for one in ratios)
+
+
+def _measure(one: UnitFlown) -> float:
+    return float(np.mean(np.square(one.values)))
+
+
+def _compare(one: UnitFlown, other: UnitFlown, error: float) -> PairedRatio:
+    n = min(len(one.values), len(other.values))
+    return compare_draws_of((one.unit, other.unit), one.values[:n], other.values[:n], error)

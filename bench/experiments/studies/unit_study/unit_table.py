@@ -1,0 +1,252 @@
+"""IMUs flown on the same flights by the same filters: which class is enough, and what limits there.
+
+The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation. All
+units have the same noise draws and are compared draw by draw; where a pair or a requirement is undecided,
+draws are added up to --most-draws. A unit that loses a draw is not usable on the flight. A figure that a
+datasheet leaves out is flown as typical of the class, which the answer rests on, and again as zero: the study
+says if that changes the answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from bench.core.records.findings import Findings
+from bench.core.words.exceptions import ConfigError
+from bench.evaluation.linear.drift_laws import drift_sd
+from bench.evaluation.requirements.required_metrics import (
+    Looks,
+    count_meeting_runs,
+    is_metric,
+    judge_runs,
+    list_requirements,
+    take_value,
+)
+from bench.experiments.campaigns.campaign_file import CampaignSpec
+from bench.experiments.campaigns.plan import plan_campaign
+from bench.experiments.studies.drawn_errors import UnitFlight
+from bench.experiments.studies.study import (
+    Count,
+    FlightOptions,
+    Positive,
+    StudyWorkers,
+    Words,
+    write_settings,
+)
+from bench.experiments.studies.unit_study.catalog_units import CatalogImu, find_units
+from bench.experiments.studies.unit_study.unit_answer import Answer, draw_units, fill_tables, tell_answer
+from bench.experiments.studies.unit_study.unit_limits import VarianceShares, find_limit
+from bench.experiments.studies.unit_study.unit_ranking import Ranking, UnitFlown, rank_units
+from bench.io.config.datasheets import read_imu
+from bench.io.config.library import find_datasheet
+
+LAW_S = 60.0
+"""Time of the drift that the datasheet alone expects [s]."""
+
+_DRIFT, _RMSE = "outage_*_drift_h_m", "pos_rmse_h_m"
+_ERROR = 0.05  # probability of a wrong word about a pair, over all looks
+_USUAL_MOST = 24  # draws, where nothing is required
+_FAR = 4  # a pair that needs more than so many times the most draws is left undecided
+
+
+class Options(FlightOptions):
+    """What may be asked."""
+
+    units: Words = (
+        *("hg9900", "ln-100", "hg1700", "hg4930-ca51", "ln-200", "stim300"),
+        *("adis16475", "adis16495", "mti-300", "vn-100"),
+        *("bmi088", "icm-20948", "icm-42688-p", "icm-45686", "lsm6dsl", "mpu-6050", "mpu-9250"),
+    )
+    """IMUs of the catalog, or .toml files of your own"""
+    profiles: Words = ("gnss-denied-leg",)
+    """flights: shipped names, or .toml files; what is required is their [[requirement]]"""
+    estimators: Words = ("loose-full",)
+    """filters"""
+    metric: str | None = None
+    """metric that is compared; left out: that of the first [[requirement]], else the drift in the outage"""
+    most: Positive | None = None
+    """largest value of the metric that is allowed, in 95 % of the runs, beside each [[requirement]]"""
+    draws: Count = 6
+    """noise draws of each unit on each flight, at first"""
+    most_draws: Count | None = None
+    """and at most, where something is undecided; left out: 24, or as many as can show what is required (59
+    for 95 %)"""
+
+
+class UnitCase(NamedTuple):
+    """A unit with its gaps as typical of its class, or as zero."""
+
+    unit: str
+    filled: bool
+
+
+def run(options: Options, work: StudyWorkers) -> Findings:
+    """Return which class is enough on each flight for each filter, and what limits there."""
+    if options.metric is not None and not is_metric(options.metric):
+        raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
+    units = find_units("sensors", options.units)
+    plan_campaign(_plan(options, options.profiles, units, _list_cases(units), options.draws))
+    answers = [one for profile in options.profiles for one in _answer(options, units, profile, work)]
+    asked = [one for one in answers if one.required]
+    return Findings(
+        verdicts=tuple(text for one in answers for text in tell_answer(one, units)),
+        tables=fill_tables(answers, units, {name: find_law(name) for name in units}, LAW_S),
+        figures=tuple(plot for one in answers for plot in draw_units(one, units)),
+        draws=options.draws,
+        good=not any(one.missed for one in asked),
+        undecided=any(one.undecided for one in asked),
+    )
+
+
+def find_law(name: str) -> float:
+    """Return the root mean square of the horizontal drift in `LAW_S` that the datasheet expects [m]."""
+    return float(np.sqrt(2.0) * drift_sd(LAW_S, read_imu(*find_datasheet("imu", name, Path()))))
+
+
+def _list_cases(units: Mapping[str, CatalogImu]) -> list[UnitCase]:
+    return [UnitCase(name, filled) for name, unit in units.items() for filled in {True, not unit.typical}]
+
+
+def _plan(
+    options: Options,
+    profiles: Sequence[str],
+    units: Mapping[str, CatalogImu],
+    cases: Sequence[UnitCase],
+    draws: int,
+) -> CampaignSpec:
+    return CampaignSpec(
+        name="sensors",
+        profiles=tuple(profiles),
+        runs=draws,
+        seed=options.seed,
+        estimators=options.estimators,
+        fixed=options.settings,
+        varied=tuple(
+            {"sensors.imu": case.unit} | (units[case.unit].filled if case.filled else {}) for case in cases
+        ),
+    )
+
+
+def _answer(
+    options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
+) -> Iterator[Answer]:
+    """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
+    cases = _list_cases(units)
+    flights = _Flights(options, units, profile, work)
+    again = set(units)
+    while flights.fly([case for case in cases if case.unit in again]):
+        ranked = {label: flights.rank(label) for label in flights.labels}
+        again = {name for one in ranked.values() for name in _list_open(one[0], flights.looks.most)}
+    for label, (ranking, bare) in ranked.items():
+        limits = tuple(_find_limits(options, units, profile, label, ranking, work))
+        yield Answer(profile, label, flights.metric(label), flights.required(label), ranking, bare, limits)
+
+
+def _list_open(ranking: Ranking, most: int) -> Iterator[str]:
+    """Yield the units that more draws may decide: of a pair the one with fewer, or both."""
+    for pair in ranking.list_open():
+        if pair.deciding is not None and pair.deciding <= _FAR * most:
+            for name in (pair.first, pair.second):
+                if len(ranking.flown[name].values) == pair.draws:
+                    yield name
+    yield from (one.unit for one in ranking.list_undecided())
+
+
+def _find_limits(
+    options: Options,
+    units: Mapping[str, CatalogImu],
+    profile: str,
+    label: str,
+    ranking: Ranking,
+    work: StudyWorkers,
+) -> Iterator[tuple[str, VarianceShares]]:
+    """Yield what limits with the cheapest unit that is good enough, and with the best."""
+    front = ranking.front
+    if not front:
+        return
+    chosen = [(ranking.recommended or front[0]).best.unit, front[-1].best.unit]
+    names = list(dict.fromkeys(chosen))
+    flights = [
+        UnitFlight(
+            profile, name, (label,), (*options.overrides, *write_settings(units[name].filled)), options.seed
+        )
+        for name in names
+    ]
+    for name, found in zip(names, work.map("what limits", find_limit, flights), strict=True):
+        if found is not None:
+            yield name, found
+
+
+class _Flights:
+    """The draws of one profile that are flown, by filter and unit."""
+
+    def __init__(
+        self, options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
+    ) -> None:
+        self._options, self._units, self._profile, self._work = options, units, profile, work
+        self._rows: dict[tuple[str, UnitCase], list[Mapping[str, Any]]] = {}
+        self._document: Mapping[str, Any] = {}
+
+    @property
+    def labels(self) -> list[str]:
+        """The filters."""
+        return list(dict.fromkeys(label for label, _ in self._rows))
+
+    def fly(self, cases: Sequence[UnitCase]) -> bool:
+        """Fly units for the first time, or draws as many as they have, up to the most; return if any flew."""
+        flown, begun = False, dict[int, list[UnitCase]]()
+        for case in cases:
+            known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
+            begun.setdefault(known, []).append(case)
+        for first, here in begun.items():
+            draws = min(2 * first, self.looks.most) if first else self._options.draws
+            if first >= draws:
+                continue
+            flown = True
+            spec = _plan(self._options, (self._profile,), self._units, here, draws)
+            found = self._work.campaign(f"units on {self._profile}", spec, first)
+            self._document = found.conditions[0]["as_flown"]
+            for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):
+                self._rows.setdefault((row["estimator"], here[row["condition"]]), []).append(row)
+        return flown
+
+    @property
+    def looks(self) -> Looks:
+        """How many draws there are whenever they are looked at, up to the most."""
+        most = self._options.most_draws
+        if most is None:
+            shares = [float(row["share"]) for label in self.labels for row in self.required(label)]
+            most = max([_USUAL_MOST, *map(count_meeting_runs, shares)])
+        return Looks(self._options.draws, most)
+
+    def required(self, label: str) -> list[Mapping[str, Any]]:
+        """Return what the profile and the command require of a filter."""
+        rows = list_requirements(self._document, label)
+        if self._options.most is not None:
+            rows.append({"metric": self.metric(label), "most": self._options.most, "share": 0.95})
+        return rows
+
+    def metric(self, label: str) -> str:
+        """Return the name of the metric that is compared."""
+        required = list_requirements(self._document, label)
+        usual = _DRIFT if self._document.get("gnss_outage") else _RMSE
+        return self._options.metric or (required[0]["metric"] if required else usual)
+
+    def rank(self, label: str) -> tuple[Ranking, Ranking]:
+        """Return the ranking with gaps as typical of the class, and with gaps as zero, at this look."""
+        return self._rank(label, filled=True), self._rank(label, filled=False)
+
+    def _rank(self, label: str, *, filled: bool) -> Ranking:
+        flown = []
+        for name, unit in self._units.items():
+            rows = self._rows[label, UnitCase(name, filled or not unit.typical)]
+            asked = {"metric": self.metric(label), "most": math.inf}
+            values = [take_value(asked, row) if row["converged"] else None for row in rows]
+            findings = judge_runs(label, rows, self.required(label), self.looks)
+            flown.append(UnitFlown(name, unit.grade, np.array(values, float), tuple(findings)))
+        return rank_units(flown, _ERROR / len(self.looks.numbers))

@@ -1,0 +1,1 @@
+"""Find the noises that a filter should assume."""
