@@ -108,9 +108,9 @@ if TYPE_CHECKING:
     from bench.navigation.engine.record_cuts import take_piece as take_piece
     from bench.navigation.estimator import Estimator as Estimator, check_estimator as check_estimator
     from bench.navigation.filter_adapters import fix_steps as fix_steps, track_solution as track_solution
-    from bench.recording import write_recording as write_recording
-    from bench.report.paper import plot_result as plot_result
-    from bench.report.writing import write_figures as write_figures, write_report as write_report
+    from bench.views.recording import write_recording as write_recording
+    from bench.views.report.paper import plot_result as plot_result
+    from bench.views.report.writing import write_figures as write_figures, write_report as write_report
     from bench.core.records.run_result import RunResult as RunResult
     from bench.saving import save as save
     from bench.serving import serve as serve
@@ -147,7 +147,7 @@ _PUBLIC = {
     "navigate": "bench.api",
     "navigate_log": "bench.pipeline.log_pipeline",
     "open_filter": "bench.api",
-    "plot_result": "bench.report.paper",
+    "plot_result": "bench.views.report.paper",
     "read_card": "bench.experiments.card.card_making",
     "read_log": "bench.pipeline.log_pipeline",
     "record_baselines": "bench.experiments.baselines.checking",
@@ -166,9 +166,9 @@ _PUBLIC = {
     "to_pandas": "bench.io.results",
     "track_solution": "bench.navigation.filter_adapters",
     "tune": "bench.experiments.tuning.noise_factors",
-    "write_figures": "bench.report.writing",
-    "write_recording": "bench.recording",
-    "write_report": "bench.report.writing",
+    "write_figures": "bench.views.report.writing",
+    "write_recording": "bench.views.recording",
+    "write_report": "bench.views.report.writing",
     "write_suite": "bench.experiments.card.card_making",
     "BenchError": "bench.core.words.exceptions",
     "Campaign": "bench.experiments.campaigns.running",

@@ -246,7 +246,7 @@ def measure_allan(
     from bench.io.config.datasheets import read_imu
     from bench.io.config.library import find_datasheet
     from bench.io.logs.resting_log import read_resting_log
-    from bench.report import allan_picture
+    from bench.views.report import allan_picture
 
     if picture is not None:
         allan_picture.check_picture(Path(picture), force=force)

@@ -69,7 +69,7 @@ def save(
 
 
 def _write_recording(folder: Path, result: RunResult, say: Callable[[str], object]) -> None:
-    from bench import recording
+    from bench.views import recording
 
     try:
         recording.write(folder / results.RECORDING, result.name or folder.name, result)
@@ -80,7 +80,7 @@ def _write_recording(folder: Path, result: RunResult, say: Callable[[str], objec
 
 
 def _write_report(folder: Path, result: RunResult) -> None:
-    from bench.report import page
+    from bench.views.report import page
 
     durable.write(folder / results.REPORT, page.make_page(folder.name, result))
     results.add_to_mark(folder, results.REPORT)

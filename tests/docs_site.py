@@ -21,7 +21,7 @@ from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.findings import series
 from bench.io.config import list_profiles
-from bench.report import overview, page, svg
+from bench.views.report import overview, page, svg
 from bench.workbench.guide import FOLDER, read_topics
 
 DATA = Path(__file__).parent / "data" / "docs"

@@ -46,7 +46,7 @@ from bench.experiments.campaigns.running import Progress
 from bench.experiments.card.card_making import Card, Line
 from bench.io import results as store
 from bench.io.results import truth_cache
-from bench.report import card_page
+from bench.views.report import card_page
 
 PROFILE = """
 title    = "A flight that is struck"

@@ -29,8 +29,8 @@ from bench.experiments.card.card_making import read_card
 from bench.io import results
 from bench.io.results.folders import MARK
 from bench.io.results.study_folder import save_study
-from bench.report import campaign_page, card_page, page, study_page
-from bench.report.paper import _list_drawings
+from bench.views.report import campaign_page, card_page, page, study_page
+from bench.views.report.paper import _list_drawings
 from tests.faults import PROFILE, make_card
 
 Made = tuple[list[Path], Callable[[Path], object], Callable[[np.random.Generator, Path, bytes], bytes]]

@@ -57,8 +57,8 @@ METRIC = Toy(
 
 TAB = Toy(
     new={
-        "bench/plots/tabs/laser_heights.py": """
-from bench.plots.content import Content, Tab
+        "bench/views/plots/tabs/laser_heights.py": """
+from bench.views.plots.content import Content, Tab
 from bench.core.records.findings.series import FIX, Plot, draw_line
 
 
@@ -436,7 +436,7 @@ FLOWN = """
 import json
 import numpy as np
 import bench
-from bench import recording
+from bench.views import recording
 
 result = bench.run("toys.toml")
 bench.save(result, "run")

@@ -21,9 +21,9 @@ from bench.io.config.datasheets import SENSORS
 from bench.io.exports import column_files
 from bench.io.streams import frames
 from bench.navigation.estimator import RECORDS
-from bench.plots.content import Content
-from bench.plots.tabs.flight_data import FLIGHT
 from bench.simulation.sensors import sense
+from bench.views.plots.content import Content
+from bench.views.plots.tabs.flight_data import FLIGHT
 from tests.weaving import units
 
 

@@ -111,7 +111,7 @@ def test_no_colour_on_light_ground_is_nearly_black():
 
 @pytest.mark.parametrize("ground", GROUNDS)
 def test_every_colour_stands_out_from_its_ground(ground):
-    style = (PACKAGE / "report" / "page.css").read_text()
+    style = (PACKAGE / "views" / "report" / "page.css").read_text()
     for back in GROUNDS[ground]:
         assert back.replace("#ffffff", "#fff") in style
         for slot in COLOURS:

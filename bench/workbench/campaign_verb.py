@@ -33,8 +33,8 @@ from bench.experiments.card.card_making import (
 )
 from bench.io import results
 from bench.io.config.profile import make_choice
-from bench.report import card_page, page
-from bench.report.writing import write_report
+from bench.views.report import card_page, page
+from bench.views.report.writing import write_report
 from bench.workbench.console import PlainConsole
 from bench.workbench.flight_verbs import find_own_estimators
 from bench.workbench.printing import print_findings, print_table

@@ -21,9 +21,9 @@ from bench.experiments.baselines.comparing import ONE_DRAW, Compared, compare_re
 from bench.experiments.campaigns.merging import merge_campaigns
 from bench.experiments.campaigns.stored import load_campaign
 from bench.io import results
-from bench.plots.overlay import merge_results
-from bench.report import campaign_page
 from bench.saving import save
+from bench.views.plots.overlay import merge_results
+from bench.views.report import campaign_page
 from bench.workbench.check_verb import tabulate_verdicts
 from bench.workbench.flight_verbs import print_end
 from bench.workbench.printing import print_findings, print_table

@@ -41,11 +41,11 @@ def solve_fixes(
     if out is not None:
         check_file(out, force=force)
     if report is not None:
-        from bench.report import fixes_page, page
+        from bench.views.report import fixes_page, page
 
         page.check_page(report, force=force)
     if recording is not None:
-        from bench.recording import check_recording
+        from bench.views.recording import check_recording
 
         check_recording(recording, force=force)
     kinds = {file: find_kind(file, str(file)) for file in files}
@@ -63,7 +63,7 @@ def solve_fixes(
     sentences = [*solved.notes, *([verdict] if verdict else [])]
     try:
         if recording is not None:
-            from bench.recording import fixes_recording
+            from bench.views.recording import fixes_recording
 
             fixes_recording.find_shown(solved)  # refused before anything is written
         if out is not None:

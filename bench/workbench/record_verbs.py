@@ -116,7 +116,7 @@ def _find_log(name: str, console: Console, rates: str | None) -> str:
 
 def write_recording(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:
     """Make the recording of a results folder, and print the next command."""
-    from bench import recording
+    from bench.views import recording
 
     path = recording.write_recording(folder, out, force=force)
     console.print(f"Wrote {path}.", soft_wrap=True)
@@ -147,8 +147,8 @@ def record_runs(
     Each run has ``profile``, ``draw``, and the ``seed``, ``estimators``, ``overrides`` and ``guard`` of
     `config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
     """
-    from bench import recording
-    from bench.plots.overlay import merge_results
+    from bench.views import recording
+    from bench.views.plots.overlay import merge_results
 
     path = folder / results.RECORDING if out is None else out
     recording.check_recording(path, force=force or out is None)
@@ -170,7 +170,7 @@ def record_runs(
 
 def write_report(folder: Path, out: Path | None, *, force: bool, console: Console) -> None:
     """Write the report of a results folder, or the index of a folder of results, and print where it is."""
-    from bench.report import writing
+    from bench.views.report import writing
 
     path = writing.write_report(folder, out, console.print, force=force)
     console.print(f"Wrote {path}.", soft_wrap=True)
@@ -178,7 +178,7 @@ def write_report(folder: Path, out: Path | None, *, force: bool, console: Consol
 
 def write_figures(folder: Path, out: Path | None, form: str, *, console: Console, **look: Any) -> None:
     """Draw the figures of a results folder for a paper, and print where they are."""
-    from bench.report import writing
+    from bench.views.report import writing
 
     out = out or folder.with_name(f"{folder.resolve().name}-figures")
     written = writing.write_figures(folder, out, form, **look)

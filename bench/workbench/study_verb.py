@@ -15,7 +15,7 @@ from bench.core.records.findings import StudyResult
 from bench.experiments.studies.conducting import study
 from bench.experiments.studies.study import Progress
 from bench.io import results
-from bench.report.writing import write_report
+from bench.views.report.writing import write_report
 from bench.workbench.console import PlainConsole
 from bench.workbench.printing import MOST_ROWS, print_findings
 

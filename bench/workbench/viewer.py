@@ -76,7 +76,7 @@ def show_live(name: str, console: Console) -> Iterator[ShowFlight | None]:
     The flight does not wait for the viewer. At the end there is a line if it has not taken all. Its window
     stays until it is closed.
     """
-    from bench.recording import live
+    from bench.views.recording import live
 
     try:
         _check_display("the run goes on without --live")

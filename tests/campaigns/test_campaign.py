@@ -26,7 +26,6 @@ from rich.console import Console
 from scipy import stats
 
 import bench
-from bench import recording
 from bench.cli import main
 from bench.core.words.exceptions import INTERRUPTED, MACHINE, ConfigError
 from bench.core.words.wording import format_number
@@ -40,10 +39,11 @@ from bench.experiments.campaigns.merging import merge_campaigns
 from bench.experiments.campaigns.outcome import Outcome, Pair, _pool_nis, compare
 from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
-from bench.recording import drawing
-from bench.report import campaign_page
-from bench.report.index import find_folders, write_index
-from bench.report.page import name_metric
+from bench.views import recording
+from bench.views.recording import drawing
+from bench.views.report import campaign_page
+from bench.views.report.index import find_folders, write_index
+from bench.views.report.page import name_metric
 from bench.workbench import record_verbs
 
 PROFILE = """

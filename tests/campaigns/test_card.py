@@ -25,7 +25,7 @@ from bench.experiments.card.card_comparison import list_differences
 from bench.experiments.card.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
 from bench.io.config import load_profile
 from bench.io.foreign.solution_folder import name_draw
-from bench.report.card_page import write_card
+from bench.views.report.card_page import write_card
 from tests.campaigns import card_power
 from tests.campaigns.test_campaign import PROFILE
 

@@ -12,7 +12,7 @@ from bench.core.records.data import InitialState, NavSolution, SensorData
 from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.tuning.trials import ProfileTrial
 from bench.navigation.built_in import load
-from bench.report.writing import write_report
+from bench.views.report.writing import write_report
 from tests.campaigns.test_campaign import PROFILE
 
 

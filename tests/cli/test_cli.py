@@ -19,13 +19,14 @@ import pytest
 import rerun as rr
 
 import bench
-from bench import pipeline, recording
+from bench import pipeline
 from bench.cli import main
 from bench.cli.group import commands, end_run
 from bench.core.words.exceptions import FlightError
 from bench.io import results
 from bench.io.results import parquet
-from bench.report import page as report_page
+from bench.views import recording
+from bench.views.report import page as report_page
 from bench.workbench import viewer
 
 PROFILE = """

@@ -30,7 +30,7 @@ from bench.experiments.studies import sensor_requirements
 from bench.experiments.tuning.noise_factors import Tuning
 from bench.experiments.tuning.trials import HeldOutScore
 from bench.pipeline import log_pipeline
-from bench.report import allan_picture
+from bench.views.report import allan_picture
 from bench.workbench import campaign_verb, fixes_verb, tune_verb
 from tests.cli.test_cli import HEAD, PROFILE
 

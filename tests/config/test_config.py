@@ -575,8 +575,8 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
 
 def test_every_class_has_a_shape_and_limits(tmp_path):
     from bench.io.config.profile_tables import Category
-    from bench.recording.meshes import MESHES
     from bench.simulation.flight.sanity import LIMITS
+    from bench.views.recording.meshes import MESHES
 
     own = tmp_path / "aircraft" / "kite"
     own.mkdir(parents=True)

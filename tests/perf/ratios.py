@@ -38,9 +38,9 @@ from bench.io import config
 from bench.navigation import built_in
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
-from bench.report import page
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn
+from bench.views.report import page
 from tests.perf import closed
 from tests.perf.dense import EPOCHS, dense, epoch_costs
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from bench.core.records.findings.series import Plot, draw_line
 from bench.evaluation.consistency.headline import find_best
-from bench.plots.content import share_scales
-from bench.plots.facts import list_facts
+from bench.views.plots.content import share_scales
+from bench.views.plots.facts import list_facts
 
 
 def make_rows(label: str, reach: float):

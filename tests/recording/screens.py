@@ -28,11 +28,11 @@ from rerun.experimental import ViewerClient
 from tornado.websocket import websocket_connect
 
 import bench
-from bench import recording
-from bench.plots.content import gather_content
-from bench.plots.tabs import TABS
-from bench.recording import layout
-from bench.recording.drawing import TIMELINE
+from bench.views import recording
+from bench.views.plots.content import gather_content
+from bench.views.plots.tabs import TABS
+from bench.views.recording import layout
+from bench.views.recording.drawing import TIMELINE
 from bench.workbench import web_page
 from bench.workbench.viewer import free_port
 

@@ -17,7 +17,7 @@ from rerun.chunk import RrdReader
 import bench
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.consistency.chi_square import chi2_quantile
-from bench.recording.drawing import TIMELINE
+from bench.views.recording.drawing import TIMELINE
 
 DURATION = 30.0
 CHANGES = {

@@ -18,7 +18,7 @@ from bench.cli import main
 from bench.core.mathematics import earth
 from bench.io import config
 from bench.pipeline import closed_loop
-from bench.recording import column, live
+from bench.views.recording import column, live
 from bench.workbench import viewer
 from bench.workbench.console import PlainConsole
 from tests.test_closed_loop import PROFILE

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench import recording
 from bench.core.files import durable
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import (
@@ -40,8 +39,9 @@ from bench.core.records.specs import IN_FLIGHT
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.errors.error_series import error_series
 from bench.io import results
-from bench.plots.tabs import comparison
-from bench.recording import drawing, layout, recording_text
+from bench.views import recording
+from bench.views.plots.tabs import comparison
+from bench.views.recording import drawing, layout, recording_text
 
 ORIGIN = np.array([np.deg2rad(47.26), np.deg2rad(11.34), 1200.0])
 SCALARS = "Scalars:scalars"
@@ -806,7 +806,7 @@ def test_limits_hold_all_values_and_waste_little(low, high):
 @pytest.mark.parametrize(("mesh", "nose_x"), [("uav", 0.36), ("light-single", 0.308), ("jet", 0.52)])
 def test_the_aircraft_is_a_closed_skin_with_red_on_the_left(mesh, nose_x):
     """Each edge belongs to two triangles in opposite directions; frame b: y to the right, z down."""
-    from bench.recording.meshes import MESHES
+    from bench.views.recording.meshes import MESHES
 
     vertices, triangles, colours = MESHES[mesh]()
     edges = np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])

@@ -13,8 +13,8 @@ from bench.core.mathematics import rotation
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import Fault
 from bench.io import config
-from bench.recording import column, sky_view, write
 from bench.simulation.sensors import sense
+from bench.views.recording import column, sky_view, write
 from tests.synthetic import still
 
 BANK = np.deg2rad(60.0)  # right wing down: what the antenna loses is to the left

@@ -15,7 +15,7 @@ import pytest
 
 import bench
 from bench.core.files.places import PACKAGE
-from bench.report import page
+from bench.views.report import page
 from tests.test_api import SHORT
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -75,7 +75,7 @@ def test_the_library_in_the_pages_is_that_of_its_authors():
         "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
         "LICENSE": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
     }
-    folder = PACKAGE / "report" / "uplot"
+    folder = PACKAGE / "views" / "report" / "uplot"
     assert {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()} == sums
     assert "uPlot (v1.6.32)" in (folder / "uPlot.iife.min.js").read_text()
 
@@ -119,7 +119,7 @@ def test_the_report_in_a_browser(text, result, tmp_path, width, scheme, medium):
 
 
 def test_a_gap_between_two_points_of_a_line_stays_one_at_the_columns_of_other_lines(tmp_path):
-    source = (PACKAGE / "report" / "page.js").read_text(encoding="utf-8")
+    source = (PACKAGE / "views" / "report" / "page.js").read_text(encoding="utf-8")
     function = re.search(r"^function interpolate.*?^}", source, re.DOTALL | re.MULTILINE).group()
     call = (
         "const u = undefined, ys = [u, 1, u, 3, null, u, u, 5, u, u, 8, u]; interpolate([...ys.keys()], ys);"

@@ -19,8 +19,8 @@ from bench.core.records.findings.series import Plot, Series, draw_three_sigma
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.metrics.key_figures import list_key_figures
 from bench.evaluation.metrics.metric_words import format_metric, group_metrics
-from bench.report import page, svg
-from bench.report.forest import RatioRow, draw_ratios
+from bench.views.report import page, svg
+from bench.views.report.forest import RatioRow, draw_ratios
 from tests.test_api import SHORT
 
 HOSTILE = "<script>alert(1)</script>\u202e\x1b[2J"

@@ -28,8 +28,8 @@ from bench.experiments.studies.outage_study import outage_drift
 from bench.experiments.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import save_study
-from bench.report import study_page, svg
-from bench.report.study_page import format_cell
+from bench.views.report import study_page, svg
+from bench.views.report.study_page import format_cell
 from bench.workbench.printing import print_table
 
 SHORT = {"outages_s": (60, 300)}

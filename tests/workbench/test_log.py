@@ -34,7 +34,7 @@ from bench.io.logs.log_start import find_start
 from bench.navigation import built_in, estimator
 from bench.navigation.models.loose_tight import Loose
 from bench.pipeline.log_pipeline import Session, read_log
-from bench.recording import column
+from bench.views.recording import column
 from tests.exchange import drives
 
 LOGS = Path(__file__).parents[1] / "logs"

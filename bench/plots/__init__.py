@@ -1,4 +1,0 @@
-"""What of a run is plotted: lines, bands and dots, tab by tab.
-
-Nothing here draws: `bench.recording` and `bench.report` do.
-"""

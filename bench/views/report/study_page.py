@@ -1,0 +1,89 @@
+"""The report of a study: its answer in sentences, its figures and its tables, on one HTML page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.core.mathematics.units import split_unit
+from bench.core.records.findings import FindingTable, StudyResult
+from bench.core.records.findings.series import Plot
+from bench.core.words.notebook import format_cell
+from bench.views.report import page
+from bench.views.report.page import CaptionedPlot
+
+_LONG = 40  # text in a cell that is broken into lines
+
+
+def make_page(result: StudyResult, written: str = "") -> str:
+    """Return the report of a study, which was ``written`` on that day, as HTML."""
+    return page.render(
+        "study.html.jinja",
+        title=f"Study: {result.name}",
+        question=result.question,
+        facts=[*_list_facts(result), *([f"written {written}"] if written else [])],
+        verdicts=result.verdicts,
+        figures=[_draw(plot) for plot in result.findings.figures],
+        tables=[_fill(table) for table in result.findings.tables],
+        command=result.command,
+        options=[(key, _say(value)) for key, value in result.options.items() if value not in (None, (), [])],
+        provenance=list(page.list_provenance(result.provenance)),
+    )
+
+
+def _list_facts(result: StudyResult) -> list[str]:
+    draws = result.findings.draws
+    return [
+        f"at least {draws} noise draws behind each interval"
+        if draws
+        else "nothing is drawn: the same each time",
+        f"{result.wall_s:.1f} s",
+    ]
+
+
+def _say(value: object) -> str:
+    return ", ".join(map(_say, value)) if isinstance(value, list | tuple) else f"{value}".removesuffix(".0")
+
+
+def _draw(plot: Plot) -> CaptionedPlot:
+    axis = f"{plot.over} [{plot.across}]" if plot.across else plot.over
+    return page.make_figure(plot, _find_window(plot), ())._replace(title=f"{plot.title} over {axis}")
+
+
+def _find_window(plot: Plot) -> tuple[float, float]:
+    """Return where the horizontal axis begins and ends; names of dots have room to their right."""
+    if plot.ticks:
+        return plot.ticks[0][0] - 0.5, plot.ticks[-1][0] + 0.9
+    ends = [(line.t[np.isfinite(line.t)].min(), line.t[np.isfinite(line.t)].max()) for line in plot.series]
+    first, last = float(min(low for low, _ in ends)), float(max(high for _, high in ends))
+    if first == last:
+        first, last = (0.5 * first, 2.0 * last) if "x" in plot.log else (first - 1.0, last + 1.0)
+    if any(line.marks for line in plot.series):  # whole dots at the ends, too
+        margin = (last / first) ** 0.03 if "x" in plot.log else 0.03 * (last - first)
+        first, last = (first / margin, last * margin) if "x" in plot.log else (first - margin, last + margin)
+    return first, last
+
+
+def _fill(table: FindingTable) -> dict[str, Any]:
+    """Return title, heads (identifier, words, class) and rows of a table."""
+    columns = [[format_cell(value) for value in values] for values in table.columns.values()]
+    kinds = [_find_kind(values, cells) for values, cells in zip(table.columns.values(), columns, strict=True)]
+    return {
+        "title": table.title,
+        "heads": [(name, _name_column(name), kind) for name, kind in zip(table.columns, kinds, strict=True)],
+        "rows": [list(zip(row, kinds, strict=True)) for row in zip(*columns, strict=True)],
+    }
+
+
+def _name_column(name: str) -> str:
+    words, unit = split_unit(name)
+    return words.replace("_", " ") + (f" [{unit}]" if unit else "")
+
+
+def _find_kind(values: Sequence[object], cells: Sequence[str]) -> str:
+    """Return the class of a column: text stands on the left, long text on several lines."""
+    if not any(isinstance(value, str) for value in values):
+        return "number"
+    return "words" if max(map(len, cells)) > _LONG else "text"

@@ -1,0 +1,121 @@
+"""Write pages and figures of results folders."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from bench.core.files import durable
+from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns.stored import load_campaign
+from bench.io import results
+from bench.io.results.study_folder import load_study
+from bench.views.report import campaign_page, index, page, paper, study_page
+
+
+def write_report(
+    folder: str | Path,
+    out: str | Path | None = None,
+    say: Callable[[str], object] = lambda text: None,
+    *,
+    force: bool = False,
+) -> Path:
+    """Write the report of a results folder, a campaign or a study as HTML, or the index of several results.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder, that of a campaign or a study, or one with results folders in it, two levels deep.
+    out : str, Path or None
+        The file to write. Default ``report.html`` in the folder, or ``index.html`` in the folder of
+        results, where each results folder without a report gets one; that one is made again.
+    say : callable
+        Called with a message for each results folder that cannot be read.
+    force : bool
+        Replace the page ``out``.
+
+    Returns
+    -------
+    path : Path
+        The file that was written.
+
+    Raises
+    ------
+    bench.ConfigError
+        If there are no results, or a file is there that bench did not write, or ``out`` is there.
+    OSError
+        If a file cannot be written; an existing file is left unchanged.
+    """
+    folder = Path(folder)
+    of_campaign = (folder / results.CAMPAIGN_RESULT).is_file()
+    of_study = (folder / results.STUDY_RESULT).is_file()
+    single = of_campaign or of_study or (folder / results.RESULT).is_file()
+    folders = [] if single else index.find_folders(folder)
+    path = Path(out) if out is not None else folder / (index.INDEX if folders else results.REPORT)
+    page.check_page(path, force=force or out is None)
+    if not folders:
+        name = folder.resolve().name
+        if of_campaign:
+            text = campaign_page.make_page(name, load_campaign(folder))
+        elif of_study:
+            text = study_page.make_page(load_study(folder), page.read_day(folder / results.STUDY_RESULT))
+        else:
+            text = page.make_page(name, results.load(folder))
+        durable.write(path, text)
+        if out is None:
+            results.add_to_mark(folder, results.REPORT)
+        return path
+    for one in folders:
+        if not (one / results.REPORT).exists():
+            try:
+                write_report(one)
+            except ConfigError as error:
+                say(str(error))
+    index.write_index(path, folders)
+    return path
+
+
+def write_figures(
+    folder: str | Path,
+    out: str | Path,
+    form: str = "pdf",
+    *,
+    width_mm: float = 88.0,
+    serif: bool = False,
+    force: bool = False,
+) -> list[Path]:
+    """Draw the figures of a results folder for a paper, one file for each tab and estimator, or of a study.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A results folder, or that of a study.
+    out : str or Path
+        The folder for the files.
+    form : {"pdf", "svg", "png"}
+        Their format.
+    width_mm : float
+        Their width [mm].
+    serif : bool
+        Letters with serifs.
+    force : bool
+        Replace the figures in ``out``.
+
+    Returns
+    -------
+    written : list of Path
+        The files, such as ``loose-15-position.pdf``.
+    """
+    if form not in paper.FORMATS:
+        raise ConfigError(f"form = {form!r} must be one of {', '.join(paper.FORMATS)}")
+    out = Path(out)
+    study = load_study(folder) if (Path(folder) / results.STUDY_RESULT).is_file() else None
+    result = results.load(folder) if study is None else None
+    results.check_folder(out, force=force, kind=results.FIGURES)
+    with results.make_folder(out, force=force, kind=results.FIGURES) as partial:
+        if study is not None:
+            drawings = {name: [plot] for name, plot in study.figures.items()}
+            written = paper.write_drawings(partial, drawings, (), form, width_mm=width_mm, serif=serif)
+        elif result is not None:
+            written = paper.write_figures(partial, result, form, width_mm=width_mm, serif=serif)
+    return [out / path.name for path in written]
