@@ -1,4 +1,7 @@
-"""What several test files build: statistical bands, records with rows changed, ensembles of runs."""
+"""What several test files build: statistical bands, records with rows changed, ensembles of runs.
+
+And whether a process that they started still runs.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+import psutil
 from numpy.testing import assert_array_equal
 from scipy.special import gammaincinv, ndtri, stdtrit
 
@@ -204,3 +208,11 @@ def ensemble(
         for sensor, series in chi_square.nis_by_sensor(solution.innovations, from_s).items():
             found.nis.setdefault(sensor, []).append(series)
     return found
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process lives; one that ended and waits for its parent does not."""
+    try:
+        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.NoSuchProcess:
+        return False

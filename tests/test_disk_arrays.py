@@ -7,6 +7,7 @@ import os
 import tracemalloc
 
 import numpy as np
+import psutil
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -22,8 +23,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="arra
 
 def resident() -> int:
     """Return how much of this process is in memory [byte]."""
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    return int(psutil.Process().memory_info().rss)
 
 
 def test_what_is_released_leaves_memory_and_keeps_its_values(monkeypatch, tmp_path):

@@ -6,11 +6,11 @@ import textwrap
 import time
 from pathlib import Path
 
-import psutil
 import pytest
 
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import BenchError
+from tests.builders import is_running
 from tests.mutants.__main__ import EQUIVALENT, examine, main, read_equivalent
 from tests.mutants.sites import draw, find_mutants
 from tests.mutants.trial import Trial
@@ -151,13 +151,6 @@ def test_a_copy_of_bench_holds_what_its_tests_need(tmp_path):
     ):
         assert (copy / name).read_bytes() == (PACKAGE.parent / name).read_bytes()
     assert not (copy / ".venv").exists()
-
-
-def is_running(pid: int) -> bool:
-    try:
-        return psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
-    except psutil.NoSuchProcess:
-        return False
 
 
 def test_a_test_that_hangs_is_ended_with_what_it_started(tree, tmp_path):

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import psutil
 import pyarrow.parquet as pq
 import pytest
 
@@ -30,7 +31,6 @@ from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 
 distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
-psutil = pytest.importorskip("psutil", reason="dask brings it")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::DeprecationWarning")
 
 OWN = """import sys

@@ -28,6 +28,7 @@ from bench.io.results import parquet
 from bench.views import recording
 from bench.views.report import page as report_page
 from bench.workbench import viewer
+from tests.builders import is_running
 
 PROFILE = """
 title = "Half a minute"
@@ -774,20 +775,11 @@ def test_the_viewer_ends_when_bench_or_its_parent_is_killed(here, killed):
 def _all_end(pids: list[int]) -> bool:
     """Wait until none of the processes runs; they would by themselves for a minute."""
     until = time.monotonic() + 40.0  # of a busy machine; it takes a tenth of a second
-    while any(_runs(pid) for pid in pids):
+    while any(map(is_running, pids)):
         if time.monotonic() > until:
             return False
         time.sleep(0.1)
     return True
-
-
-def _runs(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    status = Path(f"/proc/{pid}/stat")  # a zombie nobody waits for has ended too
-    return not (status.exists() and status.read_text().rpartition(")")[2].split()[0] == "Z")
 
 
 def test_web_serves_on_this_machine_only_and_ends(here, capsys):

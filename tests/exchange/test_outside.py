@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import pickle
 import re
 import shutil
@@ -26,6 +25,7 @@ from bench.io import config, results
 from bench.io.foreign import outside
 from bench.io.foreign.outside import CommandEstimator
 from bench.navigation import estimator
+from tests.builders import is_running
 from tests.cli.test_cli import PROFILE
 
 HERE = Path(__file__).parent
@@ -232,18 +232,10 @@ def test_a_program_that_does_not_end_is_stopped_with_all_it_started(run, tmp_pat
     assert time.monotonic() - begun < 120  # seconds, on a busy machine too
     pid = int((tmp_path / "pid").read_text())
     for _ in range(100):
-        if not alive(pid):
+        if not is_running(pid):
             break
         time.sleep(0.05)
-    assert not alive(pid)
-
-
-def alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return Path(f"/proc/{pid}/stat").read_text().split()[2] != "Z"  # one that ended waits for init
+    assert not is_running(pid)
 
 
 def test_what_it_says_is_bounded_and_cannot_steer_a_terminal(run, tmp_path):

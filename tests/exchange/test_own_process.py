@@ -36,7 +36,7 @@ from bench.io.config import load_profile
 from bench.io.foreign import filter_process, filter_server
 from bench.io.foreign.record_messages import RecordMessage, read_message
 from bench.simulation import sensors
-from tests.builders import assert_same_solution
+from tests.builders import assert_same_solution, is_running
 from tests.cli.test_cli import PROFILE
 from tests.synthetic import turning
 
@@ -51,14 +51,6 @@ STOPPED = {
     "AnswersTooMuch": r"stopped: its solution is larger than 20 MB \(--output\)",
 }
 """Filter -> why it has no solution."""
-
-
-def alive(pid: int) -> bool:
-    """Whether a process lives; one that ended and waits for its parent does not."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def wait_for(holds: Any, seconds: float = 60.0) -> bool:
@@ -147,8 +139,8 @@ def test_each_attack_is_a_row_beside_the_others(place, ran):
 
 
 def test_what_they_leave_behind_has_ended(place, ran):
-    assert wait_for(lambda: not alive(int((place / "hangs.pid").read_text())))
-    assert wait_for(lambda: not alive(int((place / "child.pid").read_text())))
+    assert wait_for(lambda: not is_running(int((place / "hangs.pid").read_text())))
+    assert wait_for(lambda: not is_running(int((place / "child.pid").read_text())))
     assert not list(place.glob(".bench-*"))
 
 
@@ -210,7 +202,7 @@ def test_in_process_is_for_a_debugger_and_says_that_nothing_is_guarded(place):
     ran = run_bench(*arguments)
     assert ran.stderr.splitlines()[0] == "Classes of yours run in this process: nothing is guarded."
     (extra,) = {tuple(row) for row in bench.load(place / "here").solutions["Stays"].extra}
-    assert not alive(int(extra[0]))
+    assert not is_running(int(extra[0]))
     choice = EstimatorChoice("attacks:Stays", "Stays", guard=Guard(in_process=True))
     assert type(pipeline.build_estimator(choice)).__name__ == "Stays"
 
@@ -228,7 +220,7 @@ def test_it_ends_with_bench_however_that_ends(place, name, number):
         assert wait_for(lambda: file.exists() and file.read_text())
         child.send_signal(number)
         _, said = child.communicate(timeout=60)
-    assert wait_for(lambda: not alive(int(file.read_text())))
+    assert wait_for(lambda: not is_running(int(file.read_text())))
     if number != signal.SIGKILL:
         assert (child.returncode, said.strip()) == (130, "error: interrupted")
     assert not (place / "ended").exists()
@@ -283,7 +275,7 @@ def test_a_record_is_a_map_that_only_can_be_read(sensed):
 def test_processes_that_nobody_waits_for_end(sensed, monkeypatch):
     monkeypatch.setattr(filter_process, "_MOST_KEPT", 2)
     pids = [int(navigate(sensed, "Stays", {"shift": float(k)}).extra[0, 0]) for k in range(3)]
-    assert [alive(pid) for pid in pids] == [False, True, True]
+    assert [is_running(pid) for pid in pids] == [False, True, True]
 
 
 def test_options_that_cannot_be_sent_are_told(sensed):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -21,18 +21,14 @@ ROW_SPACE = 1100.0
 
 
 def count_affordable_rows() -> float:
-    """Return how many rows of an IMU this process has room for: by the machine, or by its own limits.
-
-    Infinite on Windows, which does not tell.
-    """
-    try:
-        import resource
-    except ImportError:
-        return math.inf
+    """Return how many rows of an IMU this process has room for: by the machine, or by its own limits."""
     limits = [machine_memory() / ROW_MEMORY]
-    address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if address_space != resource.RLIM_INFINITY:
-        limits.append(address_space / ROW_SPACE)
+    with contextlib.suppress(ImportError):  # Windows has no such limits
+        import resource
+
+        address_space = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if address_space != resource.RLIM_INFINITY:
+            limits.append(address_space / ROW_SPACE)
     return min(limits)
 
 

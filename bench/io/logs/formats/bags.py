@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 
 from bench.core.files.disk_arrays import ROWS
 from bench.core.files.file_checks import check_file
@@ -86,25 +87,22 @@ def _limit_memory(beside: int) -> Iterator[Callable[[int], None]]:
 
     Provides a function that makes room for columns [byte].
     """
-    try:
-        import resource
-
-        pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
-    except (ImportError, OSError):  # not Linux: the limit of the system
+    own = psutil.Process()
+    if not hasattr(own, "rlimit"):  # not Linux: the limit of the system
         yield lambda columns: None
         return
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + _MOST_UNPACKED + beside
+    soft, hard = own.rlimit(psutil.RLIMIT_AS)
+    most = own.memory_info().vms + _MOST_UNPACKED + beside
 
     def allow(columns: int) -> None:
-        limits = [limit for limit in (most + columns, soft, hard) if limit != resource.RLIM_INFINITY]
-        resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+        limits = [limit for limit in (most + columns, soft, hard) if limit != psutil.RLIM_INFINITY]
+        own.rlimit(psutil.RLIMIT_AS, (min(limits), hard))
 
     try:
         allow(0)
         yield allow
     finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        own.rlimit(psutil.RLIMIT_AS, (soft, hard))
 
 
 def _choose_topic(path: Path, topics: Mapping[str, str], types: Sequence[str], topic: str | None) -> str:
