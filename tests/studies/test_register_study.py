@@ -11,10 +11,9 @@ import pytest
 
 import bench
 from bench.core.records.specs import EvaluationWindow
-from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.requirements.required_performance import JudgedFigure, count_windows
-from bench.experiments.studies import register_flights, register_proofs, register_rows, rnp
+from bench.experiments.studies import register_flights, register_rows, rnp
 from bench.experiments.studies.register_measures import Bounded, RowFinding, below
 from bench.experiments.studies.register_rows import ROWS
 from bench.experiments.studies.watched_flights import WatchedFlight
@@ -144,41 +143,3 @@ def test_a_row_that_does_not_hold_is_said(monkeypatch):
     assert any("#54" in text and "1745.3 m" in text for text in found.verdicts)
     assert any(text.startswith("Open: #17") for text in found.verdicts)
     assert register_rows.ROWS is ROWS
-
-
-def test_a_row_is_proven_by_all_cases_of_its_test(tmp_path, monkeypatch):
-    """Two of three cases pass: it does not hold; a test that passes does, one that is not there does not."""
-    (tmp_path / "test_made.py").write_text(
-        "import pytest\n"
-        "@pytest.mark.parametrize('x', [1, 2, 3])\n"
-        "def test_some(x):\n    assert x < 3\n"
-        "def test_all():\n    pass\n"
-        "def test_all_but():\n    assert False\n"
-        "def test_left_out():\n    pytest.skip('not here')\n"
-    )
-    asked = register_proofs.Asked(tmp_path, "test_made.py", ("test_some", "test_all", "test_left_out"))
-    found = register_proofs.run_tests(asked)
-    some, whole, left_out = (found[f"test_made.py::{name}"] for name in asked.names)
-    assert (some.cases, some.failed, some.holds) == (3, 1, False)
-    assert (whole.cases, whole.failed, whole.holds) == (1, 0, True)
-    assert not left_out.holds
-    with pytest.raises(ConfigError, match=r"did not run none\.py"):
-        register_proofs.run_tests(register_proofs.Asked(tmp_path, "none.py", ("test_x",)))
-    rows = (
-        ROWS[15],
-        ROWS[14]._replace(test="test_made.py::test_some"),
-        ROWS[13]._replace(test="test_made.py::test_all"),
-    )
-    monkeypatch.setattr("bench.experiments.studies.register_study.ROWS", rows)
-    monkeypatch.setattr("bench.experiments.studies.register_study.find_root", lambda: tmp_path)
-    study = bench.study("register", prove=True, jobs=1)
-    assert not study.findings.good
-    table = study.tables["sensors"].columns
-    assert dict(zip(table["row"], table["holds"], strict=True)) == {16: "yes", 15: "no", 14: "yes"}
-    assert study.verdicts[0].startswith("Of 3 rows, 2 proven here and holding")
-    assert any("#15" in text and "2 of 3 cases" in text for text in study.verdicts)
-
-
-def test_tests_of_a_file_are_run_together():
-    groups = register_proofs.group_tests(ROOT, ["a.py::x", "b.py::y", "a.py::z", "a.py::x"])
-    assert [(one.file, one.names) for one in groups] == [("a.py", ("x", "z")), ("b.py", ("y",))]

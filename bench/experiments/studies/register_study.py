@@ -9,7 +9,6 @@ from pydantic import Field
 
 from bench.core.records.findings import Findings, FindingTable
 from bench.experiments.studies.register_measures import RowFinding
-from bench.experiments.studies.register_proofs import find_root, group_tests, run_tests
 from bench.experiments.studies.register_rows import ROWS
 from bench.experiments.studies.study import StudyOptions, StudyWorkers
 
@@ -26,16 +25,11 @@ class Options(StudyOptions):
 
     row: Annotated[int, Field(ge=0, le=len(ROWS))] = 0
     """a row alone; 0 for all"""
-    prove: bool = False
-    """run the tests of the rows that are not computed, too; in the repository"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Compute the rows that take seconds, and name the tests of the others or run them."""
+    """Compute the rows that take seconds, and name the tests of the others."""
     rows = [row for row in ROWS if options.row in (0, row.number)]
-    tests = [row.test for row in rows if row.measure is None and row.test] if options.prove else []
-    groups = group_tests(find_root(), tests) if tests else []
-    proofs = {name: proof for one in work.map("tests", run_tests, groups) for name, proof in one.items()}
     computed = [row.number for row in rows if row.measure is not None]
     found = dict(zip(computed, work.map("rows", measure_row, computed), strict=True))
     parts: dict[str, dict[str, list[Any]]] = {}
@@ -45,10 +39,6 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         ours, holds = ("by its test", "test") if row.test else (row.open_because, "open")
         if row.number in found:
             ours, holds = found[row.number].ours, "yes" if found[row.number].holds else "no"
-        elif row.test in proofs:
-            proof = proofs[row.test]
-            ours = f"{proof.cases - proof.failed} of {proof.cases} cases of its test, {proof.seconds:.0f} s"
-            holds = "yes" if proof.holds else "no"
         states[holds] += 1
         if holds == "no":
             failed.append(f"#{row.number} {row.what}: {row.required}, found {ours}")
@@ -67,9 +57,8 @@ def run(options: Options, work: StudyWorkers) -> Findings:
         columns = parts.setdefault(next(name for last, name, _ in _PARTS if row.number <= last), {})
         for key, value in told.items():
             columns.setdefault(key, []).append(value)
-    how = "proven" if options.prove else "computed"
     verdicts = [
-        f"Of {len(rows)} rows, {states['yes']} {how} here and holding, {states['test']} held by a test, "
+        f"Of {len(rows)} rows, {states['yes']} computed here and holding, {states['test']} held by a test, "
         f"{states['no']} not holding, {states['open']} open."
     ]
     verdicts += [f"Does not hold: {text}." for text in failed]
