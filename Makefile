@@ -59,15 +59,15 @@ oracle: .venv/ready
 
 # the tables of bench/guide that say what the code declares
 guide: .venv/ready
-	$(BIN)/python -m tests.guide_tables
+	$(BIN)/python -m tests.tools.guide_tables
 
 # the pictures of bench/guide, which Chromium takes; half an hour for what they show
 pictures: .venv/ready
-	$(BIN)/python -m tests.guide_pictures
+	$(BIN)/python -m tests.tools.guide_pictures
 
 # the documentation as a site in build/docs/site, which needs no network
 docs: .venv/ready
-	$(BIN)/python -m tests.docs_site
+	$(BIN)/python -m tests.tools.docs_site
 
 # the oldest versions that pyproject.toml allows; what they warn of is not ours
 minima: $(UV)

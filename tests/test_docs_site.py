@@ -9,8 +9,8 @@ import pytest
 
 import bench
 from bench.workbench.guide import FOLDER, read_topics
-from tests import docs_site
-from tests.guide_pictures import MOST_BYTES, PICTURES
+from tests.tools import docs_site
+from tests.tools.guide_pictures import MOST_BYTES, PICTURES
 
 
 @pytest.fixture(scope="module")

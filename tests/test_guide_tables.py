@@ -10,8 +10,8 @@ from pydantic import AfterValidator, BaseModel
 from bench.core.records.fields import declared, figure
 from bench.core.words.exceptions import ConfigError
 from bench.navigation.options import Limit
-from tests import guide_tables
-from tests.guide_tables import find_pages, rewrite_page
+from tests.tools import guide_tables
+from tests.tools.guide_tables import find_pages, rewrite_page
 
 
 @pytest.mark.parametrize("topic", find_pages())

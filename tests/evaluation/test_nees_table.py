@@ -14,7 +14,7 @@ from bench.experiments.campaigns.plan import Condition, plan_runs
 from bench.experiments.campaigns.worker import CHANNELS
 from bench.io.config.listing import list_profiles
 from bench.navigation import built_in
-from tests import nees_table
+from tests.tools import nees_table
 
 RNG = np.random.default_rng(5)
 

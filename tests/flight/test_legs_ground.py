@@ -267,7 +267,7 @@ _OTHERS = [
 def test_all_land_in_turbulence_and_wind_across(name, severity, most, seeds):
     """Light and moderate turbulence, 4 m/s across: all come to rest, and none sinks into the ground.
 
-    The twelve seeds of the table (`tests.flight.landing_table`). A defect that spoils half of all landings
+    The twelve seeds of the table (`tests.tools.landing_table`). A defect that spoils half of all landings
     passes those of four seeds in moderate turbulence once in 4000, one that spoils a third once in 130.
     """
     for seed in seeds:

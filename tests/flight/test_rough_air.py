@@ -136,7 +136,7 @@ def test_the_hold_in_rough_air_is_what_is_asked(severity):
     ],
 )
 def test_holds_are_those_of_the_guide(name, severity, table):
-    """Two parts of two minutes where the table (`tests.flight.hold_table`) has twenty: 35 % above it at most.
+    """Two parts of two minutes where the table (`tests.tools.hold_table`) has twenty: 35 % above it at most.
 
     A part has a pitch within 18 %, a climb within 8 % and a height within 25 % (one sd), so that 35 % are
     2.8, 6 and 2 sd of two.

@@ -1,7 +1,7 @@
 """Make the pictures of the guide again: ``make pictures``. It needs Chromium, and half an hour for the card.
 
 What they show is made below ``build/pictures`` by the commands that the guide names; what is there from an
-earlier time is taken. ``python -m tests.guide_pictures NAME...`` makes only these pictures.
+earlier time is taken. ``python -m tests.tools.guide_pictures NAME...`` makes only these pictures.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rich.text import Text
 
 import bench
 from bench.workbench.guide import FOLDER
-from tests import docs_site
 from tests.flight import gust_spectra
 from tests.recording.screens import show_in_browser, take_picture
+from tests.tools import docs_site
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 BUILD = ROOT / "build" / "pictures"
 MOST_BYTES = 150_000
 """Size of a picture; the wheel holds all of them."""

@@ -24,7 +24,7 @@ from bench.io.config import list_profiles
 from bench.views.report import overview, page, svg
 from bench.workbench.guide import FOLDER, read_topics
 
-DATA = Path(__file__).parent / "data" / "docs"
+DATA = Path(__file__).parents[1] / "data" / "docs"
 WORKER = "iframe-worker.js"
 """Lets the search run from a folder; the pages of zensical would load it from the network."""
 _LONG = 90  # letters of a signature on one line

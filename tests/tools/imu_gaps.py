@@ -1,4 +1,4 @@
-"""How honest a filter is in a gap of the IMU and after it: ``python -m tests.imu_gaps [DRAWS [NAME ...]]``.
+"""How honest a filter is in and after a gap of the IMU: ``python -m tests.tools.imu_gaps [DRAWS [NAME...]]``.
 
 `figure-eight` from 200 s on without its IMU for 5, 15 or 60 s, with its own unit and with a consumer one.
 Mean NEES of nine states over all draws and instants, in the gap and in the 12 s after the filter has started

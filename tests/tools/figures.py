@@ -1,8 +1,8 @@
 """Every metric of every shipped profile: write them down, change the code, compare.
 
-    python tests/figures.py record before.json                 all profiles, and all estimators on one of them
-    python tests/figures.py record before.json survey static   only these
-    python tests/figures.py compare before.json after.json     exit status 1 when a figure moved
+    python -m tests.tools.figures record BEFORE.json                 all profiles, and all estimators on one
+    python -m tests.tools.figures record BEFORE.json survey static   only these
+    python -m tests.tools.figures compare BEFORE.json AFTER.json     exit status 1 when a figure moved
 
 Recordings are compared on one machine with the same libraries. A figure x of a quantity may move by
 1e-9 max(|x|, RMSE of the quantity), one of ``ukf`` by 1e-7; counts, verdicts, digests of truth and sensors

@@ -1,7 +1,7 @@
 """Write the NEES table of the guide from the campaigns of ``tests/campaign_files``.
 
 Each is run by ``bench campaign tests/campaign_files/nees.toml -o campaigns/nees`` and alike, with ``--runs``
-for fewer draws and ``--resume`` to go on; then ``python -m tests.nees_table campaigns`` prints the rows.
+for fewer draws and ``--resume`` to go on; ``python -m tests.tools.nees_table campaigns`` prints the rows.
 Epochs during faults and the minute after them do not count, as in `tests.navigation.honesty`.
 """
 
@@ -27,7 +27,7 @@ from bench.io import results
 from tests.measured import SHOWN, write_measured
 from tests.navigation.honesty import choose_instants
 
-CAMPAIGN_FILES = Path(__file__).parent / "campaign_files"
+CAMPAIGN_FILES = Path(__file__).parents[1] / "campaign_files"
 TABLES = (
     ("loose-15", "loose-22", "loose-full"),
     ("smoother", "gnss-only", "ukf"),

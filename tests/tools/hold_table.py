@@ -1,7 +1,7 @@
-"""The table of the guide of a level line held in turbulence: ``python -m tests.flight.hold_table``.
+"""The table of the guide of a level line held in turbulence: ``python -m tests.tools.hold_table``.
 
 Twenty seeds of two minutes each, 250 m above ground. A name flies only that aircraft, a number only so many
-seeds: ``python -m tests.flight.hold_table navion 4``.
+seeds: ``python -m tests.tools.hold_table navion 4``.
 """
 
 from __future__ import annotations

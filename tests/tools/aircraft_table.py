@@ -1,4 +1,4 @@
-"""Rows of the table of aircraft in the guide: ``python -m tests.flight.aircraft_table [NAME...]``.
+"""Rows of the table of aircraft in the guide: ``python -m tests.tools.aircraft_table [NAME...]``.
 
 Each aircraft of the jsbsim wheel, or each that is named, is designed, flown and accepted or not as
 ``bench new aircraft`` does it, and writes nothing. All of them take two hours.

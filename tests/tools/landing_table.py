@@ -1,6 +1,6 @@
-"""The table of the guide of landings in rough air and wind across: ``python -m tests.flight.landing_table``.
+"""The table of the guide of landings in rough air and wind across: ``python -m tests.tools.landing_table``.
 
-A name flies only that aircraft: ``python -m tests.flight.landing_table jet747``.
+A name flies only that aircraft: ``python -m tests.tools.landing_table jet747``.
 """
 
 from __future__ import annotations

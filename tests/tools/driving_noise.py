@@ -1,4 +1,4 @@
-"""How noisy the IMU of `tests/logs` is while the car drives: ``python -m tests.driving_noise [FROM TO]``.
+"""How noisy the IMU of `tests/logs` is in the car: ``python -m tests.tools.driving_noise [FROM TO]``.
 
 A strapdown without aiding starts every T seconds from the state of the smoother. How far its attitude and
 velocity move from the smoother, over sqrt(T), is the noise of each axis. The smoother knows the tilt to
@@ -19,7 +19,7 @@ from bench.navigation.estimator import answer
 from bench.navigation.mechanization import propagate
 from bench.pipeline.log_pipeline import Session, find_start, read_log
 
-LOG = Path(__file__).parent / "logs" / "drive.toml"
+LOG = Path(__file__).parents[1] / "logs" / "drive.toml"
 SPANS = (10, 20)  # [s]
 
 

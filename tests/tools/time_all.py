@@ -1,4 +1,4 @@
-"""What every study costs on its defaults: ``python -m tests.studies.time_all [NAME...]``.
+"""What every study costs on its defaults: ``python -m tests.tools.time_all [NAME...]``.
 
 One after the other, each a command as a user types it, with all processors; a line each with its CPU and wall
 seconds and its exit status, and the sum. Kernels and flights come from the caches of the machine, so that the
