@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from bench.places import PACKAGE
+from bench.core.files.places import PACKAGE
 
 PAGE = PACKAGE / "guide" / "equations.md"
 TESTS = PACKAGE.parent / "tests"
