@@ -53,7 +53,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from bench.api import (
+    from bench.cli.api import (
         describe_flight as describe_flight,
         export_run as export_run,
         fly as fly,
@@ -112,7 +112,7 @@ if TYPE_CHECKING:
     from bench.views.report.paper import plot_result as plot_result
     from bench.views.report.writing import write_figures as write_figures, write_report as write_report
     from bench.core.records.run_result import RunResult as RunResult
-    from bench.saving import save as save
+    from bench.cli.saving import save as save
     from bench.serving import serve as serve
     from bench.core.records.specs import Guard as Guard, Profile as Profile
     from bench.io.results import load as load, to_arrow as to_arrow, to_pandas as to_pandas
@@ -127,14 +127,14 @@ _PUBLIC = {
     "check_estimator": "bench.navigation.estimator",
     "compare_cards": "bench.experiments.card.card_comparison",
     "compare_results": "bench.experiments.baselines.comparing",
-    "describe_flight": "bench.api",
-    "export_run": "bench.api",
+    "describe_flight": "bench.cli.api",
+    "export_run": "bench.cli.api",
     "fix_steps": "bench.navigation.filter_adapters",
-    "fly": "bench.api",
-    "judge": "bench.api",
+    "fly": "bench.cli.api",
+    "judge": "bench.cli.api",
     "list_aircraft": "bench.io.config",
     "list_estimators": "bench.io.config",
-    "list_exports": "bench.api",
+    "list_exports": "bench.cli.api",
     "list_legs": "bench.io.config",
     "list_profiles": "bench.io.config",
     "list_sensors": "bench.io.config",
@@ -143,23 +143,23 @@ _PUBLIC = {
     "load_profile": "bench.io.config",
     "load_study": "bench.io.results.study_folder",
     "make_card": "bench.experiments.card.card_making",
-    "measure_allan": "bench.api",
-    "navigate": "bench.api",
+    "measure_allan": "bench.cli.api",
+    "navigate": "bench.cli.api",
     "navigate_log": "bench.pipeline.log_pipeline",
-    "open_filter": "bench.api",
+    "open_filter": "bench.cli.api",
     "plot_result": "bench.views.report.paper",
     "read_card": "bench.experiments.card.card_making",
     "read_log": "bench.pipeline.log_pipeline",
     "record_baselines": "bench.experiments.baselines.checking",
     "resume_filter": "bench.io.results.filter_state",
-    "run": "bench.api",
-    "save": "bench.saving",
+    "run": "bench.cli.api",
+    "save": "bench.cli.saving",
     "save_filter": "bench.io.results.filter_state",
-    "score_solution": "bench.api",
-    "sense": "bench.api",
+    "score_solution": "bench.cli.api",
+    "sense": "bench.cli.api",
     "serve": "bench.serving",
     "solve_rinex": "bench.exchange.receiver_settings",
-    "stream_run": "bench.api",
+    "stream_run": "bench.cli.api",
     "study": "bench.experiments.studies.conducting",
     "take_piece": "bench.navigation.engine.record_cuts",
     "to_arrow": "bench.io.results",

@@ -24,9 +24,9 @@ def main() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # ignored: started in the background
             signal.signal(number, _leave)
     let_streams_write_all()
-    from bench import cli
+    from bench.cli import command_line
 
-    status = cli.main()
+    status = command_line.main()
     if (lost := find_lost()) is not None:
         sys.stderr.write(f"error: standard output: {lost.strerror}; not all that was printed is there\n")
         status = max(status, MACHINE)

@@ -30,7 +30,7 @@ from pathlib import Path
 import numpy as np
 
 import bench
-from bench import saving
+from bench.cli import saving
 from bench.core.files import durable
 from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
 from bench.core.words.exceptions import BenchError

@@ -32,7 +32,7 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import StoragePlugin
 
 import bench
-from bench import api
+from bench.cli import api
 from bench.cli.group import commands  # noqa: F401  (what a verb loads is loaded before the time is taken)
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import TableSpec

@@ -16,12 +16,12 @@ import numpy as np
 
 import bench
 from bench import pipeline
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.flight_verbs import print_result
 from bench.core.records.data import Events, Innovations, NavSolution
 from bench.core.records.specs import Guard
 from bench.core.words.exceptions import BenchError
 from bench.io import results
-from bench.workbench.console import PlainConsole
-from bench.workbench.flight_verbs import print_result
 from tests.faults import PROFILE
 
 Random = np.random.Generator

@@ -6,7 +6,7 @@ import pytest
 
 import bench
 from bench import pipeline
-from bench.cli import commands
+from bench.cli.command_line import commands
 from bench.core.words.exceptions import ConfigError
 
 FUNCTIONS = {

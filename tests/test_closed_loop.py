@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.data import NavSolution
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.words.exceptions import ConfigError, EstimatorError

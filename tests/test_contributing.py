@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bench.workbench import guide
+from bench.cli.verbs import guide
 from tests.workbench.test_guide import blocks, command_lines, parsed
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import re
 import pytest
 
 import bench
-from bench.workbench.guide import FOLDER, read_topics
+from bench.cli.verbs.guide import FOLDER, read_topics
 from tests.tools import docs_site
 from tests.tools.guide_pictures import MOST_BYTES, PICTURES
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from bench.core.files.places import PACKAGE
 
 PAGE = PACKAGE / "guide" / "equations.md"

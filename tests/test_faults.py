@@ -127,7 +127,7 @@ def hook(event, arguments):
                 outside.append(f"{name}: {own[0]}")
 
 sys.addaudithook(hook)
-from bench.cli import main
+from bench.cli.command_line import main
 os.chdir(kept)
 for words in (
     ["run", "short.toml", "-o", "run"],

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.listing import list_plugin_problems

@@ -87,11 +87,11 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     """
     if options["jobs"] and options["scheduler"]:
         raise click.UsageError("--jobs is for processes on this machine; leave it out with --scheduler")
+    from bench.cli.verbs.campaign_verb import run_campaign
+    from bench.cli.verbs.log_campaign import are_logs, run_logs
     from bench.evaluation.consistency.verdict import BROKEN
     from bench.experiments.campaigns.running import describe
     from bench.io.results import to_json
-    from bench.workbench.campaign_verb import run_campaign
-    from bench.workbench.log_campaign import are_logs, run_logs
 
     if are_logs(sources):
         found = run_logs(sources, list_given(), console=new_console(stderr=as_json), **options)
@@ -165,8 +165,8 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
     """
     if options["log"] and options["seed"] is not None:
         raise click.UsageError("a log has no seed")
+    from bench.cli.verbs.tune_verb import run_tuning
     from bench.io.results import to_json
-    from bench.workbench.tune_verb import run_tuning
 
     found = run_tuning(source, console=new_console(stderr=as_json), **options)
     if as_json:
@@ -230,8 +230,8 @@ def card(
       bench card --compare mine.json theirs.json
       bench card --verify mine.json
     """
+    from bench.cli.verbs.campaign_verb import check_card, print_comparison, run_card, write_sensors
     from bench.io.results import to_json
-    from bench.workbench.campaign_verb import check_card, print_comparison, run_card, write_sensors
 
     if [estimator, compared, sensors, verified].count(None) != 3:
         raise click.UsageError("give one of -e NAME to judge, --compare A B, --verify FILE and --sensors DIR")

@@ -31,7 +31,7 @@ def _list_imus() -> Iterable[str]:
 
 
 def _list_topics() -> Iterable[str]:
-    from bench.workbench.guide import read_topics
+    from bench.cli.verbs.guide import read_topics
 
     return read_topics()
 

@@ -85,10 +85,10 @@ def run(profile: str, then_view: bool, live: bool, as_json: bool, strict: bool, 
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
+    from bench.cli.verbs.flight_verbs import run as run_profile
+    from bench.cli.verbs.viewer import show_live
+    from bench.cli.verbs.viewer import view as view_folder
     from bench.io.results import to_json
-    from bench.workbench.flight_verbs import run as run_profile
-    from bench.workbench.viewer import show_live
-    from bench.workbench.viewer import view as view_folder
 
     console = new_console(stderr=as_json)
     options["live"] = functools.partial(show_live, console=console) if live else None
@@ -111,7 +111,7 @@ def fly(profile: str, **options: Any) -> int:
     truth is stored in the cache, where bench run finds it. The last line is the
     error of an error-free strapdown against it.
     """
-    from bench.workbench.flight_verbs import fly as fly_profile
+    from bench.cli.verbs.flight_verbs import fly as fly_profile
 
     fly_profile(profile, console=new_console(), **options)
     return DONE
@@ -122,7 +122,7 @@ class _Shelf(click.Choice[str]):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value not in self.choices:
-            from bench.workbench.show import list_catalog
+            from bench.cli.verbs.show import list_catalog
 
             shelves = {one.name.lower(): shelf for shelf, found in list_catalog().items() for one in found}
             near = difflib.get_close_matches(str(value).lower(), shelves, n=1)
@@ -148,7 +148,7 @@ def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     bench list legs the keys of each, what they may be, and their defaults. bench list
     sensors --long has the figures of all sensors side by side.
     """
-    from bench.workbench.show import list_catalog, print_catalog, print_sensors
+    from bench.cli.verbs.show import list_catalog, print_catalog, print_sensors
 
     if long and kind != "sensors":
         raise click.UsageError("--long is for bench list sensors")
@@ -183,7 +183,7 @@ def guide(topic: str | None) -> int:
       bench guide                 the topics
       bench guide own-filter      how to write a filter and run it
     """
-    from bench.workbench.guide import list_topics, show_topic
+    from bench.cli.verbs.guide import list_topics, show_topic
 
     if topic is None:
         list_topics(new_console())
@@ -200,7 +200,7 @@ def view(path: Path | None, web: bool) -> int:
 
     DIR is a results folder; default the newest one below ./runs.
     """
-    from bench.workbench.viewer import view as view_recording
+    from bench.cli.verbs.viewer import view as view_recording
 
     view_recording(path, web=web, console=new_console())
     return DONE
@@ -222,7 +222,7 @@ def report(folder: Path, out: Path | None, figures: str | None, force: bool, **l
     events, sensors, and where it all comes from. If DIR holds results folders, the page is their index.
     --figures draws each tab of the recording into a folder, DIR-figures by default.
     """
-    from bench.workbench.record_verbs import write_figures, write_report
+    from bench.cli.verbs.record_verbs import write_figures, write_report
 
     if figures is None:
         write_report(folder, out, force=force, console=new_console())
@@ -249,7 +249,7 @@ def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
     For folders written without one: by --no-rrd, by bench score -o, on a machine without a viewer.
     The runs of a campaign are flown again, and stand side by side.
     """
-    from bench.workbench import record_verbs
+    from bench.cli.verbs import record_verbs
 
     chosen = record_verbs.find_runs(folder, which.split(","))
     if chosen is None:
@@ -282,8 +282,8 @@ def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: b
       bench compare runs/before runs/after -o runs/both
       bench compare campaigns/loose-22 campaigns/mine
     """
+    from bench.cli.verbs.compare_verb import compare as compare_folders
     from bench.io.results import to_json
-    from bench.workbench.compare_verb import compare as compare_folders
 
     console = new_console(stderr=as_json)
     compared = compare_folders(folders, console=console, out=out, force=force, whole=whole)
@@ -343,8 +343,8 @@ def check(
       bench check --allow-code                         and check it after a change
       bench check figure-eight --set sensors.imu.gyro.noise_deg_sqrt_h=0.2
     """
+    from bench.cli.verbs import check_verb
     from bench.io.results import to_json
-    from bench.workbench import check_verb
 
     console = new_console(stderr=as_json)
     options: dict[str, Any] = {
@@ -387,7 +387,7 @@ def cache(empty: bool, limit: float | None) -> int:
     used for 30 days. A flight that a process reads stays. The cache is in BENCH_CACHE,
     else in bench below XDG_CACHE_HOME or ~/.cache.
     """
-    from bench.workbench.flight_verbs import look_after_cache
+    from bench.cli.verbs.flight_verbs import look_after_cache
 
     look_after_cache(0.0 if empty else limit, console=new_console())
     return DONE
@@ -407,7 +407,7 @@ def warm(profile: str | None, estimators: tuple[str, ...] | None) -> int:
       bench warm                  everything that is built in
       bench warm figure-eight     what this profile needs
     """
-    from bench.workbench.warm_verb import warm as warm_kernels
+    from bench.cli.verbs.warm_verb import warm as warm_kernels
 
     warm_kernels(profile, console=new_console(), estimators=estimators)
     return DONE

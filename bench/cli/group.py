@@ -270,7 +270,7 @@ def end_flight(result: RunResult, *, strict: bool = False) -> int:
 
 def new_console(*, stderr: bool = False) -> Console:
     """Return the console for tables and progress."""
-    from bench.workbench.console import PlainConsole
+    from bench.cli.verbs.console import PlainConsole
 
     return PlainConsole(stderr=stderr)
 

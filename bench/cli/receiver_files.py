@@ -110,7 +110,7 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     Example:
       bench fixes site.crx.gz brdc.rnx.gz -o fixes.csv
     """
-    from bench.workbench.fixes_verb import solve_fixes
+    from bench.cli.verbs.fixes_verb import solve_fixes
 
     figures = solve_fixes(files, console=new_console(stderr=as_json), **options)
     if as_json:

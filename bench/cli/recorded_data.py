@@ -88,8 +88,8 @@ def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
       bench navigate drive.toml -e loose-15 --outages 10,30,60
       bench navigate flight.bin -e autopilot -e loose-full
     """
+    from bench.cli.verbs.record_verbs import navigate_log
     from bench.io.results import to_json
-    from bench.workbench.record_verbs import navigate_log
 
     summary = navigate_log(log, console=new_console(stderr=as_json), **options)
     if as_json:
@@ -105,7 +105,7 @@ def show(folder: Path | None) -> int:
     DIR is the folder of a run, a log, a campaign or a study; default the newest run
     below ./runs.
     """
-    from bench.workbench.show_verb import show_results
+    from bench.cli.verbs.show_verb import show_results
 
     show_results(folder, console=new_console())
     return DONE
@@ -137,7 +137,7 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """
     if unit is None and log is None:
         raise click.UsageError("give a UNIT of the catalog or --log FILE")
-    from bench.workbench.record_verbs import measure_allan
+    from bench.cli.verbs.record_verbs import measure_allan
 
     return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE
 
@@ -173,7 +173,7 @@ def export(folder: Path, **options: Any) -> int:
     Writes to DIR the files of the format and a README.md that describes their
     columns, units, frames and row counts.
     """
-    from bench.workbench.record_verbs import export_run
+    from bench.cli.verbs.record_verbs import export_run
 
     export_run(folder, console=new_console(), **options)
     return DONE
@@ -219,8 +219,8 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
       bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
       bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
     """
+    from bench.cli.verbs.record_verbs import score_solution
     from bench.io.results import to_json
-    from bench.workbench.record_verbs import score_solution
 
     measured = score_solution(solution, folder, console=new_console(stderr=as_json), **options)
     if as_json:
@@ -269,7 +269,7 @@ def stream(folder: Path, **options: Any) -> int:
     """
     if (options["udp"] is None) == (options["tcp"] is None):
         raise click.UsageError("give one of --udp IP:PORT and --tcp IP:PORT")
-    from bench.workbench.record_verbs import stream_run
+    from bench.cli.verbs.record_verbs import stream_run
 
     stream_run(folder, console=new_console(), **options)
     return DONE

@@ -79,8 +79,8 @@ def serve(
         raise click.UsageError("--mavlink takes commands: leave --give estimate out")
     if channels is not None and not mavlink:
         raise click.UsageError("--channels goes with --mavlink")
+    from bench.cli.verbs.flight_verbs import serve as serve_profile
     from bench.exchange.mavlink_session import PORT, ActuatorChannels
-    from bench.workbench.flight_verbs import serve as serve_profile
 
     session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
     session |= {

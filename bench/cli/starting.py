@@ -45,7 +45,7 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
       bench new log drive.csv && bench navigate drive.toml
       bench new aircraft T37
     """
-    from bench.workbench.new import new_check, new_estimator, new_schemas
+    from bench.cli.new_files.new_example import new_check, new_estimator, new_schemas
 
     if rates is not None and kind != "log":
         raise click.UsageError(f"--rates is for bench new log, not for bench new {kind}")
@@ -58,11 +58,11 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
     elif name is None:
         raise click.UsageError(f"bench new {kind} needs a {'FILE' if kind == 'log' else 'NAME'}")
     elif kind == "log":
-        from bench.workbench.new_log import new_log
+        from bench.cli.new_files.new_log import new_log
 
         new_log(name, console=new_console(), rates=rates)
     elif kind == "aircraft":
-        from bench.workbench.new_aircraft import new_aircraft
+        from bench.cli.new_files.new_aircraft import new_aircraft
 
         new_aircraft(name, console=new_console())
     else:

@@ -70,9 +70,9 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
     """Return the command of a study: its arguments and flags, and those of all studies."""
 
     def run(as_json: bool, **given: Any) -> int:
+        from bench.cli.verbs.study_verb import run_study
         from bench.io.results import to_json
         from bench.io.results.study_folder import describe_study
-        from bench.workbench.study_verb import run_study
 
         chosen = {key: value for key, value in given.items() if value not in (None, {})}
         if chosen.get("report") is False and "out" not in chosen:

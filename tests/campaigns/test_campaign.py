@@ -26,7 +26,8 @@ from rich.console import Console
 from scipy import stats
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.verbs import record_verbs
 from bench.core.words.exceptions import INTERRUPTED, MACHINE, ConfigError
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, mean_band
@@ -44,7 +45,6 @@ from bench.views.recording import drawing
 from bench.views.report import campaign_page
 from bench.views.report.index import find_folders, write_index
 from bench.views.report.page import name_metric
-from bench.workbench import record_verbs
 
 PROFILE = """
 title = "Short"

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.campaigns import groups, running

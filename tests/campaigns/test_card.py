@@ -14,7 +14,7 @@ import pytest
 import scipy.stats
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.regression import average_changes

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.verbs import guide
 from bench.core.records.specs import Guard
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.campaigns import running
@@ -18,7 +19,6 @@ from bench.experiments.card.card_causality import judge_causality
 from bench.experiments.card.card_lines import CONVENTIONS, UNPROVEN, Line, Rows
 from bench.experiments.card.card_suite import LATE, Suite, SuiteFlight
 from bench.io.config import load_profile
-from bench.workbench import guide
 from tests.campaigns.cheat_table import CHEATS
 from tests.campaigns.test_campaign import PROFILE
 

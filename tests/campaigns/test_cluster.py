@@ -22,12 +22,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import bench
+from bench.cli.verbs import guide
 from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import ConfigError, WorkersLostError
 from bench.experiments.campaigns import cluster
 from bench.experiments.campaigns.journal import NAME
 from bench.experiments.campaigns.pools import SerialExecutor
-from bench.workbench import guide
 from tests.campaigns.test_campaign import PROFILE
 
 distributed = pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")

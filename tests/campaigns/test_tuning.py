@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 
 import bench
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files.places import PACKAGE
 from bench.core.records.data import ErrorSeries, Innovations, no_innovations
 from bench.core.records.specs import DEFAULT_GUARD

@@ -20,14 +20,14 @@ import rerun as rr
 
 import bench
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.cli.group import commands, end_run
+from bench.cli.verbs import viewer
 from bench.core.words.exceptions import FlightError
 from bench.io import results
 from bench.io.results import parquet
 from bench.views import recording
 from bench.views.report import page as report_page
-from bench.workbench import viewer
 from tests.builders import is_running
 
 PROFILE = """
@@ -601,8 +601,8 @@ def python(code: str, *, cwd: Path) -> subprocess.Popen:
 
 def modules(arguments: list[str], cwd: Path) -> set[str]:
     """The modules loaded after a command, each with its parents."""
-    code = f"import sys; from bench.cli import main; status = main({arguments}); print(); print(*sys.modules)"
-    code += "; sys.exit(status)"
+    code = f"import sys; from bench.cli.command_line import main; status = main({arguments})"
+    code += "; print(); print(*sys.modules); sys.exit(status)"
     process = python(code, cwd=cwd)
     out, err = process.communicate()
     assert process.returncode == 0, err
@@ -618,7 +618,7 @@ def test_help_imports_nothing_heavy(tmp_path):
 
 def test_the_list_imports_only_what_it_uses(tmp_path):
     loaded = modules(["list"], tmp_path)
-    assert "bench.workbench.show" in loaded
+    assert "bench.cli.verbs.show" in loaded
     assert not loaded & {"pydantic", "numba", "scipy", "pyarrow", "pandas", "bench.navigation.options"}
 
 
@@ -633,7 +633,7 @@ def test_a_cached_run_imports_only_what_it_uses(here, capsys):
 
 def test_a_terminated_run_ends_like_an_interrupted_one(here):
     code = (
-        "import sys, time; from bench import pipeline; from bench.cli import main\n"
+        "import sys, time; from bench import pipeline; from bench.cli.command_line import main\n"
         "def fly(*a, **k):\n    print('flying', flush=True); time.sleep(60)\n"
         "pipeline.fly = fly; sys.exit(main(['run', 'short.toml']))"
     )
@@ -744,7 +744,7 @@ def test_the_viewer_ends_with_its_children(here):
         "print(child.pid, flush=True); child.wait()"
     )
     code = (
-        "import sys; from bench.workbench import viewer; viewer._PATIENCE = 0.2\n"
+        "import sys; from bench.cli.verbs import viewer; viewer._PATIENCE = 0.2\n"
         f"viewer.wait_for([sys.executable, '-c', {viewer!r}])"
     )
     process = python(code, cwd=here)
@@ -760,7 +760,7 @@ def test_the_viewer_ends_with_its_children(here):
 def test_the_viewer_ends_when_bench_or_its_parent_is_killed(here, killed):
     child = "import os, time; print(os.getpid(), flush=True); time.sleep(60)"
     bench_view = (
-        "import os, sys; from bench.workbench import viewer; print(os.getpid(), flush=True)\n"
+        "import os, sys; from bench.cli.verbs import viewer; print(os.getpid(), flush=True)\n"
         f"viewer.wait_for([sys.executable, '-c', {child!r}])"
     )
     code = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {bench_view!r}])"
@@ -784,7 +784,9 @@ def _all_end(pids: list[int]) -> bool:
 
 def test_web_serves_on_this_machine_only_and_ends(here, capsys):
     assert say(capsys, "run", "short.toml")[0] == 0
-    process = python("import sys; from bench.cli import main; sys.exit(main(['view', '--web']))", cwd=here)
+    process = python(
+        "import sys; from bench.cli.command_line import main; sys.exit(main(['view', '--web']))", cwd=here
+    )
     line = process.stdout.readline()
     page, port = (int(text) for text in re.findall(r"127\.0\.0\.1(?::|%3A)(\d+)", line))
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))

@@ -6,7 +6,7 @@ import sys
 import pytest
 from click.shell_completion import ShellComplete
 
-from bench.cli import commands, main
+from bench.cli.command_line import commands, main
 from bench.core.words.wording import suggest
 
 

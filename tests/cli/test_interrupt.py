@@ -13,7 +13,7 @@ import psutil
 import pytest
 
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.compilation.compiled import choose_cache
 from tests.cli.test_cli import PROFILE
 

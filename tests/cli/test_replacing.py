@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 import bench
-from bench.cli import commands, main
+from bench.cli.command_line import commands, main
 from bench.core.words.exceptions import WRONG
 from tests.test_api import SHORT
 

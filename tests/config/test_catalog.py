@@ -10,7 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.core.words.exceptions import ConfigError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files.places import PACKAGE
 from bench.core.records.instruments import AirspeedSpec, MagSpec, StaticPressureSpec
 from bench.core.words.exceptions import ConfigError

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth
 from bench.core.records.data import InitialState, NavSolution, SensorData

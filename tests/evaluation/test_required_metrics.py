@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.requirements.required_metrics import (

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from bench.cli.verbs import result_table
 from bench.core.records.data import NavSolution
 from bench.core.records.run_result import RunResult
 from bench.evaluation.consistency.headline import find_best, judge_look
 from bench.evaluation.consistency.verdict import _compare, _judge_drift, add_verdict, find_bounds, is_outside
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
-from bench.workbench import result_table
 
 SOUND = {
     "converged": True,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot
 from bench.io.config.log import SourceSpec

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import InitialState
 from bench.core.records.sensor_specs import GAUSS_MARKOV_PEAK
@@ -527,8 +527,8 @@ def test_without_rosbags_one_line_says_how_to_get_it(run, tmp_path):
         "import sys; sys.modules['rosbags'] = None\n"
         "import importlib.util as u; real = u.find_spec\n"
         "u.find_spec = lambda name, *a: None if name == 'rosbags' else real(name, *a)\n"
-        f"from bench.cli import main; sys.exit(main(['export', {str(run[0])!r}, '--to', 'rosbag2', '-o', "
-        f"{str(tmp_path / 'bag')!r}]))"
+        "from bench.cli.command_line import main\n"
+        f"sys.exit(main(['export', {str(run[0])!r}, '--to', 'rosbag2', '-o', {str(tmp_path / 'bag')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 2

@@ -8,7 +8,7 @@ import warnings
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import BenchError, ConfigError
 from bench.exchange import almanac
 from bench.exchange.rinex.ephemerides import read_navigation

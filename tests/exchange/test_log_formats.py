@@ -24,7 +24,7 @@ from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.io import savemat
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import load_log
 from bench.io.logs.formats import bags

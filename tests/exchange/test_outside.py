@@ -17,7 +17,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.specs import EstimatorChoice, EvaluationWindow, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.evaluation.metrics import run_metrics

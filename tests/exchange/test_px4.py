@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pyulog import ULog
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics.earth import difference_n
 from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot

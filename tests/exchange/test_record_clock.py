@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import load_log

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import GnssFixes, Reference
 from bench.core.words.exceptions import ConfigError

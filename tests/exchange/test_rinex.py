@@ -17,7 +17,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.files import durable
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import KEPLER, STATE

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import NavSolution
 from bench.core.records.specs import EvaluationWindow

@@ -22,7 +22,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
 from bench import serving
-from bench.cli import commands, main
+from bench.cli.command_line import commands, main
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError

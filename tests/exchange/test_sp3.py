@@ -15,7 +15,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
 from bench.core.words.exceptions import ConfigError

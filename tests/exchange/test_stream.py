@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.testing import assert_array_equal
 
-from bench.cli import main
+from bench.cli.command_line import main
 from tests.exchange.exported import make_run
 from tests.exchange.test_export import sentence
 

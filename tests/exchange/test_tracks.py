@@ -12,7 +12,7 @@ import pymap3d
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import cli
+from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import TableSpec, TrackSpec
 from bench.core.words.exceptions import ConfigError
@@ -397,7 +397,7 @@ def test_the_command_says_what_was_changed(tmp_path, monkeypatch, capsys):
     (tmp_path / "walk.toml").write_text(
         'trajectory = "walk.gpx"\nrate_hz = 100\nevaluation = { from_s = 10.0 }\n'
     )
-    assert cli.main(["fly", "walk.toml"]) == 0
+    assert main(["fly", "walk.toml"]) == 0
     out = capsys.readouterr().out
     assert "smoothed" in out
     assert "ground speed" in out

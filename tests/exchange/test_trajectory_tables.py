@@ -16,7 +16,8 @@ import pytest
 from pyarrow import parquet
 from scipy.spatial.transform import Rotation
 
-from bench import cli, pipeline
+from bench import pipeline
+from bench.cli.command_line import main
 from bench.core.mathematics.earth import to_ecef
 from bench.core.mathematics.rotation import multiply, to_rotvec
 from bench.core.records.data import Trajectory
@@ -332,10 +333,10 @@ def test_a_profile_of_one_line_flies_a_table_and_judges_the_usual_filter_on_it(t
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "made.csv", turns(20.0, 90.0), (*GEODETIC, *EULER))
     (tmp_path / "mine.toml").write_text('trajectory = "made.csv"\n')
-    assert cli.main(["run", "mine.toml", "--seed", "3"]) == 0
+    assert main(["run", "mine.toml", "--seed", "3"]) == 0
     assert "horizontal error" in capsys.readouterr().out
     assert (tmp_path / "runs/mine-3/flight.rrd").is_file()
-    assert cli.main(["fly", "mine.toml", "--set", "duration_s=100"]) == 2
+    assert main(["fly", "mine.toml", "--set", "duration_s=100"]) == 2
     assert capsys.readouterr().err == "error: made.csv: it lasts 90 s; duration_s = 100 s is longer\n"
     for setting, said in (
         ("trajectory=none.csv", "trajectory = 'none.csv': no such file beside the profile"),
@@ -343,7 +344,7 @@ def test_a_profile_of_one_line_flies_a_table_and_judges_the_usual_filter_on_it(t
         ("turbulence_seed=1", "unknown key 'turbulence_seed'"),
         ("aircraft=aerosonde", "aircraft and trajectory: a profile has only one of them"),
     ):
-        assert cli.main(["fly", "mine.toml", "--set", setting]) == 2
+        assert main(["fly", "mine.toml", "--set", setting]) == 2
         assert said in capsys.readouterr().err
 
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from pyulog import ULog
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.instruments import HeadingData, MagData
 from bench.core.words.exceptions import WRONG, ConfigError
 from bench.exchange import autopilot

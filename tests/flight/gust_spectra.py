@@ -10,9 +10,9 @@ from math import pi
 
 import numpy as np
 
+from bench.cli.verbs.guide import FOLDER
 from bench.core.words.palette import SLOTS
 from bench.simulation.flight.turbulence.dryden import GUSTS, GustFilters, scales_and_intensities
-from bench.workbench.guide import FOLDER
 
 SPAN = 2.8956  # of the Aerosonde [m]
 _DT, _SETTLE, _SAMPLES, _DRAWS = 0.01, 10_000, 100_000, 20

@@ -16,7 +16,7 @@ import jsbsim
 import numpy as np
 import pytest
 
-from bench import cli
+from bench.cli.command_line import main
 from bench.core.mathematics.earth import difference_n, displace
 from bench.core.mathematics.rotation import rotate, to_euler
 from bench.core.records.data import Trajectory
@@ -442,7 +442,7 @@ def test_all_that_takes_long_is_said_before_and_after_the_flight(tmp_path):
 def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("BENCH_CACHE", str(tmp_path / "cache"))
     spoiled(tmp_path, 'unit="FT2"', 'unit="BANANA"')
-    assert cli.main(["fly", str(written(tmp_path, name="mine"))]) == 3
+    assert main(["fly", str(written(tmp_path, name="mine"))]) == 3
     assert re.fullmatch(r"error: aircraft mine: .*BANANA.*\n", capsys.readouterr().err)
 
 

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench import cli
+from bench.cli.command_line import main
+from bench.cli.new_files import new_aircraft
+from bench.cli.new_files.new_aircraft import BANK_BAND, _equip, measure_acceptance
 from bench.core.mathematics import rotation
 from bench.core.records.data import Events
 from bench.core.words.exceptions import FlightError
@@ -39,8 +41,6 @@ from bench.simulation.flight.trimming import (
     run_engines,
     trim_aircraft,
 )
-from bench.workbench import new_aircraft
-from bench.workbench.new_aircraft import BANK_BAND, _equip, measure_acceptance
 from tests.flight.plans import fly_here
 
 TRIM = Trim(0.05, 0.0, 0.0, 0.05, 0.0, 0.0, 0.5, 1e-6)
@@ -171,11 +171,11 @@ def test_an_aircraft_that_turns_roll_is_held_by_the_last_attempt():
 @pytest.mark.long
 def test_an_aircraft_of_the_wheel_gets_gains_and_flies_with_them(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["new", "aircraft", "jsbsim:c172p"]) == 0
+    assert main(["new", "aircraft", "jsbsim:c172p"]) == 0
     assert "bank within" in capsys.readouterr().out
     aircraft = read_jsbsim_aircraft("jsbsim:c172p", None, tmp_path)
     assert aircraft.min_speed < aircraft.trims[0][1] < aircraft.max_speed
-    assert cli.main(["new", "aircraft", "c172p"]) == 2
+    assert main(["new", "aircraft", "c172p"]) == 2
     assert "exists already" in capsys.readouterr().err
 
 
@@ -189,7 +189,7 @@ def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch, ca
     spying = '<output name="leak.csv" type="CSV" rate="10"/></fdm_config>'
     (folder / "mine.xml").write_text(model.replace("</fdm_config>", spying), encoding="latin-1")
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["new", "aircraft", "aircraft/mine"]) == 0
+    assert main(["new", "aircraft", "aircraft/mine"]) == 0
     said = f'Next: a profile beside {folder.parent} with aircraft = "mine"'
     assert said in " ".join(capsys.readouterr().out.split())
     assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["aircraft.toml", "mine.xml"]
@@ -221,7 +221,7 @@ def test_a_folder_that_cannot_be_used_says_why(tmp_path, monkeypatch, capsys, ma
     path.write_text(f"<fdm_config>{system}</fdm_config>")
     if path.suffix == ".toml":
         (path.parent / "mine.xml").write_text("<fdm_config/>")
-    assert cli.main(["new", "aircraft", asked]) == 2
+    assert main(["new", "aircraft", asked]) == 2
     assert said in " ".join(capsys.readouterr().err.split())
 
 
@@ -230,7 +230,7 @@ def test_a_model_that_cannot_be_loaded_is_tried_once(tmp_path, monkeypatch, caps
     folder = tmp_path / "aircraft" / "mine"
     folder.mkdir(parents=True)
     (folder / "mine.xml").write_text("<fdm_config name='mine'><metrics></fdm_config>")
-    assert cli.main(["new", "aircraft", "aircraft/mine"]) == 3
+    assert main(["new", "aircraft", "aircraft/mine"]) == 3
     told = capsys.readouterr()
     assert (told.out + told.err).count("mine.xml") == 1, told
     assert list(folder.iterdir()) == [folder / "mine.xml"]
@@ -238,7 +238,7 @@ def test_a_model_that_cannot_be_loaded_is_tried_once(tmp_path, monkeypatch, caps
 
 def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["new", "aircraft", "c173p"]) == 2
+    assert main(["new", "aircraft", "c173p"]) == 2
     assert "c172p" in capsys.readouterr().err
     assert not (tmp_path / "aircraft").exists()
 

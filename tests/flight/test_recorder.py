@@ -230,7 +230,7 @@ import resource, sys, jsbsim, scipy.optimize, rich.console
 from bench import pipeline
 from bench.evaluation.errors.replay import Replay
 from bench.navigation import mechanization
-from bench.workbench import flight_verbs
+from bench.cli.verbs import flight_verbs
 from tests.flight.test_recorder import cruise_for
 mechanization.propagate([0.8, 0, 0], [1, 0, 0], [1, 0, 0, 0], [1], [[0, 0, 0]], [[0, 0, 0]])  # its kernel
 def peak():

@@ -15,7 +15,7 @@ import jsbsim
 import numpy as np
 import pytest
 
-from bench import cli
+from bench.cli.command_line import main
 from bench.core.mathematics.earth import to_ecef
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import ScriptSpec
@@ -273,7 +273,7 @@ def test_bench_run_shows_the_report_and_keeps_it_in_the_results(tmp_path, monkey
     (tmp_path / "mine.toml").write_text(
         'script = "c172_elevator_doublet"\nduration_s = 12\n[evaluation]\nfrom_s = 2\n'
     )
-    assert cli.main(["run", "mine.toml"]) in (0, 1)
+    assert main(["run", "mine.toml"]) in (0, 1)
     out = " ".join(capsys.readouterr().out.split())
     assert "sanity, 0.0 s: script c172_elevator_doublet: the motion jumps at 1.00 s" in out
     from bench.io.results import load_truth

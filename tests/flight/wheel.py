@@ -18,7 +18,7 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import FlightError
 from bench.io.config.external_truth import find_jsbsim_root, list_root_aircraft
 from bench.simulation.flight.model_files import script_facts

@@ -6,6 +6,7 @@ import re
 import pytest
 from rich.console import Console
 
+from bench.cli.verbs import show
 from bench.core.words.exceptions import ConfigError
 from bench.io.config import load_profile
 from bench.navigation.built_in import BUILT_IN, load
@@ -16,7 +17,6 @@ from bench.navigation.options import (
     TightOptions,
     described,
 )
-from bench.workbench import show
 
 
 @pytest.mark.parametrize("name", BUILT_IN)

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
 from bench.core.words.exceptions import EstimatorError

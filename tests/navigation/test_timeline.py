@@ -156,7 +156,7 @@ def test_a_start_in_the_middle_of_a_record_uses_only_what_comes_after_it(sensed,
 
 
 @pytest.mark.parametrize(
-    "name", ["loose-22", "ukf", "classic-22", "bench.workbench.starting_point:StartingPoint"]
+    "name", ["loose-22", "ukf", "classic-22", "bench.cli.new_files.starting_point:StartingPoint"]
 )
 def test_a_measurement_at_the_start_is_compared_with_the_start(truth, sensed, name):
     """True state, error-free fix in a turn: no innovation. One sample later it would be 0.1 m."""

@@ -28,13 +28,13 @@ from rerun.experimental import ViewerClient
 from tornado.websocket import websocket_connect
 
 import bench
+from bench.cli.verbs import web_page
+from bench.cli.verbs.viewer import free_port
 from bench.views import recording
 from bench.views.plots.content import gather_content
 from bench.views.plots.tabs import TABS
 from bench.views.recording import layout
 from bench.views.recording.drawing import TIMELINE
-from bench.workbench import web_page
-from bench.workbench.viewer import free_port
 
 WIDTH = 1440
 """Of a picture [pixels]."""

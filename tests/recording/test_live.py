@@ -14,13 +14,13 @@ import rerun as rr
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.verbs import viewer
+from bench.cli.verbs.console import PlainConsole
 from bench.core.mathematics import earth
 from bench.io import config
 from bench.pipeline import closed_loop
 from bench.views.recording import column, live
-from bench.workbench import viewer
-from bench.workbench.console import PlainConsole
 from tests.test_closed_loop import PROFILE
 
 SCALARS = "Scalars:scalars"

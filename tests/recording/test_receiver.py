@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import NothingToShowError
 from bench.views.recording import column
 from bench.views.recording.fixes_recording import write_fixes

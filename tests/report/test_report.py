@@ -14,7 +14,7 @@ import pytest
 import rerun_cli
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.findings.series import Plot, Series, draw_three_sigma
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.metrics.key_figures import list_key_figures

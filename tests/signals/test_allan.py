@@ -20,7 +20,7 @@ from numpy.testing import assert_allclose
 from scipy.special import gammaincinv
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.motion.noise_curves import fit_noise, format_noise_figures, measure_model

@@ -13,6 +13,7 @@ from rich.console import Console
 from scipy import stats
 
 import bench
+from bench.cli.verbs.result_table import print_bound
 from bench.core.mathematics.units import DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
@@ -29,7 +30,6 @@ from bench.experiments.studies.linear_flight import _CLIMB as CLIMB
 from bench.experiments.studies.linear_flight import _STEADY as STEADY
 from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight
 from bench.io.config import load_profile
-from bench.workbench.result_table import print_bound
 from tests.studies.made_units import write_unit
 
 FLIGHT = """

@@ -8,13 +8,13 @@ from rich.console import Console
 from scipy import stats
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.verbs.check_verb import list_sources
+from bench.cli.verbs.log_campaign import are_logs
 from bench.core.words.exceptions import DONE, NEGATIVE, WRONG
 from bench.experiments.studies import recorded_logs
 from bench.experiments.studies.recorded_logs import LogResult, compare_filters, name_logs
 from bench.io.results.study_folder import load_study
-from bench.workbench.check_verb import list_sources
-from bench.workbench.log_campaign import are_logs
 from tests.exchange import drives
 
 LABELS = ("first", "second")

@@ -18,6 +18,7 @@ from rich.console import Console
 
 import bench
 from bench.cli.group import commands
+from bench.cli.verbs.printing import print_table
 from bench.core.records.findings import Findings, FindingTable, join_findings
 from bench.core.records.findings.series import Plot, draw_dots, draw_line
 from bench.core.words.exceptions import ConfigError
@@ -30,7 +31,6 @@ from bench.io import results
 from bench.io.results.study_folder import save_study
 from bench.views.report import study_page, svg
 from bench.views.report.study_page import format_cell
-from bench.workbench.printing import print_table
 
 SHORT = {"outages_s": (60, 300)}
 

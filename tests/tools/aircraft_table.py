@@ -10,9 +10,9 @@ import math
 import sys
 from pathlib import Path
 
+from bench.cli.new_files.new_aircraft import _find_shipped, find_design
 from bench.core.words.exceptions import FlightError
 from bench.io.config.external_truth import find_jsbsim_root, list_root_aircraft
-from bench.workbench.new_aircraft import _find_shipped, find_design
 
 
 def make_row(name: str) -> str:

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 import bench
+from bench.cli.verbs.guide import FOLDER, read_topics
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.findings import series
 from bench.io.config import list_profiles
 from bench.views.report import overview, page, svg
-from bench.workbench.guide import FOLDER, read_topics
 
 DATA = Path(__file__).parents[1] / "data" / "docs"
 WORKER = "iframe-worker.js"

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.text import Text
 
 import bench
-from bench.workbench.guide import FOLDER
+from bench.cli.verbs.guide import FOLDER
 from tests.flight import gust_spectra
 from tests.recording.screens import show_in_browser, take_picture
 from tests.tools import docs_site

@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from bench.cli.verbs.guide import FOLDER
 from bench.core.mathematics.units import from_si
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
@@ -37,7 +38,6 @@ from bench.io.exports import FORMATS
 from bench.navigation import options
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
-from bench.workbench.guide import FOLDER
 
 Lines = Iterator[str]
 

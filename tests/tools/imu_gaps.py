@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from bench import pipeline
-from bench.api import fly
+from bench.cli.api import fly
 from bench.evaluation.errors.error_series import error_series
 from bench.io.config import load_profile
 from bench.navigation.built_in import load

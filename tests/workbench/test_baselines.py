@@ -16,6 +16,7 @@ import pytest
 from rich.console import Console
 
 from bench import pipeline
+from bench.cli.verbs.check_verb import print_verdicts
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import ImuData
 from bench.core.records.specs import DEFAULT_GUARD, EvaluationWindow, Guard
@@ -32,7 +33,6 @@ from bench.experiments.baselines.verdict_rows import BY_SEED, OTHER_TRUTH, UNPAI
 from bench.experiments.campaigns.batches import Lost
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
-from bench.workbench.check_verb import print_verdicts
 from tests.cli import test_cli
 
 

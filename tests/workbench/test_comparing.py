@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles import ensemble
 from bench.experiments.baselines import comparing

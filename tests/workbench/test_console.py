@@ -14,11 +14,11 @@ from rich.text import Text
 
 import bench
 from bench import pipeline
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.verbs.console import PlainConsole
 from bench.core.words.exceptions import FlightError
 from bench.core.words.wording import one_line, replace_control
 from bench.io import results
-from bench.workbench.console import PlainConsole
 from tests.cli.test_cli import PROFILE
 from tests.exchange.exported import make_run
 
@@ -57,7 +57,7 @@ def test_everything_that_rich_prints_is_cleaned(terminal):
 
 def test_verbs_print_through_this_door_only():
     """No module of the verbs makes a console of its own, or prints; JSON is in ASCII."""
-    for folder in ("workbench", "cli"):
+    for folder in ("cli", "cli/verbs", "cli/new_files"):
         for path in (Path(bench.__file__).parent / folder).glob("*.py"):
             calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
             names = {ast.unparse(call.func) for call in calls}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import WRONG
 from bench.io.config.log import load_log
 from bench.io.logs.log_records import read_records

@@ -22,8 +22,10 @@ import pytest
 from rich.console import Console
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.cli.group import commands
+from bench.cli.new_files.new_example import new_check
+from bench.cli.verbs import guide
 from bench.core.words.exceptions import EstimatorError
 from bench.evaluation.metrics.run_metrics import METRICS
 from bench.experiments.baselines.baseline_file import LEAST_DRAWS
@@ -31,8 +33,6 @@ from bench.io.config import load_profile
 from bench.io.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
-from bench.workbench import guide
-from bench.workbench.new import new_check
 
 ROOT = Path(__file__).parents[2]
 PAGES = {path.stem: path for path in sorted(guide.FOLDER.glob("*.md")) if path.stem != "README"}
@@ -410,12 +410,14 @@ def test_the_list_has_every_page_with_a_line(capsys):
 
 
 def test_the_guide_needs_no_numbers(tmp_path):
-    code = "import sys; from bench.cli import main; main(['guide', 'faults']); print(*sys.modules)"
+    code = (
+        "import sys; from bench.cli.command_line import main; main(['guide', 'faults']); print(*sys.modules)"
+    )
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=env, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     loaded = set(done.stdout.splitlines()[-1].split())
-    assert "bench.workbench.guide" in loaded
+    assert "bench.cli.verbs.guide" in loaded
     assert not loaded & {"numpy", "pydantic", "numba", "pyarrow", "scipy"}
 
 

@@ -19,7 +19,7 @@ from pyarrow import parquet
 from scipy.io import savemat
 from scipy.stats import chi2
 
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import ImuData
@@ -77,7 +77,7 @@ def test_a_log_that_does_not_fit_into_the_memory_is_refused_before_it_is_read(fo
     log = rewritten(folder, tmp_path, ('"imu.csv"', '"imu.parquet"'))
     code = (
         "import resource, sys; resource.setrlimit(resource.RLIMIT_AS, (3 * 10**9, 3 * 10**9)); "
-        f"from bench.cli import main; sys.exit(main(['navigate', {str(log)!r}, '-o', 'out']))"
+        f"from bench.cli.command_line import main; sys.exit(main(['navigate', {str(log)!r}, '-o', 'out']))"
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
     assert (ended.returncode, ended.stderr) == (2, "error: imu.parquet: more than 2727272 rows\n")

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.workbench.log_starts import find_impact
+from bench.cli.new_files.log_starts import find_impact
 
 
 def record(wild, speeds, last=100.0):

@@ -6,15 +6,15 @@ from typing import get_args
 import pytest
 from rich.text import Text
 
+from bench.cli.verbs.check_verb import tabulate_verdicts
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.printing import print_findings
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import LOOKS, find_look
 from bench.evaluation.consistency import verdict
 from bench.evaluation.ensembles import ensemble_consistency, paired_draws
 from bench.evaluation.requirements import required_metrics
 from bench.experiments.baselines.verdict_rows import Verdict, Word
-from bench.workbench.check_verb import tabulate_verdicts
-from bench.workbench.console import PlainConsole
-from bench.workbench.printing import print_findings
 
 WORDS = {
     *get_args(Word),

@@ -14,15 +14,15 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
+from bench.cli.new_files.new_example import new_check
+from bench.cli.new_files.starting_point import StartingPoint
 from bench.core.files import durable
 from bench.core.mathematics.earth import difference_n, displace
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.metrics import run_metrics
 from bench.navigation.built_in import load
 from bench.navigation.models.loose_tight import Loose
-from bench.workbench.new import new_check
-from bench.workbench.starting_point import StartingPoint
 from tests.cli.test_cli import cache, here, left, say  # noqa: F401 (fixtures)
 from tests.weaving import units
 

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.io import savemat
 
 import bench
-from bench.cli import main
+from bench.cli.command_line import main
 from bench.core.words.exceptions import WRONG
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import load_log

@@ -10,6 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from bench.cli.verbs import record_verbs
+from bench.cli.verbs.campaign_verb import print_campaign
+from bench.cli.verbs.check_verb import tabulate_verdicts
+from bench.cli.verbs.printing import print_table
+from bench.cli.verbs.result_table import print_bound
 from bench.core.files.places import PACKAGE
 from bench.core.records.findings import FindingTable
 from bench.core.words.notebook import ShownFigure
@@ -19,11 +24,6 @@ from bench.evaluation.motion.noise_curves import AllanCurve
 from bench.experiments.baselines.verdict_rows import Verdict
 from bench.experiments.campaigns.outcome import Outcome
 from bench.experiments.campaigns.running import Campaign
-from bench.workbench import record_verbs
-from bench.workbench.campaign_verb import print_campaign
-from bench.workbench.check_verb import tabulate_verdicts
-from bench.workbench.printing import print_table
-from bench.workbench.result_table import print_bound
 
 METRICS = ("pos_rmse_h_m", "heading_rmse_deg", "cep95_m")
 ALL = Estimate(1.0, 0.7, 1.0)

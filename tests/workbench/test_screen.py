@@ -12,15 +12,16 @@ import numpy as np
 import pytest
 
 import bench
-from bench import cli, pipeline
+from bench import pipeline
+from bench.cli.command_line import main
+from bench.cli.verbs import result_table
+from bench.cli.verbs.console import PlainConsole
 from bench.core.compilation import compiled
 from bench.core.records.data import Events, no_events
 from bench.core.words.stages import Stage
 from bench.evaluation.consistency.headline import make_headline
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.navigation.engine.record_cuts import nothing_known
-from bench.workbench import result_table
-from bench.workbench.console import PlainConsole
 from tests.evaluation.test_verdict import SOUND, verdict
 
 WIDTH, HEIGHT = 80, 24
@@ -47,13 +48,13 @@ def take_lines(text: str) -> list[str]:
 )
 def test_a_run_is_told_on_one_screen(profile, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["run", profile, "--no-causes", "--no-rrd", "--no-report"]) in (0, 1)
+    assert main(["run", profile, "--no-causes", "--no-rrd", "--no-report"]) in (0, 1)
     printed = capsys.readouterr().out
     assert len(take_lines(printed)) <= HEIGHT
     for text in (*words, "All figures: bench show runs/"):
         assert text in printed
     assert ("NEES, normalized estimation error squared" in printed) == ("(fits" in printed)
-    assert cli.main(["show"]) == 0
+    assert main(["show"]) == 0
     table = capsys.readouterr().out
     take_lines(table)
     assert "horizontal error, rms" in table

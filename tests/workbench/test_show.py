@@ -7,8 +7,8 @@ from io import StringIO
 import numpy as np
 from rich.console import Console
 
+from bench.cli.verbs import result_table
 from bench.core.records.data import Events, NavSolution
-from bench.workbench import result_table
 
 
 def test_a_restart_after_a_gap_is_reported():

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.cli import main
-from bench.workbench import warm_verb
+from bench.cli.command_line import main
+from bench.cli.verbs import warm_verb
 
 
 def bench(*arguments, kernels):

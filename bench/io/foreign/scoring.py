@@ -42,7 +42,7 @@ class Score:
 
 
 def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
-    """Judge a solution on a run; parameters and errors as `bench.api.score_solution`."""
+    """Judge a solution on a run; parameters and errors as `bench.cli.api.score_solution`."""
     label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
     if not LABEL.fullmatch(label):
         raise ConfigError(

@@ -17,13 +17,13 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bench.cli.verbs import web_page
+from bench.cli.verbs.flight_verbs import RUNS
+from bench.cli.verbs.web_page import LOCAL
 from bench.core.files.file_checks import check_file
 from bench.core.records.data import ShowFlight
 from bench.core.words.exceptions import ConfigError, ViewerError
 from bench.io.results import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
-from bench.workbench import web_page
-from bench.workbench.flight_verbs import RUNS
-from bench.workbench.web_page import LOCAL
 
 _PATIENCE = 5.0  # between SIGTERM and SIGKILL, and until the viewer has taken a flight [s]
 _LOOK = 0.5  # between looks at the parent [s]

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.verbs.printing import print_table, print_tables
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
@@ -18,7 +19,6 @@ from bench.io.config.figure_table import ASSUMED, tabulate_figures
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
-from bench.workbench.printing import print_table, print_tables
 
 _DEG = 180 / math.pi
 _OF_KEYS = ("key", "may be", "default", "what")
@@ -103,7 +103,7 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def list_exports() -> list[CatalogEntry]:
-    """Return every format of `bench.api.list_exports`."""
+    """Return every format of `bench.cli.api.list_exports`."""
     from bench.io.exports import list_formats
 
     return [CatalogEntry(name, title, "export") for name, title in list_formats().items()]

@@ -8,11 +8,11 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.flight_verbs import find_own_estimators
+from bench.cli.verbs.printing import print_findings
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.tuning.noise_factors import Tuning, tune
-from bench.workbench.console import PlainConsole
-from bench.workbench.flight_verbs import find_own_estimators
-from bench.workbench.printing import print_findings
 
 
 def run_tuning(source: str, *, console: Console, out: Path, force: bool, **options: Any) -> Tuning:

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bench.cli.verbs.flight_verbs import RUNS, describe_run, print_end, print_result
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
 from bench.io import results
-from bench.workbench.flight_verbs import RUNS, describe_run, print_end, print_result
 
 
 def show_results(folder: Path | None, *, console: Console) -> None:
@@ -22,13 +22,13 @@ def show_results(folder: Path | None, *, console: Console) -> None:
     """
     folder = folder or _find_newest()
     if (folder / results.CAMPAIGN_RESULT).is_file():
+        from bench.cli.verbs.campaign_verb import print_campaign
         from bench.experiments.campaigns.stored import load_campaign
-        from bench.workbench.campaign_verb import print_campaign
 
         print_campaign(console, load_campaign(folder), table=True)
     elif (folder / results.STUDY_RESULT).is_file():
+        from bench.cli.verbs.study_verb import print_study
         from bench.io.results.study_folder import load_study
-        from bench.workbench.study_verb import print_study
 
         print_study(console, load_study(folder))
     else:
@@ -36,7 +36,7 @@ def show_results(folder: Path | None, *, console: Console) -> None:
         title = str(result.profile.get("title", folder.name))
         if "log" in result.more:
             console.print(f"{one_line(title)}\n{result.evaluation}\n")
-            from bench.workbench.record_verbs import print_log
+            from bench.cli.verbs.record_verbs import print_log
 
             print_log(console, result, table=True)
         else:

@@ -9,13 +9,13 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.new_files.new_log import RECORDINGS, new_log
+from bench.cli.verbs.flight_verbs import find_own_estimators
+from bench.cli.verbs.study_verb import run_study
 from bench.core.records.findings import StudyResult
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.listing import PROFILES
 from bench.io.config.log import is_datasheet, is_log
-from bench.workbench.flight_verbs import find_own_estimators
-from bench.workbench.new_log import RECORDINGS, new_log
-from bench.workbench.study_verb import run_study
 
 
 def are_logs(sources: Sequence[str]) -> bool:

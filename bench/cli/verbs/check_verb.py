@@ -12,6 +12,11 @@ from typing import Any, get_args
 from rich.console import Console
 from rich.text import Text
 
+from bench.cli.new_files.new_log import RECORDINGS
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.flight_verbs import find_own_estimators
+from bench.cli.verbs.log_campaign import list_recordings
+from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.baselines import checking
@@ -22,11 +27,6 @@ from bench.experiments.baselines.verdict_rows import LOOKS, MATCHES, OTHER_TRUTH
 from bench.experiments.campaigns.pools import count_processors
 from bench.io.config.listing import PROFILES
 from bench.io.config.log import is_datasheet
-from bench.workbench.console import PlainConsole
-from bench.workbench.flight_verbs import find_own_estimators
-from bench.workbench.log_campaign import list_recordings
-from bench.workbench.new_log import RECORDINGS
-from bench.workbench.printing import print_findings, print_table
 
 _MOST_NAMES = 8  # of metrics that are undecided
 _WORDS = get_args(Word)[::-1]

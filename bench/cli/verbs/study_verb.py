@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.printing import MOST_ROWS, print_findings
 from bench.core.records.findings import StudyResult
 from bench.experiments.studies.conducting import study
 from bench.experiments.studies.study import Progress
 from bench.io import results
 from bench.views.report.writing import write_report
-from bench.workbench.console import PlainConsole
-from bench.workbench.printing import MOST_ROWS, print_findings
 
 
 def run_study(name: str, *, console: Console, out: Path | None, report: bool, **options: Any) -> StudyResult:

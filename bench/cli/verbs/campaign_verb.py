@@ -13,6 +13,9 @@ from rich.progress import BarColumn, TextColumn
 from rich.progress import Progress as Bar
 from rich.text import Text
 
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.flight_verbs import find_own_estimators
+from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
@@ -35,9 +38,6 @@ from bench.io import results
 from bench.io.config.profile import make_choice
 from bench.views.report import card_page, page
 from bench.views.report.writing import write_report
-from bench.workbench.console import PlainConsole
-from bench.workbench.flight_verbs import find_own_estimators
-from bench.workbench.printing import print_findings, print_table
 
 CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
 """Default folders for campaigns, and for the runs of cards."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from bench.cli.new_files.log_starts import ChosenStart, choose_start
 from bench.core.files import durable
 from bench.core.files.file_checks import check_file, read_json
 from bench.core.mathematics.units import split_unit
@@ -31,7 +32,6 @@ from bench.io.logs.mat_file import list_structures, read_mat
 from bench.io.logs.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
 from bench.navigation.start.course import LEAST_SPEED
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
-from bench.workbench.log_starts import ChosenStart, choose_start
 
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag

@@ -11,6 +11,10 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from bench.cli.saving import save
+from bench.cli.verbs.check_verb import tabulate_verdicts
+from bench.cli.verbs.flight_verbs import print_end
+from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
@@ -21,12 +25,8 @@ from bench.experiments.baselines.comparing import ONE_DRAW, Compared, compare_re
 from bench.experiments.campaigns.merging import merge_campaigns
 from bench.experiments.campaigns.stored import load_campaign
 from bench.io import results
-from bench.saving import save
 from bench.views.plots.overlay import merge_results
 from bench.views.report import campaign_page
-from bench.workbench.check_verb import tabulate_verdicts
-from bench.workbench.flight_verbs import print_end
-from bench.workbench.printing import print_findings, print_table
 
 _MAIN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "heading_rmse_deg", "nees_mean")
 """Metrics that are printed without being asked for."""

@@ -9,6 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
+from bench.cli.verbs.printing import print_table
 from bench.core.records.data import NavSolution
 from bench.core.records.findings import FindingTable
 from bench.core.words.notebook import ShownFigure
@@ -23,7 +24,6 @@ from bench.evaluation.metrics.key_figures import (
     list_key_figures,
 )
 from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
-from bench.workbench.printing import print_table
 
 ROOM = 14
 """Lines for the headlines of a run: with what stands before and behind them a screen of 24."""

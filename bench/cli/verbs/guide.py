@@ -34,8 +34,8 @@ def read_topics() -> dict[str, str]:
 
 def list_topics(console: Console) -> None:
     """Print every topic with a description of one line."""
+    from bench.cli.verbs.printing import print_table
     from bench.core.records.findings import make_table  # numbers, which who reads a page does without
-    from bench.workbench.printing import print_table
 
     rows = list(read_topics().items())
     table = make_table("topics", "Topics (bench guide TOPIC)", ("topic", "how to"), rows)

@@ -11,6 +11,8 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.printing import print_findings
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.words.stages import FLYING, Stage, Watcher
@@ -19,8 +21,6 @@ from bench.evaluation.requirements.required_metrics import judge_result
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.io import config, results
 from bench.io.config.served import load_served
-from bench.workbench.console import PlainConsole
-from bench.workbench.printing import print_findings
 
 RUNS = Path("runs")
 """Default folder for results."""
@@ -111,7 +111,7 @@ def write_first(console: Console, result: RunResult, folder: Path, **options: An
 
     ``options`` are those of `bench.save`.
     """
-    from bench.saving import save
+    from bench.cli.saving import save
 
     notes: list[str] = []
     results.leave_out_pandas()
@@ -134,7 +134,7 @@ def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:
 
 def print_result(console: Console, result: RunResult, *, table: bool) -> None:
     """Print the headlines of a result, or all its main metrics."""
-    from bench.workbench import result_table, show
+    from bench.cli.verbs import result_table, show
 
     if table:
         result_table.print_metrics(console, result.metrics, result.solutions)
@@ -171,8 +171,8 @@ def find_own_estimators() -> None:
 
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
     """Fly the truth of one profile into the cache, and print its legs and extremes; no estimator is run."""
-    from bench import api
-    from bench.workbench import show
+    from bench.cli import api
+    from bench.cli.verbs import show
 
     profile = config.load_profile(name, allow_code=True, **profile_options)
     with show_stages() as watch:

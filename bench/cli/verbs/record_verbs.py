@@ -9,7 +9,18 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import api
+from bench.cli import api
+from bench.cli.new_files.new_log import new_log
+from bench.cli.verbs import result_table
+from bench.cli.verbs.flight_verbs import (
+    RUNS,
+    find_own_estimators,
+    print_end,
+    print_result,
+    show_stages,
+    write_first,
+)
+from bench.cli.verbs.printing import print_findings
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import TriadSpec
@@ -21,17 +32,6 @@ from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_no
 from bench.io import config, results
 from bench.io.config.checks import is_code
 from bench.pipeline import log_pipeline
-from bench.workbench import result_table
-from bench.workbench.flight_verbs import (
-    RUNS,
-    find_own_estimators,
-    print_end,
-    print_result,
-    show_stages,
-    write_first,
-)
-from bench.workbench.new_log import new_log
-from bench.workbench.printing import print_findings
 
 
 def navigate_log(
@@ -200,7 +200,7 @@ def measure_allan(
 
 
 def export_run(folder: Path, *, console: Console, **options: Any) -> None:
-    """Export a run and print the names of the files; options as for `bench.api.export_run`."""
+    """Export a run and print the names of the files; options as for `bench.cli.api.export_run`."""
     out = api.export_run(folder, **options)
     names = sorted(path.name for path in out.glob("[!.]*"))
     console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
@@ -209,7 +209,7 @@ def export_run(folder: Path, *, console: Console, **options: Any) -> None:
 def score_solution(solution: Path, folder: Path, *, console: Console, **options: Any) -> dict[str, Any]:
     """Judge a solution on a run, print its metrics beside those of the run, and return them.
 
-    ``options`` are those of `bench.api.score_solution`.
+    ``options`` are those of `bench.cli.api.score_solution`.
     """
     score = api.score_solution(solution, folder, **options)
     run, label = score.run, score.label
@@ -228,7 +228,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
 
 
 def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
-    """Send the sensor data of a run, and print address and timing; options as for `bench.api.stream_run`."""
+    """Send the sensor data of a run, and print address and timing; options as for `api.stream_run`."""
     sent = api.stream_run(folder, say=console.print, **options)
     pace = "" if sent.latest is None else f", none more than {1e3 * sent.latest:.3g} ms late"
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")

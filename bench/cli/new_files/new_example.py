@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
+from bench.cli.verbs import check_verb
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
@@ -20,7 +21,6 @@ from bench.experiments.baselines.pinning import find_requirement
 from bench.experiments.campaigns.campaign_file import CampaignTable
 from bench.io.config.checks import is_code
 from bench.io.config.schemas import DIALECT, SCHEMAS, make_schema
-from bench.workbench import check_verb
 
 _CLASS = "StartingPoint"
 

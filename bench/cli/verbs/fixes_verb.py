@@ -11,13 +11,13 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.verbs.printing import MOST_ROWS, print_findings
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.words.exceptions import ConfigError
 from bench.exchange import rinex_fixes
 from bench.exchange.receiver_settings import solve_rinex
 from bench.exchange.rinex.lines import find_kind
 from bench.io.results.folders import check_file
-from bench.workbench.printing import MOST_ROWS, print_findings
 
 _COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")
 _MOST = 8  # satellites on the screen; all are in the report

@@ -1,0 +1,1 @@
+"""What `bench new` writes: examples, aircraft and logs."""
