@@ -113,7 +113,7 @@ if TYPE_CHECKING:
     from bench.views.report.writing import write_figures as write_figures, write_report as write_report
     from bench.core.records.run_result import RunResult as RunResult
     from bench.cli.saving import save as save
-    from bench.serving import serve as serve
+    from bench.plugins.hil.serving import serve as serve
     from bench.core.records.specs import Guard as Guard, Profile as Profile
     from bench.io.results import load as load, to_arrow as to_arrow, to_pandas as to_pandas
     from bench.io.results.filter_state import resume_filter as resume_filter, save_filter as save_filter
@@ -157,7 +157,6 @@ _PUBLIC = {
     "save_filter": "bench.io.results.filter_state",
     "score_solution": "bench.cli.api",
     "sense": "bench.cli.api",
-    "serve": "bench.serving",
     "solve_rinex": "bench.exchange.receiver_settings",
     "stream_run": "bench.cli.api",
     "study": "bench.experiments.studies.conducting",
@@ -192,13 +191,20 @@ _PUBLIC = {
     "Tuning": "bench.experiments.tuning.noise_factors",
 }
 
-__all__ = ["__version__", *_PUBLIC]
+_OF_PLUGINS = {"serve": "serve"}
+"""Name -> a verb of the plug-in that holds it."""
+
+__all__ = ["__version__", *_PUBLIC, *_OF_PLUGINS]
 
 if not TYPE_CHECKING:  # a checker of types sees the imports above, and no name that is not there
 
     def __getattr__(name: str) -> Any:
         if name in _PUBLIC:
             return getattr(import_module(_PUBLIC[name]), name)
+        if name in _OF_PLUGINS:
+            from bench.core.files.installed import import_plugin
+
+            return getattr(import_module(import_plugin("verbs", _OF_PLUGINS[name]).PUBLIC[name]), name)
         raise AttributeError(f"module 'bench' has no attribute {name!r}")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from bench.cli import campaigning, flights, receiver_files, recorded_data, serving_flights, starting, studying
+from bench.cli import campaigning, flights, receiver_files, recorded_data, starting, studying
 from bench.cli.group import commands
 from bench.core.words.exceptions import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 from bench.core.words.wording import replace_control
@@ -26,7 +26,6 @@ __all__ = [
     "main",
     "receiver_files",
     "recorded_data",
-    "serving_flights",
     "starting",
     "studying",
 ]

@@ -7,6 +7,7 @@ import math
 import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +15,8 @@ import click
 
 from bench import __version__
 from bench.cli import completion
-from bench.core.words.exceptions import BUG, DONE, NEGATIVE, STATUSES
+from bench.core.files.installed import find_installed, find_own
+from bench.core.words.exceptions import BUG, DONE, NEGATIVE, STATUSES, ConfigError
 from bench.core.words.wording import replace_control
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -211,7 +213,38 @@ def _print_version(context: click.Context, _: click.Parameter, asked: bool) -> N
     context.exit()
 
 
-@click.group(context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
+class _Verbs(click.Group):
+    """The verbs of this room, of the plug-ins and of other packages; the last are imported when asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names of the verbs of bench."""
+        return sorted([*super().list_commands(ctx), *find_own("verbs")])
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        """Return a verb; None if there is none of this name."""
+        own = super().get_command(ctx, name)
+        if own is not None:
+            return own
+        known = find_own("verbs")
+        other = find_installed("verbs", self.list_commands(ctx))
+        place = known.get(name) or (other[name].place if name in other else None)
+        if place is None:
+            return None
+        module, _, attribute = place.partition(":")
+        found = getattr(import_module(module), attribute, None)
+        if not isinstance(found, click.Command):
+            raise ConfigError(f"verb {name!r}: {place} is no click.Command")
+        return found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the verbs of bench, and names and packages of others."""
+        super().format_commands(ctx, formatter)
+        if other := find_installed("verbs", self.list_commands(ctx)):
+            with formatter.section("Of other packages"):
+                formatter.write_dl([(name, f"of {one.package}") for name, one in other.items()])
+
+
+@click.group(cls=_Verbs, context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
 @click.option(
     "--version",
     is_flag=True,

@@ -32,7 +32,6 @@ from bench.core.records.specs import CLIENT, Guidance, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.wording import one_line
 from bench.evaluation.errors.failures import FAILED, describe_error
-from bench.exchange.client_session import ClientSession
 from bench.io.foreign.loading import load_estimators
 from bench.io.results import cached_truth, join_pieces
 from bench.navigation.engine.kept_rows import join_rows, take_rows
@@ -100,6 +99,13 @@ class Navigator(Protocol):
     def recount(self) -> list[NavSolution]:
         """Return solutions that follow on each other; their innovations and events are those of the way."""
         ...
+
+
+class Client(Navigator, Protocol):
+    """A navigator on its line."""
+
+    estimates: int  # that it gave
+    ended: str  # why its session was ended, in words
 
 
 class _FilterOnBoard:
@@ -225,7 +231,7 @@ def fly(
 
 
 def serve(
-    profile: Profile, run: int, session: ClientSession, commands: Commands | None, watch: Watch = None
+    profile: Profile, run: int, session: Client, commands: Commands | None, watch: Watch = None
 ) -> ServedFlight:
     """Fly a profile whose guidance reads what a client answers; errors as for :func:`fly`.
 

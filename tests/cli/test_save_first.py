@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 import bench
-from bench import serving
 from bench.cli.command_line import main
 from bench.cli.verbs import campaign_verb, fixes_verb, tune_verb
 from bench.core.words import plain_output
@@ -31,6 +30,7 @@ from bench.experiments.studies import sensor_requirements
 from bench.experiments.tuning.noise_factors import Tuning
 from bench.experiments.tuning.trials import HeldOutScore
 from bench.pipeline import log_pipeline
+from bench.plugins.hil import serving
 from bench.views.report import allan_picture
 from tests.cli.test_cli import HEAD, PROFILE
 

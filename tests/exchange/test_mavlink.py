@@ -14,10 +14,10 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from pymavlink.dialects.v20 import common as dialect
 
-from bench import serving
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
+from bench.plugins.hil import serving
+from bench.plugins.hil.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.simulation.flight.guidance.steering import Commands
 from tests.exchange.test_serve import Server, write_straight
 

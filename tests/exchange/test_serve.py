@@ -21,18 +21,17 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import bench
-from bench import serving
 from bench.cli.command_line import commands, main
 from bench.core.mathematics import rotation
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
-from bench.exchange import flight_client
-from bench.exchange.client_session import ClientSession
-from bench.exchange.flight_client import FlightClient
-from bench.exchange.mavlink_session import ActuatorChannels
 from bench.io import config
 from bench.io.streams.frames import make_frames
 from bench.pipeline import closed_loop
+from bench.plugins.hil import flight_client, serving
+from bench.plugins.hil.client_session import ClientSession
+from bench.plugins.hil.flight_client import FlightClient
+from bench.plugins.hil.mavlink_session import ActuatorChannels
 from tests.exchange.test_stream import crc16, decoded
 from tests.test_closed_loop import PROFILE
 
@@ -331,7 +330,7 @@ def test_a_second_client_is_told_that_another_flies(tmp_path):
 
 def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, capsys, monkeypatch):
     """A flight too short for a fix has nothing to judge: no traceback, of a client as of a profile."""
-    monkeypatch.setattr("bench.exchange.client_session._PATIENCE", 0.1)
+    monkeypatch.setattr("bench.plugins.hil.client_session._PATIENCE", 0.1)
     slow = {"sensors.gnss": "l1-code", "guidance.period_s": 0.25}
     server = Server(path, slow, gives="commands")
     with socket.create_connection(("127.0.0.1", server.port)) as line:
@@ -351,7 +350,7 @@ def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, caps
 
 
 def test_a_silent_client_shuts_nobody_out(tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.exchange.client_session._ALONE", 0.2)
+    monkeypatch.setattr("bench.plugins.hil.client_session._ALONE", 0.2)
     server = Server(write_straight(tmp_path / "straight.toml", 2.0), {"duration_s": 2.0}, patience=60.0)
     with socket.create_connection(("127.0.0.1", server.port)) as silent:
         silent.sendall(frame(16, 1.0)[:7])

@@ -17,10 +17,10 @@ import numpy as np
 import bench
 from bench import pipeline
 from bench.core.records.data import Sensed
-from bench.exchange.flight_client import FlightClient
 from bench.io import config
 from bench.pipeline import closed_loop
-from bench.serving import serve
+from bench.plugins.hil.flight_client import FlightClient
+from bench.plugins.hil.serving import serve
 
 ROUNDS = 3
 PIECE = 0.05  # [s]

@@ -1,11 +1,11 @@
-"""The verbs run, serve, fly and cache."""
+"""The verbs run, fly and cache."""
 
 from __future__ import annotations
 
 import contextlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,6 @@ from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import judge_result
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.io import config, results
-from bench.io.config.served import load_served
 
 RUNS = Path("runs")
 """Default folder for results."""
@@ -66,43 +65,6 @@ def run(
         print_result(console, result, table=table)
     print_end(console, folder, begun, table=table)
     return result, folder
-
-
-def serve(
-    name: str,
-    *,
-    console: Console,
-    out: Path | None,
-    draw: int,
-    recording: bool,
-    report: bool,
-    force: bool,
-    session: Mapping[str, Any],
-    overrides: Mapping[str, Any],
-    **profile_options: Any,
-) -> tuple[RunResult, str]:
-    """Fly one profile with a client, as :func:`run` does, and return why the client ended early.
-
-    ``session`` is for `bench.serving.serve`.
-    """
-    find_own_estimators()
-    profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
-    folder = out or RUNS / f"{profile.name}-{profile.seed}-served"
-    results.check_folder(folder, force=force)
-    console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
-    from bench.serving import serve as serve_flight
-
-    begun = time.perf_counter()
-    served = serve_flight(profile, draw, say=console.print, **session)
-    with write_first(console, served.result, folder, recording=recording, report=report, force=force):
-        console.print(f"Flew {served.flown:g} s with the client.")
-        if served.latest > 0:
-            console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
-        if served.ended:
-            console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
-        print_result(console, served.result, table=False)
-    print_end(console, folder, begun, table=False)
-    return served.result, served.ended
 
 
 @contextlib.contextmanager

@@ -1,11 +1,18 @@
-"""What other installed packages add to bench, by their entry points; nothing of theirs is imported here.
+"""What plug-ins and other packages add to bench, by their entry points; nothing of others is imported here.
 
 A package names in its ``pyproject.toml`` under ``[project.entry-points."bench.GROUP"]``:
 
 - ``estimators``: NAME = "module:Class", a filter that ``-e NAME`` and ``use = "NAME"`` run;
 - ``catalog``: any name = "package.folder", a folder with ``imu/NAME.toml``, ``gnss/NAME.toml`` ...;
 - ``aircraft``: any name = "package.folder", a folder with ``NAME/aircraft.toml`` and ``NAME/NAME.xml``;
-- ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.io.exports`.
+- ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.io.exports`;
+- ``logs``: NAME = "module" that reads recordings of the format NAME, as `bench.io.logs.formats` says;
+- ``fixes``: NAME = "module" that reads the files of GNSS receivers, as `bench.io.logs.receiver_files` says;
+- ``studies``: NAME = "module" with ``Options`` and ``run``, as those of `bench.experiments.studies`;
+- ``verbs``: NAME = "module:command", a ``click.Command`` that ``bench NAME`` runs.
+
+The plug-ins in `bench.plugins` are entries of the project's own distribution. They come first, no other
+package can take their names, and they run in this process as the rest of bench does.
 """
 
 from __future__ import annotations
@@ -13,11 +20,20 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from functools import cache
+from importlib import import_module
+from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
-GROUPS = ("estimators", "catalog", "aircraft", "exports")
+from bench.core.files.places import PACKAGE
+from bench.core.words.exceptions import ConfigError
+
+GROUPS = ("estimators", "catalog", "aircraft", "exports", "logs", "fixes", "studies", "verbs")
+_OWN = "ins-gnss-bench"  # the distribution of bench
+_OF_OBJECTS = {"estimators": "module:Class", "verbs": "module:command"}
+_OF_FOLDERS = ("catalog", "aircraft")
 _NAME = re.compile(r"[A-Za-z0-9_.-]{1,100}")
 _MODULE = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
@@ -29,6 +45,44 @@ class Installed:
     name: str
     place: str  # "module:Class", "module" or "package.folder"
     package: str  # that brings it, with its version
+
+
+def find_own(group: str) -> dict[str, str]:
+    """Return what the plug-ins of bench add to a group: its name -> "module" or "module:attribute".
+
+    Raises
+    ------
+    ConfigError
+        If the installed metadata does not name every plug-in.
+    """
+    return {name: place for one, name, place in _list_own() if one == group}
+
+
+def import_plugin(group: str, name: str) -> ModuleType:
+    """Import the package of the plug-in that adds this name to a group; its modules wait until needed.
+
+    Its ``GROUP`` in capitals holds a row for each name: what is said of it before it is imported.
+    """
+    return import_module(".".join(find_own(group)[name].split(".")[:3]))
+
+
+@cache
+def _list_own() -> list[tuple[str, str, str]]:
+    try:
+        entries = list(distribution(_OWN).entry_points)
+    except PackageNotFoundError:
+        entries = []
+    found = [
+        (one.group.removeprefix("bench."), one.name, one.value)
+        for one in entries
+        if one.value.startswith("bench.plugins.")
+    ]
+    there = {path.parent.name for path in (PACKAGE / "plugins").glob("*/__init__.py")}
+    if there - {place.split(".")[2] for _, _, place in found}:
+        raise ConfigError(
+            f"{PACKAGE}: the installed metadata does not name its plug-ins; in the checkout: pip install -e ."
+        )
+    return found
 
 
 def find_installed(group: str, taken: Collection[str] = ()) -> dict[str, Installed]:
@@ -66,11 +120,13 @@ def _examine(group: str, taken: Collection[str]) -> Iterator[tuple[Installed, st
     seen: dict[str, str] = {}
     entries = sorted(entry_points(group=f"bench.{group}"), key=lambda one: (one.name, _name_package(one)))
     for entry in entries:
+        if entry.dist is not None and re.sub(r"[-_.]+", "-", entry.dist.name).lower() == _OWN:
+            continue
         one = Installed(entry.name[:100], entry.value[:200], _name_package(entry))
         module, colon, attribute = entry.value.partition(":")
-        shape = "module:Class" if group == "estimators" else "module" if group == "exports" else "folder"
+        shape = _OF_OBJECTS.get(group, "folder" if group in _OF_FOLDERS else "module")
         fits = bool(_MODULE.fullmatch(module)) and (
-            attribute.isidentifier() if shape == "module:Class" else not colon
+            attribute.isidentifier() if group in _OF_OBJECTS else not colon
         )
         wrong = ""
         if not _NAME.fullmatch(entry.name):

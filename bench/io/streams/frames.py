@@ -16,7 +16,7 @@ that ends at t, forward, right, down (n = 65); other instruments t [s], value or
 barometer altitude [m] (n = 25), magnetometer field x, y, z [T] (41), airspeed [m/s] (25), radar height above
 the runway [m] (25), odometer speed [m/s] (25), heading [rad] (25).
 
-A flight with a client (`bench.exchange.flight_messages`) has fixes as frames, too, kind 8: t [s], latitude,
+A flight with a client (`hil.flight_messages`) has fixes as frames, too, kind 8: t [s], latitude,
 longitude [rad], altitude [m], velocity north, east, down [m/s], the upper triangles row by row of their
 covariances [m^2], [m^2/s^2], and the number of satellites (n = 161).
 """

@@ -13,12 +13,12 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import CLIENT, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
-from bench.exchange.flight_messages import VERSION
-from bench.exchange.flight_session import FlightFacts, FlightSession
-from bench.exchange.mavlink_session import ActuatorChannels, MavlinkSession
-from bench.io.config.served import load_served
 from bench.io.streams.streaming import listen, parse_address
 from bench.pipeline import closed_loop
+from bench.plugins.hil.flight_messages import VERSION
+from bench.plugins.hil.flight_session import FlightFacts, FlightSession
+from bench.plugins.hil.mavlink_session import ActuatorChannels, MavlinkSession
+from bench.plugins.hil.served import load_served
 from bench.simulation.flight.guidance.steering import Commands
 
 Gives = Literal["estimate", "commands"]

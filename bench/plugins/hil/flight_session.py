@@ -1,4 +1,4 @@
-"""The server of a client that speaks `bench.exchange.flight_messages`: the flight waits for its answers."""
+"""The server of a client that speaks `hil.flight_messages`: the flight waits for its answers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from bench.core.records.data import InitialState, NavSolution, SensorData
-from bench.exchange import flight_messages as messages
-from bench.exchange.client_session import ClientSession
-from bench.exchange.flight_messages import FlightFrame, FrameReader, pack
 from bench.io.streams.frames import make_frame, make_frames
 from bench.navigation.engine.record_cuts import nothing_known
+from bench.plugins.hil import flight_messages as messages
+from bench.plugins.hil.client_session import ClientSession
+from bench.plugins.hil.flight_messages import FlightFrame, FrameReader, pack
 from bench.simulation.flight.guidance.steering import AttitudeCommand, Commands, SurfaceCommand
 
 _UNIT = 1e-3  # a quaternion has the length 1 within

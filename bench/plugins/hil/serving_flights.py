@@ -9,7 +9,6 @@ import click
 from bench.cli import completion
 from bench.cli.group import (
     STATUS,
-    commands,
     end_flight,
     estimator_option,
     json_option,
@@ -23,7 +22,7 @@ from bench.cli.group import (
 from bench.core.words.exceptions import DONE, NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@click.command(epilog=STATUS)
 @click.argument("profile", shell_complete=completion.profile)
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes a free one  [default: 5700]")
 @click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at")
@@ -79,8 +78,8 @@ def serve(
         raise click.UsageError("--mavlink takes commands: leave --give estimate out")
     if channels is not None and not mavlink:
         raise click.UsageError("--channels goes with --mavlink")
-    from bench.cli.verbs.flight_verbs import serve as serve_profile
-    from bench.exchange.mavlink_session import PORT, ActuatorChannels
+    from bench.plugins.hil.mavlink_session import PORT, ActuatorChannels
+    from bench.plugins.hil.serve_verb import run_serve
 
     session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
     session |= {
@@ -90,7 +89,7 @@ def serve(
     if port is None:
         port = PORT if mavlink else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
-    result, ended = serve_profile(profile, console=new_console(stderr=as_json), session=session, **options)
+    result, ended = run_serve(profile, console=new_console(stderr=as_json), session=session, **options)
     if as_json:
         from bench.io.results import to_json
 

@@ -24,9 +24,9 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.core.records.data import InitialState, NavSolution, SensorData, Trajectory
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.client_session import ClientSession
 from bench.navigation.engine.record_cuts import nothing_known
 from bench.navigation.engine.timeline import TIME_TOLERANCE
+from bench.plugins.hil.client_session import ClientSession
 from bench.simulation.flight.guidance.steering import Commands, SurfaceCommand
 from bench.simulation.signals.air import impact_pressure, standard_atmosphere
 

@@ -9,7 +9,8 @@ import socket
 from collections.abc import Iterator, Sequence
 from typing import Self
 
-from bench.exchange.flight_messages import (
+from bench.io.streams.frames import make_frame
+from bench.plugins.hil.flight_messages import (
     ATTITUDE,
     DONE,
     END,
@@ -23,7 +24,6 @@ from bench.exchange.flight_messages import (
     FrameReader,
     pack,
 )
-from bench.io.streams.frames import make_frame
 
 UNKNOWN = float("nan")
 

@@ -1,0 +1,1 @@
+"""Parts of bench that the core reaches by entry points alone."""
