@@ -33,7 +33,7 @@ from rosbags.rosbag2 import StoragePlugin
 
 import bench
 from bench.cli import api
-from bench.cli.group import commands  # noqa: F401  (what a verb loads is loaded before the time is taken)
+from bench.cli.command_line import commands  # noqa: F401  (what a verb loads is loaded before the time is taken)
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import TableSpec
 from bench.core.words.exceptions import BUG, BenchError

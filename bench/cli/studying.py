@@ -33,9 +33,9 @@ class _Studies(click.Group):
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of all studies."""
-        from bench.experiments.studies import STUDIES
+        from bench.experiments.studies import find_studies
 
-        return list(STUDIES)
+        return list(find_studies())
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command:
         """Return the command of a study; an unknown name ends with those that are known."""
@@ -46,10 +46,10 @@ class _Studies(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the studies with their questions in full."""
-        from bench.experiments.studies import STUDIES
+        from bench.experiments.studies import find_studies
 
         with formatter.section("Studies"):
-            formatter.write_dl([(name, entry.question) for name, entry in STUDIES.items()])
+            formatter.write_dl([(name, entry.question) for name, entry in find_studies().items()])
 
 
 @commands.command(cls=_Studies, subcommand_metavar="NAME [OPTIONS]", epilog=STATUS)

@@ -7,11 +7,11 @@ pydantic.
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from bench.core.files.installed import find_class
+from bench.core.files.installed import find_class, find_own, import_plugin
 from bench.core.words.exceptions import EstimatorError
 from bench.core.words.wording import as_toml
 from bench.navigation.estimator import Estimator, catch_exit, construct
@@ -27,7 +27,7 @@ class BuiltIn:
 
     title: str
     place: str  # "module:Class"
-    model: str  # class of its options, in `bench.navigation.options`
+    model: str  # "Class" of its options, in `bench.navigation.options`, or "module:Class"
     fixed: Mapping[str, Any] = field(default_factory=dict)  # options that make it what it is
     package: str | None = None  # that has to be installed beside bench
 
@@ -40,7 +40,8 @@ class BuiltIn:
     @property
     def options(self) -> type[Options]:
         """The class of its options."""
-        found: type[Options] = getattr(importlib.import_module("bench.navigation.options"), self.model)
+        module, _, name = self.model.rpartition(":")
+        found: type[Options] = getattr(importlib.import_module(module or "bench.navigation.options"), name)
         return found
 
     def wrong(self, given: Mapping[str, Any]) -> list[str]:
@@ -53,9 +54,8 @@ class BuiltIn:
 
 
 _LOOSE = "bench.navigation.models.loose_tight:Loose"
-_NO_FORM = {"form": "joseph", "covariance_precision": "double", "rows": 7}
 
-BUILT_IN: Mapping[str, BuiltIn] = {
+_CORE = {
     "loose-15": BuiltIn(
         "INS/GNSS/baro, 15 states and a baro bias", _LOOSE, "FusionOptions", FORWARD["loose-15"]
     ),
@@ -110,42 +110,21 @@ BUILT_IN: Mapping[str, BuiltIn] = {
         "bench.navigation.models.classic:Classic22",
         "ClassicOptions",
     ),
-    "error-ekf": BuiltIn(
-        "the generic filter of the errors of two systems, nonlinear measurement, INS never corrected, slow",
-        "bench.navigation.register.error_ekf:ErrorEkfEstimator",
-        "ClassicOptions",
-        {**_NO_FORM, "feedback": False, "correction_period": 0.0, "admissible_deg": 1.0},
-    ),
-    "fixed-gain": BuiltIn(
-        "classic-22 with the gain of a settled filter throughout, slow",
-        "bench.navigation.register.given_gains:FixedGain",
-        "ClassicOptions",
-        _NO_FORM,
-    ),
-    "complementary": BuiltIn(
-        "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
-        "bench.navigation.register.given_gains:Complementary",
-        "ComplementaryOptions",
-        _NO_FORM,
-    ),
-    "least-squares": BuiltIn(
-        "least squares over the past, old measurements with less weight, slow",
-        "bench.navigation.register.given_gains:LeastSquares",
-        "LeastSquaresOptions",
-        _NO_FORM,
-    ),
     "invariant-ekf": BuiltIn(
         "loose-15 as an invariant EKF on SE2(3): errors in body axes; fixes only; slow",
         "bench.navigation.models.invariant_ekf:InvariantEkf",
         "InvariantOptions",
     ),
-    "graph-smoother": BuiltIn(
-        "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow (extra 'graph')",
-        "bench.navigation.models.graph.factor_graph:GraphSmoother",
-        "GraphOptions",
-        package="gtsam",
-    ),
 }
+
+
+def _add_plugins() -> Iterator[tuple[str, BuiltIn]]:
+    for name, place in find_own("estimators").items():
+        yield name, BuiltIn(place=place, **import_plugin("estimators", name).ESTIMATORS[name])
+
+
+BUILT_IN: Mapping[str, BuiltIn] = {**_CORE, **dict(_add_plugins())}
+"""Name of an estimator of bench, of a plug-in last -> what it is."""
 
 
 def load(use: str, options: Mapping[str, Any]) -> Estimator:

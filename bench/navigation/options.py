@@ -332,34 +332,11 @@ class ClassicOptions(IntegrityOptions):
         return _whole(self, wrong)
 
 
-class ComplementaryOptions(ClassicOptions):
-    """Options of the complementary filter."""
-
-    time_constant: Positive = 10.0
-    """Below 1 / time_constant GNSS and barometer are believed, above it the INS [s]."""
-
-
-class LeastSquaresOptions(ClassicOptions):
-    """Options of least squares over the past."""
-
-    memory: Positive = 60.0
-    """Age at which a measurement weighs 1/e of a new one [s]."""
-
-
 class InvariantOptions(GateOptions):
     """Options of the invariant filter."""
 
     flat: bool = False
     """Take the Earth as flat and at rest: no Earth rate, no change of gravity."""
-
-
-class GraphOptions(GateOptions):
-    """Options of the smoother as a factor graph."""
-
-    passes: Count = 10
-    """Passes after which the fit ends even if it still moves; the first is a filter, with its gate."""
-    flat: bool = False
-    """Take the Earth as flat and at rest, as gtsam has it: no Earth rate, no change of gravity."""
 
 
 _OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of refusals in seconds"}

@@ -20,8 +20,8 @@ import rerun as rr
 
 import bench
 from bench import pipeline
-from bench.cli.command_line import main
-from bench.cli.group import commands, end_run
+from bench.cli.command_line import commands, main
+from bench.cli.group import end_run
 from bench.cli.verbs import viewer
 from bench.core.words.exceptions import FlightError
 from bench.io import results

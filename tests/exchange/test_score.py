@@ -398,7 +398,8 @@ def test_a_huge_table_is_refused_in_bounded_memory(tmp_path):
         for k in range(0, 3_200_000, 100_000):
             file.write("".join(f"{n},47,11,1\n" for n in range(k, k + 100_000)))
     code = (
-        "import resource, sys; from pathlib import Path; from foreign.solutions import read_solution\n"
+        "import resource, sys; from pathlib import Path\n"
+        "from bench.io.foreign.solutions import read_solution\n"
         "from bench.core.words.exceptions import ConfigError\n"
         "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
         f"try: read_solution(Path({str(path)!r}))\n"

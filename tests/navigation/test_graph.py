@@ -18,9 +18,9 @@ from bench.navigation.engine.gate import InnovationGate
 from bench.navigation.engine.integrity import nis
 from bench.navigation.error_state_filter.measurement_rows import SENSORS
 from bench.navigation.estimator import check_needs
-from bench.navigation.models.graph import factor_graph
-from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
-from bench.navigation.options import GraphOptions
+from bench.navigation.models.flat_frame import FlatFrame, load_gtsam
+from bench.plugins.graph import factor_graph
+from bench.plugins.graph.graph_options import GraphOptions
 from bench.simulation import sensors
 from tests.builders import band, ensemble
 from tests.weaving import DEG, GNSS, IMU, units, weaving
@@ -286,7 +286,7 @@ def test_the_factor_graph_refuses_fixes_that_wander(sensed):
 
 
 def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
-    monkeypatch.setattr("bench.navigation.models.graph.flat_frame.find_spec", lambda name: None)
+    monkeypatch.setattr("bench.navigation.models.flat_frame.find_spec", lambda name: None)
     with pytest.raises(EstimatorError, match=r"pip install 'ins-gnss-bench\[graph\]'"):
         load("graph-smoother", {}).run(sensed.data, sensed.initial)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.experiments.studies.register_flights import fly_step, measure_step
+from bench.plugins.papers.register_flights import fly_step, measure_step
 
 
 def test_31_nis_stays_in_its_band_through_a_step_of_2_g():

@@ -16,7 +16,7 @@ from bench.experiments.studies.linear_flight import GRADES, LinearFlight, update
 from bench.navigation.models.classic import Classic22, process_model, square_root
 from bench.navigation.models.classic.covariance_forms import Joseph, make_form
 from bench.navigation.options import ClassicOptions
-from bench.navigation.register import given_gains
+from bench.plugins.papers import given_gains
 from bench.simulation import sensors
 from tests.weaving import units, weaving
 

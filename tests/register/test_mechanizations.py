@@ -12,11 +12,11 @@ from scipy.integrate import solve_ivp
 
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.errors.route_errors import allowed_heading_error, cross_track_error
-from bench.experiments.studies.mechanization_costs import coning_drift
-from bench.navigation.register.mechanizations import accelerometers, attitude, coning, earth_series
-from bench.navigation.register.mechanizations.earth_series import EarthModel
-from bench.navigation.register.mechanizations.error_integral import quaternion_error
-from bench.navigation.register.mechanizations.solving import FRAMES, Rates, navigate
+from bench.plugins.papers.mechanization_costs import coning_drift
+from bench.plugins.papers.mechanizations import accelerometers, attitude, coning, earth_series
+from bench.plugins.papers.mechanizations.earth_series import EarthModel
+from bench.plugins.papers.mechanizations.error_integral import quaternion_error
+from bench.plugins.papers.mechanizations.solving import FRAMES, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 from tests.inertial_motion import inertial_solution, integrate_rates
 

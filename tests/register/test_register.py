@@ -17,7 +17,6 @@ from bench.core.mathematics.units import DEG
 from bench.core.mathematics.units import STANDARD_GRAVITY as G0
 from bench.evaluation.errors.error_series import error_series
 from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight, update
-from bench.experiments.studies.register_linear import draw_consistency
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.models.classic import (
@@ -28,7 +27,8 @@ from bench.navigation.models.classic import (
     process_model,
 )
 from bench.navigation.models.classic.navigator import R3, Nav
-from bench.navigation.register import attitude_errors
+from bench.plugins.papers import attitude_errors
+from bench.plugins.papers.register_linear import draw_consistency
 from bench.simulation import sensors
 from tests.register import equations
 from tests.weaving import IMU, units, weaving

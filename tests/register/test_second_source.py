@@ -11,11 +11,11 @@ from numpy.testing import assert_allclose
 from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.mathematics.units import DEG
-from bench.experiments.studies.register_linear import draw_outage
 from bench.navigation.built_in import load
 from bench.navigation.models.classic import Classic22, filter_loop
 from bench.navigation.models.classic.extrapolation import extrapolate
-from bench.navigation.register import vector_matching
+from bench.plugins.papers import vector_matching
+from bench.plugins.papers.register_linear import draw_outage
 from bench.simulation import sensors
 from tests.weaving import GNSS, units, weaving
 

@@ -12,7 +12,7 @@ from scipy import stats
 import bench
 from bench.core.records.findings import series
 from bench.core.words.exceptions import ConfigError
-from bench.experiments.studies import alignment_errors
+from bench.plugins.papers import alignment_errors
 
 RADIUS = 6_371_000.0
 

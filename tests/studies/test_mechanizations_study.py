@@ -9,15 +9,15 @@ from numpy.testing import assert_allclose
 import bench
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.units import STANDARD_GRAVITY
-from bench.experiments.studies import mechanization_costs
-from bench.experiments.studies.mechanization_costs import (
+from bench.plugins.papers import mechanization_costs
+from bench.plugins.papers.mechanization_costs import (
     acceleration_error,
     coning_drift,
     gravity_error,
     radii_error,
     simulate_accelerometers,
 )
-from bench.navigation.register.mechanizations.accelerometers import drift_by_angular_acceleration
+from bench.plugins.papers.mechanizations.accelerometers import drift_by_angular_acceleration
 
 
 @pytest.fixture(scope="module")

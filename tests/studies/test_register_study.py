@@ -13,10 +13,11 @@ import bench
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.requirements.required_performance import JudgedFigure, count_windows
-from bench.experiments.studies import register_flights, register_rows, rnp
-from bench.experiments.studies.register_measures import Bounded, RowFinding, below
-from bench.experiments.studies.register_rows import ROWS
+from bench.experiments.studies import rnp
 from bench.experiments.studies.watched_flights import WatchedFlight
+from bench.plugins.papers import register_flights, register_rows
+from bench.plugins.papers.register_measures import Bounded, RowFinding, below
+from bench.plugins.papers.register_rows import ROWS
 
 ROOT = Path(__file__).parents[2]
 
@@ -135,7 +136,7 @@ def test_a_row_that_does_not_hold_is_said(monkeypatch):
         ROWS[41],
         ROWS[16]._replace(test="", open_because="nobody"),
     )
-    monkeypatch.setattr("bench.experiments.studies.register_study.ROWS", rows)
+    monkeypatch.setattr("bench.plugins.papers.register_study.ROWS", rows)
     found = bench.study("register", jobs=1)
     assert not found.findings.good
     holds = {name: table.columns["holds"] for name, table in found.tables.items()}

@@ -17,18 +17,19 @@ from click.testing import CliRunner
 from rich.console import Console
 
 import bench
-from bench.cli.group import commands
+from bench.cli.command_line import commands
 from bench.cli.verbs.printing import print_table
 from bench.core.records.findings import Findings, FindingTable, join_findings
 from bench.core.records.findings.series import Plot, draw_dots, draw_line
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate
-from bench.experiments.studies import STUDIES, alignment_errors, mechanization_costs, requirements, rnp
+from bench.experiments.studies import STUDIES, rnp, sensor_requirements
 from bench.experiments.studies.conducting import find_study
 from bench.experiments.studies.outage_study import outage_drift
 from bench.experiments.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import save_study
+from bench.plugins.papers import alignment_errors, mechanization_costs
 from bench.views.report import study_page, svg
 from bench.views.report.study_page import format_cell
 
@@ -291,7 +292,7 @@ def test_every_profile_is_read_before_the_first_is_flown(name, good, options, mo
     def refuse(*args, **options):
         raise AssertionError("flown")
 
-    for module, function in (("pipeline", "fly"), ("closed_loop", "fly"), ("pipeline", "run")):
+    for module, function in (("pipeline", "fly"), ("pipeline.closed_loop", "fly"), ("pipeline", "run")):
         monkeypatch.setattr(f"bench.{module}.{function}", refuse)
     with pytest.raises(ConfigError, match="nosuch") as raised:
         bench.study(name, profiles=f"{good},nosuch,nosuch-either", jobs=1, **options)
@@ -307,7 +308,7 @@ def test_every_profile_is_read_before_the_first_is_flown(name, good, options, mo
         ),
         (mechanization_costs, "300 100 0.1 20 100 200 400 0.2 0.5 1 10"),
         (outage_drift, "10 30 60 120 300 600 5 10"),
-        (requirements, "5 10 30 60 100 120 180 300 600 900 1800 2532 3600 45"),
+        (sensor_requirements, "5 10 30 60 100 120 180 300 600 900 1800 2532 3600 45"),
         (rnp, "0.3 50 10 15 0.95 3.33e-07 0.001 60"),
     ],
 )

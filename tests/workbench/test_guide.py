@@ -22,8 +22,7 @@ import pytest
 from rich.console import Console
 
 import bench
-from bench.cli.command_line import main
-from bench.cli.group import commands
+from bench.cli.command_line import commands, main
 from bench.cli.new_files.new_example import new_check
 from bench.cli.verbs import guide
 from bench.core.words.exceptions import EstimatorError
@@ -390,7 +389,7 @@ def test_the_tree_of_readme_is_true():
 
 def test_the_floors_of_readme_are_those_that_are_checked():
     text = ALL["README"].read_text()
-    written = re.search(r"```text\n(__main__ : cli > .*?)```", text, re.DOTALL)
+    written = re.search(r"```text\n(plugins > .*?)```", text, re.DOTALL)
     assert written is not None
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     floors = [set(re.split(r"\s+[|:]\s+", floor.strip())) for floor in written[1].split(">")]

@@ -13,7 +13,7 @@ from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
-from bench.experiments.studies import STUDIES
+from bench.experiments.studies import find_studies
 from bench.io import config
 from bench.io.config.figure_table import ASSUMED, tabulate_figures
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
@@ -111,7 +111,7 @@ def list_exports() -> list[CatalogEntry]:
 
 def list_studies() -> list[CatalogEntry]:
     """Return every study that `bench.study` runs, with its question."""
-    return [CatalogEntry(name, entry.question, "study") for name, entry in STUDIES.items()]
+    return [CatalogEntry(name, entry.question, "study") for name, entry in find_studies().items()]
 
 
 def list_metrics() -> list[CatalogEntry]:

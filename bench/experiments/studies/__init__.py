@@ -1,13 +1,15 @@
 """Questions that a designer asks before buying sensors, each answered by a table, figures and sentences.
 
 A study is a module with ``Options``, a `StudyOptions`, and ``run(options, work) -> Findings``. Adding one is
-such a module and a row of `STUDIES`.
+such a module and a row of `STUDIES`, or an entry point ``bench.studies`` of any package.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
+
+from bench.core.files.installed import find_installed, find_own, import_plugin
 
 
 class StudyEntry(NamedTuple):
@@ -17,7 +19,7 @@ class StudyEntry(NamedTuple):
     question: str
 
 
-STUDIES: Mapping[str, StudyEntry] = {
+_CORE = {
     "requirements": StudyEntry(
         "bench.experiments.studies.sensor_requirements",
         "What gyro and accelerometer error is allowed for a position error after an outage?",
@@ -45,18 +47,6 @@ STUDIES: Mapping[str, StudyEntry] = {
         "bench.experiments.studies.observability",
         "What do turns tell of heading and biases, and what stays unknown?",
     ),
-    "alignment": StudyEntry(
-        "bench.experiments.studies.alignment_errors",
-        "What do errors of an alignment cost on a route, how do they travel, and what tells them?",
-    ),
-    "mechanizations": StudyEntry(
-        "bench.experiments.studies.mechanization_costs",
-        "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?",
-    ),
-    "register": StudyEntry(
-        "bench.experiments.studies.register_study",
-        "Which rows of the sources' register hold here, and by what number?",
-    ),
     "logs": StudyEntry(
         "bench.experiments.studies.recorded_logs",
         "Which filter does better on many recordings?",
@@ -70,4 +60,18 @@ STUDIES: Mapping[str, StudyEntry] = {
         "Are accuracy, integrity, continuity and availability those that a procedure requires?",
     ),
 }
-"""Name of a study -> its module and its question, in a line."""
+
+
+def _add_plugins() -> Iterator[tuple[str, StudyEntry]]:
+    for name, place in find_own("studies").items():
+        yield name, StudyEntry(place, import_plugin("studies", name).STUDIES[name])
+
+
+STUDIES: Mapping[str, StudyEntry] = {**_CORE, **dict(_add_plugins())}
+"""Name of a study of bench, of a plug-in last -> its module and its question, in a line."""
+
+
+def find_studies() -> dict[str, StudyEntry]:
+    """Return the studies by name, those of other packages last; these are not imported."""
+    added = find_installed("studies", STUDIES)
+    return {**STUDIES, **{name: StudyEntry(one.place, f"of {one.package}") for name, one in added.items()}}

@@ -12,8 +12,8 @@ from bench.core.records.findings import Findings, StudyResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
 from bench.experiments.campaigns.pools import count_processors
-from bench.experiments.studies import STUDIES, StudyEntry
-from bench.experiments.studies.study import Progress, StudyWorkers, make_command, read_options
+from bench.experiments.studies import StudyEntry, find_studies
+from bench.experiments.studies.study import Progress, StudyOptions, StudyWorkers, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import save_study
 
@@ -24,11 +24,18 @@ def find_study(name: str) -> tuple[StudyEntry, Any]:
     Raises
     ------
     ConfigError
-        If there is none of this name.
+        If there is none of this name, or another package gives what is no study.
     """
-    if name not in STUDIES:
-        raise ConfigError(f"study {name!r} is unknown{suggest(name, STUDIES, 'studies')}")
-    return STUDIES[name], import_module(STUDIES[name].module)
+    known = find_studies()
+    if name not in known:
+        raise ConfigError(f"study {name!r} is unknown{suggest(name, known, 'studies')}")
+    module = import_module(known[name].module)
+    options, run = getattr(module, "Options", None), getattr(module, "run", None)
+    if not (isinstance(options, type) and issubclass(options, StudyOptions) and callable(run)):
+        raise ConfigError(
+            f"study {name!r}: {known[name].module} must have Options, a StudyOptions, and run(options, work)"
+        )
+    return known[name], module
 
 
 def study(

@@ -64,6 +64,7 @@ _LOOP = (
     "bench/pipeline/closed_loop.py",
     "bench/core/records/instruments.py",
     "bench/navigation",
+    "bench/plugins",
     "bench/simulation/sensors",
     "bench/simulation/signals",
 )

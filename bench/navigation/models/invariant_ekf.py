@@ -30,7 +30,7 @@ from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSO
 from bench.navigation.error_state_filter.rough_heading import motion_share
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.models.classic.process_model import bias_and_walk
-from bench.navigation.models.graph.flat_frame import FlatFrame
+from bench.navigation.models.flat_frame import FlatFrame
 from bench.navigation.models.stepped_filters import Measurement, SteppedFilter, SteppedPassage
 from bench.navigation.options import InvariantOptions, read_options
 from bench.navigation.start import alignment

@@ -30,11 +30,12 @@ from bench.navigation.error_state_filter.imu_states import core_states
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.step_entries import OUTPUT
-from bench.navigation.models.graph.flat_frame import FlatFrame, load_gtsam
+from bench.navigation.models.flat_frame import FlatFrame, load_gtsam
 from bench.navigation.models.loose_tight import Loose
-from bench.navigation.options import GraphOptions, read_options
+from bench.navigation.options import read_options
 from bench.navigation.start import alignment
 from bench.navigation.start.whole_records import run_between_gaps
+from bench.plugins.graph.graph_options import GraphOptions
 
 _SMALL = 0.01  # step of the last pass, in standard deviations
 _LEAST = np.array([1e-7, 1e-6, 1e-10, 1e-8])  # of noise of gyro and accelerometer, of their biases, SI
@@ -47,7 +48,7 @@ class GraphSmoother:
 
     Innovations are those of the first pass; what its test refuses is left out of the graph.
 
-    Options: `bench.navigation.options.GraphOptions`.
+    Options: `bench.plugins.graph.graph_options.GraphOptions`.
     """
 
     needs = ("fixes",)

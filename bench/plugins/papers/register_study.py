@@ -8,9 +8,9 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from bench.core.records.findings import Findings, FindingTable
-from bench.experiments.studies.register_measures import RowFinding
-from bench.experiments.studies.register_rows import ROWS
 from bench.experiments.studies.study import StudyOptions, StudyWorkers
+from bench.plugins.papers.register_measures import RowFinding
+from bench.plugins.papers.register_rows import ROWS
 
 _PARTS = (  # last row, name, title: tables that a terminal shows whole
     (12, "mechanizations", "Mechanizations, #1 to #12"),

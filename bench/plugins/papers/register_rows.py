@@ -9,10 +9,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple
 
-from bench.experiments.studies import register_flights as flights
-from bench.experiments.studies import register_linear as linear
-from bench.experiments.studies import register_measures as measure
-from bench.experiments.studies.register_measures import RowFinding
+from bench.plugins.papers import register_flights as flights
+from bench.plugins.papers import register_linear as linear
+from bench.plugins.papers import register_measures as measure
+from bench.plugins.papers.register_measures import RowFinding
 
 
 class Row(NamedTuple):

@@ -15,7 +15,7 @@ import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.navigation.register.mechanizations.vectors import (
+from bench.plugins.papers.mechanizations.vectors import (
     Quaternion,
     Vector,
     compose,

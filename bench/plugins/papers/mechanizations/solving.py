@@ -11,11 +11,11 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray, as_float
 from bench.navigation import mechanization
 from bench.navigation.models.classic.navigator import FRD_OF_FUR
-from bench.navigation.register.mechanizations.attitude import make_attitude
-from bench.navigation.register.mechanizations.coning import step_increments
-from bench.navigation.register.mechanizations.earth_series import EarthModel
-from bench.navigation.register.mechanizations.triads import Ecef, Enu, Inertial, Nhe, Triad, WanderAzimuth
-from bench.navigation.register.mechanizations.vectors import ZERO, add, cross, scale
+from bench.plugins.papers.mechanizations.attitude import make_attitude
+from bench.plugins.papers.mechanizations.coning import step_increments
+from bench.plugins.papers.mechanizations.earth_series import EarthModel
+from bench.plugins.papers.mechanizations.triads import Ecef, Enu, Inertial, Nhe, Triad, WanderAzimuth
+from bench.plugins.papers.mechanizations.vectors import ZERO, add, cross, scale
 
 FRAMES: dict[str, type[Triad]] = {
     "nhe": Nhe,

@@ -16,12 +16,12 @@ from bench.core.records.data import NavSolution, Trajectory
 from bench.core.records.specs import Profile
 from bench.evaluation.consistency.chi_square import MeanNis, mean_nis, nis_by_sensor
 from bench.experiments.studies import rnp
-from bench.experiments.studies.register_measures import Bounded, RowFinding, below
 from bench.experiments.studies.study import StudyWorkers
 from bench.experiments.studies.watched_flights import WatchedFlight
 from bench.io.config import load_profile
 from bench.navigation.engine.record_cuts import take_piece
 from bench.navigation.open_filters import PieceFilter
+from bench.plugins.papers.register_measures import Bounded, RowFinding, below
 from bench.simulation import sensors
 
 _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 10 Hz

@@ -9,10 +9,10 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import DEG
 from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight, update
-from bench.experiments.studies.register_measures import RowFinding, below, near
 from bench.navigation.models.classic import observation_model, process_model
 from bench.navigation.models.classic.extrapolation import Curve, extrapolate
 from bench.navigation.models.classic.process_model import Sigmas
+from bench.plugins.papers.register_measures import RowFinding, below, near
 
 _GRADE = GRADES["grade-3"]
 _GROWN = {

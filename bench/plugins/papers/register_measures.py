@@ -14,18 +14,17 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 from bench.evaluation.errors.route_errors import cross_track_error
 from bench.evaluation.linear.drift_laws import accel_bias_drift, gyro_bias_drift
-from bench.experiments.studies import alignment_errors
-from bench.experiments.studies.mechanization_costs import (
+from bench.navigation.engine import integrity
+from bench.plugins.papers import alignment_errors, vector_matching
+from bench.plugins.papers.mechanization_costs import (
     coning_drift,
     gravity_error,
     radii_error,
     simulate_accelerometers,
 )
-from bench.navigation.engine import integrity
-from bench.navigation.register import vector_matching
-from bench.navigation.register.mechanizations import attitude
-from bench.navigation.register.mechanizations.error_integral import quaternion_error
-from bench.navigation.register.mechanizations.solving import IntervalMotion, Rates, navigate
+from bench.plugins.papers.mechanizations import attitude
+from bench.plugins.papers.mechanizations.error_integral import quaternion_error
+from bench.plugins.papers.mechanizations.solving import IntervalMotion, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 from bench.simulation.signals import delays
 

@@ -17,8 +17,8 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import EARTH_RATE, WGS84, matrix_en, to_ecef
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, turn_matrix
-from bench.navigation.register.mechanizations.earth_series import GRAVITIES, RADII, EarthModel
-from bench.navigation.register.mechanizations.vectors import ZERO, Vector, add, cross, scale, turn
+from bench.plugins.papers.mechanizations.earth_series import GRAVITIES, RADII, EarthModel
+from bench.plugins.papers.mechanizations.vectors import ZERO, Vector, add, cross, scale, turn
 
 NED_OF_NHE = FRD_OF_FUR
 """North, up, east to north, east, down (equations 1.3)."""

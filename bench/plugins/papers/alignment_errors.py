@@ -31,7 +31,7 @@ from bench.experiments.studies.study import Count, Numbers, Positive, Seed, Stud
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.error_dynamics import dynamics_matrix
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav
-from bench.navigation.register.attitude_errors import (
+from bench.plugins.papers.attitude_errors import (
     alpha_of_delta,
     delta_of_alpha,
     delta_of_inertial,
@@ -40,8 +40,8 @@ from bench.navigation.register.attitude_errors import (
     equatorial_matrix,
     inertial_of_delta,
 )
-from bench.navigation.register.mechanizations.error_integral import quaternion_error
-from bench.navigation.register.vector_matching import match_vectors, misalignment
+from bench.plugins.papers.mechanizations.error_integral import quaternion_error
+from bench.plugins.papers.vector_matching import match_vectors, misalignment
 
 _ROWS = 9  # instants of the course in the table
 _STEP = 0.01  # of the quaternions [s]

@@ -24,10 +24,10 @@ from bench.core.records.findings.series import Plot, Series
 from bench.core.words.palette import Colour
 from bench.experiments.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
 from bench.navigation import mechanization
-from bench.navigation.register.mechanizations import accelerometers, coning, earth_series
-from bench.navigation.register.mechanizations.attitude import ATTITUDES, make_attitude
-from bench.navigation.register.mechanizations.earth_series import EarthModel
-from bench.navigation.register.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
+from bench.plugins.papers.mechanizations import accelerometers, coning, earth_series
+from bench.plugins.papers.mechanizations.attitude import ATTITUDES, make_attitude
+from bench.plugins.papers.mechanizations.earth_series import EarthModel
+from bench.plugins.papers.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]

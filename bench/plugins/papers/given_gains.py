@@ -22,7 +22,7 @@ from bench.navigation.models.classic.filter_loop import FilterLoop
 from bench.navigation.models.classic.navigator import Nav, ellipsoid, reduced
 from bench.navigation.models.classic.observation_model import measurement_matrix, measurement_noise
 from bench.navigation.models.classic.process_model import SIZE, Sigmas, model_van_loan, per_axis
-from bench.navigation.options import ComplementaryOptions, LeastSquaresOptions
+from bench.plugins.papers.given_gain_options import ComplementaryOptions, LeastSquaresOptions
 
 BIAS_TIME, SETTLED = 10.0, 300.0  # of the fixed gain: how long an error of the IMU lasts, and its flight [s]
 _NORTHWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # B of level flight to the north
@@ -228,7 +228,7 @@ class FixedGain(Classic22):
 class Complementary(Classic22):
     """Complementary filter with mutual compensation of INS, GNSS and barometer (A-4).
 
-    Options: `bench.navigation.options.ComplementaryOptions`.
+    Options: `bench.plugins.papers.given_gain_options.ComplementaryOptions`.
     """
 
     options: ComplementaryOptions
@@ -245,7 +245,7 @@ class Complementary(Classic22):
 class LeastSquares(Classic22):
     """Batch least squares over the past, older measurements with less weight (A-4).
 
-    Options: `bench.navigation.options.LeastSquaresOptions`.
+    Options: `bench.plugins.papers.given_gain_options.LeastSquaresOptions`.
     """
 
     options: LeastSquaresOptions
