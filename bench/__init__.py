@@ -67,7 +67,7 @@ if TYPE_CHECKING:
         sense as sense,
         stream_run as stream_run,
     )
-    from bench.exchange.receiver_settings import solve_rinex as solve_rinex
+    from bench.plugins.receiver.receiver_settings import solve_rinex as solve_rinex
     from bench.experiments.baselines.checking import check as check, record_baselines as record_baselines
     from bench.experiments.baselines.comparing import compare_results as compare_results
     from bench.experiments.card.card_making import (
@@ -157,7 +157,6 @@ _PUBLIC = {
     "save_filter": "bench.io.results.filter_state",
     "score_solution": "bench.cli.api",
     "sense": "bench.cli.api",
-    "solve_rinex": "bench.exchange.receiver_settings",
     "stream_run": "bench.cli.api",
     "study": "bench.experiments.studies.conducting",
     "take_piece": "bench.navigation.engine.record_cuts",
@@ -191,7 +190,7 @@ _PUBLIC = {
     "Tuning": "bench.experiments.tuning.noise_factors",
 }
 
-_OF_PLUGINS = {"serve": "serve"}
+_OF_PLUGINS = {"serve": "serve", "solve_rinex": "fixes"}
 """Name -> a verb of the plug-in that holds it."""
 
 __all__ = ["__version__", *_PUBLIC, *_OF_PLUGINS]

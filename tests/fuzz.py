@@ -37,9 +37,6 @@ from bench.cli.command_line import commands  # noqa: F401  (what a verb loads is
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import TableSpec
 from bench.core.words.exceptions import BUG, BenchError
-from bench.exchange import almanac
-from bench.exchange.rinex.ephemerides import read_navigation
-from bench.exchange.rinex.observations import read_observations
 from bench.io.config import library, load_profile
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.log import SourceSpec, load_log
@@ -49,6 +46,9 @@ from bench.io.logs.log_records import read_records
 from bench.io.logs.resting_log import read_resting_log
 from bench.io.results import parquet
 from bench.io.trajectories.trajectory import read_trajectory
+from bench.plugins.receiver import almanac
+from bench.plugins.receiver.rinex.ephemerides import read_navigation
+from bench.plugins.receiver.rinex.observations import read_observations
 from tests import fuzz_answers
 from tests.data import gnss_file
 from tests.exchange import drives, exported, test_log_formats

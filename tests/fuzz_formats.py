@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.exchange.rinex.lines import find_kind
-from bench.exchange.rinex.observations import read_observations
-from bench.exchange.rinex.precise_orbits import make_tables, read_precise_orbits
-from bench.exchange.ubx import read_ubx
 from bench.io.logs import formats
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.receiver.rinex.lines import find_kind
+from bench.plugins.receiver.rinex.observations import read_observations
+from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precise_orbits
+from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
 from tests.exchange.packed import compress

@@ -198,7 +198,8 @@ def test_the_errors_of_a_line(source, kind, mutants, tmp_path):
 
 def test_a_draw_repeats_and_takes_every_kind():
     root = PACKAGE.parent
-    mutants = [one for path in sorted((PACKAGE / "studies").glob("*.py")) for one in find_mutants(path, root)]
+    paths = sorted((PACKAGE / "experiments" / "studies").glob("*.py"))
+    mutants = [one for path in paths for one in find_mutants(path, root)]
     drawn = draw(mutants, 60, seed=3)
     assert drawn == draw(mutants, 60, seed=3)
     assert drawn != draw(mutants, 60, seed=4)

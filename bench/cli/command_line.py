@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from bench.cli import campaigning, flights, receiver_files, recorded_data, starting, studying
+from bench.cli import campaigning, flights, recorded_data, starting, studying
 from bench.cli.group import commands
 from bench.core.words.exceptions import BUG, DONE, INTERRUPTED, MACHINE, WRONG, BenchError
 from bench.core.words.wording import replace_control
@@ -24,7 +24,6 @@ __all__ = [
     "commands",
     "flights",
     "main",
-    "receiver_files",
     "recorded_data",
     "starting",
     "studying",

@@ -198,7 +198,7 @@ def test_a_claim_that_does_not_hold_is_status_1_if_it_is_asked_for(values, usual
     metrics = {"good": {"converged": True, "verdict": "consistent"}, "mine": {"converged": True, **values}}
     assert (end_run(metrics), end_run(metrics, strict=True)) == (usual, strict)
     for verb in ("run", "navigate", "serve", "score", "campaign"):
-        assert "--strict" in [flag for one in commands.commands[verb].params for flag in one.opts]
+        assert "--strict" in [flag for one in commands.get_command(None, verb).params for flag in one.opts]
 
 
 def test_every_kind_that_a_message_or_a_page_sends_to_is_listed(capsys):

@@ -17,7 +17,7 @@ import pytest
 
 import bench
 from bench.cli.command_line import main
-from bench.cli.verbs import campaign_verb, fixes_verb, tune_verb
+from bench.cli.verbs import campaign_verb, tune_verb
 from bench.core.words import plain_output
 from bench.core.words.exceptions import DONE, MACHINE, NEGATIVE
 from bench.evaluation.ensembles.ensemble import Estimate
@@ -31,6 +31,7 @@ from bench.experiments.tuning.noise_factors import Tuning
 from bench.experiments.tuning.trials import HeldOutScore
 from bench.pipeline import log_pipeline
 from bench.plugins.hil import serving
+from bench.plugins.receiver import fixes_verb
 from bench.views.report import allan_picture
 from tests.cli.test_cli import HEAD, PROFILE
 

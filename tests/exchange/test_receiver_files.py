@@ -20,11 +20,11 @@ from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GPS
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency import nees_band
-from bench.exchange.fix_truth import Truth
-from bench.exchange.rinex import ephemerides, observations
-from bench.exchange.rinex.lines import gps_seconds
+from bench.plugins.receiver.fix_truth import Truth
+from bench.plugins.receiver.rinex import ephemerides, observations
 from bench.simulation.signals import orbits
 from bench.simulation.signals.delays import compute_ntcm, zenith_troposphere
+from bench.simulation.signals.gps_time import gps_seconds
 from bench.simulation.signals.look import Look, share_errors
 from bench.simulation.signals.processing import Processing
 from tests.data import gnss_file, stored_gnss_file

@@ -22,10 +22,10 @@ from bench.core.files import durable
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import KEPLER, STATE
 from bench.core.words.exceptions import ConfigError
-from bench.exchange import almanac, rinex_fixes
-from bench.exchange.rinex import codes, ephemerides, lines, observations
+from bench.plugins.receiver import almanac, rinex_fixes
+from bench.plugins.receiver.receiver_plots import find_middle
+from bench.plugins.receiver.rinex import codes, ephemerides, lines, observations
 from bench.simulation.signals.processing import ErrorBudget, Processing
-from bench.views.plots.receiver_plots import find_middle
 from tests.data import gnss_file
 
 ESBC = ("ESBC00DNK_2020177_GR_360s.rnx", "ESBC00DNK_2020177_GR_MN.rnx")
@@ -124,7 +124,7 @@ def test_the_middle_of_fixes_on_both_sides_of_the_date_line_is_between_them():
 
 
 def test_the_report_of_fixes_shows_the_figures_and_where_they_lie(tmp_path):
-    from bench.views.report import fixes_page
+    from bench.plugins.receiver import fixes_page
 
     known = solved(ESBC)
     durable.write(tmp_path / "fixes.html", fixes_page.make_page(known))

@@ -19,8 +19,8 @@ from bench.cli.command_line import main
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, LETTERS
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.ephemerides import read_navigation
-from bench.exchange.rinex.precise_orbits import make_tables, read_orbits, read_precise_orbits
+from bench.plugins.receiver.rinex.ephemerides import read_navigation
+from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_orbits, read_precise_orbits
 from bench.simulation.signals import orbit_tables, orbits, receiver_solution
 from bench.simulation.signals.orbits import C
 from tests.data import gnss_file, stored_gnss_file

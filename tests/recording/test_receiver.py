@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose
 import bench
 from bench.cli.command_line import main
 from bench.core.words.exceptions import NothingToShowError
+from bench.plugins.receiver.fixes_page import make_page
+from bench.plugins.receiver.fixes_recording import write_fixes
 from bench.views.recording import column
-from bench.views.recording.fixes_recording import write_fixes
-from bench.views.report.fixes_page import make_page
 from tests.data import gnss_file
 
 FILES = ("ESBC00DNK_2020177_GREC_1800s.rnx", "ESBC00DNK_2020177_GREC_MN.rnx")

@@ -699,9 +699,9 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     solution = Loose().run(sensed.data, sensed.initial)
     errors, _ = pipeline.judge(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
-    facts = results.results._describe_record(sensed.data.observations, sensed.data)
-    path = tmp_path / results.results.OBSERVATIONS
-    results.results.parquet.write(path, sensed.data.observations, **facts)
+    facts = results.result_folder._describe_record(sensed.data.observations, sensed.data)
+    path = tmp_path / results.result_folder.OBSERVATIONS
+    results.result_folder.parquet.write(path, sensed.data.observations, **facts)
     back = results.load_observations(tmp_path)
     for name in GnssObservations.__slots__:
         assert_array_equal(getattr(back, name), getattr(sensed.data.observations, name), err_msg=name)

@@ -18,7 +18,7 @@ import numpy as np
 import bench
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import BoolArray, FloatArray
-from bench.exchange.rinex_fixes import RinexFixes
+from bench.plugins.receiver.rinex_fixes import RinexFixes
 from bench.simulation.signals import receiver_solution
 from bench.simulation.signals.fault_test import find_alarms
 from bench.simulation.signals.look import share_errors

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, GlonassSets
-from bench.exchange.rinex.ephemerides import read_navigation
+from bench.plugins.receiver.rinex.ephemerides import read_navigation
 from bench.simulation.signals import orbits
 from bench.simulation.signals.orbit_fit import fit_glonass, fit_kepler
 from bench.simulation.signals.orbits import WEEK, C

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from bench.core.mathematics import earth
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS, KEPLER, GlonassSets, KeplerSets
-from bench.exchange import almanac
-from bench.exchange.rinex import ephemerides, lines
+from bench.plugins.receiver import almanac
+from bench.plugins.receiver.rinex import ephemerides, lines
 from bench.simulation.signals import dilution, orbits
 from bench.simulation.signals.orbits import C
 from tests.data import gnss_file

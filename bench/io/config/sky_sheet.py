@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import date, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,9 +17,10 @@ from bench.core.records.sensor_specs import SkySpec
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.sheet import convert_figures, make_table_type
 from bench.io.config.tables import ROWS, collect_errors
+from bench.io.fix_readers import Orbits, find_reader
+from bench.simulation.signals.gps_time import EPOCH
 
 _DAY = 86400.0
-_EPOCH = date(1980, 1, 6)
 _STALE = {GLONASS: 1800.0}  # longest time from an ephemeris to the start of a flight [s]
 _STALE_KEPLER = 4 * 3600.0  # the same of the others [s]
 _PROCESSES = {
@@ -88,7 +89,7 @@ def read_sky(table: SkyTable, beside: Path) -> SkySpec:
         wrong.append(f"[sky] start = {table.start} must have no time zone: it is GPS time")
     if table.almanac is not None and table.navigation:
         wrong.append("[sky] give either almanac or navigation, not both")
-    midnight = (table.start.date() - _EPOCH).days * _DAY
+    midnight = (table.start.date() - EPOCH).days * _DAY
     clock = table.start.time()
     of_day = clock.hour * 3600.0 + clock.minute * 60.0 + clock.second + 1e-6 * clock.microsecond
     orbits: dict[int, KeplerSets | GlonassSets] | None = None
@@ -115,23 +116,18 @@ def _read_satellites(
     table: SkyTable, beside: Path, midnight: float, of_day: float
 ) -> tuple[dict[int, KeplerSets | GlonassSets] | None, Sequence[float] | None]:
     """Read orbits by system and the ionosphere parameters; None stands for the nominal ones."""
-    from bench.exchange import almanac
-    from bench.exchange.rinex import ephemerides
-
     if table.almanac is not None:
         path = beside / table.almanac
-        sets = almanac.read_yuma(path, midnight, table.almanac).shift_origin(midnight)
+        almanac: KeplerSets = find_reader(path).read_almanac(path, midnight, table.almanac)
+        sets = almanac.shift_origin(midnight)
         if abs(sets.t - of_day).min() > 90 * _DAY:
             raise ConfigError(f"{table.almanac}: is more than 90 days from start = {table.start}")
         return {GPS: sets}, None
     if not table.navigation:
         return None, None
-    files = ephemerides.merge_navigation(
-        [ephemerides.read_navigation(beside / f, f) for f in table.navigation]
-    )
-    if files.lost:
-        raise ConfigError(*files.reasons)
-    orbits = {s: of[0].shift_origin(midnight) for s, of in files.list_sets().items() if of}  # I/NAV
+    paths = {name: beside / name for name in table.navigation}
+    files: Orbits = find_reader(paths[table.navigation[0]]).read_orbits(paths)
+    orbits = {system: sets.shift_origin(midnight) for system, sets in files.sets.items()}
     for system in parse_systems("both" if table.systems == "auto" else table.systems):
         t = orbits[system].t if system in orbits else np.empty(0)
         if len(t) == 0 or np.abs(t - of_day).min() > _STALE.get(system, _STALE_KEPLER):

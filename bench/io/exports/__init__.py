@@ -1,8 +1,9 @@
 """Export a run in the formats of other tools, each with a README that describes the files.
 
 A format is a module of this folder with ``FORMATS`` (name -> title) and ``write(folder, outgoing, name)``,
-which returns the text of the README. With ``NEEDS_START = True`` it gets the data from a complete initial
-state on, with ``NEEDS_LIKE = True`` a file whose definitions it takes. It is listed nowhere else.
+which returns the text of the README; or one that an entry of ``bench.exports`` names. With
+``NEEDS_START = True`` it gets the data from a complete initial state on, with ``NEEDS_LIKE = True`` a file
+whose definitions it takes. It is listed nowhere else.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from textwrap import fill
 from typing import NamedTuple
 
 from bench.core.files import durable
-from bench.core.files.installed import find_installed
+from bench.core.files.installed import find_installed, find_own
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, suggest
 from bench.io.exports.gather import gather
@@ -32,8 +33,9 @@ class Format(NamedTuple):
 
 
 def _find_formats() -> Iterator[tuple[str, Format]]:
-    for entry in pkgutil.iter_modules(__path__):
-        module = import_module(f"{__name__}.{entry.name}")
+    places = [f"{__name__}.{entry.name}" for entry in pkgutil.iter_modules(__path__)]
+    for place in dict.fromkeys([*places, *find_own("exports").values()]):
+        module = import_module(place)
         for name, title in getattr(module, "FORMATS", {}).items():
             yield (
                 name,

@@ -14,10 +14,10 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import GnssFixes, GnssObservations, ImuData, NavSolution, Trajectory
 from bench.core.words.exceptions import EstimatorError, ExportError
-from bench.exchange.rinex.lines import leap_seconds
 from bench.io.results import make_sensor_data, read_initial_state, write_initial_state
 from bench.io.results.columns import MOTION, Layout, flatten
 from bench.navigation.engine.kept_rows import take_rows
+from bench.simulation.signals.gps_time import leap_seconds
 
 _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]

@@ -23,9 +23,9 @@ from bench.core.files import disk_arrays
 from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.lines import leap_seconds
 from bench.io.logs.rows import MOST_ROWS, LogRows, to_lla
 from bench.io.logs.table_files import MOST_BYTES, TableColumns
+from bench.simulation.signals.gps_time import leap_seconds
 from bench.simulation.signals.orbits import DAY, WEEK
 
 _LINE = 4096  # longest line [characters]

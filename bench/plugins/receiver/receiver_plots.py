@@ -13,7 +13,7 @@ from bench.core.mathematics.units import split_unit
 from bench.core.records.findings import series
 from bench.core.records.findings.series import AXIS_COLOURS, FIX, Plot, Series
 from bench.core.records.orbit_sets import SYSTEM_NAMES
-from bench.exchange.rinex_fixes import RinexFixes
+from bench.plugins.receiver.rinex_fixes import RinexFixes
 from bench.views.plots.tabs.satellites import draw_satellites, plot_sky
 
 SIGMA = "±3σ, as computed"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from datetime import date
 from pathlib import Path
 from typing import TextIO
 
@@ -13,26 +12,16 @@ import numpy as np
 
 from bench.core.files.file_checks import check_file
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.compact import LONGEST, CompactText
-from bench.exchange.rinex.unpacking import UnpackingError, open_text
-from bench.simulation.signals.orbits import DAY
+from bench.plugins.receiver.rinex.compact import LONGEST, CompactText
+from bench.plugins.receiver.rinex.unpacking import UnpackingError, open_text
+from bench.simulation.signals.gps_time import gps_seconds
 
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
 MOST_BYTES = 2_000_000_000
 """Largest file that is read [byte]."""
 BEIDOU_LATE = 14.0  # GPS time minus BeiDou time [s], RINEX 3.05, 4.1.4
-_EPOCH = date(1980, 1, 6)
 _NO_LETTER = re.compile(r"([+-]?\d*\.\d*)([+-]\d+)")  # 0.499063314480-269
-
-# First days of UTC after each leap second since the start of GPS time, IERS Bulletin C.
-_LEAPS = tuple(
-    date(year, month, 1)
-    for year, month in (
-        (1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7), (1993, 7),
-        (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7), (2015, 7), (2017, 1),
-    )
-)  # fmt: skip
 
 
 class Lines:
@@ -189,27 +178,6 @@ def find_kind(path: Path, shown: str) -> str:
         if kind is None:
             raise ConfigError(f"{shown}: is no RINEX file of observations or navigation, no SP3 and no UBX")
         return kind
-
-
-def leap_seconds(day: date) -> int:
-    """Return GPS time minus UTC at the start of a day [s].
-
-    Examples
-    --------
-    >>> leap_seconds(date(2012, 10, 31)), leap_seconds(date(2020, 6, 25))
-    (16, 18)
-    """
-    return sum(day >= first for first in _LEAPS)
-
-
-def gps_seconds(year: int, month: int, day: int, second: float = 0.0) -> float:
-    """Return seconds since 1980-01-06, without leap seconds, of a calendar day and second of the day."""
-    return (date(year, month, day) - _EPOCH).days * DAY + second
-
-
-def to_date(seconds: float) -> date:
-    """Return the calendar day of a time in seconds since 1980-01-06."""
-    return date.fromordinal(_EPOCH.toordinal() + int(seconds // DAY))
 
 
 def check_version(lines: Lines, wanted: str) -> tuple[float, str]:

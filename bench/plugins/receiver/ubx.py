@@ -17,8 +17,8 @@ import numpy as np
 from bench.core.files.file_checks import check_file
 from bench.core.records.orbit_sets import BEIDOU, GALILEO, GLONASS, GPS
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.observations import ObservationFile
-from bench.exchange.rinex.unpacking import BLOCK, UnpackingError, open_binary
+from bench.plugins.receiver.rinex.observations import ObservationFile
+from bench.plugins.receiver.rinex.unpacking import BLOCK, UnpackingError, open_binary
 from bench.simulation.signals.orbits import DAY, WEEK
 
 _SYNC = b"\xb5\x62\x02\x15"

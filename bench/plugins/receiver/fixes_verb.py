@@ -14,10 +14,10 @@ from rich.console import Console
 from bench.cli.verbs.printing import MOST_ROWS, print_findings
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.words.exceptions import ConfigError
-from bench.exchange import rinex_fixes
-from bench.exchange.receiver_settings import solve_rinex
-from bench.exchange.rinex.lines import find_kind
 from bench.io.results.folders import check_file
+from bench.plugins.receiver import rinex_fixes
+from bench.plugins.receiver.receiver_settings import solve_rinex
+from bench.plugins.receiver.rinex.lines import find_kind
 
 _COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")
 _MOST = 8  # satellites on the screen; all are in the report
@@ -41,7 +41,8 @@ def solve_fixes(
     if out is not None:
         check_file(out, force=force)
     if report is not None:
-        from bench.views.report import fixes_page, page
+        from bench.plugins.receiver import fixes_page
+        from bench.views.report import page
 
         page.check_page(report, force=force)
     if recording is not None:
@@ -63,7 +64,7 @@ def solve_fixes(
     sentences = [*solved.notes, *([verdict] if verdict else [])]
     try:
         if recording is not None:
-            from bench.views.recording import fixes_recording
+            from bench.plugins.receiver import fixes_recording
 
             fixes_recording.find_shown(solved)  # refused before anything is written
         if out is not None:

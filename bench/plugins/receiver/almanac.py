@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.core.records.orbit_sets import KEPLER, KeplerSets
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.lines import Lines, open_lines
+from bench.plugins.receiver.rinex.lines import Lines, open_lines
 from bench.simulation.signals.orbits import WEEK
 
 _ROLLOVER = 1024 * WEEK  # the week number of an almanac is modulo 1024 [s]

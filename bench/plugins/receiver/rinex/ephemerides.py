@@ -27,15 +27,8 @@ from bench.core.records.orbit_sets import (
     OrbitTable,
 )
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.lines import (
-    BEIDOU_LATE,
-    Lines,
-    check_version,
-    leap_seconds,
-    open_lines,
-    read_calendar,
-    to_date,
-)
+from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, check_version, open_lines, read_calendar
+from bench.simulation.signals.gps_time import leap_seconds, to_date
 from bench.simulation.signals.orbits import WEEK
 
 _HEADS = {

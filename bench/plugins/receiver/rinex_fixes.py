@@ -18,14 +18,14 @@ from bench.core.records.data import GnssFixes, GnssObservations, SkyView
 from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.nees_band import find_band
-from bench.exchange import lost_epochs
-from bench.exchange.fix_truth import Truth
-from bench.exchange.rinex.ephemerides import NavigationFile
-from bench.exchange.rinex.lines import find_kind
-from bench.exchange.rinex.observations import ObservationFile, read_observations
-from bench.exchange.rinex.one_receiver import merge_observations
-from bench.exchange.rinex.precise_orbits import read_orbits
-from bench.exchange.ubx import read_ubx
+from bench.plugins.receiver import lost_epochs
+from bench.plugins.receiver.fix_truth import Truth
+from bench.plugins.receiver.rinex.ephemerides import NavigationFile
+from bench.plugins.receiver.rinex.lines import find_kind
+from bench.plugins.receiver.rinex.observations import ObservationFile, read_observations
+from bench.plugins.receiver.rinex.one_receiver import merge_observations
+from bench.plugins.receiver.rinex.precise_orbits import read_orbits
+from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals import dilution, orbits, receiver_solution, smoothing
 from bench.simulation.signals.processing import Processing
 

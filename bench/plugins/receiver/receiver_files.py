@@ -11,7 +11,6 @@ from bench.cli.group import (
     FILE,
     STATUS,
     FiniteRange,
-    commands,
     force_option,
     json_option,
     new_console,
@@ -20,7 +19,7 @@ from bench.cli.group import (
 from bench.core.words.exceptions import DONE, NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@click.command(epilog=STATUS)
 @click.argument("files", nargs=-1, required=True, type=FILE, metavar="OBSERVATIONS... NAVIGATION...")
 @click.option(
     "--truth",
@@ -110,7 +109,7 @@ def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     Example:
       bench fixes site.crx.gz brdc.rnx.gz -o fixes.csv
     """
-    from bench.cli.verbs.fixes_verb import solve_fixes
+    from bench.plugins.receiver.fixes_verb import solve_fixes
 
     figures = solve_fixes(files, console=new_console(stderr=as_json), **options)
     if as_json:

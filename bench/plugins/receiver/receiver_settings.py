@@ -10,8 +10,8 @@ from typing import get_args
 
 from bench.core.records.orbit_sets import parse_systems
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.fix_truth import read_truth
-from bench.exchange.rinex_fixes import RinexFixes, solve_files
+from bench.plugins.receiver.fix_truth import read_truth
+from bench.plugins.receiver.rinex_fixes import RinexFixes, solve_files
 from bench.simulation.signals import delays
 from bench.simulation.signals.processing import CORRECTIONS, Ionosphere, Processing
 

@@ -12,9 +12,9 @@ from bench.core.mathematics.units import HOUR
 from bench.core.records.findings.looks import find_look
 from bench.core.records.findings.series import Plot
 from bench.core.words.wording import format_number
-from bench.exchange.rinex_fixes import RinexFixes
+from bench.plugins.receiver import receiver_plots
+from bench.plugins.receiver.rinex_fixes import RinexFixes
 from bench.simulation.signals.orbits import DAY
-from bench.views.plots import receiver_plots
 from bench.views.report import page, svg
 
 _LONG = 7200.0  # a longer record has an axis of hours [s]

@@ -29,10 +29,11 @@ from bench.core.records.orbit_sets import (
     name_satellite,
 )
 from bench.core.words.exceptions import ExportError
-from bench.exchange.rinex.lines import BEIDOU_LATE, leap_seconds
 from bench.io.exports.outgoing import ExportData
+from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
 from bench.simulation.signals import orbits
 from bench.simulation.signals.delays import range_kernel
+from bench.simulation.signals.gps_time import leap_seconds
 from bench.simulation.signals.orbit_fit import fit_glonass, fit_kepler
 from bench.simulation.signals.orbits import DAY, GPS_EARTH_RATE, WEEK, C
 

@@ -16,8 +16,8 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.findings.series import BAND, FIX, Plot, round_number
 from bench.core.words.exceptions import NothingToShowError
 from bench.core.words.wording import format_number
-from bench.exchange.rinex_fixes import RinexFixes
-from bench.views.plots import receiver_plots
+from bench.plugins.receiver import receiver_plots
+from bench.plugins.receiver.rinex_fixes import RinexFixes
 from bench.views.recording import drawing, layout, sky_view
 from bench.views.recording.drawing import TIMELINE
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.observations import ObservationFile
+from bench.plugins.receiver.rinex.observations import ObservationFile
 
 _APART = 50.0  # distance of the positions in headers above which they are not one place; assumed [m]
 

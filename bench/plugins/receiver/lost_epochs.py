@@ -14,8 +14,8 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import LETTERS, SYSTEM_NAMES, parse_systems
-from bench.exchange.rinex.ephemerides import NavigationFile
-from bench.exchange.rinex.observations import ObservationFile
+from bench.plugins.receiver.rinex.ephemerides import NavigationFile
+from bench.plugins.receiver.rinex.observations import ObservationFile
 from bench.simulation.signals import orbit_tables, orbits, receiver_solution
 from bench.simulation.signals.processing import Processing
 from bench.simulation.signals.receiver_solution import ReceiverSolution

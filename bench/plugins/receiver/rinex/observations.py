@@ -19,17 +19,10 @@ from numpy.typing import NDArray
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.words.exceptions import ConfigError
-from bench.exchange.rinex.codes import OTHERS, SYSTEMS, Signal, Signals, find_signals
-from bench.exchange.rinex.compact import LONGEST
-from bench.exchange.rinex.lines import (
-    BEIDOU_LATE,
-    Lines,
-    check_version,
-    leap_seconds,
-    open_lines,
-    read_calendar,
-    to_date,
-)
+from bench.plugins.receiver.rinex.codes import OTHERS, SYSTEMS, Signal, Signals, find_signals
+from bench.plugins.receiver.rinex.compact import LONGEST
+from bench.plugins.receiver.rinex.lines import BEIDOU_LATE, Lines, check_version, open_lines, read_calendar
+from bench.simulation.signals.gps_time import leap_seconds, to_date
 
 _MOST_SATELLITES = 200
 _MOST_SCALES = 10_000  # of observables of all systems; each has less than 100
