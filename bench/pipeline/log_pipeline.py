@@ -30,6 +30,7 @@ from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.stages import Stages, Watcher
 from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.errors import used_fixes
 from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
 from bench.evaluation.errors.fixes import antenna_errors, judge
 from bench.evaluation.metrics.coverage import measure_coverage
@@ -39,13 +40,12 @@ from bench.evaluation.motion.motion_noise import assume_motion_noise
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_rest_noise, assume_vibration
 from bench.evaluation.requirements.required_metrics import list_requirements
-from bench.exchange import autopilot, own_judge
 from bench.io import results
 from bench.io.config.checks import is_autopilot
 from bench.io.config.log import LogSpec, load_log
 from bench.io.foreign.loading import load_estimators
-from bench.io.logs import reference
-from bench.io.logs.formats.contents import AUTOPILOTS
+from bench.io.log_formats import list_formats
+from bench.io.logs import own_estimate, reference
 from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
 from bench.io.logs.log_start import find_start
 from bench.navigation import built_in, estimator
@@ -121,12 +121,14 @@ def read_log(
     records = read_records(spec)
     for choice in spec.estimators:
         if is_autopilot(choice.use):
-            built[choice.label] = autopilot.build(choice.use, spec.imu, records.origin)
+            built[choice.label] = own_estimate.build(choice.use, spec.imu, records.origin)
     built = {choice.label: built[choice.label] for choice in spec.estimators}
     checks = validity.check_recording(
         records.imu, records.fixes, records.instruments, np.asarray(spec.antenna_b)
     )
-    if spec.imu.format in AUTOPILOTS:  # it turned the axes to those of the vehicle, which may fly sideways
+    if list_formats()[
+        spec.imu.format
+    ].knows:  # it turned the axes to those of the vehicle, which may fly sideways
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.reported:  # every fix is as good as it says, unless the log asks for something else
         weighing = {label for label, choice in choices.items() if built_in.takes_option(choice.use, REPORTED)}
@@ -217,7 +219,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     for duration in cuts:
         session.check_room(duration)
     keep, withheld = session.split_fixes()
-    gaps = own_judge.find_outages(session.fixes)
+    gaps = used_fixes.find_outages(session.fixes)
     ends = np.array([end for _, end in gaps])
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t, ends]))
     present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
@@ -232,10 +234,10 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
         try:
             solution = estimator.answer(one, label, data, session.initial)
             unmodelled = estimator.list_unmodelled(one, label, spec.assumed)
-            if isinstance(one, autopilot.AutopilotEstimator):
+            if isinstance(one, own_estimate.AutopilotEstimator):
                 drifts += [
                     make_drift_row(label, drift.duration, [drift], spec.assumed.imu)
-                    for drift in own_judge.measure_outages(solution, session.fixes, data, gaps)
+                    for drift in used_fixes.measure_outages(solution, session.fixes, data, gaps)
                 ]
             else:
                 drifts += [
@@ -248,13 +250,13 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
             raised[label] = error
             solution = make_failed_solution(data.output_t, *describe_error(label, error))
         disk_arrays.release()
-        if log.reference is None and isinstance(one, autopilot.AutopilotEstimator):
-            errors[label], judged = own_judge.judge(solution, spec.evaluation.begin)
+        if log.reference is None and isinstance(one, own_estimate.AutopilotEstimator):
+            errors[label], judged = used_fixes.judge(solution, spec.evaluation.begin)
         elif log.reference is None:
             errors[label], judged = judge(solution, withheld, data, spec.evaluation)
         else:
             errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation)
-        own = isinstance(one, autopilot.AutopilotEstimator)
+        own = isinstance(one, own_estimate.AutopilotEstimator)
         coverage = None if own else measure_coverage(solution, data)  # rows missing there are the logger's
         values, required = {**judged, "unmodelled": unmodelled}, list_requirements(spec.document, label)
         metrics[label] = add_verdict(label, values, coverage, required)
@@ -295,7 +297,7 @@ def _find_start(log: RecordedLog) -> InitialState:
     """Return the initial state; by the heading of the autopilot's estimate if the log asks for it."""
     own = None
     if log.spec.start.heading_from == AUTOPILOT:
-        own = autopilot.build(AUTOPILOT, log.spec.imu, log.records.origin).attitude
+        own = own_estimate.build(AUTOPILOT, log.spec.imu, log.records.origin).attitude
     return find_start(log.records, log.spec, own)
 
 

@@ -16,10 +16,10 @@ from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
 from bench.core.records.instruments import BaroData, RadarData
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot, own_judge
+from bench.evaluation.errors import used_fixes
 from bench.io.config.log import SourceSpec, load_log
-from bench.io.logs import log_start
-from bench.io.logs.formats.contents import tell_innovations, turn_quaternion
+from bench.io.logs import log_start, own_estimate
+from bench.io.logs.log_contents import tell_innovations, turn_quaternion
 from bench.io.logs.log_records import _find_ground, read_records, set_altimeter
 from bench.io.logs.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
@@ -135,12 +135,12 @@ def test_cuts_are_for_filters_that_run_here(tmp_path):
 def test_an_instance_by_its_number(tmp_path):
     path = flown.write_flight(tmp_path / "flight.bin")
     source = SourceSpec(path, "dataflash")
-    zero, one = (autopilot.read_estimate(source, k).motion for k in (0, 1))
+    zero, one = (own_estimate.read_estimate(source, k).motion for k in (0, 1))
     assert_allclose((one.lla - zero.lla)[:, 0] * 6.36e6, 1.0, rtol=0.01)
     with pytest.raises(ConfigError, match=r"flight\.bin: .*no records XKF1:2"):
-        autopilot.read_estimate(source, 2)
+        own_estimate.read_estimate(source, 2)
     with pytest.raises(ConfigError, match="must be a number"):
-        autopilot.build("autopilot:primary", source, 0.0)
+        own_estimate.build("autopilot:primary", source, 0.0)
 
 
 def test_the_name_is_for_logs_of_autopilots(tmp_path, capsys):
@@ -158,7 +158,7 @@ def test_a_real_estimate_agrees_with_the_receiver_that_it_used(tmp_path):
     assert main(["new", "log", str(tmp_path / "copter.bin")]) == 0
     spec = load_log(str(tmp_path / "copter.toml"))
     records = read_records(spec)
-    own = autopilot.build("autopilot", spec.imu, records.origin)
+    own = own_estimate.build("autopilot", spec.imu, records.origin)
     session = log_pipeline.Session(spec, records, find_start(records, spec))
     data = session.make_data(np.ones(len(session.fixes), np.bool_), session.fixes.t[::5])
     solution = own.run(data, session.initial)
@@ -275,7 +275,7 @@ def test_a_start_in_motion_finds_the_attitude(tmp_path, at, heading):
     """While the car winds and accelerates; the truth is that of the drive."""
     start = f'kind = "hover"\nheading = "{heading}"\nat_s = {at}'
     log = log_pipeline.read_log(write_log(tmp_path, "[reference]", start))
-    own = autopilot.build("autopilot", log.spec.imu, log.records.origin)
+    own = own_estimate.build("autopilot", log.spec.imu, log.records.origin)
     initial = find_start(log.records, log.spec, own.attitude)
     true = flown.drives.truth()
     k = int(np.argmin(np.abs(true.t - log.records.origin - initial.t)))
@@ -299,7 +299,7 @@ def test_a_real_start_has_the_attitude_of_the_autopilot(tmp_path):
     spec = load_log(str(tmp_path / "quad.toml"))
     assert spec.start.heading_from == "magnetometer"
     records = read_records(spec)
-    own = autopilot.build("autopilot", spec.imu, records.origin)
+    own = own_estimate.build("autopilot", spec.imu, records.origin)
     for at in (1.0, 6.0, 12.0, 20.0):
         initial = find_start(records, replace(spec, start=replace(spec.start, at=at)))
         theirs = own.attitude(initial.t)
@@ -343,7 +343,7 @@ def test_the_gate_of_a_test_ratio_is_that_of_the_parameters(tmp_path):
         rows.append(("XKF3", (t, 0, 0.3, 0.0, 0.4, 1.0 + 0.1 * k, 0.0, 2.0)))
         rows.append(("XKF4", (t, 0, 0.1, 0.2, 0.1, 0)))
     path = write_flash(tmp_path / "x.bin", kinds, rows)
-    table = autopilot.read_estimate(SourceSpec(path, "dataflash"), None).innovations
+    table = own_estimate.read_estimate(SourceSpec(path, "dataflash"), None).innovations
     by_name = {name: table.nis[table.code == code] for code, name in enumerate(table.sensor)}
     assert_allclose(by_name["gnss_position"], 2 * (0.2 * 3.0) ** 2, rtol=1e-6)
     assert_allclose(by_name["gnss_velocity"], 3 * (0.1 * 5.0) ** 2, rtol=1e-6)
@@ -358,7 +358,7 @@ def test_a_core_flies_from_the_record_on_that_says_so(tmp_path):
             rows.append(("XKF1", (t, core, 0, 0, 0, 10.0 + core, *[0.0] * 10)))
             rows.append(("XKF4", (t, core, 0.1, 0.2, 0.1, 0 if k < 4 else 1)))
     path = write_flash(tmp_path / "x.bin", kinds, rows)
-    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    own = own_estimate.read_estimate(SourceSpec(path, "dataflash"), None)
     assert own.motion.vel_n[:, 0].tolist() == [10.0] * 4 + [11.0] * 6
     assert [(row[0], row[2]) for row in own.events] == [(pytest.approx(1.4), "lane")]
 
@@ -422,8 +422,8 @@ def test_only_long_silences_are_outages(step, longest):
     steps = np.full(60, step)
     steps[[20, 40]] = 0.99 * longest, 1.01 * longest
     t = np.cumsum(steps)
-    assert own_judge.find_outages(make_fixes(t, np.zeros(60))) == [(t[39], t[40])]
-    assert own_judge.find_outages(make_fixes(t[:1], np.zeros(1))) == []
+    assert used_fixes.find_outages(make_fixes(t, np.zeros(60))) == [(t[39], t[40])]
+    assert used_fixes.find_outages(make_fixes(t[:1], np.zeros(1))) == []
 
 
 def test_an_outage_is_judged_by_the_fix_that_ends_it():
@@ -442,8 +442,8 @@ def test_an_outage_is_judged_by_the_fix_that_ends_it():
         truth.t, np.full(len(truth), 0.1), np.ones(len(truth), np.bool_), still, still
     )
     data = SimpleNamespace(antenna_b=np.zeros(3), imu=imu)
-    outages = [*own_judge.find_outages(fixes), (10.0, 11.0), (3.0, 10.5)]  # no answer at the end, no fix
-    (drift,) = own_judge.measure_outages(made, fixes, data, outages)
+    outages = [*used_fixes.find_outages(fixes), (10.0, 11.0), (3.0, 10.5)]  # no answer at the end, no fix
+    (drift,) = used_fixes.measure_outages(made, fixes, data, outages)
     assert (drift.start, drift.duration) == (3.0, 7.0)
     assert (drift.drift, drift.drift_v) == pytest.approx((5.0, 12.0), rel=1e-5)
     assert drift.claimed == pytest.approx(np.sqrt(8.0))
@@ -491,7 +491,7 @@ def test_a_core_of_ekf2_has_records_of_its_own_five_numbers_on(tmp_path):
         rows.append(("NKF9", (t - 15_000, 0.5, 0.6, 0.7)))  # of the step before
         rows.append(("NKF9", (t + 4_000, 0.1 + 0.01 * k, 0.2, 0.1)))
     path = write_flash(tmp_path / "x.bin", kinds, rows)
-    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), 1)
+    own = own_estimate.read_estimate(SourceSpec(path, "dataflash"), 1)
     assert_allclose(angles_of(own.motion)[0], [3.0, -4.0, 50.0], rtol=1e-5)
     home = np.array([np.deg2rad(50.0), np.deg2rad(30.0), 100.0])
     ned = bench.core.mathematics.earth.difference_n(own.motion.lla, np.broadcast_to(home, (3, 3)))
@@ -520,7 +520,7 @@ def test_before_ekf2_positions_count_from_home_and_gates_are_numbers(tmp_path):
     rows.append(("EKF3", (2_000_000, 0.3, 0.1, 0.4, 1.0, 0.5, 2.0)))
     rows.append(("EKF4", (2_004_000, 0.1, 0.2, 0.3)))
     path = write_flash(tmp_path / "x.bin", kinds, rows)
-    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    own = own_estimate.read_estimate(SourceSpec(path, "dataflash"), None)
     home = np.array([[np.deg2rad(50.0), np.deg2rad(30.0), 100.0]])
     assert_allclose(
         bench.core.mathematics.earth.difference_n(own.motion.lla, home), [[20.0, -30.0, -7.0]], atol=1e-3
@@ -549,7 +549,7 @@ def test_the_estimate_of_px4_before_2017(tmp_path):
         rows.append(("LPOS", (20.0, -30.0, -7.0 - 5 * k, 1.0, 2.0, -0.5, *ref, 2.0, 3.0)))
         rows.append(("ATT", (0.1, -0.2, 0.9)))
     path = write_flash(tmp_path / "x.px4log", kinds, rows)
-    own = autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+    own = own_estimate.read_estimate(SourceSpec(path, "dataflash"), None)
     home = np.array([np.deg2rad(47.0), np.deg2rad(8.0), 493.0])
     ned = bench.core.mathematics.earth.difference_n(own.motion.lla[:2], np.broadcast_to(home, (2, 3)))
     assert_allclose(ned, [[20.0, -30.0, -7.0], [20.0, -30.0, -12.0]], atol=1e-3)

@@ -11,11 +11,10 @@ from numpy.testing import assert_allclose
 
 from bench.cli.command_line import main
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot
 from bench.io.config.log import SourceSpec
-from bench.io.logs import formats
-from bench.io.logs.formats.dataflash import DataFlash
-from bench.io.logs.formats.flash_rows import look
+from bench.io.logs import formats, own_estimate
+from bench.plugins.autopilots.dataflash import DataFlash
+from bench.plugins.autopilots.flash_rows import look
 from tests.exchange.flash import HEAD, unpack, write_flash
 
 FLIGHTS = Path(__file__).parents[1] / "logs" / "flights"
@@ -268,11 +267,11 @@ def test_a_log_that_lies_about_its_layout_gets_a_line(tmp_path, lie):
     path = tmp_path / "x.bin"
     path.write_bytes(LIES[lie])
     with contextlib.suppress(ConfigError):
-        assert not autopilot.look("dataflash", path).sensors
+        assert not own_estimate.look("dataflash", path).sensors
     with pytest.raises(ConfigError) as imu:
         read(path, "imu")
     with pytest.raises(ConfigError) as own:
-        autopilot.read_estimate(SourceSpec(path, "dataflash"), None)
+        own_estimate.read_estimate(SourceSpec(path, "dataflash"), None)
     assert "\n" not in f"{imu.value}{own.value}"
 
 

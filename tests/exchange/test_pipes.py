@@ -13,10 +13,11 @@ from bench.experiments.baselines.baseline_file import read_baseline
 from bench.io import results
 from bench.io.config.toml_file import read_toml
 from bench.io.foreign.solutions import read_solution
-from bench.io.logs.formats import bags, text, ulog
+from bench.io.logs.formats import bags, text
 from bench.io.logs.mat_file import read_mat
 from bench.io.logs.table_files import read_table
 from bench.io.trajectories.track_files import read_track
+from bench.plugins.autopilots import ulog
 from bench.plugins.receiver.rinex.lines import open_lines
 from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain

@@ -14,12 +14,11 @@ from pyulog import ULog
 from bench.cli.command_line import main
 from bench.core.mathematics.earth import difference_n
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot
 from bench.io.config.log import SourceSpec, load_log
-from bench.io.logs import formats
-from bench.io.logs.formats import ulog, ulog_motion
-from bench.io.logs.formats.ulog import find_undulation, measure_cover
+from bench.io.logs import formats, own_estimate
 from bench.io.logs.log_records import read_records
+from bench.plugins.autopilots import ulog, ulog_motion
+from bench.plugins.autopilots.ulog import find_undulation, measure_cover
 from tests.exchange.test_dataflash import FLIGHTS
 
 
@@ -68,7 +67,7 @@ def test_an_imu_that_does_not_cover_the_time_is_refused_in_a_line(tmp_path, caps
 
 
 def test_the_estimate_of_ekf2_with_its_claims():
-    own = autopilot.read_estimate(SourceSpec(FLIGHTS / "sitl.ulg", "ulog"), None)
+    own = own_estimate.read_estimate(SourceSpec(FLIGHTS / "sitl.ulg", "ulog"), None)
     local, states = raw("sitl.ulg", "vehicle_local_position"), raw("sitl.ulg", "estimator_states")
     t, variance = own.variances
     known = np.isfinite(own.motion.lla).all(axis=1)
@@ -98,7 +97,7 @@ def test_the_truth_of_a_simulator_judges(tmp_path, capsys):
     assert "; heading 0." in said  # which no fix tells
     log = load_log(str(tmp_path / "sitl-truth.toml"))
     records = read_records(log)
-    truth = autopilot.read_truth(log.imu)
+    truth = own_estimate.read_truth(log.imu)
     at = np.interp(records.fixes.t[-1] + records.origin, truth.t, truth.lla[:, 0])
     assert_allclose(records.fixes.lla[-1, 0], at, atol=1e-8)
 
@@ -110,9 +109,9 @@ def test_a_log_whose_messages_lack_a_field_is_read_or_gets_a_line(tmp_path, fiel
     path.write_bytes(whole.replace(b" " + name + b";", b" " + name[:-1] + b"Z;"))
     source = SourceSpec(path, "ulog")
     for look in (
-        lambda: autopilot.look("ulog", path),
-        lambda: autopilot.read_truth(source),
-        lambda: autopilot.read_estimate(source, None),
+        lambda: own_estimate.look("ulog", path),
+        lambda: own_estimate.read_truth(source),
+        lambda: own_estimate.read_estimate(source, None),
     ):
         with contextlib.suppress(ConfigError):
             look()

@@ -16,12 +16,12 @@ import bench
 from bench.cli.command_line import main
 from bench.core.records.instruments import HeadingData, MagData
 from bench.core.words.exceptions import WRONG, ConfigError
-from bench.exchange import autopilot
 from bench.io import exports
 from bench.io.config.log import load_log
-from bench.io.exports.ulog_replay import read_definitions
 from bench.io.logs import formats as imports
+from bench.io.logs import own_estimate
 from bench.io.logs.log_records import read_records
+from bench.plugins.autopilots.ulog_replay import read_definitions
 from bench.simulation.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
 from tests.exchange.test_dataflash import FLIGHTS
@@ -228,9 +228,9 @@ def test_a_heading_of_two_antennas_goes_out_and_comes_back(made, tmp_path, told_
     fixes = imports.read("ulog", path, "gnss", None)
     assert_allclose(rows.t, fixes.t)
     assert_allclose(rows.values["arrival"], fixes.values["arrival"])
-    assert "heading" in autopilot.look("ulog", path).sensors
+    assert "heading" in own_estimate.look("ulog", path).sensors
     plain = bench.export_run(run, "ulog", out=tmp_path / "plain", like=like)
-    assert "heading" not in autopilot.look("ulog", plain / "run.ulg").sensors
+    assert "heading" not in own_estimate.look("ulog", plain / "run.ulg").sensors
     with pytest.raises(ConfigError, match="no rows of vehicle_gps_position or sensor_gps"):
         imports.read("ulog", plain / "run.ulg", "heading", None)
 

@@ -21,12 +21,12 @@ from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
-from bench.exchange import autopilot
 from bench.io.config.log import LogSpec, load_log
 from bench.io.exports.column_files import START
-from bench.io.logs import formats, found_datasheets
+from bench.io.log_formats import FORMATS, guess_format, list_formats
+from bench.io.logs import formats, found_datasheets, own_estimate
 from bench.io.logs.exporter_names import FORWARD_LEFT_UP
-from bench.io.logs.formats.contents import Contents
+from bench.io.logs.log_contents import Contents
 from bench.io.logs.log_records import LogRecords, read_records
 from bench.io.logs.mat_file import list_structures, read_mat
 from bench.io.logs.sensor_search import TEXT, FoundSensor, find_tables, find_texts, has_names
@@ -36,9 +36,7 @@ from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 _CONFIGURATIONS = "*.yaml"  # of KF-GINS
 _BAG = "metadata.yaml"  # in the folder of a ROS 2 bag
 _BAGS = (".bag", ".db3", ".mcap")  # hold several sensors and name their own columns
-_FLIGHTS = {".ulg": "ulog", ".bin": "dataflash", ".px4log": "dataflash"}
-"""Endings of logs of autopilots -> their format."""
-RECORDINGS = (*_BAGS, *_FLIGHTS)
+RECORDINGS = (*_BAGS, *(ending for one in FORMATS.values() if one.knows for ending in one.endings))
 """Endings that only recordings have."""
 _DATASHEETS = {
     "imu": "adis16475",
@@ -86,8 +84,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
         raise ConfigError(f"{log}: exists already and is not replaced")
     if not path.exists():
         raise ConfigError(f"{path}: no such file")
-    form = _FLIGHTS.get(path.suffix.lower())
-    if form is not None:
+    form = guess_format(path)
+    if form is not None and list_formats()[form].knows:
         _write_flight(path, form, log, console)
         return
     if path.is_dir() or path.suffix.lower() in _BAGS:
@@ -135,7 +133,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
 
 def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
     """Write the log of an autopilot's recording, which knows its sensors, day and lever arms itself."""
-    held = autopilot.look(form, path)
+    held = own_estimate.look(form, path)
     for kind in ("imu", "gnss"):
         if kind not in held.sensors:
             formats.read(form, path, kind, None)  # says why

@@ -23,30 +23,15 @@ from bench.io.config.overrides import DatasheetChanges, override, split_override
 from bench.io.config.profile import choose_estimators, describe_choice, less_empty, make_choices
 from bench.io.config.tables import check_table, collect_errors
 from bench.io.config.toml_file import check_kind, read_toml
+from bench.io.log_formats import MATLAB, TABLES, guess_format, list_formats
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
-FORMATS = ("table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib")
-"""Formats of the files of a log; a table is a CSV, Parquet or MATLAB file."""
 RANGES = "ranges"
 """Format of a source that is the observation and navigation files of a receiver."""
-_MATLAB = ".mat"
-_TABLES = (".csv", ".tsv", ".parquet", _MATLAB)
-_ENDINGS = dict.fromkeys(_TABLES, "table") | {
-    ".ulg": "ulog",
-    ".bin": "dataflash",
-    ".px4log": "dataflash",
-    ".bag": "rosbag",
-    ".db3": "rosbag",
-    ".mcap": "mcap",
-    ".pos": "rtklib",
-}
-"""Ending of a file -> its format, if the log does not name it; a folder is a ROS 2 bag."""
 NAV = ".nav"
 """Ending of a solution of KF-GINS, which only a reference may be."""
 WITHHOLD = 5
 """One fix in so many judges a log without a reference."""
-_TOPICS = ("ulog", "dataflash", "rosbag", "mcap", "navego")
-"""Formats that name what they hold; so does a table, if it is a MATLAB file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,22 +268,23 @@ def _find_source(
         return _find_ranges(row, beside, place, wrong)
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
-    endings = _ENDINGS | ({NAV: "kf-gins"} if kind == "reference" else {})
-    ending = path.suffix.lower()
-    form = row.format or ("rosbag" if folder else endings.get(ending))
+    formats, ending = list_formats(), path.suffix.lower()
+    form = row.format or ("rosbag" if folder else guess_format(path))
+    if form is None and ending == NAV and kind == "reference":
+        form = "kf-gins"
     what = f"{place}[{kind}] file = {row.file!r}"
     if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")
     elif form is None:
-        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(FORMATS)}")
+        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(formats)}")
     elif folder and form != "rosbag":
         wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
-    elif form == "table" and ending not in (*_TABLES, ".txt"):
-        wrong.append(f"{what}: a table ends in {', '.join(_TABLES)}, .txt")
+    elif form == "table" and ending not in (*TABLES, ".txt"):
+        wrong.append(f"{what}: a table ends in {', '.join(TABLES)}, .txt")
     elif form != "table" and row.columns:
         wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
-    elif row.topic is not None and form not in _TOPICS and not (form == "table" and ending == _MATLAB):
-        listed = f"{', '.join(_TOPICS)} and tables in {_MATLAB}"
+    elif row.topic is not None and not formats[form].topics and not (form == "table" and ending == MATLAB):
+        listed = f"{', '.join(name for name, one in formats.items() if one.topics)} and tables in {MATLAB}"
         wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
     else:
         return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))

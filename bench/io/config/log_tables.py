@@ -6,11 +6,12 @@ import datetime
 from collections import Counter
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, WithJsonSchema
 from pydantic_core import PydanticCustomError
 
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
+from bench.io.log_formats import FORMATS, list_formats
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
@@ -30,14 +31,23 @@ def _check_column_names(value: dict[str, str]) -> dict[str, str]:
 _Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
 
 
+def _check_format(name: str) -> str:
+    if name not in list_formats():
+        words = ", ".join(map(repr, list_formats()))
+        raise PydanticCustomError("message", "must be {words}", {"words": words})
+    return name
+
+
+_FORMAT_SCHEMA = {"anyOf": [{"enum": [*FORMATS]}, {"type": "string"}]}  # an editor completes those of bench
+_Format = Annotated[str, AfterValidator(_check_format), WithJsonSchema(_FORMAT_SCHEMA)]
+
+
 class FileTable(Table):
     """A file, its format, its column names, and the offset of its clock."""
 
     file: str
     """A path relative to the log."""
-    format: Literal["table", "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins", "rtklib"] | None = (
-        None
-    )
+    format: _Format | None = None
     """Format of the file; that of its ending if left out."""
     topic: str | None = None
     """What the file calls it: a message, a topic or a structure."""

@@ -23,8 +23,8 @@ from bench.core.records.data import GnssFixes, GnssObservations, ImuData, SkyVie
 from bench.core.records.instruments import INSTRUMENTS, BaroData
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
+from bench.io.log_formats import list_formats
 from bench.io.logs import formats
-from bench.io.logs.formats.contents import AUTOPILOTS
 from bench.io.logs.formats.navego_structures import list_sensors
 from bench.io.logs.log_ranges import read_ranges
 from bench.io.logs.record_clock import check_order, meet_week, unwrap_week
@@ -104,7 +104,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     instruments = {
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
-    if "baro" in instruments and spec.imu.format in AUTOPILOTS:
+    if "baro" in instruments and list_formats()[spec.imu.format].knows:
         instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at, spec.evaluation.begin)
     return LogRecords(
         imu=imu,

@@ -22,11 +22,11 @@ from bench.evaluation.errors.failures import describe_failure
 from bench.evaluation.errors.fixes import point_errors
 from bench.evaluation.metrics.run_metrics import judge_epochs
 from bench.evaluation.motion.recorded_motion import Check
-from bench.exchange.autopilot import NEAR, look, read_truth
 from bench.io.config.log import NAV, ReferenceSpec, SourceSpec
 from bench.io.foreign.solutions import DEVIATIONS, ForeignSolution, read_attitudes, read_solution, resample
+from bench.io.log_formats import list_formats
 from bench.io.logs import formats
-from bench.io.logs.formats.contents import AUTOPILOTS
+from bench.io.logs.own_estimate import NEAR, look, read_truth
 from bench.io.logs.record_clock import meet_week, unwrap_week
 from bench.io.logs.rows import GNSS, MOST_ROWS, OPTIONAL, LogRows
 from bench.io.logs.table_files import check_times, read_table
@@ -102,7 +102,8 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
 def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
     """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them."""
     source, shown = spec.source, spec.source.path.name
-    if source.format in AUTOPILOTS and source.topic is None and look(source.format, source.path).truth:
+    knows = list_formats()[source.format].knows
+    if knows and source.topic is None and look(source.format, source.path).truth:
         return _read_truth(source)
     if source.format != "table":
         rows = formats.read(source.format, source.path, "gnss", source.topic)

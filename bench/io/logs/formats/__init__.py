@@ -5,18 +5,10 @@ from __future__ import annotations
 from importlib import import_module
 from pathlib import Path
 
+from bench.core.words.exceptions import ConfigError
+from bench.io.log_formats import list_formats
 from bench.io.logs.formats.unreadable import explain_missing
 from bench.io.logs.rows import LogRows
-
-_ADAPTERS = {
-    "ulog": "bench.io.logs.formats.ulog",
-    "dataflash": "bench.io.logs.formats.flash_rows",
-    "rosbag": "bench.io.logs.formats.bags",
-    "mcap": "bench.io.logs.formats.bags",
-    "navego": "bench.io.logs.formats.navego_structures",
-    "kf-gins": "bench.io.logs.formats.text",
-    "rtklib": "bench.io.logs.formats.text",
-}
 
 
 def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
@@ -25,7 +17,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     Parameters
     ----------
     form : str
-        "ulog", "dataflash", "rosbag", "mcap", "navego", "kf-gins" or "rtklib".
+        One of `bench.io.log_formats.list_formats`, but no table.
     path : Path
         The file, or the folder of a ROS 2 bag.
     kind : str
@@ -38,7 +30,9 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     ConfigError
         If the file is broken, is not of this format, or has no such rows: one line.
     """
-    with explain_missing(form, path):
-        rows = import_module(_ADAPTERS[form]).read(form, path, kind, topic)
-    assert isinstance(rows, LogRows)
+    found = list_formats()[form]
+    with explain_missing(found.package, path):
+        rows = import_module(found.module).read(form, path, kind, topic)
+    if not isinstance(rows, LogRows):
+        raise ConfigError(f"{path.name}: the reader of {form!r} gives no LogRows, but {type(rows).__name__}")
     return rows

@@ -8,19 +8,17 @@ from pathlib import Path
 
 from bench.core.words.exceptions import ConfigError
 
-_PACKAGES = {"ulog": "pyulog", "rosbag": "rosbags", "mcap": "mcap"}
-
 
 @contextmanager
-def explain_missing(form: str, path: Path) -> Iterator[None]:
-    """Raise ConfigError inside if the package of a format is not installed."""
+def explain_missing(needed: str, path: Path) -> Iterator[None]:
+    """Raise ConfigError inside if the package that a format needs is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:
-        if error.name is None or not error.name.startswith(_PACKAGES.get(form, "-")):
+        if error.name is None or not needed or not error.name.startswith(needed):
             raise
         raise ConfigError(
-            f"{path.name}: needs the package {_PACKAGES[form]}: pip install 'ins-gnss-bench[logs]'"
+            f"{path.name}: needs the package {needed}: pip install 'ins-gnss-bench[logs]'"
         ) from None
 
 

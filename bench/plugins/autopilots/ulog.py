@@ -19,11 +19,11 @@ from pyulog import ULog
 from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.formats import ulog_motion
-from bench.io.logs.formats.contents import Contents, OwnMotion, Vector, day_of_unix, split_instance
-from bench.io.logs.formats.ulog_motion import Data, stack, times
 from bench.io.logs.formats.unreadable import describe_damage
+from bench.io.logs.log_contents import Contents, OwnEstimate, OwnMotion, Vector, day_of_unix, split_instance
 from bench.io.logs.rows import MOST_ROWS, LogRows
+from bench.plugins.autopilots import ulog_motion
+from bench.plugins.autopilots.ulog_motion import Data, stack, times
 from bench.simulation.signals.air import pressure_altitude
 
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
@@ -129,14 +129,21 @@ def look(path: Path) -> Contents:
     )
 
 
-def read_truth(log: ULog) -> OwnMotion:
+def read_truth(path: Path) -> OwnMotion:
     """Return the truth of a simulator in a log (`ulog_motion`)."""
+    log = open_log(path)
     gps = next((one for name in _TOPICS["gnss"] if (one := ulog_motion.find(log, name))), None)
     fixed = np.nan
     if gps is not None:
         _, values = _read_gnss(log, times(gps), gps, 0, [])
         fixed = float(np.nanmedian(values["lla"][:, 2]))
     return ulog_motion.read_truth(log, find_undulation(log), fixed)
+
+
+def read_estimate(path: Path, instance: int | None) -> OwnEstimate:
+    """Return the estimate of an instance of EKF2 in a log; None: of the one that flew."""
+    log = open_log(path)
+    return ulog_motion.read_estimate(log, instance, find_undulation(log))
 
 
 def find_undulation(log: ULog) -> float:

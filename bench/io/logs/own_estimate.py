@@ -8,6 +8,7 @@ its own innovations.
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +19,9 @@ from bench.core.records.specs import AUTOPILOT
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.io.config.log import SourceSpec
 from bench.io.foreign.solutions import ForeignSolution, resample
-from bench.io.logs.formats.contents import AUTOPILOTS, Contents, OwnEstimate, OwnMotion, split_instance
+from bench.io.log_formats import list_formats
 from bench.io.logs.formats.unreadable import explain_missing
+from bench.io.logs.log_contents import Contents, OwnEstimate, OwnMotion, split_instance
 
 NEAR = 0.5
 """Longest interval between rows of an estimate that is bridged [s]: loggers write 8 to 100 a second."""
@@ -34,14 +36,9 @@ def look(form: str, path: Path) -> Contents:
         If it cannot be read.
     """
     try:
-        with explain_missing(form, path):
-            if form == "ulog":
-                from bench.io.logs.formats import ulog
-
-                return ulog.look(path)
-            from bench.io.logs.formats import flash_rows
-
-            return flash_rows.look(path)
+        with explain_missing(list_formats()[form].package, path):
+            found: Contents = import_module(list_formats()[form].module).look(path)
+            return found
     except KeyError as error:
         raise ConfigError(f"{path.name}: a message of it has no field {error.args[0]!r}") from None
 
@@ -56,14 +53,9 @@ def read_truth(source: SourceSpec) -> OwnMotion:
     """
     path = source.path
     try:
-        with explain_missing(source.format, path):
-            if source.format == "ulog":
-                from bench.io.logs.formats import ulog
-
-                return ulog.read_truth(ulog.open_log(path))
-            from bench.io.logs.formats import flash_motion, flash_rows
-
-            return flash_motion.read_truth(flash_rows.open_log(path))
+        with explain_missing(list_formats()[source.format].package, path):
+            found: OwnMotion = import_module(list_formats()[source.format].module).read_truth(path)
+            return found
     except KeyError as error:
         raise ConfigError(f"{path.name}: its truth has no field {error.args[0]!r}") from None
 
@@ -77,18 +69,13 @@ def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
         If it has none.
     """
     path = source.path
-    if source.format not in AUTOPILOTS:
+    if not list_formats()[source.format].knows:
         raise ConfigError(f"estimator {AUTOPILOT!r}: {path.name} is no log of an autopilot")
     try:
-        with explain_missing(source.format, path):
-            if source.format == "ulog":
-                from bench.io.logs.formats import ulog, ulog_motion
-
-                log = ulog.open_log(path)
-                return ulog_motion.read_estimate(log, instance, ulog.find_undulation(log))
-            from bench.io.logs.formats import flash_motion, flash_rows
-
-            return flash_motion.read_estimate(flash_rows.open_log(path), instance)
+        with explain_missing(list_formats()[source.format].package, path):
+            module = import_module(list_formats()[source.format].module)
+            found: OwnEstimate = module.read_estimate(path, instance)
+            return found
     except ConfigError as error:
         raise ConfigError(f"{path.name}: {error}") from None
     except KeyError as error:

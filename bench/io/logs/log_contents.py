@@ -15,8 +15,6 @@ from bench.core.records.data import EventRow, Innovations, no_innovations
 from bench.core.words.exceptions import ConfigError
 
 Vector = tuple[float, float, float]
-AUTOPILOTS = ("ulog", "dataflash")
-"""Formats whose logs know of themselves what :class:`Contents` holds."""
 _GPS_EPOCH = datetime.date(1980, 1, 6)
 
 

@@ -19,9 +19,15 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.formats.contents import Contents, Vector, day_of_gps, day_of_unix, split_instance
-from bench.io.logs.formats.dataflash import DataFlash
+from bench.io.logs.log_contents import (
+    Contents,
+    Vector,
+    day_of_gps,
+    day_of_unix,
+    split_instance,
+)
 from bench.io.logs.rows import MOST_ROWS, LogRows
+from bench.plugins.autopilots.dataflash import DataFlash
 from bench.simulation.signals.air import (
     GAS_CONSTANT,
     SEA_LEVEL_PRESSURE,

@@ -17,7 +17,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import displace
 from bench.core.records.data import EventRow
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.formats.contents import (
+from bench.io.logs.log_contents import (
     OwnEstimate,
     OwnMotion,
     list_steps,

@@ -17,15 +17,9 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import displace
 from bench.core.records.data import EventRow
 from bench.core.words.exceptions import ConfigError
-from bench.io.logs.formats.contents import (
-    OwnEstimate,
-    OwnMotion,
-    no_values,
-    tell_innovations,
-    turn_quaternion,
-)
-from bench.io.logs.formats.dataflash import DataFlash
-from bench.io.logs.formats.flash_rows import find_undulation, read_parameters, take_records
+from bench.io.logs.log_contents import OwnEstimate, OwnMotion, no_values, tell_innovations, turn_quaternion
+from bench.plugins.autopilots.dataflash import DataFlash
+from bench.plugins.autopilots.flash_rows import find_undulation, read_parameters, take_records
 
 _FAMILIES: Mapping[float, str] = {3: "XKF", 2: "NKF", 1: "EKF"}
 """AHRS_EKF_TYPE -> how the names of its records begin."""

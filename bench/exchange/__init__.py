@@ -1,1 +1,0 @@
-"""Files of other people: trajectories, observations, ephemerides and almanacs of satellites."""
