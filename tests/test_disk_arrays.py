@@ -78,7 +78,7 @@ def test_a_longer_flight_takes_hardly_more_memory(monkeypatch):
             tracemalloc.start()
         sensed = sensors.sense(truth, spec, 1, 0)
         solution = built_in.load("loose-15", {}).run(sensed.data, sensed.initial)
-        run_metrics.judge(
+        run_metrics.measure(
             truth, solution, evaluation=EvaluationWindow(60.0), outages=(), assumed=spec.assumed
         )
         peaks.append(tracemalloc.get_traced_memory()[1])

@@ -210,7 +210,7 @@ def judge(
     excuses one of the solution. Other arguments as for :func:`run`.
     """
     drawn, data = (None, None) if sensed is None else (sensed.truth, sensed.data)
-    return pipeline.judge(_read_profile(profile, seed, overrides), truth, solution, drawn, data)
+    return pipeline.measure(_read_profile(profile, seed, overrides), truth, solution, drawn, data)
 
 
 def measure_allan(

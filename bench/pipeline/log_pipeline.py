@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from bench import pipeline
 from bench.core.compilation.compiled import watch_compiling
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
@@ -20,6 +19,7 @@ from bench.core.records.data import (
     GnssFixes,
     GnssObservations,
     InitialState,
+    NavSolution,
     Reference,
     Sensed,
     SensorData,
@@ -27,19 +27,17 @@ from bench.core.records.data import (
 )
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
-from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
+from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Stages, Watcher
-from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.errors import used_fixes
-from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
-from bench.evaluation.errors.fixes import antenna_errors, judge
-from bench.evaluation.metrics.coverage import measure_coverage
+from bench.evaluation.errors.fixes import antenna_errors
+from bench.evaluation.errors.reference_errors import compare
+from bench.evaluation.judging import Judged, judge_solution
 from bench.evaluation.metrics.outages import OutageDrift, make_drift_row, place_outages
 from bench.evaluation.motion import validity
 from bench.evaluation.motion.motion_noise import assume_motion_noise
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
 from bench.evaluation.motion.rest_noise import assume_rest_noise, assume_vibration
-from bench.evaluation.requirements.required_metrics import list_requirements
 from bench.io import results
 from bench.io.config.checks import is_autopilot
 from bench.io.config.log import LogSpec, load_log
@@ -48,8 +46,10 @@ from bench.io.log_formats import list_formats
 from bench.io.logs import own_estimate, reference
 from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
 from bench.io.logs.log_start import find_start
+from bench.io.logs.own_estimate import AutopilotEstimator
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
+from bench.pipeline.steps import build_estimator, collect_printed, navigate_all
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
@@ -135,7 +135,7 @@ def read_log(
         for label in weighing:
             choice = choices[label]
             options = {REPORTED: "reported", **choice.options}
-            built[label] = pipeline.build_estimator(replace(choice, options=options))
+            built[label] = build_estimator(replace(choice, options=options))
         if weighing and records.fixes.valid.any():
             checks.append(_describe_accuracy(records))
     if spec.vibration:
@@ -226,43 +226,31 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     place = ": ".join(filter(None, [spec.name, log.records.no_ranges]))  # instruments are checked before
     for label, one in log.estimators.items():
         estimator.check_needs(one, label, present, place)
-    solutions, errors, metrics, drifts = {}, {}, {}, []
-    raised: dict[str, EstimatorError | EstimatorFailedError] = {}
-    for number, (label, one) in enumerate(log.estimators.items(), 1):
-        stages.begin(f"filter {number} of {len(log.estimators)}: {label}")
-        unmodelled = None
-        try:
-            solution = estimator.answer(one, label, data, session.initial)
-            unmodelled = estimator.list_unmodelled(one, label, spec.assumed)
-            if isinstance(one, own_estimate.AutopilotEstimator):
-                drifts += [
-                    make_drift_row(label, drift.duration, [drift], spec.assumed.imu)
-                    for drift in used_fixes.measure_outages(solution, session.fixes, data, gaps)
-                ]
-            else:
-                drifts += [
-                    make_drift_row(
-                        label, duration, session.run_outages(one, label, duration, count), spec.assumed.imu
-                    )
-                    for duration, count in cuts.items()
-                ]
-        except (EstimatorError, EstimatorFailedError) as error:
-            raised[label] = error
-            solution = make_failed_solution(data.output_t, *describe_error(label, error))
+    drifts = list[dict[str, Any]]()
+    own = {label for label, one in log.estimators.items() if isinstance(one, AutopilotEstimator)}
+
+    def measure_drifts(label: str, solution: NavSolution) -> None:
+        found = (
+            ((one.duration, [one]) for one in used_fixes.measure_outages(solution, session.fixes, data, gaps))
+            if label in own
+            else (
+                (duration, session.run_outages(log.estimators[label], label, duration, count))
+                for duration, count in cuts.items()
+            )
+        )
+        drifts.extend([make_drift_row(label, duration, rows, spec.assumed.imu) for duration, rows in found])
+
+    answers = navigate_all(log.estimators, data, session.initial, spec.assumed, stages, measure_drifts)
+    judged = dict[str, Judged]()
+    for label, solution in answers.solutions.items():
+        by_fixes = None if label in own else withheld
+        known = by_fixes if log.reference is None else log.reference
+        more, counts = {"unmodelled": answers.unmodelled[label]}, label not in own
+        judged[label] = judge_solution(
+            label, solution, known, data, spec.evaluation, spec.document, more, counts=counts
+        )
         disk_arrays.release()
-        if log.reference is None and isinstance(one, own_estimate.AutopilotEstimator):
-            errors[label], judged = used_fixes.judge(solution, spec.evaluation.begin)
-        elif log.reference is None:
-            errors[label], judged = judge(solution, withheld, data, spec.evaluation)
-        else:
-            errors[label], judged = reference.judge(solution, log.reference, data, spec.evaluation)
-        own = isinstance(one, own_estimate.AutopilotEstimator)
-        coverage = None if own else measure_coverage(solution, data)  # rows missing there are the logger's
-        values, required = {**judged, "unmodelled": unmodelled}, list_requirements(spec.document, label)
-        metrics[label] = add_verdict(label, values, coverage, required)
-        solutions[label] = solution
-        disk_arrays.release()
-    check_starts(raised, len(log.estimators))
+    metrics = {label: one.metrics for label, one in judged.items()}
     worked = {label: one for label, one in log.estimators.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, data).items():
         metrics[label]["same_as"] = other
@@ -275,8 +263,8 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
         seed=0,
         run=0,
         metrics=metrics,
-        errors=errors,
-        solutions=solutions,
+        errors={label: one.errors for label, one in judged.items()},
+        solutions=answers.solutions,
         provenance={**results.provenance(), "cpu_s": {"all": time.process_time() - clock}},
         more={
             "log": {"origin_s": log.records.origin, "start_s": session.initial.t},
@@ -287,7 +275,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
             "spec": spec,
             "sensed": Sensed(data, session.initial, no_sensor_truth(), events, log.records.sky),
             "withheld": withheld,
-            "printed": pipeline.collect_printed(log.estimators),
+            "printed": collect_printed(log.estimators),
             **({} if log.reference is None else {"reference": log.reference}),
         },
     )
@@ -421,7 +409,7 @@ class Session:
                 last = self.fixes.take(np.arange(len(t)) == end)
                 errors, claims = antenna_errors(solution, last, data), solution.cov
             else:
-                errors, moved = reference.compare(solution, self.reference, data)
+                errors, moved = compare(solution, self.reference, data)
                 claims = moved.cov
             if not len(errors):
                 continue

@@ -171,7 +171,7 @@ def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
     truth = bench.fly(profile)
     sensed = pipeline.sense(profile, truth, 2)
     solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
-    errors, _ = pipeline.judge(profile, truth, solution)
+    errors, _ = pipeline.measure(profile, truth, solution)
     rows = np.flatnonzero(solution.t >= profile.evaluation.begin - 1e-6)
     by_hand = [
         -multivariate_normal(np.zeros(9), solution.cov[k], allow_singular=True).logpdf(

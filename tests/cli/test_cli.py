@@ -321,7 +321,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("arguments", "line"), WRONG)
 def test_a_wrong_command_or_file_is_status_2(here, capsys, arguments, line, monkeypatch):
-    monkeypatch.setattr(pipeline, "fly", None)  # it fails before anything flies
+    monkeypatch.setattr(pipeline.steps, "fly", None)  # it fails before anything flies
     status, out, err = say(capsys, *arguments)
     assert (status, out) == (2, "")
     assert err.startswith(line)
@@ -431,12 +431,13 @@ def test_a_recording_or_report_that_fails_is_status_5_and_loses_nothing(
     assert say(capsys, "run", "short.toml", "-o", "a", "--force")[0] == 0  # all files in it are of bench
 
 
-@pytest.mark.parametrize("step", ["fly", "sense", "answer", "judge"])
+@pytest.mark.parametrize("step", ["fly", "navigate_all", "answer", "judge_solution"])
 def test_an_interrupted_run_is_status_130(here, capsys, monkeypatch, step):
     def interrupt(*args, **keywords):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(pipeline.estimator if step == "answer" else pipeline, step, interrupt)
+    part = pipeline.estimator if step == "answer" else pipeline if step == "navigate_all" else pipeline.steps
+    monkeypatch.setattr(part, step, interrupt)
     status, out, err = say(capsys, "run", "short.toml")
     assert (status, out, err.strip()) == (130, HEAD, "error: interrupted")
     assert left(here) == []
@@ -573,7 +574,7 @@ def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, caps
     def flown(*_, **__):
         raise AssertionError("it was flown")
 
-    monkeypatch.setattr("bench.pipeline.fly", flown)
+    monkeypatch.setattr("bench.pipeline.steps.fly", flown)
     text = (here / "short.toml").read_text()
     lines = [x for x in text.splitlines() if not x.startswith("gnss")]
     (here / "blind.toml").write_text("\n".join(lines))
@@ -635,7 +636,7 @@ def test_a_terminated_run_ends_like_an_interrupted_one(here):
     code = (
         "import sys, time; from bench import pipeline; from bench.cli.command_line import main\n"
         "def fly(*a, **k):\n    print('flying', flush=True); time.sleep(60)\n"
-        "pipeline.fly = fly; sys.exit(main(['run', 'short.toml']))"
+        "pipeline.steps.fly = fly; sys.exit(main(['run', 'short.toml']))"
     )
     process = python(code, cwd=here)
     assert "flying\n" in (process.stdout.readline() for _ in range(4))

@@ -130,7 +130,7 @@ def test_an_interruption_that_code_in_between_turns_into_something_else(tmp_path
             raise pipeline.ConfigError("something else") from None
 
     for change in (convert, drop, catch):
-        monkeypatch.setattr(pipeline, "fly", change)
+        monkeypatch.setattr(pipeline.steps, "fly", change)
         before = time.monotonic()
         assert main(["run", "short.toml"]) == 130
         assert time.monotonic() - before < 50

@@ -136,7 +136,7 @@ def ask(mistake: str, run: int, name: str = "s-turns") -> dict[str, Any]:
     """Return the verdict of such a solution, and what it looks like if its claim is broken."""
     profile, truth = fly(name)
     solution, sensed = give(mistake, run, name)
-    _, values = pipeline.judge(profile, truth, solution, sensed.truth)
+    _, values = pipeline.measure(profile, truth, solution, sensed.truth)
     found = add_verdict(USE, values)
     if found["verdict"] not in BROKEN:
         return found

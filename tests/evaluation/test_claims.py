@@ -14,7 +14,7 @@ from bench.core.records.data import SensorTruth
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.verdict import is_outside
 from bench.evaluation.metrics.claims import _least_inside, count_independent
-from bench.evaluation.metrics.run_metrics import judge
+from bench.evaluation.metrics.run_metrics import measure
 from tests.evaluation.solutions import COV, weaving_truth, wrong_solution
 
 RUNS = 40
@@ -39,7 +39,7 @@ def measured(truth, tau, claim=1.0, runs=RUNS):
         errors = lasting(np.random.default_rng(k), tau, 601, 9) * np.sqrt(np.diag(COV))
         parts = {"pos_n": errors[:, :3], "vel_n": errors[:, 3:6], "phi_n": errors[:, 6:]}
         solution = wrong_solution(truth, every=2, cov=claim * COV, **parts)
-        found.append(judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1])
+        found.append(measure(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1])
     return found
 
 
@@ -96,7 +96,7 @@ def test_errors_of_biases_have_rmse_coverage_and_squares(truth):
         extra_sd=np.tile(sd, (m, 1)),
     )
     drawn = SensorTruth(np.array([0.0, 60.0]), np.tile(true[:3], (2, 1)), np.tile(true[3:], (2, 1)))
-    found = judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
+    found = measure(truth, solution, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
     assert found["gyro_bias_rmse_x_deg_h"] == pytest.approx(np.rad2deg(2e-5) * 3600)
     assert found["gyro_bias_rmse_y_deg_h"] == pytest.approx(0.0, abs=1e-9)
     assert found["accel_bias_rmse_z_mg"] == pytest.approx(4e-3 / 9.80665e-3)
@@ -129,7 +129,7 @@ def test_an_honest_bias_state_stays_in_its_band_and_one_with_half_its_sigma_does
                 extra=off,
                 extra_sd=np.full_like(off, claim),
             )
-            found = judge(truth, one, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
+            found = measure(truth, one, evaluation=EvaluationWindow(0.0), outages=(), drawn=drawn)[1]
             outside[claim] += sum(is_outside(f"nees_bias_{split_unit(name)[0]}", found) for name in names)
     assert outside[1.0] <= 6
     assert outside[0.5] > (0.5 if tau < 10.0 else 0.05) * RUNS * 6

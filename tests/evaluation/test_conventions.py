@@ -84,7 +84,7 @@ def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
         truth = pipeline.fly(profile)
         sensed = pipeline.sense(profile, truth, 1)
         solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
-        verdict = add_verdict(use, pipeline.judge(profile, truth, solution, sensed.truth)[1])["verdict"]
+        verdict = add_verdict(use, pipeline.measure(profile, truth, solution, sensed.truth)[1])["verdict"]
         assert verdict in BROKEN
         begin = profile.evaluation.begin
         assert find_mistakes(truth, [solution], sensed.data.antenna_b, begin) == {}

@@ -49,7 +49,7 @@ def judged(flight, *faults, run=0, estimator=None):
     """Metrics of the filter, and its solution."""
     sensed = sense(flight, replace(units(), faults=faults), 3, run)
     solution = (estimator or Loose()).run(sensed.data, sensed.initial)
-    _, found = run_metrics.judge(
+    _, found = run_metrics.measure(
         flight, solution, evaluation=EvaluationWindow(30.0), outages=(), faults=faults
     )
     return found, solution

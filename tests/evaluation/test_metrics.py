@@ -14,7 +14,7 @@ from bench.core.records.sensor_specs import AssumedSpecs, Fault
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import chi2_quantile
 from bench.evaluation.metrics import run_metrics
-from bench.evaluation.metrics.run_metrics import METRICS, find_metric, judge
+from bench.evaluation.metrics.run_metrics import METRICS, find_metric, measure
 from tests.evaluation.solutions import COV, weaving_truth, without, wrong_solution
 from tests.weaving import units
 
@@ -28,7 +28,7 @@ def truth():
 
 def metrics_of(truth, solution, begin=0.0, outages=(), faults=()):
     evaluation = EvaluationWindow(begin)
-    return judge(truth, solution, evaluation=evaluation, outages=outages, faults=faults)[1]
+    return measure(truth, solution, evaluation=evaluation, outages=outages, faults=faults)[1]
 
 
 def some_innovations():
@@ -102,7 +102,7 @@ def test_cep_and_r95_are_the_smallest_radius_of_an_epoch_that_holds_its_share(tr
     """Brute force over the epochs, for 201, 101, 41 and 6 of them."""
     m = len(range(0, len(truth), every))
     pos_n = random_errors(5, 4.0, m)
-    errors, found = judge(
+    errors, found = measure(
         truth, wrong_solution(truth, every=every, pos_n=pos_n), evaluation=EvaluationWindow(0.0), outages=()
     )
     radius = np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1])
@@ -354,7 +354,7 @@ def fully_judged(truth, faults=()):
     settings["assumed"] = AssumedSpecs(imu=units().imu, gnss=None)
     far = np.diag([1e6, 1e6, *np.diag(COV)[2:]])
     alone = replace(biased, innovations=no_innovations(), cov=np.tile(far, (201, 1, 1)))
-    return judge(truth, alone, **settings)[1] | judge(truth, biased, **settings)[1]
+    return measure(truth, alone, **settings)[1] | measure(truth, biased, **settings)[1]
 
 
 def test_every_row_of_the_table_gives_plain_numbers_under_its_name(truth):

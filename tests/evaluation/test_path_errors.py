@@ -11,7 +11,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.poses import align
-from bench.evaluation.metrics.run_metrics import judge
+from bench.evaluation.metrics.run_metrics import measure
 from tests.evaluation.solutions import weaving_truth, wrong_solution
 
 SPEED, LENGTH = 50.0, 100.0
@@ -33,7 +33,7 @@ def truth() -> Trajectory:
 
 
 def judged(truth, **errors):
-    return judge(
+    return measure(
         truth, wrong_solution(truth, every=1, **errors), evaluation=EvaluationWindow(0.0), outages=()
     )[1]
 
@@ -87,7 +87,7 @@ def test_the_time_offset_of_a_late_solution_is_found():
     solution = replace(solution, **{name: getattr(solution, name)[10:] for name in columns})
     shifted = rows - round(late * 100)
     solution = replace(solution, lla=truth.lla[shifted], vel_n=truth.vel_n[shifted])
-    found = judge(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1]
+    found = measure(truth, solution, evaluation=EvaluationWindow(0.0), outages=())[1]
     assert found["time_offset_ms"] == pytest.approx(-1e3 * late, rel=0.01)
 
 

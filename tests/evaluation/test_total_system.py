@@ -95,10 +95,10 @@ def test_the_metrics_are_rms_and_largest_of_what_has_a_path(approach):
     path = measure_off_path(spec, truth, rows)
     solution = believe(truth, rows, error_n)
     window = EvaluationWindow(60.0)
-    _, values = run_metrics.judge(truth, solution, evaluation=window, outages=(), path=path)
+    _, values = run_metrics.measure(truth, solution, evaluation=window, outages=(), path=path)
     assert 15.0 < values["nse_across_rms_m"] < 25.0
     assert values["tse_across_rms_m"] < 0.5 * values["fte_across_rms_m"]
-    _, without = run_metrics.judge(truth, solution, evaluation=window, outages=())
+    _, without = run_metrics.measure(truth, solution, evaluation=window, outages=())
     assert "tse_across_rms_m" not in without
 
 

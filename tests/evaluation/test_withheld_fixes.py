@@ -25,7 +25,7 @@ def judged(case, *, variance=None, velocity=True):
         cov[100:, 0, 0] = variance
     vel_n = data.fixes.vel_n if velocity else np.full_like(data.fixes.vel_n, np.nan)
     given = replace(data.fixes, vel_n=vel_n)
-    return fixes.judge(replace(solution, cov=cov), given, data, EvaluationWindow(10.0))[1]
+    return fixes.measure_by_fixes(replace(solution, cov=cov), given, data, EvaluationWindow(10.0))[1]
 
 
 def test_a_negative_variance_is_a_broken_filter_whatever_the_fixes_lack(case):

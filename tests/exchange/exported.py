@@ -37,7 +37,7 @@ def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple
     sensed = replace(sensed, data=replace(sensed.data, fixes=fixes))
     rows = np.round(sensed.data.output_t * rate).astype(int)
     solution = select_epochs(wrong_solution(truth, every=1, **ERROR), rows)
-    errors, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
+    errors, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
     result = RunResult(
         profile.document,
         4,

@@ -90,7 +90,7 @@ def test_a_filter_in_c_or_awk_says_what_its_algorithm_says(run, holds):
         assert solution.events.select(outside.PROGRAM) == [(0.0, 0.0, "exit status 0")]
         ((_, _, said),) = solution.events.select(outside.STDERR)
         assert said.startswith(("192 rows", "18 fixes"))
-        _, measured = run_metrics.judge(
+        _, measured = run_metrics.measure(
             truth, solution, evaluation=EvaluationWindow(5.0), outages=[(12.0, 14.0)]
         )
         off = np.hypot(
@@ -190,7 +190,7 @@ def failure(run, command: str, beside: Path, **options) -> tuple[str, str]:
     """Why there is no solution, and what was said on stderr."""
     _, truth, sensed = run
     solution = CommandEstimator(command, beside, **options).run(sensed.data, sensed.initial)
-    _, measured = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[])
+    _, measured = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(5.0), outages=[])
     assert measured["converged"] is False
     assert not [
         name for name, value in measured.items() if name.startswith(("pos", "vel")) and value is not None

@@ -101,7 +101,7 @@ def test_who_waits_stays_awake_for_a_millisecond(monkeypatch, answers, asked):
 @pytest.mark.parametrize("in_process", [False, True])
 def test_sensors_are_refused_before_the_flight(place, monkeypatch, in_process):
     """By a class in its own process or here; what is documented as optional is asked for in both."""
-    monkeypatch.setattr(pipeline, "fly", None)  # it fails before anything flies
+    monkeypatch.setattr(pipeline.steps, "fly", None)  # it fails before anything flies
     guard = Guard(in_process=in_process)
     for least, error, why in (
         (1.0, EstimatorError, r"^estimator 'RefusesMems': no matched-mems for me$"),

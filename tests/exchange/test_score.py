@@ -21,10 +21,11 @@ from bench.core.records.data import NavSolution
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.verdict import add_verdict
+from bench.evaluation.errors.resampling import carry_rows, resample
 from bench.evaluation.metrics import run_metrics
 from bench.io import config, results
 from bench.io.config import fault_tables
-from bench.io.foreign.solutions import FileEstimator, carry_rows, read_solution, resample
+from bench.io.foreign.solutions import FileEstimator, read_solution
 from bench.io.results import columns, parquet
 from tests.evaluation.solutions import without, wrong_solution
 from tests.exchange.exported import LOST
@@ -206,7 +207,7 @@ def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
 
 
 def as_read(made: NavSolution):
-    from bench.io.foreign.solutions import ForeignSolution
+    from bench.evaluation.errors.resampling import ForeignSolution
 
     rows = np.arange(1, len(made) + 1)
     columns_ = (made.t, made.lla, made.vel_n, made.q_nb, made.gyro_bias_b, made.accel_bias_b, made.cov)
@@ -425,7 +426,7 @@ def test_a_file_in_the_place_of_an_estimator(run, tmp_path):
     path = written(tmp_path / "mine.csv", wrong_solution(truth, pos_n=[2.0, 0.0, 0.0]))
     solution = FileEstimator(path).run(sensed.data, sensed.initial)
     assert_array_equal(solution.t, sensed.data.output_t)
-    _, measured = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
+    _, measured = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(5.0), outages=[LOST])
     assert measured["pos_rmse_h_m"] == pytest.approx(2.0, rel=1e-6)
 
 

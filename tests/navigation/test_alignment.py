@@ -514,7 +514,7 @@ def test_estimators_align_say_so_and_are_silent_before(name, kind):
         assert end >= 9.9
         assert ("levelled" if kind == "level" else "course") in text
         np.testing.assert_array_equal(silent, solution.t < end - 1e-6)
-    errors, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(14.0), outages=())
+    errors, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(14.0), outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_h_m_all"] is not None
     assert len(errors) == len(solution)
@@ -524,7 +524,7 @@ def test_an_estimator_that_is_silent_beyond_the_window_did_not_converge():
     truth = standing(30.0)
     sensed = sensors.sense(truth, level(align_for=20.0), 1, 0)
     solution = load("loose-15", {}).run(sensed.data, sensed.initial)
-    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(15.0), outages=())
+    _, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(15.0), outages=())
     assert not judged["converged"]
     assert judged["reason"] == "no solution before t = 20 s; metrics begin at 15 s"
     nees = error_series(truth, solution).nees

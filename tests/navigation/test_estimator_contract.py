@@ -492,7 +492,7 @@ def test_the_covariance_at_20_hz_keeps_every_rmse_within_one_percent():
         for hz in (None, 20.0):
             solution = Loose(covariance_hz=hz).run(sensed.data, sensed.initial)
             found[hz] = rmse(
-                run_metrics.judge(truth, solution, evaluation=EvaluationWindow(60.0), outages=())[1]
+                run_metrics.measure(truth, solution, evaluation=EvaluationWindow(60.0), outages=())[1]
             )
         assert len(found[None]) > 20
         for name, value in found[None].items():
@@ -517,7 +517,7 @@ def test_a_slower_covariance_with_a_defect_would_leave_the_one_percent():
     )
     wrong = replace(sensed.data, specs=replace(sensed.data.specs, imu=imu))
     found = [
-        rmse(run_metrics.judge(truth, solution, evaluation=EvaluationWindow(60.0), outages=())[1])
+        rmse(run_metrics.measure(truth, solution, evaluation=EvaluationWindow(60.0), outages=())[1])
         for solution in (Loose(covariance_hz=None).run(data, sensed.initial) for data in (sensed.data, wrong))
     ]
     assert max(abs(found[1][name] / value - 1) for name, value in found[0].items()) > 0.01
@@ -589,7 +589,7 @@ def test_a_filter_that_diverges_is_a_result(truth, sensed, case):
     data = replace(sensed.data, specs=replace(sensed.data.specs, **ABSURD[case]))
     solution = Loose(readmit_after_s=0.0).run(data, sensed.initial)
     assert_array_equal(solution.t, data.output_t)
-    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
+    _, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert "converged" in judged
 
 
@@ -597,9 +597,9 @@ def test_a_filter_of_nan_did_not_converge(truth, sensed):
     data = replace(sensed.data, specs=replace(sensed.data.specs, **ABSURD["gyro noise of NaN"]))
     solution = Loose(readmit_after_s=0.0).run(data, sensed.initial)
     assert np.isnan(solution.lla[solution.t < 20.0][-1]).all()  # until the fixes alone begin it anew
-    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
+    _, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert judged["converged"] is False
-    _, judged = run_metrics.judge(
+    _, judged = run_metrics.measure(
         truth, Loose().run(sensed.data, sensed.initial), evaluation=EvaluationWindow(10.0), outages=()
     )
     assert judged["converged"] is True

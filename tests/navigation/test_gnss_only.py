@@ -215,7 +215,7 @@ def test_in_a_flight_it_covers_its_errors_and_says_nothing_of_attitude(flight):
     truth, sensed = flight
     solution = GnssOnly().run(sensed.data, sensed.initial)
     bench.check_estimator(GnssOnly(), sensed.data, sensed.initial)
-    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
+    _, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(10.0), outages=())
     assert judged["converged"]
     assert judged["nees_states"] == 6
     most = stats.binom.ppf(0.999, 80, 2 * stats.norm.sf(3.0)) / 80  # of what the 80 fixes allow

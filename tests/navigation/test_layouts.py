@@ -277,7 +277,7 @@ def test_loose_15_believes_what_the_receiver_averages_away(profile, five_minutes
     nees = {}
     for name in ("loose-15", "loose-22"):
         solution = load(name, {}).run(sensed.data, sensed.initial)
-        errors, _ = pipeline.judge(profile, five_minutes, solution)
+        errors, _ = pipeline.measure(profile, five_minutes, solution)
         nees[name] = errors.nees[errors.t >= 120.0].mean()
     assert nees["loose-15"] > 50
     assert nees["loose-22"] < 30

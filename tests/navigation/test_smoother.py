@@ -115,7 +115,7 @@ def test_the_outage_is_bridged_from_both_sides(matched, figure_eight_truth):
     growth = {}
     for name in ("loose-15", "smoother"):
         solution = load(name, {}).run(sensed.data, sensed.initial)
-        _, metrics = pipeline.judge(matched, figure_eight_truth, solution)
+        _, metrics = pipeline.measure(matched, figure_eight_truth, solution)
         growth[name] = metrics["outage_1_drift_h_m"]
     assert growth["smoother"] < growth["loose-15"] / 3
 

@@ -357,7 +357,7 @@ def scripted(truth, sensed, step, ramp, start, end, **options):
     )
     drawn = sensors.sense(truth, replace(units(gnss=MATCHED), faults=(fault,)), 1, 0)
     solution = Tight(**options).run(drawn.data, drawn.initial)
-    _, found = run_metrics.judge(
+    _, found = run_metrics.measure(
         truth, solution, evaluation=EvaluationWindow(10.0), outages=(), faults=(fault,)
     )
     return found, solution, name

@@ -109,7 +109,7 @@ def test_gnss_faults_are_detected_the_filter_recovers_and_is_honest_outside():
     for run in range(6):
         sensed = bench.sense(profile, truth, run=run)
         solution = estimator.answer(one, "loose-full", sensed.data, sensed.initial)
-        errors, found = pipeline.judge(profile, truth, solution)
+        errors, found = pipeline.measure(profile, truth, solution)
         assert [found[f"fault_{k}_detected"] for k in range(1, 5)] == [1.0] * 4
         assert found["fault_4_delay_s"] < 20.0
         assert found["fault_4_max_h_m"] < 8.0  # of the 60 m it is pulled

@@ -216,7 +216,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
     def monte_carlo() -> None:
         keep_freed_memory()  # as a worker of a campaign does
         drawn = pipeline.sense(matched, truth, 1)
-        pipeline.judge(matched, truth, built_in.load("loose-22", slow).run(drawn.data, drawn.initial))
+        pipeline.measure(matched, truth, built_in.load("loose-22", slow).run(drawn.data, drawn.initial))
 
     every, slow = {"covariance_hz": None}, {"covariance_hz": 20.0}
     cost = epoch_costs(
@@ -275,7 +275,7 @@ def slower_covariance(profile: Profile, truth: Trajectory, runs: int = 10) -> li
         sensed = pipeline.sense(profile, truth, run)
         for k, filter_ in enumerate((Loose(covariance_hz=None), Loose())):
             solution = filter_.run(sensed.data, sensed.initial)
-            _, metrics = pipeline.judge(profile, truth, solution)
+            _, metrics = pipeline.measure(profile, truth, solution)
             squares[k] += [metrics[name] ** 2 for name in names]
     change = np.abs(np.sqrt(squares[1] / squares[0]) - 1).max()
     return [Figure(f"largest change of an RMSE by 20 Hz covariance, {runs} runs", 100 * change, 1.0, "%")]

@@ -697,7 +697,7 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     sensed = sense(short_truth, replace(profile.sensors, gnss_outages=()), 1, 0)
     assert sensed.data.observations is not None
     solution = Loose().run(sensed.data, sensed.initial)
-    errors, _ = pipeline.judge(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
+    errors, _ = pipeline.measure(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
     facts = results.result_folder._describe_record(sensed.data.observations, sensed.data)
     path = tmp_path / results.result_folder.OBSERVATIONS

@@ -127,7 +127,7 @@ def test_hostile_names_in_the_answer_of_every_verb(here, capsys, monkeypatch):
     def lost(*args, **keywords):
         raise FlightError(f"leg {EVIL}: into the ground")
 
-    monkeypatch.setattr(pipeline, "fly", lost)
+    monkeypatch.setattr(pipeline.steps, "fly", lost)
     assert SEEN in say(capsys, "run", "short.toml")
 
 

@@ -24,7 +24,7 @@ from bench.core.mathematics import rotation
 from bench.core.mathematics.earth import difference_n
 from bench.core.records.data import ImuData
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.errors.fixes import judge
+from bench.evaluation.errors.fixes import measure_by_fixes
 from bench.evaluation.linear.drift_laws import drift_sd
 from bench.evaluation.motion import validity
 from bench.io import results
@@ -383,7 +383,7 @@ def outcome(path):
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t]))
     one = built_in.load(spec.estimators[0].use, spec.estimators[0].options)
     solution = estimator.answer(one, "x", data, session.initial)
-    _, metrics = judge(solution, withheld, data, spec.evaluation)
+    _, metrics = measure_by_fixes(solution, withheld, data, spec.evaluation)
     return json.dumps({k: v for k, v in metrics.items() if k != "reason"}), len(solution)
 
 
@@ -750,5 +750,5 @@ def test_the_publishers_clock_offset_is_worse_on_the_drive(tmp_path):
         keep, withheld = session.split_fixes()
         data = session.make_data(keep, withheld.t)
         solution = estimator.answer(built_in.load("loose-15", {}), "x", data, session.initial)
-        found.append(judge(solution, withheld, data, spec.evaluation)[1]["pos_rmse_h_m"])
+        found.append(measure_by_fixes(solution, withheld, data, spec.evaluation)[1]["pos_rmse_h_m"])
     assert found[0] < 0.5 * found[1]

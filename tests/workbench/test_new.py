@@ -143,7 +143,7 @@ def test_the_filterpy_filter_of_the_guide_keeps_the_contract(truth, sensed, tmp_
     estimator = load("guide_filter:FixFilter", {})
     bench.check_estimator(estimator, sensed.data, sensed.initial)
     solution = estimator.run(sensed.data, sensed.initial)
-    _, judged = run_metrics.judge(truth, solution, evaluation=EvaluationWindow(20.0), outages=())
+    _, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(20.0), outages=())
     assert judged["converged"], judged["reason"]
     assert judged["pos_rmse_3d_m"] < 6.0
     assert not [name for name in judged if "heading" in name]

@@ -71,7 +71,7 @@ def _run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice
     sensed = pipeline.sense(short, truth)
     for choice in choices:
         solution = pipeline.navigate(choice, sensed.data, sensed.initial)
-        pipeline.judge(short, truth, solution, sensed.truth)
+        pipeline.measure(short, truth, solution, sensed.truth)
 
 
 def _count_kernels(folder: Path) -> int:

@@ -124,7 +124,7 @@ def point_errors(
     return ErrorSeries(solution.t, pos_error_n, vel_error_n, phi_n, heading, nees, states), moved
 
 
-def judge(
+def measure_by_fixes(
     solution: NavSolution, fixes: GnssFixes, data: SensorData, evaluation: EvaluationWindow
 ) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return the errors at the withheld fixes, and the metrics that need no attitude.

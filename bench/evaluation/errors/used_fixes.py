@@ -54,7 +54,7 @@ def measure_outages(
     return drifts
 
 
-def judge(solution: NavSolution, begin: float) -> tuple[ErrorSeries, dict[str, Any]]:
+def measure_innovations(solution: NavSolution, begin: float) -> tuple[ErrorSeries, dict[str, Any]]:
     """Return no errors, and the metrics of the innovations."""
     values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
     values["used_every_fix"] = True

@@ -268,7 +268,7 @@ _OF_ANSWERS = ("output_coverage", "answered_{}", "first_answer_s")
 # --- all metrics of a run ----------------------------------------------------------------------------------
 
 
-def judge(
+def measure(
     truth: Trajectory,
     solution: NavSolution,
     *,

@@ -38,8 +38,9 @@ from bench.core.records.data import EventRow, Events, InitialState, NavSolution,
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.failures import make_failed_solution
+from bench.evaluation.errors.resampling import carry_rows
 from bench.io.foreign.solution_folder import FolderEstimator, write_sensor_tables
-from bench.io.foreign.solutions import FileEstimator, carry_rows, check_unit, read_solution
+from bench.io.foreign.solutions import FileEstimator, check_unit, read_solution
 from bench.navigation.estimator import Estimator, construct
 
 PROGRAM, STDERR = "program", "stderr"

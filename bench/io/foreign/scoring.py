@@ -14,17 +14,14 @@ import numpy as np
 from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.consistency.verdict import BROKEN, add_verdict
+from bench.evaluation.consistency.verdict import BROKEN
 from bench.evaluation.conventions.convention_search import find_mistakes
-from bench.evaluation.errors.fixes import judge as judge_by_fixes
-from bench.evaluation.metrics import run_metrics
-from bench.evaluation.metrics.coverage import measure_coverage
-from bench.evaluation.requirements.required_metrics import list_requirements
+from bench.evaluation.errors.resampling import resample
+from bench.evaluation.judging import Known, judge_solution
 from bench.io import results
 from bench.io.config import fault_tables
 from bench.io.config.checks import LABEL
-from bench.io.foreign.solutions import check_unit, read_solution, resample
-from bench.io.logs import reference
+from bench.io.foreign.solutions import check_unit, read_solution
 from bench.simulation.sensors.timing import select_output_times
 
 
@@ -70,17 +67,13 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     foreign = read_solution(path, t_0=t_0)
     check_unit(foreign, float(truth.t[0]), truth.lla[0])
     solution = resample(foreign, t, longest)
-    errors, measured = run_metrics.judge(
-        truth,
-        solution,
-        evaluation=run.evaluation,
-        outages=outages,
-        faults=faults,
-        assumed=sensed.data.specs if sensed else None,
-        drawn=sensed.truth if sensed else None,
-        data=run.sensors,
-    )
-    return _make_score(label, solution, errors, measured, run, len(foreign), truth)
+    facts = {
+        "outages": outages,
+        "faults": faults,
+        "assumed": sensed.data.specs if sensed else None,
+        "drawn": sensed.truth if sensed else None,
+    }
+    return _make_score(label, solution, truth, run, len(foreign), **facts)
 
 
 def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: float | None) -> Score:
@@ -94,31 +87,18 @@ def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: floa
     if fixes is not None and len(fixes):
         check_unit(foreign, float(fixes.t[0]), fixes.lla[0])
     solution = resample(foreign, data.output_t, longest)
-    if by is not None:
-        errors, measured = reference.judge(solution, by, data, run.evaluation)
-    else:
-        errors, measured = judge_by_fixes(solution, run.records["withheld"], data, run.evaluation)
-    return _make_score(label, solution, errors, measured, run, len(foreign))
+    return _make_score(label, solution, run.records["withheld"] if by is None else by, run, len(foreign))
 
 
 def _make_score(
-    label: str,
-    solution: NavSolution,
-    errors: ErrorSeries,
-    measured: dict[str, Any],
-    run: RunResult,
-    rows: int,
-    truth: Trajectory | None = None,
+    label: str, solution: NavSolution, known: Known, run: RunResult, rows: int, **facts: Any
 ) -> Score:
     """Return the verdict of a solution; with a truth also for which convention it may be mistaken."""
     blocks = (solution.lla, solution.vel_n, solution.q_nb)
     empty = np.all([np.isnan(block).all(axis=1) for block in blocks], axis=0)
     coverage = float(np.mean(np.isfinite(solution.t) & ~empty))
-    required = list_requirements(run.profile, label)
-    covered = measure_coverage(solution, run.sensors)
-    judged = add_verdict(label, measured, covered, required)
-    if truth is not None and judged["verdict"] in BROKEN:
+    judged = judge_solution(label, solution, known, run.sensors, run.evaluation, run.profile, **facts)
+    if isinstance(known, Trajectory) and judged.metrics["verdict"] in BROKEN:
         antenna_b = np.zeros(3) if run.sensors is None else run.sensors.antenna_b
-        found = find_mistakes(truth, [solution], antenna_b, run.evaluation.begin)
-        judged = add_verdict(label, {**measured, **found}, covered, required)
-    return Score(label, solution, errors, judged, run, coverage, rows)
+        judged = judged.explain(find_mistakes(known, [solution], antenna_b, run.evaluation.begin))
+    return Score(label, solution, judged.errors, judged.metrics, run, coverage, rows)

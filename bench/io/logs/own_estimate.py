@@ -17,8 +17,8 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.records.data import EventRow, Events, InitialState, Innovations, NavSolution, SensorData
 from bench.core.records.specs import AUTOPILOT
 from bench.core.words.exceptions import ConfigError, EstimatorError
+from bench.evaluation.errors.resampling import ForeignSolution, resample
 from bench.io.config.log import SourceSpec
-from bench.io.foreign.solutions import ForeignSolution, resample
 from bench.io.log_formats import list_formats
 from bench.io.logs.formats.unreadable import explain_missing
 from bench.io.logs.log_contents import Contents, OwnEstimate, OwnMotion, split_instance

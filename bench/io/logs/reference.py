@@ -6,24 +6,18 @@ their own: the one with more rows is interpolated at the instants of the other, 
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import difference_n, matrix_en
-from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData
-from bench.core.records.specs import EvaluationWindow
+from bench.core.records.data import GnssFixes, NavSolution, Reference
 from bench.core.words.exceptions import ConfigError
-from bench.evaluation.errors.error_series import select_epochs
-from bench.evaluation.errors.failures import describe_failure
-from bench.evaluation.errors.fixes import point_errors
-from bench.evaluation.metrics.run_metrics import judge_epochs
+from bench.evaluation.errors.reference_errors import take_as_read
+from bench.evaluation.errors.resampling import resample
 from bench.evaluation.motion.recorded_motion import Check
 from bench.io.config.log import NAV, ReferenceSpec, SourceSpec
-from bench.io.foreign.solutions import DEVIATIONS, ForeignSolution, read_attitudes, read_solution, resample
+from bench.io.foreign.solutions import DEVIATIONS, read_attitudes, read_solution
 from bench.io.log_formats import list_formats
 from bench.io.logs import formats
 from bench.io.logs.own_estimate import NEAR, look, read_truth
@@ -129,7 +123,7 @@ def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:
         unknown = np.full((len(own.attitude_t), 3), np.nan)
         cov = np.zeros((len(own.attitude_t), 9, 9))
         attitude = _make_solution(own.attitude_t, unknown, unknown, own.q_nb, cov)
-        q_nb = resample(_as_foreign(attitude, source.path.name), own.t, NEAR).q_nb
+        q_nb = resample(take_as_read(attitude, source.path.name), own.t, NEAR).q_nb
     return LogRows(own.t, {"lla": own.lla, "vel_n": own.vel_n}), q_nb, None
 
 
@@ -164,7 +158,7 @@ def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
     text = f"reference: {len(track)} rows, {track.t[0]:.2f} to {track.t[-1]:.2f} s, {parts}, {exact}"
     order = np.argsort(fixes.t, kind="stable")
     near = fixes.take(order[fixes.valid[order]])
-    own = resample(_as_foreign(track, "reference"), near.t)
+    own = resample(take_as_read(track, "reference"), near.t)
     known = np.isfinite(own.lla).all(axis=1) & np.isfinite(near.lla).all(axis=1)
     if not known.any():
         return Check("reference_to_fixes_m", None, f"{text}; no fix at its times to compare it with", True)
@@ -175,53 +169,3 @@ def check_reference(reference: Reference, fixes: GnssFixes) -> Check:
     if distance > most:
         text += ": is it of this drive, and time_offset_s of its clock?"
     return Check("reference_to_fixes_m", distance, text, distance <= most)
-
-
-def judge(
-    solution: NavSolution, reference: Reference, data: SensorData, evaluation: EvaluationWindow
-) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution against a reference, and the metrics of what it has.
-
-    Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
-    the estimate plus that of the reference.
-    """
-    errors, moved = compare(solution, reference, data)
-    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
-    if len(errors):
-        values = judge_epochs(errors, moved, evaluation)
-    return errors, {**values, "reference_epochs": len(errors)}
-
-
-def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
-    """Return the errors at the instants that both have, and the estimate there with the claims of both."""
-    estimate, track = _meet(solution, reference.track)
-    return point_errors(estimate, track, reference.point_b, data.imu)
-
-
-def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:
-    """Return estimate and reference at common instants."""
-    known = np.asarray(np.isfinite(solution.lla).all(axis=1))
-    if np.median(np.diff(track.t)) < np.median(np.diff(solution.t)) or not known.any():
-        own = resample(_as_foreign(track, "reference"), solution.t)
-        rows = np.asarray(np.isfinite(own.lla).all(axis=1))
-        return select_epochs(solution, rows), select_epochs(own, rows)
-    inside = (track.t >= solution.t[0]) & (track.t <= solution.t[-1])
-    track = select_epochs(track, inside)
-    estimate = resample(_as_foreign(select_epochs(solution, known), "the solution"), track.t)
-    return replace(estimate, innovations=solution.innovations, events=solution.events), track
-
-
-def _as_foreign(solution: NavSolution, shown: str) -> ForeignSolution:
-    """Return a solution as one that can be interpolated."""
-    return ForeignSolution(
-        shown=shown,
-        rows=np.arange(1, len(solution) + 1),
-        t=solution.t,
-        lla=solution.lla,
-        vel_n=solution.vel_n,
-        q_nb=solution.q_nb,
-        gyro_bias_b=solution.gyro_bias_b,
-        accel_bias_b=solution.accel_bias_b,
-        cov=solution.cov,
-        remarks=(),
-    )

@@ -1,0 +1,70 @@
+"""Errors of a solution against a reference: what another unit says of the same motion.
+
+Solution and reference have times of their own: the one with more rows is interpolated at the instants of the
+other, never across a gap of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from bench.core.records.data import ErrorSeries, NavSolution, Reference, SensorData
+from bench.core.records.specs import EvaluationWindow
+from bench.evaluation.errors.error_series import select_epochs
+from bench.evaluation.errors.failures import describe_failure
+from bench.evaluation.errors.fixes import point_errors
+from bench.evaluation.errors.resampling import ForeignSolution, resample
+from bench.evaluation.metrics.run_metrics import judge_epochs
+
+
+def measure_by_reference(
+    solution: NavSolution, reference: Reference, data: SensorData, evaluation: EvaluationWindow
+) -> tuple[ErrorSeries, dict[str, Any]]:
+    """Return the errors of a solution against a reference, and the metrics of what it has.
+
+    Estimate and reference are compared at the point of the reference. Claims are those of both: ``cov`` of
+    the estimate plus that of the reference.
+    """
+    errors, moved = compare(solution, reference, data)
+    values: dict[str, Any] = {"converged": True, "reason": None, **describe_failure(solution)}
+    if len(errors):
+        values = judge_epochs(errors, moved, evaluation)
+    return errors, {**values, "reference_epochs": len(errors)}
+
+
+def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
+    """Return the errors at the instants that both have, and the estimate there with the claims of both."""
+    estimate, track = _meet(solution, reference.track)
+    return point_errors(estimate, track, reference.point_b, data.imu)
+
+
+def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:
+    """Return estimate and reference at common instants."""
+    known = np.asarray(np.isfinite(solution.lla).all(axis=1))
+    if np.median(np.diff(track.t)) < np.median(np.diff(solution.t)) or not known.any():
+        own = resample(take_as_read(track, "reference"), solution.t)
+        rows = np.asarray(np.isfinite(own.lla).all(axis=1))
+        return select_epochs(solution, rows), select_epochs(own, rows)
+    inside = (track.t >= solution.t[0]) & (track.t <= solution.t[-1])
+    track = select_epochs(track, inside)
+    estimate = resample(take_as_read(select_epochs(solution, known), "the solution"), track.t)
+    return replace(estimate, innovations=solution.innovations, events=solution.events), track
+
+
+def take_as_read(solution: NavSolution, shown: str) -> ForeignSolution:
+    """Return a solution as one that can be interpolated."""
+    return ForeignSolution(
+        shown=shown,
+        rows=np.arange(1, len(solution) + 1),
+        t=solution.t,
+        lla=solution.lla,
+        vel_n=solution.vel_n,
+        q_nb=solution.q_nb,
+        gyro_bias_b=solution.gyro_bias_b,
+        accel_bias_b=solution.accel_bias_b,
+        cov=solution.cov,
+        remarks=(),
+    )
