@@ -60,11 +60,12 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
 
 
 def read_start(text: ast.JoinedStr, name: str) -> str:
-    """Return what stands before the last full stop at the start of an f-string of the module ``name``."""
+    """Return the package at the start of an f-string of the module ``name``; prose names none."""
     start = ""
     for part in text.values:
         if isinstance(part, ast.Constant):
-            return (start + part.value).rpartition(".")[0]
+            is_prose = re.fullmatch(r"[\w.]*", part.value) is None
+            return "" if is_prose else (start + part.value).rpartition(".")[0]
         if ast.unparse(part.value) != "__name__":
             break
         start += name

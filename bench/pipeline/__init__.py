@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import pairwise
 from math import degrees
 from typing import Any
 
 from bench.core.compilation.compiled import read_compile_time, watch_compiling
 from bench.core.files import disk_arrays
-from bench.core.records.data import NavSolution, OffPath, ShowFlight, Trajectory
+from bench.core.records.data import NavSolution, Sensed, ShowFlight, Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
-from bench.core.records.specs import IN_FLIGHT, Profile
+from bench.core.records.specs import Profile
 from bench.core.words.stages import Stages, Watcher
+from bench.evaluation.judging import Judged
 from bench.io import results
 from bench.navigation import estimator
 from bench.pipeline.steps import (
@@ -23,6 +25,7 @@ from bench.pipeline.steps import (
     evaluate,
     explain,
     find_truth_key,
+    find_worked,
     fly,
     fly_over,
     fly_run,
@@ -110,8 +113,7 @@ def _run(
         from bench.evaluation.linear import held
 
         held.check_flight(profile.sensors, built)
-    compiled_before, own_truth = read_compile_time(), truth is not None
-    clock = {"fly": read_work_clock()}
+    compiled_before, own_truth, clock = read_compile_time(), truth is not None, {"fly": read_work_clock()}
     truth, steered = fly_run(profile, run, (truth, steered), stages, show)
     clock["sense"] = read_work_clock()
     stages.begin("sensing")
@@ -121,30 +123,19 @@ def _run(
     answers = navigate_all(built, sensed.data, sensed.initial, list_on_board(profile), stages)
     clock["judge"] = read_work_clock()
     stages.begin("judging")
-    paths = dict[str, OffPath | None]()
-    if steered is not None:
-        from bench.simulation.flight.guidance.desired_path import measure_steered
-
-        answers.solutions[IN_FLIGHT], answers.unmodelled[IN_FLIGHT] = steered, None
-        paths[IN_FLIGHT] = measure_steered(profile.flight, truth, steered.t)
-    judged = evaluate(profile, truth, sensed, answers, paths)
+    judged, path = evaluate(profile, truth, sensed, answers, steered)
     clock["causes"] = read_work_clock()
     for label, one in built.items() if causes is not False else ():
-        solution = answers.solutions[label]
-        judged[label] = explain(profile, run, truth, sensed, solution, judged[label], one, causes, stages)
+        answer = answers.solutions[label]
+        judged[label] = explain(profile, run, truth, sensed, answer, judged[label], one, causes, stages)
     clock["compare"] = read_work_clock()
     metrics = {label: one.metrics for label, one in judged.items()}
-    worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
-    for label, other in estimator.find_same(worked, sensed.data).items():
-        metrics[label]["same_as"] = other
+    worked = find_worked(built, metrics, sensed.data)
     if bound and worked:
-        errors = {label: judged[label].errors for label in worked}
-        smoothing = {label: held.smooths(built[label]) for label in worked}
-        begin = profile.evaluation.begin
-        ratios = held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
-        for label, rows in ratios.items():
+        for label, rows in _hold(profile, truth, sensed, worked, judged).items():
             metrics[label]["bound"] = rows
     clock["end"] = read_work_clock()
+    key = None if own_truth else find_truth_key(profile, run)
     cpu_s = {a: clock[b] - clock[a] for a, b in pairwise(clock)}
     cpu_s["compile"] = read_compile_time() - compiled_before
     return RunResult(
@@ -157,10 +148,7 @@ def _run(
         provenance={
             **results.provenance(),
             "profile": profile.name,
-            "inputs": {
-                "truth": None if own_truth else find_truth_key(profile, run),
-                "sensors": results.hash_spec(profile.sensors),
-            },
+            "inputs": {"truth": key, "sensors": results.hash_spec(profile.sensors)},
             "cpu_s": cpu_s,
             "estimator_cpu_s": answers.cpu_s,
         },
@@ -170,9 +158,25 @@ def _run(
             "truth": truth,
             "sensed": sensed,
             "printed": collect_printed(built),
-            "path": paths.get(IN_FLIGHT),
+            "path": path,
         },
     )
+
+
+def _hold(
+    profile: Profile,
+    truth: Trajectory,
+    sensed: Sensed,
+    worked: Mapping[str, estimator.Estimator],
+    judged: Mapping[str, Judged],
+) -> dict[str, Any]:
+    """Return the errors of each estimator over those of the best linear one."""
+    from bench.evaluation.linear import held
+
+    errors = {label: judged[label].errors for label in worked}
+    smoothing = {label: held.smooths(one) for label, one in worked.items()}
+    begin = profile.evaluation.begin
+    return held.hold_run(truth, profile.sensors, sensed, profile.seed, begin, errors, smoothing)
 
 
 def _describe_scene(profile: Profile) -> dict[str, Any]:

@@ -49,7 +49,7 @@ from bench.io.logs.log_start import find_start
 from bench.io.logs.own_estimate import AutopilotEstimator
 from bench.navigation import built_in, estimator
 from bench.navigation.engine.kept_rows import take_rows
-from bench.pipeline.steps import build_estimator, collect_printed, navigate_all
+from bench.pipeline.steps import build_estimator, collect_printed, find_worked, navigate_all
 
 REPORTED = "fix_accuracy"
 """Option that logs whose fixes come with standard deviations set to "reported"."""
@@ -222,10 +222,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     gaps = used_fixes.find_outages(session.fixes)
     ends = np.array([end for _, end in gaps])
     data = session.make_data(keep, np.concatenate([session.make_output_times(), withheld.t, ends]))
-    present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
-    place = ": ".join(filter(None, [spec.name, log.records.no_ranges]))  # instruments are checked before
-    for label, one in log.estimators.items():
-        estimator.check_needs(one, label, present, place)
+    _check_needs(log, data)
     drifts = list[dict[str, Any]]()
     own = {label for label, one in log.estimators.items() if isinstance(one, AutopilotEstimator)}
 
@@ -251,12 +248,9 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
         )
         disk_arrays.release()
     metrics = {label: one.metrics for label, one in judged.items()}
-    worked = {label: one for label, one in log.estimators.items() if not metrics[label].get("failed")}
-    for label, other in estimator.find_same(worked, data).items():
-        metrics[label]["same_as"] = other
-    suspicious = [check for check in log.checks if not check.good]
+    find_worked(log.estimators, metrics, data)
     last = float(log.records.imu.t.max())
-    events = Events.from_rows([(0.0, last, "sanity", check.text) for check in suspicious])
+    events = Events.from_rows([(0.0, last, "sanity", one.text) for one in log.checks if not one.good])
     checks = [{"name": c.name, "value": c.value, "good": c.good, "text": c.text} for c in log.checks]
     return RunResult(
         profile=spec.document,
@@ -279,6 +273,14 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
             **({} if log.reference is None else {"reference": log.reference}),
         },
     )
+
+
+def _check_needs(log: RecordedLog, data: SensorData) -> None:
+    """Raise EstimatorError where a record is missing that a filter needs; instruments are checked before."""
+    present = {name for name in estimator.RECORDS if getattr(data, name) is not None}
+    place = ": ".join(filter(None, [log.spec.name, log.records.no_ranges]))
+    for label, one in log.estimators.items():
+        estimator.check_needs(one, label, present, place)
 
 
 def _find_start(log: RecordedLog) -> InitialState:

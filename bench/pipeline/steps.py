@@ -25,7 +25,7 @@ from bench.core.records.data import (
 from bench.core.records.flight_specs import TableSpec
 from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.sensor_specs import AssumedSpecs
-from bench.core.records.specs import CLIENT, EstimatorChoice, Profile
+from bench.core.records.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError
 from bench.core.words.stages import FLYING, Stages
 from bench.evaluation.errors.failures import check_starts, describe_error, make_failed_solution
@@ -309,13 +309,15 @@ def _list_facts(profile: Profile) -> dict[str, Any]:
 
 
 def evaluate(
-    profile: Profile,
-    truth: Trajectory,
-    sensed: Sensed,
-    answers: Navigated,
-    paths: Mapping[str, OffPath | None],
-) -> dict[str, Judged]:
-    """Judge all solutions by the truth; one that flew the aircraft is held against its path."""
+    profile: Profile, truth: Trajectory, sensed: Sensed, answers: Navigated, steered: NavSolution | None
+) -> tuple[dict[str, Judged], OffPath | None]:
+    """Judge all solutions by the truth; what ``steered`` is added to them, and judged by its path, too."""
+    path = None
+    if steered is not None:
+        from bench.simulation.flight.guidance.desired_path import measure_steered
+
+        answers.solutions[IN_FLIGHT], answers.unmodelled[IN_FLIGHT] = steered, None
+        path = measure_steered(profile.flight, truth, steered.t)
     judged = {}
     for label, solution in answers.solutions.items():
         more = {"unmodelled": answers.unmodelled[label], **_describe_program(solution)}
@@ -328,11 +330,21 @@ def evaluate(
             profile.document,
             more,
             drawn=sensed.truth,
-            path=paths.get(label),
+            path=path if label == IN_FLIGHT else None,
             **_list_facts(profile),
         )
         disk_arrays.release()
-    return judged
+    return judged, path
+
+
+def find_worked(
+    built: Mapping[str, estimator.Estimator], metrics: Mapping[str, dict[str, Any]], data: SensorData
+) -> dict[str, estimator.Estimator]:
+    """Return the estimators that did not fail; the metrics of one that is another one say so."""
+    worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
+    for label, other in estimator.find_same(worked, data).items():
+        metrics[label]["same_as"] = other
+    return worked
 
 
 def _describe_program(solution: NavSolution) -> dict[str, Any]:

@@ -262,7 +262,7 @@ def test_named_satellites_are_lost_and_no_other(turn, plain):
 
 def test_jamming_lowers_every_signal_and_what_is_below_the_threshold_is_lost(turn, plain):
     """The noise is the same draw, as much larger as the formulas of the loops say for the lower C/N0."""
-    from bench.simulation.sensors.measurement_level.sky import code_sd, doppler_sd
+    from bench.simulation.sensors.measurement_level.loops import code_sd, doppler_sd
 
     loss, prompt = 12.0, replace(SKY, sky=replace(SKY.sky, reacquisition=0.0))
     clean, faulty = (
@@ -370,7 +370,7 @@ def test_a_frozen_output_repeats_the_row_before_and_its_time_goes_on(turn, plain
 )
 def test_a_noise_burst_is_as_large_as_it_says(sensor):
     """The added part over its sd, mean square in its 99.9 % band; 1.25 times would be seen."""
-    from bench.simulation.sensors.measurement_level.sky import code_sd, doppler_sd
+    from bench.simulation.sensors.measurement_level.loops import code_sd, doppler_sd
 
     truth = still(40.0, 50.0)
     struck = sensor if sensor in ("gyro", "accel", *INSTRUMENTS) else "gnss"

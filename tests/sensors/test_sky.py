@@ -24,7 +24,7 @@ from bench.io import config
 from bench.io.config.datasheets import read_gnss
 from bench.simulation.sensors import gnss
 from bench.simulation.sensors.draws import SensorDraws
-from bench.simulation.sensors.measurement_level import clock, sky, view
+from bench.simulation.sensors.measurement_level import clock, loops, sky, view
 from bench.simulation.signals import allan, delays, orbits, receiver_solution
 from bench.simulation.signals.allan import fit_flat_deviation
 from bench.simulation.signals.processing import Processing
@@ -297,7 +297,7 @@ def test_the_assumed_size_of_an_error_is_the_root_of_the_sum_of_its_parts():
     assert (exact.sd_range_rate == 1e-4).all()
     both = replace(QUIET, bands=2, dll_bandwidth=0.5, fll_bandwidth=2.0)
     noisy = measure(short, both).observations
-    of_rate = sky.doppler_sd(noisy.cn0[:, 0], noisy.frequency[:, 0], both)  # on the first carrier
+    of_rate = loops.doppler_sd(noisy.cn0[:, 0], noisy.frequency[:, 0], both)  # on the first carrier
     assert_allclose(noisy.sd_range_rate, of_rate, rtol=1e-12)
     assert sky.make_processing(replace(FULL, second_band_loss=40.0)).budget.second_band == pytest.approx(100)
 
@@ -322,7 +322,7 @@ def test_the_noise_of_the_loops_is_that_of_the_chip_and_carrier_of_each_system()
     n, d, T = 10 ** (cn0 / 10), FULL.dll_spacing, FULL.integration
     code = chip * np.sqrt(FULL.dll_bandwidth * d / (2 * n) * (1 + 2 / ((2 - d) * T * n)))
     doppler = orbits.C / frequency / (2 * np.pi * T) * np.sqrt(4 * FULL.fll_bandwidth / n * (1 + 1 / (T * n)))
-    assert_allclose(sky.find_loop_noise(system, cn0, frequency, FULL), [code, doppler], rtol=1e-6)
+    assert_allclose(loops.find_loop_noise(system, cn0, frequency, FULL), [code, doppler], rtol=1e-6)
 
 
 def test_the_second_band_is_weaker_and_has_noise_of_its_own(rest):
@@ -335,7 +335,7 @@ def test_the_second_band_is_weaker_and_has_noise_of_its_own(rest):
         added = getattr(noisy, name) - getattr(clean, name)
         for k in range(2):
             loops = clean.system, clean.cn0[:, k], clean.frequency[:, k], replace(two, **noise)
-            assert low < np.mean((added[:, k] / sky.find_loop_noise(*loops)[kind]) ** 2) < high
+            assert low < np.mean((added[:, k] / loops.find_loop_noise(*loops)[kind]) ** 2) < high
         assert abs(np.corrcoef(added.T)[0, 1]) < 3.29 / np.sqrt(len(clean))
 
 

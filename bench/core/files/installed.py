@@ -118,7 +118,8 @@ def find_folders(group: str) -> dict[str, Path]:
 def _examine(group: str, taken: Collection[str]) -> Iterator[tuple[Installed, str]]:
     """Yield each entry and what is wrong with it; an empty text if nothing is."""
     seen: dict[str, str] = {}
-    entries = sorted(entry_points(group=f"bench.{group}"), key=lambda one: (one.name, _name_package(one)))
+    found = entry_points(group=".".join(("bench", group)))
+    entries = sorted(found, key=lambda one: (one.name, _name_package(one)))
     for entry in entries:
         if entry.dist is not None and re.sub(r"[-_.]+", "-", entry.dist.name).lower() == _OWN:
             continue

@@ -237,3 +237,23 @@ def check_requested(
         f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"
         for name in unknown
     ]
+
+
+def check_across(
+    table: ExperimentTable,
+    on_board: Mapping[str, Any],
+    choices: Sequence[EstimatorChoice],
+    estimators: Sequence[str],
+    *,
+    has_air: bool,
+) -> list[str]:
+    """Return a line for each problem between the tables of a profile."""
+    return [
+        *check_rates(table, on_board),
+        *check_outages(table),
+        *check_alignment(table),
+        *check_sensors(table, on_board, has_air=has_air),
+        *check_requirements(table.requirement, choices),
+        *check_estimators(choices),
+        *check_requested(choices, estimators),
+    ]

@@ -165,18 +165,7 @@ def load_log(
     tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
     sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
     reference = _find_source(table.reference, "reference", beside, place, wrong)
-    assumed: dict[str, Any] = {}
-    for kind in tables:
-        datasheet = getattr(table.sensors.assumed, kind)
-        if datasheet is None and tables[kind] is not None:
-            wrong.append(
-                f"{place}[sensors.assumed] {kind} is missing: name the datasheet that the filters assume"
-            )
-        with collect_errors(wrong, f"{place}[sensors.assumed] "):
-            sheet = None if datasheet is None else find_datasheet(kind, datasheet, beside)
-            with collect_errors(wrong):
-                figures = changes.assumed.get(kind)
-                assumed[kind] = None if sheet is None else SENSORS[kind](*sheet, figures)
+    assumed = _read_assumed(table, tables, changes, beside, place, wrong)
     wrong += [f"{place}{line}" for line in changes.check({}, dict(table.sensors.assumed))]
     choices = make_choices(table.estimator, overrides, beside)
     across = (
@@ -191,15 +180,56 @@ def load_log(
     choices = choose_estimators(name, choices, estimators, allow_code, guard)
     imu = sources["imu"]
     assert imu is not None
+    return _make_spec(path.stem, path.name, table, imu, sources, reference, assumed, choices, changes)
+
+
+def _read_assumed(
+    table: LogTable,
+    tables: Mapping[str, FileTable | None],
+    changes: DatasheetChanges,
+    beside: Path,
+    place: str,
+    wrong: list[str],
+) -> dict[str, Any]:
+    """Return the datasheets that the filters assume, by sensor; ``wrong`` gets a line for each problem."""
+    assumed: dict[str, Any] = {}
+    for kind in tables:
+        datasheet = getattr(table.sensors.assumed, kind)
+        if datasheet is None and tables[kind] is not None:
+            wrong.append(
+                f"{place}[sensors.assumed] {kind} is missing: name the datasheet that the filters assume"
+            )
+        with collect_errors(wrong, f"{place}[sensors.assumed] "):
+            sheet = None if datasheet is None else find_datasheet(kind, datasheet, beside)
+            with collect_errors(wrong):
+                figures = changes.assumed.get(kind)
+                assumed[kind] = None if sheet is None else SENSORS[kind](*sheet, figures)
+    return assumed
+
+
+def _make_spec(
+    name: str,
+    file: str,
+    table: LogTable,
+    imu: SourceSpec,
+    sources: Mapping[str, SourceSpec | None],
+    reference: SourceSpec | None,
+    assumed: Mapping[str, Any],
+    choices: tuple[EstimatorChoice, ...],
+    changes: DatasheetChanges,
+) -> LogSpec:
+    """Return a log in SI, whose tables are right."""
     gnss_at = table.gnss.position_m if table.gnss else table.imu.position_m
 
     def from_imu(at: tuple[float, float, float]) -> tuple[float, float, float]:
         x, y, z = (a - b for a, b in zip(at, table.imu.position_m, strict=True))
         return x, y, z
 
+    withhold = table.evaluation.withhold
+    assert withhold is not None
     return LogSpec(
-        name=path.stem,
-        title=table.title or path.stem,
+        name=name,
+        title=table.title or name,
         imu=imu,
         gnss=sources["gnss"],
         instruments={kind: source for kind in INSTRUMENTS if (source := sources[kind]) is not None},
@@ -211,7 +241,7 @@ def load_log(
         antenna_b=from_imu(gnss_at),
         velocity_offset=float(table.gnss.velocity_offset_s) if table.gnss else 0.0,
         quality=table.gnss.quality if table.gnss else (),
-        quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, path.name),
+        quality_sd=_read_classes(table.gnss.quality_sd_m if table.gnss else {}, file),
         assumed=AssumedSpecs(**assumed),
         start=_make_start(table.alignment),
         estimators=choices,
@@ -227,7 +257,7 @@ def load_log(
         )
         if table.reference and reference
         else None,
-        document=_make_document(table, path.stem, choices, changes),
+        document=_make_document(table, name, choices, changes),
     )
 
 

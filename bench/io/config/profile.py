@@ -96,11 +96,7 @@ def load_profile(
         raise ConfigError(f"estimators = {estimators!r} is a text; give a list: [{estimators!r}]")
     document = read_toml(path, shown)
     check_kind(document, "a profile", shown)
-    overrides = dict(overrides or {})
-    if seed is not None:
-        used_seed = overrides.pop("seed", seed)  # an override wins
-        document |= {"seed": used_seed}
-        document |= {} if "trajectory" in document else {"turbulence_seed": used_seed}
+    document, overrides = _set_seed(document, dict(overrides or {}), seed)
     overrides, changes = split_overrides(overrides, path.parent)
     for key, value in overrides.items():
         document = override(document, key, value)
@@ -113,12 +109,7 @@ def load_profile(
     units = document.get("sensors")
     if units is None and external is not None:
         units = choose_usual_units().model_dump()
-    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
-    assumed_names = changes.name_assumed(units)
-    assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.assumed)
-    named = units if isinstance(units, Mapping) else {}
-    wrong += [f"{shown}: {line}" for line in changes.check(named, {**named, **assumed_names})]
-    assumed = {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
+    on_board, assumed = _read_sensors(units, beside, shown, wrong, changes)
     try:
         table: ExperimentTable = check_table(
             external[0] if external else make_profile_table(legs.LEGS), document, shown
@@ -140,20 +131,14 @@ def load_profile(
     elif external is not None:
         with collect_errors(wrong, f"{shown}: "):
             flight = external[1](table, beside)
-    across += (
-        checks.check_rates(table, on_board) + checks.check_outages(table) + checks.check_alignment(table)
-    )
-    across += checks.check_sensors(table, on_board, has_air="trajectory" not in document)
-    across += fault_tables.check_faults(
-        table.fault, on_board, math.inf if table.duration_s is None else table.duration_s
-    )
-    across += checks.check_requirements(table.requirement, choices)
-    across += checks.check_estimators(choices) + checks.check_requested(choices, estimators or ())
+    end = math.inf if table.duration_s is None else table.duration_s
+    across += fault_tables.check_faults(table.fault, on_board, end)
+    has_air = "trajectory" not in document
+    across += checks.check_across(table, on_board, choices, estimators or (), has_air=has_air)
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
         raise ConfigError(*wrong)
     choices = choose_estimators(shown, choices, estimators, allow_code, guard)
-    guidance = _make_guidance(table, shown, flight, guard, allow_code=allow_code)
     return Profile(
         name=path.stem,
         title=table.title or path.stem,
@@ -163,8 +148,31 @@ def load_profile(
         estimators=choices,
         evaluation=table.evaluation.window(),
         document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
-        guidance=guidance,
+        guidance=_make_guidance(table, shown, flight, guard, allow_code=allow_code),
     )
+
+
+def _set_seed(
+    document: dict[str, Any], overrides: dict[str, Any], seed: int | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a document with this seed, and the other overrides; that of an override wins."""
+    if seed is None:
+        return document, overrides
+    used = overrides.pop("seed", seed)
+    turbulence = {} if "trajectory" in document else {"turbulence_seed": used}
+    return document | {"seed": used} | turbulence, overrides
+
+
+def _read_sensors(
+    units: Any, beside: Path, shown: str, wrong: list[str], changes: DatasheetChanges
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the datasheets on board, and those that filters assume, by sensor."""
+    on_board = _find_sensors(units, beside, f"{shown}: [sensors] ", wrong, changes.on_board)
+    assumed_names = changes.name_assumed(units)
+    assumed = _find_sensors(assumed_names, beside, f"{shown}: [sensors.assumed] ", wrong, changes.assumed)
+    named = units if isinstance(units, Mapping) else {}
+    wrong += [f"{shown}: {line}" for line in changes.check(named, {**named, **assumed_names})]
+    return on_board, {kind: assumed[kind] or on_board[kind] for kind in SENSORS}
 
 
 def _make_guidance(

@@ -46,10 +46,9 @@ class Cockpit:
             return switch(f"guidance/{name}")
 
         def gain(name: str) -> float:
-            value = reader(f"guidance/{name}")()
-            if not value > 0:
-                what = f"gain {name} must be above 0; it is {value:g}"
-                raise FlightError(f"aircraft {spec.aircraft.name}: {what}")
+            if not (value := reader(f"guidance/{name}")()) > 0:
+                place = f"aircraft {spec.aircraft.name}: gain {name}"
+                raise FlightError(f"{place} must be above 0; it is {value:g}")
             return value
 
         def believed(name: str, what: str, factor: float = 1.0) -> Callable[[], float]:
@@ -66,14 +65,11 @@ class Cockpit:
         self._wheels = reader("gear/wow")
         self.true_roll = reader("attitude/phi-rad")
         self.heading = believed("attitude/psi-rad", "heading-rad")
-        self.roll, self.pitch = (
-            believed("attitude/phi-rad", "roll-rad"),
-            believed("attitude/theta-rad", "pitch-rad"),
-        )
+        self.roll = believed("attitude/phi-rad", "roll-rad")
+        self.pitch = believed("attitude/theta-rad", "pitch-rad")
         self.roll_rate = believed("velocities/p-rad_sec", "p-rad_sec")
         self.load_factor = reader("accelerations/Nz")  # one step late, which control does not mind
-        self.bank_wanted = reader("guidance/bank-wanted-rad")
-        self.pitch_wanted = reader("guidance/pitch-wanted-rad")
+        self.bank_wanted, self.pitch_wanted = (reader(f"guidance/{k}-wanted-rad") for k in ("bank", "pitch"))
         self.lat_mode, self.lon_mode, self.thr_mode = (writer(f"{k}-mode") for k in ("lat", "lon", "thr"))
         self.set_bank, self.set_heading = writer("bank-setpoint-rad"), writer("heading-setpoint-rad")
         self.set_pitch, self.set_pitch_trim = writer("pitch-setpoint-rad"), writer("pitch-trim-rad")

@@ -248,6 +248,21 @@ def _reweight(normalised: FloatArray, used: BoolArray, final: bool) -> FloatArra
     return 1.0 / factor
 
 
+def _make_unsolved(M: int, K: int) -> PositionFixes:
+    """Return fixes of M epochs and K ranges before they are solved."""
+    return PositionFixes(
+        pos_e=np.full((M, 3), np.nan),
+        clock=np.full((M, _SYSTEMS), np.nan),
+        cov_e=np.full((M, 3, 3), np.nan),
+        steps=np.zeros(M, np.int64),
+        used=np.zeros(K, bool),
+        residual=np.full(K, np.nan),
+        normalised=np.full(K, np.nan),
+        chi2=np.full(M, np.nan),
+        passed=np.zeros(M, bool),
+    )
+
+
 def solve_positions(
     epoch_start: IntArray,
     sat_pos_e: FloatArray,
@@ -314,17 +329,7 @@ def solve_positions(
     used = np.isfinite(pseudorange) & np.isfinite(sat_pos_e).all(axis=1) & np.isfinite(sd)
     if use is not None:
         used &= use
-    fixes = PositionFixes(
-        pos_e=np.full((M, 3), np.nan),
-        clock=np.full((M, _SYSTEMS), np.nan),
-        cov_e=np.full((M, 3, 3), np.nan),
-        steps=np.zeros(M, np.int64),
-        used=np.zeros(K, bool),
-        residual=np.full(K, np.nan),
-        normalised=np.full(K, np.nan),
-        chi2=np.full(M, np.nan),
-        passed=np.zeros(M, bool),
-    )
+    fixes = _make_unsolved(M, K)
     rate = GPS_EARTH_RATE if sagnac else 0.0
     begin = np.zeros((M, _UNKNOWNS))
     if start_e is not None:

@@ -12,7 +12,7 @@ import rerun as rr
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.data import GnssFixes, NavSolution, Trajectory
 from bench.core.records.findings.series import (
     AXIS_COLOURS,
     BAND,
@@ -135,17 +135,20 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
         rr.GeoPoints.columns(positions=np.rad2deg(disk_arrays.take(truth.lla, slow)[:, :2])),
     )
 
-    fixes = content.sensed.data.fixes
-    if fixes is not None:
-        good = np.flatnonzero(fixes.valid & np.isfinite(fixes.lla).all(axis=1))
-        good = good[thin(fixes.t[good], limit_rate(fixes.t, MOST_ROWS))]
-        time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
-        for place, points, positions in (
-            ("/world/gnss/fixes", rr.Points3D, earth.local_ned(fixes.lla[good], origin)),
-            ("/map/gnss/fixes", rr.GeoPoints, np.rad2deg(fixes.lla[good, :2])),
-        ):
-            stream.log(place, points.from_fields(colors=[FIX], radii=[-1.2]), static=True)
-            stream.send_columns(place, time, points.columns(positions=positions))
+    if content.sensed.data.fixes is not None:
+        _send_fixes(stream, content.sensed.data.fixes, origin)
+
+
+def _send_fixes(stream: Any, fixes: GnssFixes, origin: FloatArray) -> None:
+    good = np.flatnonzero(fixes.valid & np.isfinite(fixes.lla).all(axis=1))
+    good = good[thin(fixes.t[good], limit_rate(fixes.t, MOST_ROWS))]
+    time = [rr.TimeColumn(TIMELINE, duration=fixes.t[good])]
+    for place, points, positions in (
+        ("/world/gnss/fixes", rr.Points3D, earth.local_ned(fixes.lla[good], origin)),
+        ("/map/gnss/fixes", rr.GeoPoints, np.rad2deg(fixes.lla[good, :2])),
+    ):
+        stream.log(place, points.from_fields(colors=[FIX], radii=[-1.2]), static=True)
+        stream.send_columns(place, time, points.columns(positions=positions))
 
 
 def _send_estimate(

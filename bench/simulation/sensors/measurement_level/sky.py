@@ -29,6 +29,7 @@ from bench.simulation.sensors.measurement_level.ionosphere_field import (
     field_kernel,
     locate_pierce_points,
 )
+from bench.simulation.sensors.measurement_level.loops import track_bands
 from bench.simulation.sensors.measurement_level.view import View, compute_view
 from bench.simulation.sensors.timing import find_outage_rows
 from bench.simulation.signals import orbits, receiver_solution
@@ -37,10 +38,6 @@ from bench.simulation.signals.look import Look, compute_look, estimate_range_sd,
 from bench.simulation.signals.orbits import C
 from bench.simulation.signals.processing import ErrorBudget, Processing
 
-_CHIP = (C / 1.023e6, C / 0.511e6, C / 1.023e6 / np.sqrt(3.0), C / 2.046e6)
-"""Chip of the civil code by system [m], their ICDs; the correlation of BOC(1,1) is three times as steep."""
-_DECIBEL = np.log(10.0) / 10.0
-_MULTIPATH_DECAY = float(np.deg2rad(10.0))  # [rad], RTCA DO-229D, appendix J
 _LEAST = (0.01, 1e-4)  # smallest assumed sd of range and range rate [m, m/s]
 
 
@@ -80,44 +77,6 @@ def _interpolate_kernel(
 def _map_kernel(sin_el: FloatArray, mapping: FloatArray) -> None:
     for k in range(sin_el.shape[0]):
         mapping[k] = mapping_kernel(sin_el[k])
-
-
-def code_sd(cn0: FloatArray, chip: FloatArray, spec: SkySpec) -> FloatArray:
-    """Return the standard deviation of the thermal noise of the code loop [m] at C/N0 [dB-Hz].
-
-    Notes
-    -----
-    Noncoherent early-minus-late power discriminator, wide front end: Kaplan and Hegarty, Understanding GPS,
-    2nd ed. (2006), eq. 5.23: ``sqrt(B d / (2 C/N0) (1 + 2 / ((2 - d) T C/N0)))`` chips [m], with bandwidth B,
-    spacing d and integration T of the spec.
-    """
-    ratio = np.exp(_DECIBEL * cn0)
-    d = spec.dll_spacing
-    loss = 1.0 + 2.0 / ((2.0 - d) * spec.integration * ratio)
-    sd: FloatArray = chip * np.sqrt(spec.dll_bandwidth * d / (2.0 * ratio) * loss)
-    return sd
-
-
-def doppler_sd(cn0: FloatArray, frequency: FloatArray, spec: SkySpec) -> FloatArray:
-    """Return the standard deviation of the thermal noise of the frequency loop as a range rate [m/s].
-
-    Notes
-    -----
-    Kaplan and Hegarty (2006), eq. 5.9, at high C/N0 (F = 1):
-    ``wavelength / (2 pi T) sqrt(4 B / (C/N0) (1 + 1 / (T C/N0)))``.
-    """
-    ratio = np.exp(_DECIBEL * cn0)
-    T = spec.integration
-    noise = np.sqrt(4.0 * spec.fll_bandwidth / ratio * (1.0 + 1.0 / (T * ratio)))
-    sd: FloatArray = C / frequency / (2.0 * np.pi * T) * noise
-    return sd
-
-
-def find_loop_noise(
-    system: IntArray, cn0: FloatArray, frequency: FloatArray, spec: SkySpec
-) -> tuple[FloatArray, FloatArray]:
-    """Return the thermal noise of code [m] and range rate [m/s] of rows (K,) of a carrier [Hz]."""
-    return code_sd(cn0, np.array(_CHIP)[system], spec), doppler_sd(cn0, frequency, spec)
 
 
 def measure(
@@ -196,18 +155,22 @@ def measure(
         held.go_on(frozen, len(t), take)
     # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
     solution = receiver_solution.solve_fixes(observations, make_processing(sky), near=seen)
-    solved = np.isfinite(solution.fixes.lla).all(axis=1) & np.isfinite(solution.fixes.vel_n).all(axis=1)
-    columns = {name: getattr(solution.fixes, name)[solved] for name in GnssFixes.__slots__}
-    for name in ("cov_pos_n", "cov_vel_n"):
-        columns[name] = columns[name] / spec.optimism**2
-    fixes = GnssFixes(**columns)
+    fixes = _claim(solution.fixes, spec.optimism)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
     used = np.zeros(len(v.epoch), bool)
-    here = content == tag
-    used[_select_rows(start, content[here])] = solution.used[now]
+    used[_select_rows(start, content[content == tag])] = solution.used[now]
     reported = np.zeros(len(t), bool)
     reported[tag] = True
     return ReceiverOutput(observations, fixes, solution, _make_sky_view(t, everything, reported, used))
+
+
+def _claim(fixes: GnssFixes, optimism: float) -> GnssFixes:
+    """Return the solved fixes with the covariances that the receiver states."""
+    solved = np.isfinite(fixes.lla).all(axis=1) & np.isfinite(fixes.vel_n).all(axis=1)
+    columns = {name: getattr(fixes, name)[solved] for name in GnssFixes.__slots__}
+    for name in ("cov_pos_n", "cov_vel_n"):
+        columns[name] = columns[name] / optimism**2
+    return GnssFixes(**columns)
 
 
 def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray) -> SkyView:
@@ -318,7 +281,7 @@ def _make_observations(
     count, bands = len(epoch), sky.bands
     row_system, row_sat = v.system[which], v.sat[which]
     frequency = orbits.carrier_frequencies(row_system, v.channel[which])[:, :bands]
-    geometric, rate, cn0 = v.distance, v.rate, v.cn0
+    geometric, rate = v.distance, v.rate
     el = seen.el
     mapping = np.empty(count)
     _map_kernel(v.sin_el.copy(), mapping)
@@ -341,29 +304,10 @@ def _make_observations(
     added, added_rate = faults.compute_range_errors(t[epoch], row_system, row_sat, scripted)
     common += added
     rate = rate + added_rate
-    shadow = sky.multipath_zenith_sd + sky.multipath_horizon_sd * np.exp(-el / _MULTIPATH_DECAY)
-    pseudorange, range_rate, strength = np.empty((3, count, bands))
-    tracking = np.empty((2, count))
-    for band in range(bands):
-        strength[:, band] = cn0 - band * sky.second_band_loss
-        pseudorange[:, band] = common + ionosphere * (frequency[:, 0] / frequency[:, band]) ** 2
-        noise, doppler = find_loop_noise(row_system, strength[:, band], frequency[:, band], sky)
-        if sky.dll_bandwidth > 0:
-            pseudorange[:, band] += noise * errors.draw_white(f"code.{band + 1}")
-        burst = errors.draw_bursts(scripted, f"code.{band + 1}")
-        if burst is not None:
-            pseudorange[:, band] += noise * burst
-        if max(sky.multipath_zenith_sd, sky.multipath_horizon_sd) > 0:
-            slow = errors.draw_markov(f"multipath.{band + 1}", sky.multipath_correlation)
-            pseudorange[:, band] += shadow * slow
-        range_rate[:, band] = rate + drift[epoch] - v.clock_rate
-        if sky.fll_bandwidth > 0:
-            range_rate[:, band] += doppler * errors.draw_white(f"doppler.{band + 1}")
-        burst = errors.draw_bursts(scripted, f"doppler.{band + 1}")
-        if burst is not None:
-            range_rate[:, band] += doppler * burst
-        if band == 0:
-            tracking[:] = noise, doppler
+    rate = rate + drift[epoch] - v.clock_rate
+    pseudorange, range_rate, strength, tracking = track_bands(
+        common, ionosphere, rate, v.cn0, el, row_system, frequency, sky, errors, scripted
+    )
     # the receiver computes the time of transmission from its pseudorange, with the errors of that
     late = (pseudorange[:, 0] - geometric - clock[epoch] + v.clock) / C
     processing = make_processing(sky)
