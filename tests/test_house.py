@@ -7,11 +7,14 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
+import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
@@ -21,7 +24,29 @@ from tests.conftest import SLOWEST
 
 PACKAGE = Path(bench.__file__).parent
 MOST_LINES = 450
-MOST_FLOORS = 14
+MOST_MODULES = 20  # of a folder
+MOST_ARROWS = 40  # between rooms
+LONGEST_CHAIN = 50  # modules that import each other one after the other
+MOST_CODE = 60  # lines of a function
+MOST_FILES = {"navigate": 50, "load_profile": 26}  # whose code runs
+ROOMS = (
+    "cli",
+    "views",
+    "experiments",
+    "pipeline",
+    "io",
+    "evaluation",
+    "navigation",
+    "simulation",
+    "core",
+)
+"""From the highest to the lowest."""
+LONG_FUNCTIONS = {
+    "align_on_the_move": "one alignment, in the order of its equations",
+    "align_at_rest": "the same at rest",
+    "go": "the run of a filter, in which every state is in sight",
+}
+""":func:`test_functions_are_short` leaves these out, and kernels, which call nothing."""
 
 
 def modules() -> dict[str, Path]:
@@ -139,14 +164,96 @@ def list_arrows_up(package: str, floors: list[str], graph: dict[str, set[str]]) 
     return wrong
 
 
-def test_no_import_goes_up_and_there_are_few_floors():
-    """import-linter sees neither texts nor, here, imports for types."""
+@pytest.fixture(scope="module")
+def graph():
+    """The modules of bench that each one imports or names."""
     known = modules()
     del known["bench"]
-    graph = {name: set(imported(name, path, known)) for name, path in known.items()}
+    return {name: set(imported(name, path, known)) - {name} for name, path in known.items()}
+
+
+def room(name: str) -> str:
+    return name.split(".")[1]
+
+
+def test_the_root_holds_the_rooms_and_the_plugins():
+    found = {path.name for path in PACKAGE.iterdir() if path.name not in ("__pycache__", "aircraft")}
+    data = {"catalog", "profiles", "guide"}
+    assert found == {*ROOMS, *data, "plugins", "__init__.py", "__main__.py", "py.typed"}
+    assert [one for one in ROOMS if not (PACKAGE / one / "README.md").is_file()] == []
+
+
+def test_no_import_goes_up_and_there_are_few_arrows(graph):
+    """import-linter sees neither texts nor, here, imports for types."""
     for package, floors in read_floors().items():
         assert list_arrows_up(package, floors, graph) == []
-        assert len(floors) <= MOST_FLOORS
+    assert tuple(read_floors()["bench"]) == ("plugins", "__main__ : cli", *ROOMS[1:])
+    arrows = {(room(name), room(one)) for name, found in graph.items() for one in found}
+    between = {(one, other) for one, other in arrows if one != other and {one, other} <= {*ROOMS}}
+    assert len(between) <= MOST_ARROWS
+
+
+def test_a_folder_holds_few_modules():
+    counts = Counter(path.parent for path in PACKAGE.rglob("*.py"))
+    assert {str(folder): count for folder, count in counts.items() if count > MOST_MODULES} == {}
+
+
+def test_chains_of_imports_are_short(graph):
+    order = TopologicalSorter(graph).static_order()
+    longest: dict[str, list[str]] = {}
+    for name in order:
+        longest[name] = [name, *max((longest[one] for one in graph[name]), key=len, default=[])]
+    chain = max(longest.values(), key=len)
+    assert len(chain) <= LONGEST_CHAIN, " -> ".join(chain)
+
+
+def count_code(source: str, function: ast.FunctionDef) -> int:
+    """Return the lines of a function's body that are neither empty, nor a comment, nor its docstring."""
+    first = function.body[1:] if ast.get_docstring(function) else function.body
+    lines = source.splitlines()[first[0].lineno - 1 : function.end_lineno] if first else []
+    return sum(1 for line in lines if line.strip() and not line.strip().startswith("#"))
+
+
+def test_functions_are_short():
+    found, used = {}, set()
+    for path in PACKAGE.rglob("*.py"):
+        source = path.read_text(encoding="utf-8")
+        for one in ast.walk(ast.parse(source)):
+            if not isinstance(one, ast.FunctionDef) or one.name.endswith("kernel"):
+                continue
+            if (
+                count := count_code(source, one)
+            ) > MOST_CODE and path.name != "starting_point.py":  # what bench new writes
+                used.add(one.name)
+                found[f"{path.name}: {one.name}"] = count
+    assert {name: n for name, n in found.items() if name.split(": ")[1] not in LONG_FUNCTIONS} == {}
+    assert set(LONG_FUNCTIONS) <= used, "no exemption without need"
+
+
+def list_files_run(function) -> set[str]:
+    """Return the files of bench whose functions run in a second call."""
+    function()
+    seen = set()
+
+    def watch(frame, event, argument):
+        if event == "call" and frame.f_code.co_name != "<module>":
+            seen.add(frame.f_code.co_filename)
+
+    sys.setprofile(watch)
+    try:
+        function()
+    finally:
+        sys.setprofile(None)
+    return {name for name in seen if name.startswith(str(PACKAGE))}
+
+
+def test_few_files_run_for_one_answer():
+    profile = bench.load_profile("static", {"leg.1.duration_s": 40, "evaluation.from_s": 20})
+    sensed = bench.sense(profile, bench.fly(profile))
+    navigate = list_files_run(lambda: bench.navigate("loose-15", sensed.data, sensed.initial))
+    assert len(navigate) <= MOST_FILES["navigate"], sorted(navigate)
+    load = list_files_run(lambda: bench.load_profile("figure-eight"))
+    assert len(load) <= MOST_FILES["load_profile"], sorted(load)
 
 
 def test_an_import_that_goes_up_is_found():
@@ -193,11 +300,9 @@ def test_readme_shows_the_floors_as_they_are():
     assert [" ".join(one.split()) for one in shown.split(">")] == read_floors()["bench"]
 
 
-def test_imports_are_not_circular():
+def test_imports_are_not_circular(graph):
     """Under TYPE_CHECKING and inside functions too; the package itself names what is public everywhere."""
-    known = modules()
-    del known["bench"]
-    assert circle({name: set(imported(name, path, known)) - {name} for name, path in known.items()}) is None
+    assert circle(graph) is None
 
 
 def test_a_circle_is_found():

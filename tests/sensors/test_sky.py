@@ -334,8 +334,8 @@ def test_the_second_band_is_weaker_and_has_noise_of_its_own(rest):
     for kind, name in enumerate(("pseudorange", "range_rate")):
         added = getattr(noisy, name) - getattr(clean, name)
         for k in range(2):
-            loops = clean.system, clean.cn0[:, k], clean.frequency[:, k], replace(two, **noise)
-            assert low < np.mean((added[:, k] / loops.find_loop_noise(*loops)[kind]) ** 2) < high
+            given = clean.system, clean.cn0[:, k], clean.frequency[:, k], replace(two, **noise)
+            assert low < np.mean((added[:, k] / loops.find_loop_noise(*given)[kind]) ** 2) < high
         assert abs(np.corrcoef(added.T)[0, 1]) < 3.29 / np.sqrt(len(clean))
 
 

@@ -131,9 +131,8 @@ def load_profile(
     elif external is not None:
         with collect_errors(wrong, f"{shown}: "):
             flight = external[1](table, beside)
-    end = math.inf if table.duration_s is None else table.duration_s
+    end, has_air = math.inf if table.duration_s is None else table.duration_s, "trajectory" not in document
     across += fault_tables.check_faults(table.fault, on_board, end)
-    has_air = "trajectory" not in document
     across += checks.check_across(table, on_board, choices, estimators or (), has_air=has_air)
     wrong += [f"{shown}: {line}" for line in across]
     if wrong or flight is None:
