@@ -17,7 +17,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.core.files.installed import find_installed, find_own, import_plugin
+from bench.core.files.installed import find_installed, find_own, read_constant
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line
 
@@ -38,10 +38,7 @@ TABLES = (".csv", ".tsv", ".parquet", MATLAB)
 
 FORMATS: Mapping[str, LogFormat] = {
     "table": LogFormat(endings=TABLES),
-    **{
-        name: LogFormat(place, **import_plugin("logs", name).LOGS[name])
-        for name, place in find_own("logs").items()
-    },
+    **{name: LogFormat(place, **read_constant(place, "FORMAT")) for name, place in find_own("logs").items()},
     "rosbag": LogFormat("bench.io.logs.formats.bags", (".bag", ".db3"), topics=True, package="rosbags"),
     "mcap": LogFormat("bench.io.logs.formats.bags", (".mcap",), topics=True, package="mcap"),
     "navego": LogFormat("bench.io.logs.formats.navego_structures", topics=True),

@@ -6,9 +6,9 @@ A package names in its ``pyproject.toml`` under ``[project.entry-points."bench.G
 - ``catalog``: any name = "package.folder", a folder with ``imu/NAME.toml``, ``gnss/NAME.toml`` ...;
 - ``aircraft``: any name = "package.folder", a folder with ``NAME/aircraft.toml`` and ``NAME/NAME.xml``;
 - ``exports``: NAME = "module" with ``FORMATS`` and ``write``, as those of `bench.io.exports`;
-- ``logs``: NAME = "module" that reads recordings of the format NAME, as `bench.io.logs.formats` says;
-- ``fixes``: NAME = "module" that reads the files of GNSS receivers, as `bench.io.logs.receiver_files` says;
-- ``studies``: NAME = "module" with ``Options`` and ``run``, as those of `bench.experiments.studies`;
+- ``logs``: NAME = "module" that reads recordings of the format NAME, as `bench.io.log_formats` says;
+- ``fixes``: NAME = "module" that reads the files of GNSS receivers, as `bench.io.fix_readers` says;
+- ``studies``: NAME = "module" with ``Options`` and ``run``, as `bench.experiments.studies` says;
 - ``verbs``: NAME = "module:command", a ``click.Command`` that ``bench NAME`` runs.
 
 The plug-ins in `bench.plugins` are entries of the project's own distribution. They come first, no other
@@ -18,6 +18,7 @@ package can take their names, and they run in this process as the rest of bench 
 from __future__ import annotations
 
 import re
+from ast import literal_eval
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -26,6 +27,7 @@ from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, e
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
@@ -64,6 +66,26 @@ def import_plugin(group: str, name: str) -> ModuleType:
     Its ``GROUP`` in capitals holds a row for each name: what is said of it before it is imported.
     """
     return import_module(".".join(find_own(group)[name].split(".")[:3]))
+
+
+def list_modules(package: str) -> list[str]:
+    """Return the names of the modules below a package of bench, without importing them."""
+    found = sorted(_find_source(package).with_suffix("").rglob("[!_]*.py"))
+    return [".".join(one.with_suffix("").relative_to(PACKAGE.parent).parts) for one in found]
+
+
+def read_constant(module: str, name: str) -> Any:
+    """Return a constant that a module of bench or a plug-in assigns, a literal, without importing it.
+
+    None if it assigns none of this name.
+    """
+    source = _find_source(module).read_text(encoding="utf-8")
+    found = re.search(rf"^{name} = (.*(?:\n[ )}}\]].*)*)", source, re.MULTILINE)
+    return None if found is None else literal_eval(found[1])
+
+
+def _find_source(module: str) -> Path:
+    return PACKAGE.joinpath(*module.split(".")[1:]).with_suffix(".py")
 
 
 @cache

@@ -43,6 +43,9 @@ from bench.experiments.studies.study import Count, StudyWorkers, UnitOptions, Wo
 from bench.navigation.estimator import Estimator
 from bench.simulation import sensors
 
+STUDY = 6, "bound"
+QUESTION = "How far is each estimator from the best linear one, on a flight?"
+
 _PARTS = 4  # of the draws of an estimator, so that all workers have something to do
 
 

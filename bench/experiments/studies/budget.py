@@ -41,6 +41,9 @@ from bench.experiments.studies.study import Count, StudyWorkers, UnitOptions, as
 from bench.navigation.models.loose_tight import Loose
 from bench.simulation import sensors
 
+STUDY = 5, "budget"
+QUESTION = "Which error of the sensors contributes what to the errors of a filter, at every instant?"
+
 _PARTS = 8  # of the draws of a source, so that all workers have something to do
 _WIDE = 1.5  # an interval of a variance whose upper end is so many times its lower end squared tells nothing
 _UNKNOWN = "cannot tell"

@@ -43,6 +43,9 @@ from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
 
+STUDY = 9, "closed-loop"
+QUESTION = "Where does the aircraft end that a filter flies, and how far off its path, by filter and unit?"
+
 _SMALLEST = 1e-3  # misses below this are alike [m]
 
 

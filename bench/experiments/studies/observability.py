@@ -31,6 +31,9 @@ from bench.experiments.studies.linear_flight import GRADES, LinearFlight
 from bench.experiments.studies.study import StudyWorkers, UnitOptions, Words, ask_each
 from bench.simulation import sensors
 
+STUDY = 7, "observability"
+QUESTION = "What do turns tell of heading and biases, and what stays unknown?"
+
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
 _BEFORE, _AFTER, _LATE = 240, 400, 1800  # of the reference flight [s]
 _HEADING = 8  # its state

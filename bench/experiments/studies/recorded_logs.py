@@ -36,6 +36,9 @@ from bench.experiments.studies.study import (
 from bench.io.config.log import is_log
 from bench.pipeline import log_pipeline
 
+STUDY = 8, "logs"
+QUESTION = "Which filter does better on many recordings?"
+
 _LEAST = 3  # logs that tell how much ratios scatter
 
 

@@ -70,6 +70,9 @@ from bench.navigation.engine.kept_rows import take_rows
 from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_off_path
 
+STUDY = 10, "rnp"
+QUESTION = "Are accuracy, integrity, continuity and availability those that a procedure requires?"
+
 _NM = 1852.0  # [m]
 _INTERVAL = 1.0  # between the instants of a run [s]
 _RISK, _TOLD = 1e-4, 0.999  # required: risk of an alert; share of errors told

@@ -32,6 +32,9 @@ from bench.io.config import load_profile
 from bench.io.config.library import find_datasheet
 from bench.io.config.toml_file import read_toml
 
+STUDY = 3, "sensitivity"
+QUESTION = "How much does one value of a profile matter?"
+
 _SHOWN = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 
 

@@ -34,6 +34,9 @@ from bench.io.config.datasheets import read_imu
 from bench.io.config.library import find_datasheet
 from bench.navigation import mechanization
 
+STUDY = 1, "requirements"
+QUESTION = "What gyro and accelerometer error is allowed for a position error after an outage?"
+
 _UG, _DEG_H = 1e-6 * STANDARD_GRAVITY, DEG / HOUR
 _STEP = 0.1  # of the simulation [s]
 _HELD = 10  # steps after which the height is set right

@@ -26,6 +26,9 @@ from bench.plugins.autopilots import ulog_motion
 from bench.plugins.autopilots.ulog_motion import Data, stack, times
 from bench.simulation.signals.air import pressure_altitude
 
+FORMAT = {"endings": (".ulg",), "topics": True, "knows": True, "package": "pyulog"}
+"""Its row in `bench.io.log_formats`."""
+
 _MOST_BYTES = 1_000_000_000  # pyulog keeps the file and the wanted messages in memory
 _LEAST_COVERED = 0.5  # part of the time between two rows of an IMU that the rows measured
 _LEAST_RATE = 50.0  # of an IMU whose rows do not say what time they cover [Hz]

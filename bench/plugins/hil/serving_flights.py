@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +23,11 @@ from bench.cli.group import (
     strict_option,
 )
 from bench.core.words.exceptions import DONE, NEGATIVE
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from bench.core.records.run_result import RunResult
 
 
 @click.command(epilog=STATUS)
@@ -79,7 +87,6 @@ def serve(
     if channels is not None and not mavlink:
         raise click.UsageError("--channels goes with --mavlink")
     from bench.plugins.hil.mavlink_session import PORT, ActuatorChannels
-    from bench.plugins.hil.serve_verb import run_serve
 
     session = {key: options.pop(key) for key in ("remote", "rate", "patience", "truth")}
     session |= {
@@ -89,9 +96,51 @@ def serve(
     if port is None:
         port = PORT if mavlink else 5700
     session["address"] = f"[{bind}]:{port}" if ":" in bind else f"{bind}:{port}"
-    result, ended = run_serve(profile, console=new_console(stderr=as_json), session=session, **options)
+    result, ended = _fly(profile, console=new_console(stderr=as_json), session=session, **options)
     if as_json:
         from bench.io.results import to_json
 
         click.echo(to_json(result.metrics), nl=False)
     return max(end_flight(result, strict=strict), NEGATIVE if ended else DONE)
+
+
+def _fly(
+    name: str,
+    *,
+    console: Console,
+    out: Path | None,
+    draw: int,
+    recording: bool,
+    report: bool,
+    force: bool,
+    session: Mapping[str, Any],
+    overrides: Mapping[str, Any],
+    **profile_options: Any,
+) -> tuple[RunResult, str]:
+    """Fly one profile with a client, as bench run does, and return why the client ended early.
+
+    ``session`` is for `bench.plugins.hil.serving.serve`.
+    """
+    from bench.cli.verbs import flight_verbs
+    from bench.io import results
+    from bench.plugins.hil import serving
+    from bench.plugins.hil.served import load_served
+
+    flight_verbs.find_own_estimators()
+    profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
+    folder = out or flight_verbs.RUNS / f"{profile.name}-{profile.seed}-served"
+    results.check_folder(folder, force=force)
+    console.print(flight_verbs.describe_run(profile.title, profile.seed, draw, profile.evaluation))
+    begun = time.perf_counter()
+    served = serving.serve(profile, draw, say=console.print, **session)
+    with flight_verbs.write_first(
+        console, served.result, folder, recording=recording, report=report, force=force
+    ):
+        console.print(f"Flew {served.flown:g} s with the client.")
+        if served.latest > 0:
+            console.print(f"It was up to {1e3 * served.latest:.1f} ms behind the rate.")
+        if served.ended:
+            console.print(f"{served.ended[:1].upper()}{served.ended[1:].rstrip('.')}.", style="red")
+        flight_verbs.print_result(console, served.result, table=False)
+    flight_verbs.print_end(console, folder, begun, table=False)
+    return served.result, served.ended

@@ -29,11 +29,3 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     },
 }
 """Name of an estimator -> its row in `bench.navigation.built_in`."""
-
-STUDIES = {
-    "alignment": "What do errors of an alignment cost on a route, how do they travel, and what tells them?",
-    "mechanizations": "What do frame, task rates, attitude algorithm and series of a strapdown cost in "
-    "metres and time?",
-    "register": "Which rows of the sources' register hold here, and by what number?",
-}
-"""Name of a study -> its question."""

@@ -43,6 +43,8 @@ from bench.plugins.papers.attitude_errors import (
 from bench.plugins.papers.mechanizations.error_integral import quaternion_error
 from bench.plugins.papers.vector_matching import match_vectors, misalignment
 
+QUESTION = "What do errors of an alignment cost on a route, how do they travel, and what tells them?"
+
 _ROWS = 9  # instants of the course in the table
 _STEP = 0.01  # of the quaternions [s]
 _TURN = np.array([0.05, -0.02, 0.1])  # rates along which their error is integrated [rad/s]

@@ -30,6 +30,8 @@ from bench.plugins.papers.mechanizations.earth_series import EarthModel
 from bench.plugins.papers.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 
+QUESTION = "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?"
+
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]
 _VECTOR, _PICARD = "rotation-vector", "two-quaternions"
 _SHOWN = ("nhe", "ecef", "inertial")  # in the figure; the other level frames do what nhe does

@@ -12,6 +12,8 @@ from bench.experiments.studies.study import StudyOptions, StudyWorkers
 from bench.plugins.papers.register_measures import RowFinding
 from bench.plugins.papers.register_rows import ROWS
 
+QUESTION = "Which rows of the sources' register hold here, and by what number?"
+
 _PARTS = (  # last row, name, title: tables that a terminal shows whole
     (12, "mechanizations", "Mechanizations, #1 to #12"),
     (33, "sensors", "Sensors and GNSS, #13 to #33"),

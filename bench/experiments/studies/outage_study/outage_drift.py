@@ -40,6 +40,9 @@ from bench.experiments.studies.unit_study.catalog_units import find_units
 from bench.io import results
 from bench.io.config import load_profile
 
+STUDY = 2, "outages"
+QUESTION = "How far does the position drift without GNSS, by unit and by phase of flight?"
+
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]
 _LATER = 2.0  # so long GNSS stays lost after the last instant that counts [s]

@@ -45,6 +45,9 @@ from bench.experiments.studies.unit_study.unit_ranking import Ranking, UnitFlown
 from bench.io.config.datasheets import read_imu
 from bench.io.config.library import find_datasheet
 
+STUDY = 4, "sensors"
+QUESTION = "Which IMU of the catalog is good enough, and of which class?"
+
 LAW_S = 60.0
 """Time of the drift that the datasheet alone expects [s]."""
 
