@@ -16,6 +16,7 @@ from bench.core.files import durable
 from bench.core.files.file_checks import check_file, read_json
 from bench.core.mathematics.units import split_unit
 from bench.core.records.data import ImuData
+from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import one_line, quote_toml
 from bench.evaluation.motion.recorded_motion import Check, RecordedMotion
@@ -41,11 +42,7 @@ RECORDINGS = (*_BAGS, *(ending for one in FORMATS.values() if one.knows for endi
 _DATASHEETS = {
     "imu": "adis16475",
     "gnss": "l1-code",
-    "baro": "bmp388",
-    "mag": "hmc5883l",
-    "airspeed": "ms4525do",
-    "radar": "lr-d1",
-    "heading": "oem7-align-2m",
+    **{name: row.usual for name, row in INSTRUMENTS.items() if row.usual},
 }
 _FLIGHT_IMU = "mpu-9250"  # of the class that autopilots carry
 _SHAKES = 2.0  # noise of a recording over that of its datasheet that is worth believing [1]

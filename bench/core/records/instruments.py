@@ -302,6 +302,9 @@ class Instrument:
     trace: Trace
     parts: Mapping[str, type] = field(default_factory=dict)  # further tables of its datasheet -> their specs
     step: str = ""  # unit of the fault "<name>-step"; empty if there is no such fault
+    usual: str = ""  # datasheet for a recording whose unit is not known; empty: it is asked for
+    spreads: bool = False  # a recording may say its standard deviation
+    of_attitude: bool = False  # tells no more than a known attitude does
     rounds: bool = True  # ``quantization`` applies to the value
     feels_air: Callable[[Any], bool] = lambda spec: False  # its errors depend on the air of the flight
     problems: Callable[[Any], list[str]] = lambda spec: []  # find mistakes in a spec, a line each
@@ -366,6 +369,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             step="m",
             feels_air=lambda spec: spec.physical is not None,
             problems=_check_baro,
+            usual="bmp388",
         ),
         Instrument(
             name="mag",
@@ -379,6 +383,8 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             frame=3,
             bias=Column(tuple(f"mag_bias_{axis}_t" for axis in XYZ), ("T",) * 3, "b", (3,)),
             trace=Trace("magnetic_field", "magnetic field measured", "uT", 1e6),
+            usual="hmc5883l",
+            of_attitude=True,
         ),
         Instrument(
             name="airspeed",
@@ -395,6 +401,7 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             rounds=False,
             feels_air=lambda spec: True,
             problems=_check_airspeed,
+            usual="ms4525do",
         ),
         Instrument(
             name="radar",
@@ -409,6 +416,8 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             bias=Column(("radar_bias_m",), ("m",)),
             trace=Trace("height", "height above the ground", "m"),
             step="m",
+            usual="lr-d1",
+            spreads=True,
         ),
         Instrument(
             name="odometer",
@@ -436,6 +445,9 @@ INSTRUMENTS: Mapping[str, Instrument] = {
             bias=Column(("heading_bias_rad",), ("rad",)),
             trace=Trace("heading", "dual antenna", "deg", 180.0 / math.pi, dots=True),
             step="deg",
+            usual="oem7-align-2m",
+            spreads=True,
+            of_attitude=True,
         ),
     )
 }

@@ -8,6 +8,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.mathematics.units import SAME_INSTANT
+from bench.core.records.instruments import INSTRUMENTS
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.held import bound_in_range, variance_of
@@ -18,8 +19,6 @@ _STATES = {"accuracy": (0, 1), "height": (2,), "velocity": (3, 4, 5), "tilt": (6
 
 _RATE = 1.0  # of the instants that are averaged [Hz]
 _STILL = 0.2  # speed of what stands [m/s]
-_OF_ATTITUDE = ("mag", "heading")
-"""Instruments that tell no more than a known attitude does."""
 _UNKNOWN = ("airspeed", "odometer", "radar")
 """Instruments that the linear model lacks."""
 
@@ -47,7 +46,9 @@ def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
         return {}, "no bound: it stands still, and a filter may know that"
     data = pipeline.sense(sound, truth, 0).data
     step = max(1, round(on_board.output_rate / _RATE))
-    told = on_board.alignment != "given" or any(getattr(on_board, name) is not None for name in _OF_ATTITUDE)
+    told = on_board.alignment != "given" or any(
+        row.of_attitude and getattr(on_board, name) is not None for name, row in INSTRUMENTS.items()
+    )
     bound = bound_in_range(
         truth, sound.sensors, data, profile.seed, data.output_t[::step], smooth=False, attitude_known=told
     )

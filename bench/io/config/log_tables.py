@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import datetime
 from collections import Counter
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, WithJsonSchema
+from pydantic import AfterValidator, Field, WithJsonSchema, create_model
 from pydantic_core import PydanticCustomError
 
+from bench.core.records.instruments import INSTRUMENTS
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
 from bench.io.log_formats import FORMATS, list_formats
@@ -102,23 +104,11 @@ class MagTable(FileTable):
     """The magnetometer, in the axes of the vehicle."""
 
 
-class AirspeedTable(FileTable):
-    """The airspeed sensor."""
-
-
 class RadarTable(FileTable):
     """The range finder that looks down."""
 
     ground_alt_m: Annotated[float, between(-1000, 10000)] | None = None
     """Ellipsoidal height of the ground below it; by its first reading and the first fix if left out."""
-
-
-class OdometerTable(FileTable):
-    """The wheel."""
-
-
-class HeadingTable(FileTable):
-    """The receiver with two antennas that tells the heading."""
 
 
 class ReferenceTable(FileTable):
@@ -132,25 +122,19 @@ class ReferenceTable(FileTable):
     """Classes of the rows that count; all if left out."""
 
 
-class LogAssumedTable(Table):
-    """The datasheets that the filters assume."""
-
+class _AssumedTable(Table):
     imu: str
     """Datasheet that the filters believe of the IMU."""
     gnss: str | None = None
     """That of the GNSS receiver; needed if there is one."""
-    baro: str | None = None
-    """That of the barometer; needed if there is one."""
-    mag: str | None = None
-    """That of the magnetometer; needed if there is one."""
-    airspeed: str | None = None
-    """That of the airspeed sensor; needed if there is one."""
-    radar: str | None = None
-    """That of the range finder; needed if there is one."""
-    odometer: str | None = None
-    """That of the wheel; needed if there is one."""
-    heading: str | None = None
-    """That of the receiver with two antennas; needed if there is one."""
+
+
+_ASSUMED: dict[str, Any] = {
+    name: (str | None, Field(None, description=f"That of the {row.title}; needed if there is one."))
+    for name, row in INSTRUMENTS.items()
+}
+LogAssumedTable: Any = create_model("LogAssumedTable", __base__=_AssumedTable, **_ASSUMED)
+"""The datasheets that the filters assume."""
 
 
 class LogSensorsTable(Table):
@@ -202,21 +186,29 @@ class LogEvaluationTable(EvaluationTable):
     reference."""
 
 
-class LogTable(Table):
-    """The file of a log."""
-
+class _LogHead(Table):
     title: str | None = None
     """What it is, in words."""
     date: datetime.date | None = None
     """Day of the recording, by which the magnetic field is known; a magnetometer needs it."""
     imu: ImuTable
     gnss: GnssTable | None = None
-    baro: BaroTable | None = None
-    mag: MagTable | None = None
-    airspeed: AirspeedTable | None = None
-    radar: RadarTable | None = None
-    odometer: OdometerTable | None = None
-    heading: HeadingTable | None = None
+
+
+def _list_files() -> Iterator[tuple[str, Any]]:
+    own = {"baro": BaroTable, "mag": MagTable, "radar": RadarTable}
+    for name, row in INSTRUMENTS.items():
+        words, made = f"The {row.title}.", f"{name.capitalize()}Table"
+        table: Any = own.get(name) or create_model(made, __base__=FileTable, __doc__=words)
+        yield name, (table | None, None)
+
+
+_LogFiles: Any = create_model("_LogFiles", __base__=_LogHead, **dict(_list_files()))
+
+
+class LogTable(_LogFiles):  # type: ignore[misc]
+    """The file of a log."""
+
     reference: ReferenceTable | None = None
     sensors: LogSensorsTable
     alignment: LogAlignmentTable = Field(default_factory=LogAlignmentTable)

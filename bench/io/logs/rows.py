@@ -11,7 +11,9 @@ import numpy as np
 from bench.core.files.spawned import machine_memory
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import matrix_en, to_geodetic
-from bench.io.logs.table_files import Group, TableColumns, group, list_names
+from bench.core.records.fields import columns_of
+from bench.core.records.instruments import INSTRUMENTS, Instrument
+from bench.io.logs.table_files import UNITS, Group, TableColumns, group, list_names
 from bench.simulation.signals.air import pressure_altitude
 
 ROW_MEMORY = 300.0
@@ -99,28 +101,21 @@ BARO: Mapping[str, tuple[Group, ...]] = {
 }
 """Barometric altitude, or static pressure."""
 
-_SD = (group("length", "sd"),)
+
+def _name_columns(row: Instrument) -> Mapping[str, tuple[Group, ...]]:
+    dimension = next(one for one, units in UNITS.items() if row.unit in units)
+    stems = [name.rpartition("_")[0] for name in columns_of(row.record)[row.value].names]
+    sd = {"sd": (group(dimension, "sd"),)} if row.spreads else {}
+    return {"time": _TIMES, row.value: (group(dimension, *stems),), **sd, **_FLAGS}
+
+
 INSTRUMENT_ROWS: Mapping[str, Mapping[str, tuple[Group, ...]]] = {
+    **{name: _name_columns(row) for name, row in INSTRUMENTS.items()},
     "baro": BARO,
-    "mag": {"time": _TIMES, "field": (_name_axes("field", "field"),), **_FLAGS},
-    "airspeed": {"time": _TIMES, "airspeed": (group("speed", "airspeed_true"),), **_FLAGS},
-    "radar": {"time": _TIMES, "height": (group("length", "height"),), "sd": _SD, **_FLAGS},
-    "odometer": {"time": _TIMES, "speed": (group("speed", "speed"),), **_FLAGS},
-    "heading": {
-        "time": _TIMES,
-        "direction": (group("angle", "heading"),),
-        "sd": (group("angle", "sd"),),
-        **_FLAGS,
-    },
 }
-"""Instrument -> kinds of columns: what it measures, forward, right, down where it has axes."""
+"""Instrument -> kinds of columns: the value of its record, forward, right, down where it has axes."""
 
 _ALONE = ("interval", "arrival", "valid", "sd", "quality", "signal", "satellites")
-_MEASURED = {
-    **{"field": "field_b", "airspeed": "airspeed_true", "height": "height", "speed": "speed"},
-    "direction": "heading",
-}
-"""Kind of columns -> column of the record of its instrument."""
 _SPREADS = {
     "position sd": "sd_pos",
     "velocity sd": "sd_vel",
@@ -173,7 +168,7 @@ class LogRows:
         if "altitude" in found:
             pressure = stems["altitude"][0] == "pressure"
             values["alt_baro"] = _to_altitude(found["altitude"]) if pressure else found["altitude"]
-        values |= {record: found[kind] for kind, record in _MEASURED.items() if kind in found}
+        values |= {row.value: found[row.value] for row in INSTRUMENTS.values() if row.value in found}
         values |= {name: found[name][:, 0] for name in _ALONE if name in found}
         notes = (f"{shown}: {table.list_unused()}",) if table.unused else ()
         t = found["time"][:, 0]

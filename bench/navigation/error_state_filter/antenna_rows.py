@@ -109,7 +109,19 @@ def antenna_rows_kernel(
 
 
 @inner
-def late_rows_kernel(site: Site, vel_n: FloatArray, H: FloatArray, z: FloatArray) -> None:
+def fix_rows_kernel(site: Site, values: FloatArray, H: FloatArray, z: FloatArray) -> None:
+    """Fill z (6,) and H (6, n) of a fix: position (3,), velocity (3,) of an antenna at (3,) in b."""
+    if site.where.time_offset >= 0:
+        none = site.work.vectors[0]
+        none[:] = 0.0
+        antenna_rows_kernel(site, values[6:], values[:3], none, H, z)
+        _late_rows_kernel(site, values[3:6], H, z)
+    else:
+        antenna_rows_kernel(site, values[6:], values[:3], values[3:6], H, z)
+
+
+@inner
+def _late_rows_kernel(site: Site, vel_n: FloatArray, H: FloatArray, z: FloatArray) -> None:
     """Move z (6,) and H (6, n) to the instant that a fix shows by the estimated offset of its clock.
 
     z[3:] is the velocity of the antenna, from which the measured ``vel_n`` (3,) is not yet taken. The

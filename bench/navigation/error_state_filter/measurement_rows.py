@@ -27,15 +27,15 @@ from collections.abc import Callable
 import numpy as np
 
 from bench.core.compilation.compiled import inner, make_caller
-from bench.core.mathematics.arrays import FloatArray
+from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.earth import EARTH_RATE, radii_kernel
-from bench.navigation.error_state_filter.antenna_rows import antenna_rows_kernel, late_rows_kernel
+from bench.navigation.error_state_filter.antenna_rows import fix_rows_kernel
 from bench.navigation.error_state_filter.corrections import (
     correct_kernel,
     drive_rows_kernel,
     motion_factors_kernel,
 )
-from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL
+from bench.navigation.error_state_filter.error_state import GYRO, PHI, POS, VEL, StateLayout
 from bench.navigation.error_state_filter.propagation import FilterState, MeasureWork, Pending, Site
 from bench.navigation.error_state_filter.rough_heading import yaw_kernel
 from bench.navigation.error_state_filter.state_blocks import Index
@@ -93,19 +93,13 @@ def _sense_kernel(now: FilterState, values: FloatArray, work: MeasureWork) -> No
 
 @inner
 def _fix_kernel(row: int, first: int, site: Site) -> int:
-    now, data, index, pending, work = site
+    now, data, index, pending, _ = site
     state, values = now.state, data.values[row]
     for i in range(6):
         code = i // 3
         _row_kernel(pending, first + i, code, i - 3 * code, 3, data.variance[row, i])
     H, z = pending.H[first : first + 6], pending.z[first : first + 6]
-    if index.time_offset >= 0:
-        none = work.vectors[0]
-        none[:] = 0.0
-        antenna_rows_kernel(site, values[6:], values[:3], none, H, z)
-        late_rows_kernel(site, values[3:6], H, z)
-    else:
-        antenna_rows_kernel(site, values[6:], values[:3], values[3:6], H, z)
+    fix_rows_kernel(site, values, H, z)
     if index.gnss_pos >= 0:
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
@@ -324,3 +318,36 @@ The filter calls them by address, so that only those of the records there are ge
 """
 call_rows = make_caller(ROWS.values())
 """Call one of them by its address."""
+
+OPENS = {
+    POSITION: ("pos",),
+    VELOCITY: ("vel",),
+    BARO: ("baro_bias",),
+    PSEUDORANGE: ("pos", "clock_offset"),
+    RANGE_RATE: ("vel", "clock_drift"),
+    MAGNETIC: ("mag_iron_b",),
+    AIRSPEED: ("wind_north", "wind_east"),
+    RADAR: ("radar_bias",),
+    ODOMETER: ("odometer_scale",),
+    HEADING: ("heading_bias",),
+    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
+}
+"""The states that may have made a step where a sensor is believed again after refusals.
+
+A sensor whose states a filter does not have stays out until it agrees with the rest.
+"""
+
+
+def opened_states(code: int, layout: StateLayout) -> BoolArray:
+    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
+    opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
+    if all(layout.has(name) for name in names):
+        for name in names:
+            opens[layout.slice(name)] = True
+    return opens
+
+
+@inner
+def tells_heading_kernel(code: int) -> bool:
+    """Return whether a sensor tells the heading itself, not by a motion that may have another cause."""
+    return code in (MAGNETIC, HEADING)

@@ -29,54 +29,20 @@ from bench.navigation.engine.kalman import (
 from bench.navigation.engine.late_updates import late_rows_kernel, late_update_kernel, settle_kernel
 from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel, turn_rows_kernel
 from bench.navigation.error_state_filter.error_state import (
-    StateLayout,
     feedback_kernel,
 )
 from bench.navigation.error_state_filter.measurement_rows import (
     ABSENT,
-    AIRSPEED,
-    BARO,
-    HEADING,
-    MAGNETIC,
-    NONHOLONOMIC,
-    ODOMETER,
     POSITION,
     PSEUDORANGE,
-    RADAR,
     RANGE_RATE,
     VELOCITY,
     ZERO_RATE,
     ZERO_VELOCITY,
+    tells_heading_kernel,
 )
 from bench.navigation.error_state_filter.propagation import FilterState, Pending, UpdateWork
 from bench.navigation.error_state_filter.rough_heading import blind_kernel
-
-OPENS = {
-    POSITION: ("pos",),
-    VELOCITY: ("vel",),
-    BARO: ("baro_bias",),
-    PSEUDORANGE: ("pos", "clock_offset"),
-    RANGE_RATE: ("vel", "clock_drift"),
-    MAGNETIC: ("mag_iron_b",),
-    AIRSPEED: ("wind_north", "wind_east"),
-    RADAR: ("radar_bias",),
-    ODOMETER: ("odometer_scale",),
-    HEADING: ("heading_bias",),
-    NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
-}
-"""The states that may have made a step where a sensor is believed again after refusals.
-
-A sensor whose states a filter does not have stays out until it agrees with the rest.
-"""
-
-
-def opened_states(code: int, layout: StateLayout) -> BoolArray:
-    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
-    opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
-    if all(layout.has(name) for name in names):
-        for name in names:
-            opens[layout.slice(name)] = True
-    return opens
 
 
 class Gate(NamedTuple):
@@ -135,7 +101,7 @@ def use_kernel(
     ``before`` is the covariance before the measurement that a smoother uses: it grows where P does.
     """
     P, dx, n, trust = now.P, now.dx, now.P.shape[0], gate.trust
-    if pending.tags[first, 0] != MAGNETIC and pending.tags[first, 0] != HEADING:
+    if not tells_heading_kernel(pending.tags[first, 0]):
         blind_kernel(now.state, P, pending.H[first : first + rows])
     a, drifted, moves, ranges_agree, rates_agree = first, False, True, False, False
     late, waits = work.late, 0

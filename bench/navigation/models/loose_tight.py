@@ -45,8 +45,8 @@ from bench.navigation.error_state_filter.aiding_sensors import (
 )
 from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
-from bench.navigation.error_state_filter.measurement_rows import SENSORS
-from bench.navigation.error_state_filter.measurement_update import Gate, opened_states
+from bench.navigation.error_state_filter.measurement_rows import SENSORS, opened_states
+from bench.navigation.error_state_filter.measurement_update import Gate
 from bench.navigation.error_state_filter.ranges.range_states import RANGE_ERRORS, RANGES
 from bench.navigation.error_state_filter.ranges.satellite_states import Channels
 from bench.navigation.error_state_filter.schedule import Schedule

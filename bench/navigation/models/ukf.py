@@ -41,8 +41,8 @@ from bench.navigation.error_state_filter.measurement_rows import (
     POSITION,
     SENSORS,
     call_rows,
+    opened_states,
 )
-from bench.navigation.error_state_filter.measurement_update import opened_states
 from bench.navigation.error_state_filter.propagation import (
     Measurements,
     Pending,
