@@ -191,7 +191,7 @@ _PUBLIC = {
 }
 
 _OF_PLUGINS = {"serve": "serve", "solve_rinex": "fixes"}
-"""Name -> a verb of the plug-in that holds it."""
+"""Name -> a verb of the plug-in that holds it; the ``PUBLIC`` of the verb's module says where."""
 
 __all__ = ["__version__", *_PUBLIC, *_OF_PLUGINS]
 
@@ -201,9 +201,10 @@ if not TYPE_CHECKING:  # a checker of types sees the imports above, and no name 
         if name in _PUBLIC:
             return getattr(import_module(_PUBLIC[name]), name)
         if name in _OF_PLUGINS:
-            from bench.core.files.installed import import_plugin
+            from bench.core.files.installed import find_own, read_constant
 
-            return getattr(import_module(import_plugin("verbs", _OF_PLUGINS[name]).PUBLIC[name]), name)
+            verb = find_own("verbs")[_OF_PLUGINS[name]].partition(":")[0]
+            return getattr(import_module(read_constant(verb, "PUBLIC")), name)
         raise AttributeError(f"module 'bench' has no attribute {name!r}")
 
 

@@ -378,6 +378,7 @@ def chosen_blocks(options: FusionOptions) -> list[Block]:
     wind = WIND if not options.coordinated else replace(WIND, option="coordinated", records=())
     markov = GNSS_JUMPS if options.every_error else GNSS_MARKOV
     imu, satellites = (MEMS, EVERY_ERROR), (CLOCK, RANGE_ERRORS)
-    ride += [HEADING_ERRORS, clock_of_fixes(options.time_offset_sd)]
+    ride.append(HEADING_ERRORS)
+    ride.append(clock_of_fixes(options.time_offset_sd))
     every = (BARO_BIAS, markov, *imu, *satellites, arm, wind, RADAR_BIAS, MAGNETOMETER, *ride, ODOMETER_SCALE)
     return [block for block in every if getattr(options, block.option)]

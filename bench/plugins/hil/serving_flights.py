@@ -29,6 +29,9 @@ if TYPE_CHECKING:
 
     from bench.core.records.run_result import RunResult
 
+PUBLIC = "bench.plugins.hil.serving"
+"""What holds its function in ``bench``."""
+
 
 @click.command(epilog=STATUS)
 @click.argument("profile", shell_complete=completion.profile)

@@ -18,6 +18,9 @@ from bench.cli.group import (
 )
 from bench.core.words.exceptions import DONE, NEGATIVE
 
+PUBLIC = "bench.plugins.receiver.receiver_settings"
+"""What holds its function in ``bench``."""
+
 
 @click.command(epilog=STATUS)
 @click.argument("files", nargs=-1, required=True, type=FILE, metavar="OBSERVATIONS... NAVIGATION...")
