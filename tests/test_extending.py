@@ -1,17 +1,20 @@
-"""The table of the guide's page "extending": each addition touches no more files than it says, and works.
+"""The table of the guide's page "extending": each addition touches the files it says, and works.
 
-A copy of the package gets a toy of every kind, which is then flown once with all the others. A toy adds new
-files and inserts lines at an anchor that stands once in a file.
+Of six kinds a patch takes the last real one out of a copy of the package, and puts it back. Of others the
+copy gets a toy: new files, and lines inserted at an anchor that stands once in a file. What is left flies
+once with all toys.
 """
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,40 +38,20 @@ class Toy:
         return {*self.new, *self.inserted}
 
 
-METRIC = Toy(
-    inserted={
-        "bench/evaluation/metrics/run_metrics.py": [
-            (
-                "METRICS: tuple[Metric, ...] = (\n",
-                '''def pos_mean_h(case: Case) -> float:
-    """Mean horizontal error [m]."""
-    return float(np.hypot(case.pos_n[:, 0], case.pos_n[:, 1]).mean())
-
-
-''',
-            ),
-            (
-                '    Metric("cep50_m",',
-                '    Metric("pos_mean_h_m", pos_mean_h, "pos", "lower"),\n',
-            ),
-        ]
-    }
-)
-
 TAB = Toy(
     new={
-        "bench/views/plots/tabs/laser_heights.py": """
+        "bench/views/plots/tabs/baro_heights.py": """
 from bench.views.plots.content import Content, Tab
 from bench.core.records.findings.series import FIX, Plot, draw_line
 
 
 def _plots(content: Content):
-    laser = content.sensed.data.laser
-    height = draw_line("height", laser.t, laser.height, "height", FIX, 50.0)
-    return {"": [[Plot(("laser", "height"), "Height [m]", (height,))]]}
+    baro = content.sensed.data.baro
+    height = draw_line("height", baro.t, baro.alt_baro, "height", FIX, 50.0)
+    return {"": [[Plot(("toy", "height"), "Height [m]", (height,))]]}
 
 
-LASER = Tab("Laser", 100, _plots)
+TOY = Tab("Toy", 100, _plots)
 """
     }
 )
@@ -154,161 +137,6 @@ IMU_TERM = Toy(
     }
 )
 
-STATE = Toy(
-    inserted={
-        "bench/navigation/error_state_filter/state_blocks.py": [
-            (
-                "def chosen_blocks(",
-                """SHEAR = Block(
-    "shear",
-    lambda specs: [States("gyro_shear", "rad", 1, specs.imu.gyro.shear_sd**2, drives=((0, 0, 1),))],
-    takes=("gyro shear",),
-)
-
-
-""",
-            ),
-            ("ODOMETER_SCALE)\n", "SHEAR, "),
-        ],
-        "bench/navigation/options.py": [
-            (
-                "    radar: bool = False\n",
-                '    shear: bool = False\n    """Estimate the shear of the gyros."""\n',
-            )
-        ],
-    }
-)
-
-INSTRUMENT = Toy(
-    new={
-        "bench/simulation/sensors/laser.py": '''
-import numpy as np
-
-from bench.core.records.instruments import LaserData
-
-
-def report(truth, on_board, draws):
-    """Return ellipsoidal height with white noise, and an error of 0 without it."""
-    spec = on_board.laser
-    rows, _ = draws.epochs("laser", truth.t, spec.rate)
-    t, noise = truth.t[rows], draws.stream("laser.white").standard_normal(len(rows))
-    height = truth.lla[rows, 2] + spec.white_sd * noise
-    sd = np.full(len(t), spec.white_sd)
-    return LaserData(t=t, t_arrival=t, valid=np.ones(len(t), bool), height=height, sd=sd), np.zeros(len(t))
-'''
-    },
-    inserted={
-        "bench/core/records/instruments.py": [
-            (
-                "@declared\nclass RadarData(",
-                '''@declared
-class LaserData(InstrumentData):
-    """Height above the ellipsoid."""
-
-    height: FloatArray = column("height_m")
-    sd: FloatArray = column("sd_m")
-
-
-@declared
-class LaserSpec:
-    """A laser that knows the height of the ground."""
-
-    name: str
-    rate: float = figure("hz", 0.01, 400)
-    white_sd: float = figure("m", reported=True)
-    quantization: float = figure("m", default=0.0)
-
-
-''',
-            ),
-            ("    baro: BaroSpec | None = None\n", "    laser: LaserSpec | None = None\n"),
-            ("    baro: BaroData | None = None\n", "    laser: LaserData | None = None\n"),
-            (
-                '    )\n}\n"""Name -> the instrument."""',
-                """        Instrument(
-            name="laser",
-            title="laser altimeter",
-            record=LaserData,
-            spec=LaserSpec,
-            contents="height above the ellipsoid",
-            model="laser",
-            innovation="laser",
-            quantity="laser height",
-            frame=99,
-            bias=Column(("laser_bias_m",), ("m",)),
-            trace=Trace("altitude", "laser", "m"),
-        ),
-""",
-            ),
-        ],
-        "bench/navigation/options.py": [
-            (
-                "    odometer: bool = False\n",
-                '    laser: bool = False\n    """Use the height of a laser."""\n',
-            )
-        ],
-        "bench/navigation/error_state_filter/measurement_rows.py": [
-            (")\nPOSITION, VELOCITY, BARO", '    "laser",\n'),
-            ("_SLOWEST_AIR = ", 'LASER, LASER_ROWS = SENSORS.index("laser"), 99\n'),
-            (
-                "ROWS: dict[int, Callable[..., int]] = {\n",
-                """
-@inner
-def _laser_kernel(row, first, site):
-    return _height_kernel(LASER, -1, row, first, site)
-
-
-""",
-            ),
-            ("    FIX_ROWS: _fix_kernel,\n", "    LASER_ROWS: _laser_kernel,\n"),
-        ],
-        "bench/navigation/error_state_filter/aiding_sensors.py": [
-            (
-                "AIDING = (",
-                """from bench.navigation.error_state_filter.measurement_rows import LASER_ROWS
-
-LASER = AidingSensor(
-    "laser",
-    "laser",
-    "laser",
-    LASER_ROWS,
-    lambda record, laser, *_: (record.height[:, None], np.array([laser.white_sd**2])),
-    lambda laser: iter(()),
-)
-""",
-            ),
-            ("FIXES, SATELLITES, ", "LASER, "),
-        ],
-    },
-)
-
-STUDY = Toy(
-    new={
-        "bench/experiments/studies/coin.py": """
-from bench.core.records.findings import Findings, FindingTable
-from bench.experiments.studies.study import Count, StudyOptions, StudyWorkers
-
-
-class Options(StudyOptions):
-    tosses: Count = 3
-    \"\"\"how often\"\"\"
-
-
-def run(options: Options, work: StudyWorkers) -> Findings:
-    table = FindingTable("coin", "Heads", {"toss": list(range(options.tosses))})
-    return Findings(("It is a coin.",), (table,), ())
-"""
-    },
-    inserted={
-        "bench/experiments/studies/__init__.py": [
-            (
-                '    "requirements": StudyEntry(\n',
-                '    "coin": StudyEntry("bench.experiments.studies.coin", "Is it a coin?"),\n',
-            )
-        ]
-    },
-)
-
 EVALUATION = Toy(
     inserted={
         "bench/io/config/profile_tables.py": [
@@ -329,40 +157,135 @@ EVALUATION = Toy(
     }
 )
 
+
+@dataclass(frozen=True)
+class Real:
+    """The last addition of a kind: its own files, and ``tests/extending/PATCH.patch`` for the others."""
+
+    listed: str
+    """Its name in a list of its kind."""
+    own: tuple[str, ...] = ()
+    patch: str = ""
+
+    def hunks(self) -> dict[str, list[list[str]]]:
+        """Return the hunks of the patch by file, each line with its sign."""
+        found: dict[str, list[list[str]]] = {}
+        if not self.patch:
+            return found
+        for line in (PATCHES / f"{self.patch}.patch").read_text(encoding="utf-8").splitlines(keepends=True):
+            if line.startswith("+++ "):
+                file = found.setdefault(line[4:].strip(), [])
+            elif line.startswith("@@"):
+                file.append([])
+            elif found and line[0] in " +-" and not line.startswith("--- "):
+                file[-1].append(line)
+        return found
+
+    @property
+    def files(self) -> set[str]:
+        return {*self.own, *self.hunks()}
+
+    def change(self, file: str, source: str, away: str = "+") -> str:
+        """Return a file without the lines of the patch that have this sign, and with the others."""
+        kept = "-" if away == "+" else "+"
+        for hunk in self.hunks()[file]:
+            marks = [k for k, line in enumerate(hunk) if line[0] != " "]
+            for lines in (hunk, hunk[marks[0] : marks[-1] + 1]):  # of two patches one may change the context
+                old, new = (
+                    "".join(one[1:] for one in lines if one[0] in (" ", sign)) for sign in (away, kept)
+                )
+                if old and source.count(old) == 1:
+                    source = source.replace(old, new)
+                    break
+            else:
+                patch = f"tests/extending/{self.patch}.patch"
+                pytest.fail(
+                    f"{file} is not as {patch} says. Take {self.listed!r} out of a clean checkout, then "
+                    f"git diff -R -U1 --diff-filter=M --no-prefix > {patch}; git checkout bench"
+                )
+        return source
+
+    def take_out(self, folder: Path) -> None:
+        """Take it out of a copy of the tree."""
+        for file in self.own:
+            (folder / file).unlink()
+        for file in self.hunks():
+            (folder / file).write_text(self.change(file, (folder / file).read_text()))
+
+
+PATCHES = Path(__file__).parent / "extending"
+_AUTOPILOTS = "bench/plugins/autopilots"
+REAL = {
+    "a log format": Real(
+        "dataflash",
+        tuple(f"{_AUTOPILOTS}/{name}.py" for name in ("dataflash", "dataflash_reader", "flash_rows")),
+        "log_format",
+    ),
+    "a verb": Real(
+        "serve", ("bench/plugins/hil/serving_flights.py", "bench/plugins/hil/__init__.py"), "verb"
+    ),
+    "a study": Real("closed-loop", ("bench/experiments/studies/flown_by_filters.py",)),
+    "a metric": Real("fault_{}_alarm_share", patch="metric"),
+    "an aiding sensor": Real("heading", ("bench/simulation/sensors/dual_antenna.py",), "sensor"),
+    "an estimator state": Real("time_offset_sd", patch="state"),
+}
+
 TOYS = {
     "an option of the evaluation": EVALUATION,
-    "a study": STUDY,
-    "a metric": METRIC,
     "a recording tab": TAB,
     "an export format": EXPORT,
     "a fault kind": FAULT,
     "a leg": LEG,
     "an IMU error term": IMU_TERM,
-    "an estimator state": STATE,
-    "an aiding sensor": INSTRUMENT,
 }
 WITHOUT = {"a profile", "a sensor of a known kind", "an aircraft", "an estimator", "an estimator option"}
 """Additions of the table that other tests make: a file beside those that are shipped, or an own module."""
 
 
-def table() -> dict[str, tuple[int, str]]:
-    """Return what the guide says of each addition: how many files, and which."""
-    rows = re.findall(r"^\| (an? .+?) \| (\d+)[^|]* \| (.+) \|$", GUIDE.read_text(encoding="utf-8"), re.M)
-    return {what: (int(number), which) for what, number, which in rows}
+def table() -> dict[str, tuple[int, str, str]]:
+    """Return what the guide says of each addition: how many files of code, what else, and which."""
+    rows = re.findall(r"^\| (an? .+?) \| (\d+)([^|]*) \| (.+) \|$", GUIDE.read_text(encoding="utf-8"), re.M)
+    return {what: (int(number), more, which) for what, number, more, which in rows}
 
 
-def test_every_row_of_the_table_has_a_toy():
-    assert table().keys() == TOYS.keys() | WITHOUT
+def test_every_row_of_the_table_has_an_example():
+    assert table().keys() == TOYS.keys() | REAL.keys() | WITHOUT
 
 
 @pytest.mark.parametrize("what", TOYS)
 def test_an_addition_touches_the_files_of_its_row(what):
-    number, which = table()[what]
+    number, _, which = table()[what]
     places = re.findall(r"`(bench/[\w./]+)`", which)
     files = TOYS[what].files
     assert len(files) <= number
     for file in files:
         assert any(file == place or (place.endswith("/") and file.startswith(place)) for place in places)
+
+
+def has_code(file: str) -> bool:
+    """Return whether a file is a module of more than a docstring."""
+    return (
+        file.endswith(".py") and len(ast.parse((PACKAGE.parent / file).read_text(encoding="utf-8")).body) > 1
+    )
+
+
+@pytest.mark.parametrize("what", REAL)
+def test_a_real_addition_touches_the_files_of_its_row(what):
+    number, more, which = table()[what]
+    files = REAL[what].files
+    code = {file for file in files if has_code(file)}
+    assert set(re.findall(r"`(bench/[\w/]+\.py)`", which)) == code
+    assert len(code) == number
+    assert ("entry point" in more) == ("pyproject.toml" in files)
+
+
+@pytest.mark.parametrize("what", REAL)
+def test_taken_out_and_put_back_it_is_the_same(what):
+    for file in REAL[what].hunks():
+        source = (PACKAGE.parent / file).read_text(encoding="utf-8")
+        without = REAL[what].change(file, source)
+        assert without != source
+        assert REAL[what].change(file, without, away="-") == source
 
 
 # --- all toys in one flight -----------------------------------------------------------------------------
@@ -379,16 +302,6 @@ noise_deg_sqrt_h = 0.1
 shear_sd_deg = 3.0
 [accel]
 noise_m_s_sqrt_h = 0.02
-""",
-    "height.toml": """
-title = "height"
-class = "synthetic"
-confidence = "table"
-source = "made up"
-assumed = ["laser.rate_hz", "laser.white_sd_m"]
-[laser]
-rate_hz = 10.0
-white_sd_m = 0.02
 """,
     "toys.toml": """
 title = "All toys"
@@ -414,10 +327,10 @@ duration_s = 4.0
 [sensors]
 imu = "sheared.toml"
 gnss = "l1-code"
-laser = "height.toml"
+baro = "bmp388"
 [[fault]]
 kind = "zeroed"
-sensor = "laser"
+sensor = "baro"
 start_s = 8.0
 duration_s = 0.75
 [evaluation]
@@ -425,10 +338,6 @@ from_s = 2.0
 until_s = 11.0
 [[estimator]]
 use = "loose-15"
-options = { laser = true, shear = true }
-[[estimator]]
-use = "loose-15"
-label = "plain"
 """,
 }
 
@@ -436,35 +345,45 @@ FLOWN = """
 import json
 import numpy as np
 import bench
+from bench.cli.command_line import commands
+from bench.core.records.instruments import INSTRUMENTS
+from bench.evaluation.metrics.run_metrics import METRICS
+from bench.experiments.studies import STUDIES
+from bench.io.log_formats import list_formats
+from bench.navigation.options import FusionOptions
 from bench.views import recording
 
 result = bench.run("toys.toml")
 bench.save(result, "run")
 counts = bench.export_run("run", "counts", out="counts")
-loose, laser = result.solutions["loose-15"], result.sensed.data.laser
-state = loose.extra_names.index("gyro_shear_rad")
-t, drawn = recording.column("run/flight.rrd", "/laser/height/height", "Scalars:scalars")
+loose, baro = result.solutions["loose-15"], result.sensed.data.baro
+t, drawn = recording.column("run/flight.rrd", "/toy/height/height", "Scalars:scalars")
 table, events = loose.innovations, result.truth.events
 counted = (loose.t >= 2.0) & (loose.t < 11.0)
-here = table.code == table.sensor.index("laser")
+here = table.code == table.sensor.index("baro")
 roll_rate, pitch_rate = result.truth.dtheta_b[:, :2].T
 wrong = result.sensed.data.imu.dtheta_b[:, 0] - roll_rate
 print(json.dumps({
     "package": bench.__file__,
+    "there": {
+        "a log format": list(list_formats()),
+        "a verb": commands.list_commands(None),
+        "a study": list(STUDIES),
+        "a metric": [row.name for row in METRICS],
+        "an aiding sensor": list(INSTRUMENTS),
+        "an estimator state": list(FusionOptions.model_fields),
+    },
     "metrics": result.metrics,
-    "mean": float(np.hypot(*result.errors["loose-15"].pos_n[counted, :2].T).mean()),
+    "rmse": float(np.sqrt((result.errors["loose-15"].pos_n[counted, :2] ** 2).sum(axis=1).mean())),
     "legs": [text for kind, text in zip(events.kind, events.text) if kind == "leg"],
     "heading": float(np.ptp(np.unwrap(2 * np.arctan2(result.truth.q_nb[:, 3], result.truth.q_nb[:, 0])))),
-    "zeroed": laser.t[laser.height == 0.0].tolist(),
+    "zeroed": baro.t[baro.alt_baro == 0.0].tolist(),
     "innovations": [table.t[here].tolist(), table.accepted[here].tolist()],
-    "down_sd": [float(np.sqrt(s.cov[-1, 2, 2])) for s in result.solutions.values()],
     "shear": float(wrong @ pitch_rate / (pitch_rate @ pitch_rate)),
-    "estimated": [float(loose.extra[-1, state]), loose.extra_sd[[0, -1], state].tolist()],
-    "drawn": [t.tolist(), drawn[:, 0].tolist(), laser.t.tolist(), laser.height.tolist()],
+    "drawn": [t.tolist(), drawn[:, 0].tolist(), baro.t.tolist(), baro.alt_baro.tolist()],
     "counts": json.loads((counts / "counts.json").read_text()),
-    "rows": len(laser),
+    "rows": len(baro),
     "listed": [entry.name for entry in bench.list_exports()],
-    "tosses": list(bench.study("coin", tosses=5, jobs=1).tables["coin"].columns["toss"]),
 }))
 """
 
@@ -476,11 +395,15 @@ def flown(tmp_path_factory, made_once) -> dict[str, Any]:
 
 
 def fly_toys(folder: Path) -> dict[str, Any]:
-    """Fly with all toys in a copy of the package that has them."""
+    """Fly with all toys in a copy of the package that has them, and nothing of `REAL`."""
     shutil.copytree(PACKAGE, folder / "bench", ignore=shutil.ignore_patterns("__pycache__"))
     aircraft = PACKAGE.parent / "aircraft"
     if aircraft.is_dir():
         shutil.copytree(aircraft, folder / "aircraft")
+    shutil.copy(PACKAGE.parent / "pyproject.toml", folder)
+    for real in REAL.values():
+        real.take_out(folder)
+    declare_entries(folder)
     for toy in TOYS.values():
         for path, text in toy.new.items():
             assert not (folder / path).exists(), f"{path} is there; take another name for the toy"
@@ -503,12 +426,29 @@ def fly_toys(folder: Path) -> dict[str, Any]:
     return found
 
 
-def test_the_metric_is_in_the_result(flown):
-    assert flown["metrics"]["loose-15"]["pos_mean_h_m"] == pytest.approx(flown["mean"], rel=1e-9)
+def declare_entries(folder: Path) -> None:
+    """Write the metadata that pip would write, with the entry points of ``pyproject.toml``."""
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    info = folder / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    )
+    lines = []
+    for group, entries in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {place}" for name, place in entries.items())]
+    (info / "entry_points.txt").write_text("\n".join(lines))
 
 
-def test_the_study_is_run(flown):
-    assert flown["tosses"] == [0, 1, 2, 3, 4]
+@pytest.mark.parametrize("what", REAL)
+def test_what_is_taken_out_is_gone_and_the_rest_flies(flown, what):
+    names = flown["there"][what]
+    assert names
+    assert REAL[what].listed not in names
+
+
+def test_the_option_cuts_what_is_counted(flown):
+    assert flown["metrics"]["loose-15"]["pos_rmse_h_m"] == pytest.approx(flown["rmse"], rel=1e-9)
 
 
 def test_the_leg_is_flown(flown):
@@ -517,30 +457,18 @@ def test_the_leg_is_flown(flown):
 
 
 def test_the_fault_strikes_the_instrument_and_its_innovations_are_refused(flown):
-    assert flown["zeroed"] == pytest.approx([8.0, 8.1, 8.2, 8.3, 8.4, 8.5, 8.6, 8.7])
+    zeroed = flown["zeroed"]
+    assert len(zeroed) > 5
+    assert all(8.0 - 1e-6 <= at < 8.75 for at in zeroed)
     t, accepted = flown["innovations"]
-    refused = [at for at, good in zip(t, accepted, strict=True) if not good]
-    assert set(flown["zeroed"]) <= set(refused)
-    assert flown["metrics"]["loose-15"]["rejected_laser"] >= len(flown["zeroed"])
-
-
-def test_the_instrument_is_used_by_the_filter_that_asks_for_it(flown):
-    aided, plain = flown["down_sd"]
-    assert aided < 0.05 < plain  # its white noise is 0.02 m
-    assert "updates_laser" not in flown["metrics"]["plain"]
+    refused = {at for at, good in zip(t, accepted, strict=True) if not good}
+    assert set(zeroed) <= refused
+    assert flown["metrics"]["loose-15"]["rejected_baro"] >= len(zeroed)
 
 
 def test_the_error_term_acts_and_is_named_where_nothing_models_it(flown):
     assert 1e-3 < abs(flown["shear"]) < 0.2  # drawn with 3 deg, 0.05 rad
-    assert "gyro shear" in flown["metrics"]["plain"]["unmodelled"]
-
-
-def test_the_state_estimates_it(flown):
-    estimate, (before, after) = flown["estimated"]
-    assert before == pytest.approx(0.05236, rel=1e-3)
-    assert after < 0.5 * before
-    assert abs(estimate - flown["shear"]) < 4.0 * after
-    assert "gyro shear" not in flown["metrics"]["loose-15"]["unmodelled"]
+    assert "gyro shear" in flown["metrics"]["loose-15"]["unmodelled"]
 
 
 def test_the_tab_is_in_the_recording(flown):
@@ -551,5 +479,5 @@ def test_the_tab_is_in_the_recording(flown):
 
 def test_the_export_is_written(flown):
     assert "counts" in flown["listed"]
-    assert flown["counts"]["laser"] == flown["rows"] > 100
+    assert flown["counts"]["baro"] == flown["rows"] > 100
     assert {"imu", "gnss"} <= flown["counts"].keys()
