@@ -39,7 +39,7 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder("kernels")))
 
 SLOWEST = (
     "test_a_heading_that_is_hardly_known_is_found",
-    "test_the_metric_is_in_the_result",
+    "test_the_option_cuts_what_is_counted",
     "test_the_smoother_knows_its_errors",
     "test_the_matched_filter_knows_its_errors",
 )

@@ -7,6 +7,8 @@ A module of that group reads the format of its entry's name: ``read(form, path, 
 - ``TOPICS = True`` if a log may say by ``topic`` what a file calls a sensor;
 - ``look(path) -> Contents`` if a file knows of itself what it holds, and then ``read_truth(path) ->
   OwnMotion`` and ``read_estimate(path, instance) -> OwnEstimate`` (`bench.io.logs.log_contents`).
+
+One of a plug-in of bench says in ``FORMAT`` what its row here is, so that it is known without an import.
 """
 
 from __future__ import annotations

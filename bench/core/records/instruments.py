@@ -1,10 +1,9 @@
 """The aiding instruments other than GNSS, one declaration each; all other code loops over them.
 
-An instrument has a record, a spec, a field in :class:`InstrumentSpecs` and :class:`InstrumentReports` and a
-row in :data:`INSTRUMENTS`. To add one, write these here and its model in
-``bench/simulation/sensors/<model>.py``. For filters that use it, add its row in `aiding_sensors` and its
-branch in the measurement kernel.
-Datasheets, profiles, faults, files, streams, recordings, requirements and alarms follow from the row here.
+To add one, write its record, its spec, their fields in :class:`InstrumentSpecs` and
+:class:`InstrumentReports`, its row in :data:`INSTRUMENTS`, and ``bench/simulation/sensors/<model>.py``.
+Datasheets, profiles, logs, faults, files, streams, recordings, requirements and alarms follow from the row.
+`bench guide extending` says what a filter needs to use it.
 """
 
 from __future__ import annotations
@@ -312,7 +311,7 @@ class Instrument:
     @property
     def value(self) -> str:
         """Field of the record with the measured value."""
-        return next(name for name in columns_of(self.record) if name not in _COMMON)
+        return next(name for name in columns_of(self.record) if name not in ("t", "t_arrival", "valid", "sd"))
 
     def values(self, record: Any) -> FloatArray:
         """Return the measured values (M, k), a column per component."""
@@ -333,9 +332,6 @@ class Instrument:
     def with_article(self) -> str:
         """Name with its article, for messages."""
         return f"an {self.name}" if self.name[0] in "aeiou" else f"a {self.name}"
-
-
-_COMMON = ("t", "t_arrival", "valid", "sd")
 
 
 def _check_baro(spec: BaroSpec) -> list[str]:
