@@ -201,7 +201,8 @@ class Real:
                 patch = f"tests/extending/{self.patch}.patch"
                 pytest.fail(
                     f"{file} is not as {patch} says. Take {self.listed!r} out of a clean checkout, then "
-                    f"git diff -R -U1 --diff-filter=M --no-prefix > {patch}; git checkout bench"
+                    f"git diff -R -U2 --diff-filter=M --no-prefix > {patch} "
+                    "&& git checkout bench pyproject.toml"
                 )
         return source
 
