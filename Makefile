@@ -16,7 +16,7 @@ UV := .uv/bin/uv
 MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/test_wheel.py tests/config \
 	tests/store tests/recording tests/report/test_report.py tests/signals/test_allan.py \
 	tests/signals/test_magnetic.py tests/exchange/test_export.py tests/exchange/test_log_formats.py \
-	tests/navigation/test_classic.py tests/navigation/test_error_state.py tests/navigation/test_graph.py \
+	tests/navigation/test_classic.py tests/navigation/test_error_state.py tests/plugins/graph/test_graph.py \
 	tests/navigation/test_random_profiles.py tests/navigation/test_unscented.py \
 	tests/campaigns/test_campaign.py tests/campaigns/test_cluster.py tests/cli/test_cli.py
 

@@ -17,7 +17,7 @@ from bench.plugins.receiver.rinex.precise_orbits import make_tables, read_precis
 from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.signals.terrain import describe_terrain
 from tests.data import stored_gnss_file
-from tests.exchange.packed import compress
+from tests.plugins.receiver.packed import compress
 
 TRACKS = Path(__file__).parent / "exchange" / "tracks"
 FLIGHTS = Path(__file__).parent / "logs" / "flights"

@@ -1,7 +1,7 @@
 """classic-22, the readable filter, against the compiled loose-22 and against its own equations.
 
 The two are the same estimator in other axes, coordinates and code; they share the datasheets, the Earth and
-the choice of rows of a record. tests/register/test_register.py holds it against the register.
+the choice of rows of a record. tests/plugins/papers/test_register.py holds it against the register.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, R3
 from bench.navigation.models.loose_tight import Loose
 from bench.navigation.options import ClassicOptions
 from bench.simulation import sensors
-from tests.register import equations
+from tests.navigation import equations
 from tests.weaving import BARO, GNSS, IMU, units, weaving
 
 WANDERING = replace(

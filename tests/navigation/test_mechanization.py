@@ -14,7 +14,7 @@ from bench.navigation import mechanization
 from bench.navigation.models.classic import navigator
 from bench.navigation.models.classic.navigator import FRD_OF_FUR, NED_OF_ENU, Nav
 from tests.inertial_motion import inertial_solution, integrate_rates
-from tests.register import equations
+from tests.navigation import equations
 
 STEP = (1e-4, 1e-7, 1e-10)  # m, m/s, rad
 START = ([0.8, 0.2, 1000.0], [40.0, 20.0, -2.0], rotation.from_euler(0.1, -0.05, 0.5))

@@ -32,10 +32,10 @@ class Row(NamedTuple):
     """Why nothing proves it; for a row without a test."""
 
 
-_MECH = "tests/register/test_mechanizations.py::test_"
-_REG = "tests/register/test_register.py::test_"
+_MECH = "tests/plugins/papers/test_mechanizations.py::test_"
+_REG = "tests/plugins/papers/test_register.py::test_"
 _SQUARES = "tests/signals/test_least_squares.py::test_"
-_COSTS = "tests/studies/test_mechanizations_study.py::test_"
+_COSTS = "tests/plugins/papers/test_mechanizations_study.py::test_"
 _TERMS = "tests/sensors/test_imu_terms.py::test_"
 _FIXES = "tests/navigation/test_gnss_only.py::test_"
 _TRUTH = "tests/flight/test_recorder.py::test_"
@@ -107,10 +107,10 @@ ROWS: tuple[Row, ...] = (
     Row(29, "output datum", "A-2.1", "", "156.3 m; round trip < 1e-3 m; PROJ 1 cm",
         "tests/exchange/test_datums.py::test_sk42_equals_proj", measure.shift_datum),
     Row(30, "antenna switching", "A-2.1", "", "no innovation step > 3 sigma",
-        "tests/register/test_antenna_switching.py::test_30_no_innovation_steps_where_the_antenna_changes",
+        "tests/plugins/papers/test_antenna_switching.py::test_30_no_innovation_steps_where_the_antenna_changes",
         flights.switch_antenna),
     Row(31, "acceleration steps", "A-2.1", "", "NIS in bounds through 2 g",
-        "tests/register/test_acceleration_step.py::test_31_nis_stays_in_its_band_through_a_step_of_2_g",
+        "tests/plugins/papers/test_acceleration_step.py::test_31_nis_stays_in_its_band_through_a_step_of_2_g",
         flights.step_of_2_g),
     Row(32, "GNSS error sources", "A-2.1.7", "", "RMS of each 5 %",
         "tests/sensors/test_sky.py::test_each_range_error_has_its_size"),
@@ -126,9 +126,9 @@ ROWS: tuple[Row, ...] = (
     Row(36, "Joseph form", "A-5.4.5", "", "P > 0 after 1e5 updates",
         _REG + "36_josephs_form_stays_positive_over_1e5_updates"),
     Row(37, "Potter, Carlson", "A-3", "", "Joseph 1e-9; float32 stays positive",
-        "tests/register/test_filter_methods.py::test_37_square_root_forms_are_josephs"),
+        "tests/plugins/papers/test_filter_methods.py::test_37_square_root_forms_are_josephs"),
     Row(38, "other methods", "A-4", "", "RMS(Kalman) <= RMS(each)",
-        "tests/register/test_filter_methods.py::test_38_the_kalman_filter_is_no_worse_than_the_other_methods"),
+        "tests/plugins/papers/test_filter_methods.py::test_38_the_kalman_filter_is_no_worse_than_the_other_methods"),
     Row(39, "covariance floor", "A-5.4.F", "", "P_ii >= gamma_i; faster after a step",
         _REG + "39_no_variance_falls_below_the_floor"),
     Row(40, "tolerance test", "A-5.4.T", "no formula", "100 m at the first epoch",
@@ -144,7 +144,7 @@ ROWS: tuple[Row, ...] = (
     Row(45, "calibration kept", "A-5.4.11", "", "within 3 sigma; drift / 10",
         _REG + "45_the_calibration_is_kept_and_applied"),
     Row(46, "extrapolated calibration", "A-2.3", "", "outage error < 0.3 of the INS at 60 s",
-        "tests/register/test_second_source.py::test_46_a_curve_through_the_errors_goes_on_through_an_outage",
+        "tests/plugins/papers/test_second_source.py::test_46_a_curve_through_the_errors_goes_on_through_an_outage",
         linear.go_on),
     Row(47, "outages", "A-3", "", "equations 7.1 within 15 %",
         "tests/studies/test_linear_flight.py::test_47_71_the_covariance_table",
@@ -172,9 +172,9 @@ ROWS: tuple[Row, ...] = (
     Row(57, "Doppler velocity", "B-14b", "no formula", "noise-free 1e-9 m/s",
         _SQUARES + "doppler_velocity_is_exact"),
     Row(58, "generic error filter", "B-19", "F(z)", "f(z): = the first filter 1e-9",
-        "tests/register/test_second_source.py::test_58_the_generic_filter_is_the_first_one"),
+        "tests/plugins/papers/test_second_source.py::test_58_the_generic_filter_is_the_first_one"),
     Row(59, "vector matching", "B-V", "no formula", "3.7 mrad; sds 10 %",
-        "tests/register/test_second_source.py::test_59_vectors_find_a_misalignment_of_3_7_mrad",
+        "tests/plugins/papers/test_second_source.py::test_59_vectors_find_a_misalignment_of_3_7_mrad",
         measure.match_directions),
     Row(60, "6-DOF truth", "A-2.4", "", "there and back < 1 m in 600 s",
         _TRUTH + "at_200_hz_ten_minutes_come_back_within_a_millimetre_and_a_microradian",

@@ -19,7 +19,7 @@ from bench.io.logs import formats, own_estimate
 from bench.io.logs.log_records import read_records
 from bench.plugins.autopilots import ulog, ulog_motion
 from bench.plugins.autopilots.ulog import find_undulation, measure_cover
-from tests.exchange.test_dataflash import FLIGHTS
+from tests.plugins.autopilots.test_dataflash import FLIGHTS
 
 
 def raw(name: str, message: str) -> dict[str, np.ndarray]:

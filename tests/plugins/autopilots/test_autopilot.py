@@ -27,9 +27,9 @@ from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
 from bench.pipeline import log_pipeline
 from bench.simulation.signals.magnetic import field_n
 from tests.evaluation.solutions import wrong_solution
-from tests.exchange import flown
-from tests.exchange.flash import write_flash
-from tests.exchange.test_dataflash import FLIGHTS
+from tests.plugins.autopilots import flown
+from tests.plugins.autopilots.flash import write_flash
+from tests.plugins.autopilots.test_dataflash import FLIGHTS
 from tests.synthetic import turning
 
 LOG = """
@@ -146,8 +146,8 @@ def test_an_instance_by_its_number(tmp_path):
 def test_the_name_is_for_logs_of_autopilots(tmp_path, capsys):
     assert main(["run", "static", "-e", "autopilot"]) == WRONG
     assert "for the log of an autopilot: bench navigate" in capsys.readouterr().err
-    shutil.copy(Path(__file__).parents[1] / "logs" / "drive.toml", tmp_path)
-    drive = Path(__file__).parents[1] / "logs" / "drive.toml"
+    shutil.copy(Path(__file__).parents[2] / "logs" / "drive.toml", tmp_path)
+    drive = Path(__file__).parents[2] / "logs" / "drive.toml"
     with pytest.raises(ConfigError, match=r"imu\.parquet is no log of an autopilot"):
         log_pipeline.read_log(drive, estimators=["autopilot"])
 

@@ -21,7 +21,7 @@ from bench.plugins.receiver.rinex.precise_orbits import read_precise_orbits
 from bench.plugins.receiver.ubx import read_ubx
 from bench.simulation.flight import model_files
 from tests.data import stored_gnss_file
-from tests.exchange.packed import compress, write_codes
+from tests.plugins.receiver.packed import compress, write_codes
 
 SYSTEMS = {"C": "C2I L2I D2I S2I", "E": "C1C L1C D1C S1C", "G": "C1C L1C D1C S1C", "R": "C1C L1C D1C S1C"}
 F9T = "F9T-L2-2min.ubx.gz"

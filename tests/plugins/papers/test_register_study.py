@@ -19,7 +19,7 @@ from bench.plugins.papers import register_flights, register_rows
 from bench.plugins.papers.register_measures import Bounded, RowFinding, below
 from bench.plugins.papers.register_rows import ROWS
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_every_row_is_there_once():

@@ -19,7 +19,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.plugins.hil import serving
 from bench.plugins.hil.mavlink_session import ActuatorChannels, MavlinkSession
 from bench.simulation.flight.guidance.steering import Commands
-from tests.exchange.test_serve import Server, write_straight
+from tests.plugins.hil.test_serve import Server, write_straight
 
 BANK = 0.2  # what it flies [rad]
 

@@ -24,7 +24,7 @@ from bench.io.logs.log_records import read_records
 from bench.plugins.autopilots.ulog_replay import read_definitions
 from bench.simulation.signals.air import pressure_altitude
 from tests.exchange.exported import INVALID, make_run
-from tests.exchange.test_dataflash import FLIGHTS
+from tests.plugins.autopilots.test_dataflash import FLIGHTS
 
 OWN = {
     "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;float gyro_integral_dt;"

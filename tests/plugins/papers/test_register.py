@@ -30,7 +30,7 @@ from bench.navigation.models.classic.navigator import R3, Nav
 from bench.plugins.papers import attitude_errors
 from bench.plugins.papers.register_linear import draw_consistency
 from bench.simulation import sensors
-from tests.register import equations
+from tests.navigation import equations
 from tests.weaving import IMU, units, weaving
 
 FLIGHT, GRADE = LinearFlight(), GRADES["grade-3"]

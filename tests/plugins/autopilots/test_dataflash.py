@@ -15,9 +15,9 @@ from bench.io.config.log import SourceSpec
 from bench.io.logs import formats, own_estimate
 from bench.plugins.autopilots.dataflash import DataFlash
 from bench.plugins.autopilots.flash_rows import look
-from tests.exchange.flash import HEAD, unpack, write_flash
+from tests.plugins.autopilots.flash import HEAD, unpack, write_flash
 
-FLIGHTS = Path(__file__).parents[1] / "logs" / "flights"
+FLIGHTS = Path(__file__).parents[2] / "logs" / "flights"
 IMU = ("QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ")
 GPS = ("QBBIHBcLLefff", "TimeUS,I,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ")
 GPA = ("QBCCCCBIHf", "TimeUS,I,VDop,HAcc,VAcc,SAcc,VV,SMS,Delta,Und")

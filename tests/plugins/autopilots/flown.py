@@ -11,7 +11,7 @@ import numpy as np
 from bench.core.mathematics import earth, rotation
 from bench.simulation.signals.magnetic import field_n
 from tests.exchange import drives
-from tests.exchange.flash import write_flash
+from tests.plugins.autopilots.flash import write_flash
 
 OFF_N = np.array([2.0, 1.0, 0.5])
 """Position of the estimate minus truth [m], n."""
