@@ -8,7 +8,8 @@ import re
 import pytest
 
 import bench
-from bench.cli.verbs.guide import FOLDER, read_topics
+from bench.cli.verbs.guide import FOLDER, find_pages, read_topics
+from bench.core.files.places import PACKAGE
 from tests.tools import docs_site
 from tests.tools.guide_pictures import MOST_BYTES, PICTURES
 
@@ -57,10 +58,12 @@ def test_every_public_name_is_told_with_its_errors(site):
 
 
 def test_every_picture_of_the_guide_is_shown_small_and_made_by_the_command():
-    shown = {path.stem for path in FOLDER.glob("*.png")}
+    pictures = [*FOLDER.glob("*.png"), *(PACKAGE / "plugins").glob("*/*.png")]
+    shown = {path.stem for path in pictures}
     assert shown == set(PICTURES)
-    assert max(path.stat().st_size for path in FOLDER.glob("*.png")) <= MOST_BYTES
-    text = "".join(path.read_text() for path in (*FOLDER.glob("*.md"), FOLDER.parents[1] / "README.md"))
+    assert max(path.stat().st_size for path in pictures) <= MOST_BYTES
+    pages = [*find_pages().values(), FOLDER / "README.md", PACKAGE.parent / "README.md"]
+    text = "".join(path.read_text() for path in pages)
     assert [name for name in sorted(shown) if f"{name}.png)" not in text] == []
 
 

@@ -7,11 +7,12 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import AfterValidator, BaseModel
 
+from bench.cli.verbs.guide import find_pages
 from bench.core.records.fields import declared, figure
 from bench.core.words.exceptions import ConfigError
 from bench.navigation.options import Limit
 from tests.tools import guide_tables
-from tests.tools.guide_tables import find_pages, rewrite_page
+from tests.tools.guide_tables import rewrite_page
 
 
 @pytest.mark.parametrize("topic", find_pages())
@@ -92,7 +93,8 @@ PAGE = "Before.\n\n<!-- make guide writes: ships -->\n| old |\n<!-- to here -->\
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(guide_tables, "FOLDER", tmp_path)
+    pages = {name: tmp_path / f"{name}.md" for name in ("land", "sea")}
+    monkeypatch.setattr(guide_tables, "find_pages", lambda: pages)
     monkeypatch.setattr(guide_tables, "TABLES", {"sea": {"ships": lambda: iter(["| new |", ""])}})
     (tmp_path / "land.md").write_text("No tables.\n")
     return tmp_path

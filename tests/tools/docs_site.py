@@ -55,6 +55,8 @@ scheme = "slate"
 [project.plugins.search]
 """
 
+_FOLDERS = re.compile(r"\]\((?:\.\./)+(?:\w+/)+(?=[\w-]+\.md\))")
+"""Before a link to a page in another folder."""
 _PLAIN = re.compile(r"(```.*?^```|``.+?``|`[^`\n]+`)|(\[+[^]\[\n]*\]+)(?![(\[])", re.DOTALL | re.MULTILINE)
 
 
@@ -75,10 +77,13 @@ def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
     """
     shutil.rmtree(folder, ignore_errors=True)
     pages = folder / "pages"
-    shutil.copytree(FOLDER, pages, ignore=shutil.ignore_patterns("README.md", "*.py"))
+    shutil.copytree(FOLDER, pages, ignore=shutil.ignore_patterns("README.md"))
+    for path in (PACKAGE / "plugins").glob("*/*"):
+        if path.suffix in (".md", ".png") and path.name != "README.md":
+            shutil.copy(path, pages)
     for path in pages.glob("*.md"):
-        path.write_text(keep_brackets(path.read_text(encoding="utf-8")), encoding="utf-8")
-    index = keep_brackets((FOLDER / "README.md").read_text(encoding="utf-8"))
+        path.write_text(_make_page(path), encoding="utf-8")
+    index = _make_page(FOLDER / "README.md")
     more = "- [gallery](gallery.md): the shipped flights\n- [api](api.md): every public name of the package\n"
     (pages / "index.md").write_text(f"{index.rstrip()}\n{more}", encoding="utf-8")
     (pages / "gallery.md").write_text("\n".join(write_gallery(pages, profiles)), encoding="utf-8")
@@ -94,6 +99,11 @@ def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
     if done.returncode:
         raise RuntimeError(re.sub(r"\x1b\[[\d;]*m", "", f"{done.stdout}\n{done.stderr}"))
     return _take_off_network(folder / "site")
+
+
+def _make_page(path: Path) -> str:
+    """Return a page as it stands in one folder with all others."""
+    return keep_brackets(_FOLDERS.sub("](", path.read_text(encoding="utf-8")))
 
 
 def keep_brackets(text: str) -> str:

@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.text import Text
 
 import bench
-from bench.cli.verbs.guide import FOLDER
+from bench.cli.verbs.guide import FOLDER, find_pages
 from tests.flight import gust_spectra
 from tests.recording.screens import show_in_browser, take_picture
 from tests.tools import docs_site
@@ -41,7 +41,7 @@ _BUDGET = ("study", "budget", "figure-eight", "--estimator", "loose-22")
 def main(*names: str) -> None:
     for name in names or PICTURES:
         with tempfile.TemporaryDirectory() as scratch:
-            path = FOLDER / f"{name}.png"
+            path = find_pages().get(name, FOLDER / name).with_suffix(".png")
             path.write_bytes(shrink(PICTURES[name](Path(scratch))))
         print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from bench.cli.verbs.guide import FOLDER
+from bench.cli.verbs.guide import find_pages
 from bench.core.mathematics.units import from_si
 from bench.core.records.fields import figures_of, triad_figures_of
 from bench.core.records.instruments import INSTRUMENTS
@@ -381,11 +380,6 @@ def rewrite_page(topic: str, text: str) -> str:
         return f"<!-- make guide writes: {place[1]} -->\n{lines}\n<!-- to here -->\n"
 
     return _PLACE.sub(fill, text)
-
-
-def find_pages() -> dict[str, Path]:
-    """Return the pages of the guide by topic."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.md"))}
 
 
 def main() -> int:

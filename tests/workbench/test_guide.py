@@ -34,7 +34,7 @@ from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
 
 ROOT = Path(__file__).parents[2]
-PAGES = {path.stem: path for path in sorted(guide.FOLDER.glob("*.md")) if path.stem != "README"}
+PAGES = guide.find_pages()
 ALL = {"README": ROOT / "README.md", **PAGES}
 
 PARSED = {
@@ -368,7 +368,7 @@ def test_other_pages_name_every_format_record_and_metric():
 def test_readme_is_short_and_lists_every_page():
     text = ALL["README"].read_text()
     assert text.count("\n") <= 250
-    assert re.findall(r"\(bench/guide/([a-z-]+)\.md\) \|", text) == list(guide.read_topics())
+    assert re.findall(r"\(bench/(?:guide|plugins/\w+)/([a-z-]+)\.md\) \|", text) == list(guide.read_topics())
 
 
 def test_the_tree_of_readme_is_true():

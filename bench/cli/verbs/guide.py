@@ -7,6 +7,7 @@ import os
 import pydoc
 import re
 from collections.abc import Iterable
+from pathlib import Path
 
 from rich.console import Console
 from rich.markdown import Markdown
@@ -17,11 +18,11 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
 
 FOLDER = PACKAGE / "guide"
-"""One Markdown file per topic; its ``README.md`` lists them."""
+"""One Markdown file per topic; its ``README.md`` lists these, and the pages beside the code of plug-ins."""
 
 _WIDEST = 100  # columns of a rendered page
 _PAGES = 3  # that are named where a word is no topic
-_ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
+_ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?:[./\w]+/)?(?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
 _LINK = re.compile(r"\[([^]\n]+)\]\([^)\s]+\.md\)")  # to another page, which a terminal cannot follow
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
 
@@ -30,6 +31,12 @@ def read_topics() -> dict[str, str]:
     """Return the topics and their descriptions, in the order of the guide."""
     text = (FOLDER / "README.md").read_text(encoding="utf-8")
     return {entry["topic"]: entry["about"] for entry in _ENTRY.finditer(text)}
+
+
+def find_pages() -> dict[str, Path]:
+    """Return the pages by topic."""
+    found = [*FOLDER.glob("*.md"), *(PACKAGE / "plugins").glob("*/*.md")]
+    return {path.stem: path for path in sorted(found) if path.stem != "README"}
 
 
 def list_topics(console: Console) -> None:
@@ -55,7 +62,7 @@ def show_topic(topic: str, console: Console) -> None:
         is_near = difflib.get_close_matches(topic.lower(), known, n=1)
         pages = "" if is_near else _tell_pages(topic, known)
         raise ConfigError(f"no topic {topic!r}{pages}{suggest(topic, known, 'topics')}")
-    text = (FOLDER / f"{topic}.md").read_text(encoding="utf-8")
+    text = find_pages()[topic].read_text(encoding="utf-8")
     if not console.is_terminal:
         console.print(text, soft_wrap=True, end="")
         return
@@ -67,9 +74,8 @@ def show_topic(topic: str, console: Console) -> None:
 def _tell_pages(word: str, topics: Iterable[str]) -> str:
     """Return the end of a message: the pages that have most to say of a word; empty if none has it."""
     sought = re.compile(rf"\b{re.escape(word)}", re.IGNORECASE)
-    counts = {
-        name: len(sought.findall((FOLDER / f"{name}.md").read_text(encoding="utf-8"))) for name in topics
-    }
+    pages = find_pages()
+    counts = {name: len(sought.findall(pages[name].read_text(encoding="utf-8"))) for name in topics}
     most = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])[:_PAGES]
     return f". It is written of in: {', '.join(most)}" if most else ""
 

@@ -419,7 +419,7 @@ def test_wrong_options_are_refused_before_a_client_comes(options, message, path)
 
 def test_the_commands_of_the_guide_and_the_help_are_right(tmp_path, monkeypatch, capsys):
     """Each is taken until a client would come."""
-    page = Path(bench.__file__).with_name("guide") / "serve.md"
+    page = CLIENT.with_name("serve.md")
     lines = [*page.read_text().splitlines(), *commands.get_command(None, "serve").help.splitlines()]
     found = {line.strip() for line in lines if line.strip().startswith("bench serve ")}
     monkeypatch.chdir(tmp_path)
