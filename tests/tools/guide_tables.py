@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin
 
-from pydantic import BaseModel
+from pydantic import BaseModel, WithJsonSchema
 from pydantic.fields import FieldInfo
 
 from bench.cli.verbs.guide import find_pages
@@ -114,6 +114,8 @@ def describe_limits(annotation: Any, checks: Sequence[Any] = ()) -> str:
             return str(limit)
         if (least := getattr(check, "ge", None)) is not None:
             return f"at least {least}"
+        if isinstance(check, WithJsonSchema):
+            return code(map(toml, check.json_schema["anyOf"][0]["enum"]))
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Literal:
         return code(map(toml, parts))
@@ -174,8 +176,9 @@ def write_estimators() -> Lines:
 
 def write_options() -> Lines:
     """Yield the options, those of each class of declarations under the estimators that have them."""
-    for model in vars(options).values():
-        if not (isinstance(model, type) and issubclass(model, options.Options)):
+    models = [*vars(options).values(), *(row.options for row in BUILT_IN.values())]
+    for model in dict.fromkeys(one for one in models if isinstance(one, type)):
+        if not issubclass(model, options.Options):
             continue
         owners = [name for name, row in BUILT_IN.items() if issubclass(row.options, model)]
         words, known = read_words(model), [read_words(base) for base in model.__bases__]
