@@ -11,9 +11,9 @@ import pytest
 
 import bench
 from bench.cli.command_line import main
+from bench.cli.verbs.other_packages import list_plugin_problems
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
-from bench.io.config.listing import list_plugin_problems
 
 FILTER = """
 import pathlib

@@ -124,7 +124,9 @@ class _Shelf(click.Choice[str]):
         if value not in self.choices:
             from bench.cli.verbs.show import list_catalog
 
-            shelves = {one.name.lower(): shelf for shelf, found in list_catalog().items() for one in found}
+            there = list_catalog()
+            del there["packages"]  # the other shelves have these, too
+            shelves = {one.name.lower(): shelf for shelf, found in there.items() for one in found}
             near = difflib.get_close_matches(str(value).lower(), shelves, n=1)
             if near:
                 self.fail(f"{value!r} is not a kind; {near[0]} is in 'bench list {shelves[near[0]]}'")
@@ -135,13 +137,17 @@ class _Shelf(click.Choice[str]):
 @click.argument(
     "kind",
     required=False,
-    type=_Shelf(["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies", "metrics"]),
+    type=_Shelf(
+        ["profiles", "aircraft", "legs", "sensors", "estimators", "exports", "studies", "metrics", "packages"]
+    ),
     metavar="[KIND]",
 )
 @click.option("--json", "as_json", is_flag=True, help="print it as JSON")
 @click.option("--long", "long", is_flag=True, help="of sensors: a table of their figures, each in one unit")
 def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     """List the profiles, aircraft, legs, sensors, estimators, exports, studies and metrics there are.
+
+    What other packages add is marked with the package, and listed again by bench list packages.
 
     KIND is one of these words and lists only those; bench list sensors and bench list
     aircraft also say what is known of each, where from, and what no source states,

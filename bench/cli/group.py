@@ -15,7 +15,7 @@ import click
 
 from bench import __version__
 from bench.cli import completion
-from bench.core.files.installed import find_installed, find_own
+from bench.core.files.installed import find_installed, find_own, import_installed
 from bench.core.words.exceptions import BUG, DONE, NEGATIVE, STATUSES, ConfigError
 from bench.core.words.wording import replace_control
 
@@ -225,15 +225,16 @@ class _Verbs(click.Group):
         own = super().get_command(ctx, name)
         if own is not None:
             return own
-        known = find_own("verbs")
-        other = find_installed("verbs", self.list_commands(ctx))
-        place = known.get(name) or (other[name].place if name in other else None)
-        if place is None:
+        if name in (known := find_own("verbs")):
+            module, _, attribute = known[name].partition(":")
+            plugged: click.Command = getattr(import_module(module), attribute)
+            return plugged
+        other = find_installed("verbs", self.list_commands(ctx)).get(name)
+        if other is None:
             return None
-        module, _, attribute = place.partition(":")
-        found = getattr(import_module(module), attribute, None)
+        found = getattr(import_installed("verb", other), other.place.partition(":")[2], None)
         if not isinstance(found, click.Command):
-            raise ConfigError(f"verb {name!r}: {place} is no click.Command")
+            raise ConfigError(f"verb {name!r} of {other.package}: {other.place} is no click.Command")
         return found
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

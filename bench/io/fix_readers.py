@@ -15,11 +15,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
-from bench.core.files.installed import find_installed, find_own
+from bench.core.files.installed import find_installed, find_own, import_installed
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.orbit_sets import GlonassSets, KeplerSets
+from bench.core.words.exceptions import ConfigError
+
+_Answer = TypeVar("_Answer")
 
 
 class Orbits(NamedTuple):
@@ -30,13 +33,24 @@ class Orbits(NamedTuple):
     klobuchar: FloatArray | None  # (8,) ionosphere
 
 
-def find_reader(path: Path) -> Any:
-    """Return the module that reads a file: another package's only where that of bench does not know it."""
+def ask_reader(path: Path, what: str, kind: type[_Answer], *given: object) -> _Answer:
+    """Return what a function of the reader of a file gives; one of another package if that of bench is none.
+
+    Raises
+    ------
+    ConfigError
+        If the file is wrong, or the reader of another package is none: a line that names the package.
+    """
     (own,) = (import_module(place) for place in find_own("fixes").values())
-    others = find_installed("fixes", find_own("fixes")) if path.is_file() else {}
+    others = find_installed("fixes", find_own("fixes")).values() if path.is_file() else ()
     if others and not own.recognises(path):
-        for other in others.values():
-            module = import_module(other.place)
+        for one in others:
+            module = import_installed("reader of fixes", one, "recognises")
             if module.recognises(path):
-                return module
-    return own
+                found = getattr(import_installed("reader of fixes", one, what), what)(*given)
+                if not isinstance(found, kind):
+                    wrong = f"{what} gives no {kind.__name__}, but {type(found).__name__}"
+                    raise ConfigError(f"{path.name}: reader of fixes {one.name!r} of {one.package}: {wrong}")
+                return found
+    answer: _Answer = getattr(own, what)(*given)
+    return answer

@@ -14,14 +14,11 @@ One of a plug-in of bench says in ``FORMAT`` what its row here is, so that it is
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
-from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
-from bench.core.files.installed import find_installed, find_own, read_constant
+from bench.core.files.installed import Installed, find_installed, find_own, import_installed, read_constant
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.wording import one_line
 
 
 class LogFormat(NamedTuple):
@@ -32,7 +29,8 @@ class LogFormat(NamedTuple):
     topics: bool = False  # names what it holds
     knows: bool = False  # of itself what it holds, as the log of an autopilot does
     package: str = ""  # that it needs
-    recognises: Callable[[Path], bool] = lambda path: False
+    recognises: Callable[[Path], bool] | None = None  # files of other endings
+    brought_by: str = ""  # another package
 
 
 MATLAB = ".mat"
@@ -50,43 +48,48 @@ FORMATS: Mapping[str, LogFormat] = {
 """Name of a format of bench -> the format; a table is a CSV, Parquet or MATLAB file."""
 
 
-@cache
-def list_formats() -> dict[str, LogFormat]:
-    """Return all formats by name, those of other packages last; their modules are imported.
+def list_names() -> list[str]:
+    """Return the names of all formats, those of other packages last; nothing of these is imported."""
+    return [*FORMATS, *find_installed("logs", FORMATS)]
+
+
+def find_format(name: str) -> LogFormat:
+    """Return a format of `list_names`.
 
     Raises
     ------
     ConfigError
-        If one of these cannot be imported, or has no function ``read``.
+        If it is another package's and cannot be imported, or has no function ``read``.
     """
-    added = find_installed("logs", FORMATS).items()
-    return {**FORMATS, **{name: _ask(name, one.place, one.package) for name, one in added}}
+    return FORMATS[name] if name in FORMATS else _ask(find_installed("logs", FORMATS)[name])
 
 
-def _ask(name: str, place: str, package: str) -> LogFormat:
-    try:
-        module = import_module(place)
-    except ImportError as error:
-        raise ConfigError(f"log format {name!r} of {package}: {one_line(str(error))}") from error
-    if not callable(getattr(module, "read", None)):
-        raise ConfigError(f"log format {name!r} of {package}: {place} has no function read")
+def _ask(one: Installed) -> LogFormat:
+    module = import_installed("log format", one, "read")
     endings = getattr(module, "ENDINGS", ())
-    if not (isinstance(endings, tuple) and all(isinstance(one, str) for one in endings)):
+    if not (isinstance(endings, tuple) and all(isinstance(ending, str) for ending in endings)):
         raise ConfigError(
-            f"log format {name!r} of {package}: ENDINGS must be a tuple of texts; got {endings!r:.60}"
+            f"log format {one.name!r} of {one.package}: ENDINGS must be a tuple of texts; got {endings!r:.60}"
         )
     return LogFormat(
-        place,
-        tuple(one.lower() for one in endings),
+        one.place,
+        tuple(ending.lower() for ending in endings),
         bool(getattr(module, "TOPICS", False)),
         callable(getattr(module, "look", None)),
-        recognises=getattr(module, "recognises", LogFormat().recognises),
+        recognises=getattr(module, "recognises", None),
+        brought_by=one.package,
     )
 
 
 def guess_format(path: Path) -> str | None:
-    """Return the format of a file by its ending or its content; None if nothing tells it."""
-    formats = list_formats()
-    named = (name for name, one in formats.items() if path.suffix.lower() in one.endings)
-    known = (name for name, one in formats.items() if path.is_file() and one.recognises(path))
-    return next(named, None) or next(known, None)
+    """Return the format of a file by its ending or its content; None if nothing tells it.
+
+    Other packages are asked, and imported, only where no format of bench has this ending.
+    """
+    ending = path.suffix.lower()
+    if own := next((name for name, one in FORMATS.items() if ending in one.endings), None):
+        return own
+    added = {name: _ask(one) for name, one in find_installed("logs", FORMATS).items()}
+    named = (name for name, one in added.items() if ending in one.endings)
+    asked = {name: one.recognises for name, one in added.items() if one.recognises and path.is_file()}
+    return next(named, None) or next((name for name, knows in asked.items() if knows(path)), None)

@@ -42,7 +42,7 @@ from bench.io import results
 from bench.io.config.checks import is_autopilot
 from bench.io.config.log import LogSpec, load_log
 from bench.io.foreign.loading import load_estimators
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import find_format
 from bench.io.logs import own_estimate, reference
 from bench.io.logs.log_records import LogRecords, divide_intervals, read_records
 from bench.io.logs.log_start import find_start
@@ -126,9 +126,7 @@ def read_log(
     checks = validity.check_recording(
         records.imu, records.fixes, records.instruments, np.asarray(spec.antenna_b)
     )
-    if list_formats()[
-        spec.imu.format
-    ].knows:  # it turned the axes to those of the vehicle, which may fly sideways
+    if find_format(spec.imu.format).knows:  # its axes are those of the vehicle, which may fly sideways
         checks = [check for check in checks if check.name != "forward_yaw_deg"]
     if records.reported:  # every fix is as good as it says, unless the log asks for something else
         weighing = {label for label, choice in choices.items() if built_in.takes_option(choice.use, REPORTED)}

@@ -24,7 +24,7 @@ from bench.evaluation.motion.rest_noise import assume_vibration
 from bench.evaluation.motion.validity import check_recording
 from bench.io.config.log import LogSpec, load_log
 from bench.io.exports.column_files import START
-from bench.io.log_formats import FORMATS, guess_format, list_formats
+from bench.io.log_formats import FORMATS, find_format, guess_format
 from bench.io.logs import formats, found_datasheets, own_estimate
 from bench.io.logs.exporter_names import FORWARD_LEFT_UP
 from bench.io.logs.log_contents import Contents
@@ -82,7 +82,7 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
     if not path.exists():
         raise ConfigError(f"{path}: no such file")
     form = guess_format(path)
-    if form is not None and list_formats()[form].knows:
+    if form is not None and find_format(form).knows:
         _write_flight(path, form, log, console)
         return
     if path.is_dir() or path.suffix.lower() in _BAGS:

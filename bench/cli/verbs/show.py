@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.verbs.other_packages import list_packages, list_plugin_problems
 from bench.cli.verbs.printing import print_table, print_tables
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
@@ -16,11 +17,12 @@ from bench.core.words.wording import one_line
 from bench.experiments.studies import find_studies
 from bench.io import config
 from bench.io.config.figure_table import ASSUMED, tabulate_figures
-from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry, list_plugin_problems
+from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry
 from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.terrain import read_grid
 
 _DEG = 180 / math.pi
+_OF_KINDS = ("sensors", "packages")  # shelves whose entries are of several kinds
 _OF_KEYS = ("key", "may be", "default", "what")
 
 
@@ -146,6 +148,7 @@ _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
         "metric = NAME; of many the name has {}, one of n, e, d, a sensor, a number or *",
         list_metrics,
     ),
+    "packages": ("added by what is installed beside bench", list_packages),
 }
 """Kind that `bench list` shows -> how it is selected, and the function that lists its entries."""
 
@@ -162,6 +165,8 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
     keys, estimators their options.
     """
     for name, entries in list_catalog(kind).items():
+        if name == "packages" and not (kind or entries):
+            continue
         if kind == "legs":
             for entry in entries:
                 rows = [_describe_key(key) for key in entry.keys]
@@ -170,8 +175,8 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
         rows = []
         for entry in entries:
             what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
-            rows.append((entry.kind, entry.name, what) if name == "sensors" else (entry.name, what))
-        heads = ("kind", "name", "what") if name == "sensors" else ("name", "what")
+            rows.append((entry.kind, entry.name, what) if name in _OF_KINDS else (entry.name, what))
+        heads = ("kind", "name", "what") if name in _OF_KINDS else ("name", "what")
         _print_rows(console, f"{name.capitalize()} ({_SHELVES[name][0]})", heads, rows)
     if kind == "estimators":
         _print_options(console)

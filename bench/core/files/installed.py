@@ -31,6 +31,7 @@ from typing import Any
 
 from bench.core.files.places import PACKAGE
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.wording import one_line
 
 GROUPS = ("estimators", "catalog", "aircraft", "exports", "logs", "fixes", "studies", "verbs")
 _OWN = "ins-gnss-bench"  # the distribution of bench
@@ -124,6 +125,26 @@ def find_class(use: str, taken: Collection[str]) -> str:
     """Return the ``module:Class`` of an estimator that a package adds; any other text as it is."""
     own = None if ":" in use or use in taken else find_installed("estimators", taken).get(use)
     return use if own is None else own.place
+
+
+def import_installed(what: str, one: Installed, *functions: str) -> Any:
+    """Import the module of another package's entry, which must have functions of these names.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be imported or lacks one: a line that names the package.
+    """
+    place, shown = one.place.partition(":")[0], f"{what} {one.name!r} of {one.package}"
+    try:
+        module = import_module(place)
+    except (Exception, SystemExit) as error:
+        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
+        raise ConfigError(f"{shown}: {kind}{one_line(str(error))}") from error
+    for name in functions:
+        if not callable(getattr(module, name, None)):
+            raise ConfigError(f"{shown}: {place} has no function {name}")
+    return module
 
 
 def list_problems(group: str, taken: Collection[str] = ()) -> list[str]:

@@ -8,9 +8,16 @@ elsewhere is an entry point ``bench.studies`` of its package.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
-from bench.core.files.installed import find_installed, find_own, list_modules, read_constant
+from bench.core.files.installed import (
+    find_installed,
+    find_own,
+    import_installed,
+    list_modules,
+    read_constant,
+)
 
 
 class StudyEntry(NamedTuple):
@@ -35,3 +42,16 @@ def find_studies() -> dict[str, StudyEntry]:
     """Return the studies by name, those of other packages last; these are not imported."""
     added = find_installed("studies", STUDIES)
     return {**STUDIES, **{name: StudyEntry(one.place, f"of {one.package}") for name, one in added.items()}}
+
+
+def import_study(name: str) -> Any:
+    """Return the module of a study of `find_studies`.
+
+    Raises
+    ------
+    ConfigError
+        If it is another package's and cannot be imported: a line that names the package.
+    """
+    if name in STUDIES:
+        return import_module(STUDIES[name].module)
+    return import_installed("study", find_installed("studies", STUDIES)[name], "run")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from bench.core.records.findings import Findings, StudyResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import suggest
 from bench.experiments.campaigns.pools import count_processors
-from bench.experiments.studies import StudyEntry, find_studies
+from bench.experiments.studies import StudyEntry, find_studies, import_study
 from bench.experiments.studies.study import Progress, StudyOptions, StudyWorkers, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import save_study
@@ -29,12 +28,10 @@ def find_study(name: str) -> tuple[StudyEntry, Any]:
     known = find_studies()
     if name not in known:
         raise ConfigError(f"study {name!r} is unknown{suggest(name, known, 'studies')}")
-    module = import_module(known[name].module)
-    options, run = getattr(module, "Options", None), getattr(module, "run", None)
-    if not (isinstance(options, type) and issubclass(options, StudyOptions) and callable(run)):
-        raise ConfigError(
-            f"study {name!r}: {known[name].module} must have Options, a StudyOptions, and run(options, work)"
-        )
+    module = import_study(name)
+    options = getattr(module, "Options", None)
+    if not (isinstance(options, type) and issubclass(options, StudyOptions)):
+        raise ConfigError(f"study {name!r} {known[name].question}: its module has no Options, a StudyOptions")
     return known[name], module
 
 
@@ -75,7 +72,10 @@ def study(
         results.check_folder(Path(out), force=force, kind=results.STUDY)
     begun = time.perf_counter()
     with StudyWorkers(jobs or count_processors(), progress) as work:
-        findings: Findings = module.run(chosen, work)
+        findings = module.run(chosen, work)
+    if not isinstance(findings, Findings):
+        what = type(findings).__name__
+        raise ConfigError(f"study {name!r} {entry.question}: run gives no Findings, but {what}")
     result = StudyResult(
         name,
         entry.question,

@@ -9,7 +9,7 @@ from dataclasses import MISSING
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from bench.core.files.installed import find_folders, find_installed, list_problems
+from bench.core.files.installed import find_folders, find_installed
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics.units import split_unit
 from bench.core.records.fields import figures_of, triad_figures_of
@@ -48,7 +48,7 @@ class CatalogEntry(NamedTuple):
 
     name: str
     title: str
-    kind: str  # "profile", "aircraft", "leg", "estimator", "export", or a kind of sensor: "imu" ...
+    kind: str  # "profile", "aircraft", "leg", "estimator", "export", kind of sensor, group of entry points
     note: str = ""  # limits, source of the figures, assumed figures, fixed options
     keys: tuple[KeyEntry, ...] = ()  # of a leg
 
@@ -153,21 +153,6 @@ def list_estimators() -> list[CatalogEntry]:
     ] + [
         CatalogEntry(name, f"{one.place} of {one.package}", "estimator")
         for name, one in find_installed("estimators", BUILT_IN).items()
-    ]
-
-
-def list_plugin_problems() -> list[str]:
-    """Return a line for each entry of an installed package that cannot be used."""
-    return [
-        line
-        for group, taken in (("estimators", BUILT_IN), ("catalog", ()), ("aircraft", ()))
-        for line in list_problems(group, taken)
-    ] + [
-        f"{package}: {kind} {path.stem!r} is a name of bench itself; it keeps its own"
-        for package, folder in find_folders("catalog").items()
-        for kind in KINDS
-        for path in sorted((folder / kind).glob("*.toml"))
-        if (CATALOG / kind / path.name).is_file()
     ]
 
 

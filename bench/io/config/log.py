@@ -23,7 +23,7 @@ from bench.io.config.overrides import DatasheetChanges, override, split_override
 from bench.io.config.profile import choose_estimators, describe_choice, less_empty, make_choices
 from bench.io.config.tables import check_table, collect_errors
 from bench.io.config.toml_file import check_kind, read_toml
-from bench.io.log_formats import MATLAB, TABLES, guess_format, list_formats
+from bench.io.log_formats import FORMATS, MATLAB, TABLES, find_format, guess_format, list_names
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 RANGES = "ranges"
@@ -298,7 +298,7 @@ def _find_source(
         return _find_ranges(row, beside, place, wrong)
     path = beside / row.file
     folder = os.path.isdir(path)  # unlike Path.is_dir, false for a name that is too long
-    formats, ending = list_formats(), path.suffix.lower()
+    ending = path.suffix.lower()
     form = row.format or ("rosbag" if folder else guess_format(path))
     if form is None and ending == NAV and kind == "reference":
         form = "kf-gins"
@@ -306,15 +306,15 @@ def _find_source(
     if not os.path.exists(path):
         wrong.append(f"{what}: no such file beside the log")
     elif form is None:
-        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(formats)}")
+        wrong.append(f"{what}: its ending does not show the format; set format to {', '.join(list_names())}")
     elif folder and form != "rosbag":
         wrong.append(f"{what} is a folder; only a ROS 2 bag may be one")
     elif form == "table" and ending not in (*TABLES, ".txt"):
         wrong.append(f"{what}: a table ends in {', '.join(TABLES)}, .txt")
     elif form != "table" and row.columns:
         wrong.append(f"{place}[{kind}] columns are for a table; format {form!r} has its own")
-    elif row.topic is not None and not formats[form].topics and not (form == "table" and ending == MATLAB):
-        listed = f"{', '.join(name for name, one in formats.items() if one.topics)} and tables in {MATLAB}"
+    elif row.topic is not None and not (find_format(form).topics or (form == "table" and ending == MATLAB)):
+        listed = f"{', '.join(name for name, one in FORMATS.items() if one.topics)} and tables in {MATLAB}"
         wrong.append(f"{place}[{kind}] topic is for {listed}; format {form!r} has none")
     else:
         return SourceSpec(path, form, row.topic, dict(row.columns), float(row.time_offset_s))

@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 from bench.core.records.instruments import INSTRUMENTS
 from bench.io.config.profile_tables import EstimatorTable, EvaluationTable, RequirementTable
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, between
-from bench.io.log_formats import FORMATS, list_formats
+from bench.io.log_formats import FORMATS, list_names
 
 _Angle = Annotated[float, between(-360, 360)]
 _Angles3 = Annotated[tuple[_Angle, _Angle, _Angle], ROWS]
@@ -34,8 +34,8 @@ _Columns = Annotated[dict[str, str], AfterValidator(_check_column_names)]
 
 
 def _check_format(name: str) -> str:
-    if name not in list_formats():
-        words = ", ".join(map(repr, list_formats()))
+    if name not in list_names():
+        words = ", ".join(map(repr, list_names()))
         raise PydanticCustomError("message", "must be {words}", {"words": words})
     return name
 

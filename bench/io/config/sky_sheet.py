@@ -17,7 +17,7 @@ from bench.core.records.sensor_specs import SkySpec
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.sheet import convert_figures, make_table_type
 from bench.io.config.tables import ROWS, collect_errors
-from bench.io.fix_readers import Orbits, find_reader
+from bench.io.fix_readers import Orbits, ask_reader
 from bench.simulation.signals.gps_time import EPOCH
 
 _DAY = 86400.0
@@ -118,7 +118,7 @@ def _read_satellites(
     """Read orbits by system and the ionosphere parameters; None stands for the nominal ones."""
     if table.almanac is not None:
         path = beside / table.almanac
-        almanac: KeplerSets = find_reader(path).read_almanac(path, midnight, table.almanac)
+        almanac = ask_reader(path, "read_almanac", KeplerSets, path, midnight, table.almanac)
         sets = almanac.shift_origin(midnight)
         if abs(sets.t - of_day).min() > 90 * _DAY:
             raise ConfigError(f"{table.almanac}: is more than 90 days from start = {table.start}")
@@ -126,7 +126,7 @@ def _read_satellites(
     if not table.navigation:
         return None, None
     paths = {name: beside / name for name in table.navigation}
-    files: Orbits = find_reader(paths[table.navigation[0]]).read_orbits(paths)
+    files = ask_reader(paths[table.navigation[0]], "read_orbits", Orbits, paths)
     orbits = {system: sets.shift_origin(midnight) for system, sets in files.sets.items()}
     for system in parse_systems("both" if table.systems == "auto" else table.systems):
         t = orbits[system].t if system in orbits else np.empty(0)

@@ -16,9 +16,9 @@ from textwrap import fill
 from typing import NamedTuple
 
 from bench.core.files import durable
-from bench.core.files.installed import find_installed, find_own
+from bench.core.files.installed import find_installed, find_own, import_installed
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.wording import one_line, suggest
+from bench.core.words.wording import suggest
 from bench.io.exports.gather import gather
 from bench.io.exports.outgoing import FRAMES, ExportData
 
@@ -73,14 +73,8 @@ def find_format(kind: str) -> Format:
     added = find_installed("exports", FORMATS)
     if kind not in added:
         raise ConfigError(f"export format {kind!r} is unknown{suggest(kind, list_formats(), 'formats')}")
-    one = added[kind]
-    try:
-        module = import_module(one.place)
-    except ImportError as error:
-        raise ConfigError(f"export format {kind!r} of {one.package}: {one_line(str(error))}") from error
-    if not callable(getattr(module, "write", None)):
-        raise ConfigError(f"export format {kind!r} of {one.package}: {one.place} has no function write")
-    title = getattr(module, "FORMATS", {}).get(kind, one.place)
+    module = import_installed("export format", added[kind], "write")
+    title = getattr(module, "FORMATS", {}).get(kind, added[kind].place)
     needs = (bool(getattr(module, name, False)) for name in ("NEEDS_START", "NEEDS_LIKE"))
     return Format(title, module.write, *needs)
 

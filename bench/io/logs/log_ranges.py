@@ -7,7 +7,7 @@ from typing import NamedTuple
 from bench.core.records.data import GnssObservations, SkyView
 from bench.core.records.sensor_specs import GnssSpec
 from bench.io.config.log import SourceSpec
-from bench.io.fix_readers import find_reader
+from bench.io.fix_readers import ask_reader
 from bench.io.logs.rows import LogRows
 
 
@@ -28,5 +28,4 @@ def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
     ConfigError
         If a file is wrong, or no ephemeris fits.
     """
-    found: RecordedRanges = find_reader(source.observations[0]).read_ranges(source, gnss)
-    return found
+    return ask_reader(source.observations[0], "read_ranges", RecordedRanges, source, gnss)

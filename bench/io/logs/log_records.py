@@ -23,7 +23,7 @@ from bench.core.records.data import GnssFixes, GnssObservations, ImuData, SkyVie
 from bench.core.records.instruments import INSTRUMENTS, BaroData
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import find_format
 from bench.io.logs import formats
 from bench.io.logs.formats.navego_structures import list_sensors
 from bench.io.logs.log_ranges import read_ranges
@@ -104,7 +104,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     instruments = {
         kind: _cut(_make_instrument(kind, rows, spec, origin), spec.until) for kind, rows in others.items()
     }
-    if "baro" in instruments and list_formats()[spec.imu.format].knows:
+    if "baro" in instruments and find_format(spec.imu.format).knows:
         instruments["baro"] = set_altimeter(instruments["baro"], fixes, spec.start.at, spec.evaluation.begin)
     return LogRecords(
         imu=imu,

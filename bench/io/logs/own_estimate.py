@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -19,9 +20,11 @@ from bench.core.records.specs import AUTOPILOT
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.resampling import ForeignSolution, resample
 from bench.io.config.log import SourceSpec
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import find_format
 from bench.io.logs.formats.unreadable import explain_missing
 from bench.io.logs.log_contents import Contents, OwnEstimate, OwnMotion, split_instance
+
+_Answer = TypeVar("_Answer")
 
 NEAR = 0.5
 """Longest interval between rows of an estimate that is bridged [s]: loggers write 8 to 100 a second."""
@@ -35,12 +38,7 @@ def look(form: str, path: Path) -> Contents:
     ConfigError
         If it cannot be read.
     """
-    try:
-        with explain_missing(list_formats()[form].package, path):
-            found: Contents = import_module(list_formats()[form].module).look(path)
-            return found
-    except KeyError as error:
-        raise ConfigError(f"{path.name}: a message of it has no field {error.args[0]!r}") from None
+    return _ask(form, path, "a message of it", "look", Contents)
 
 
 def read_truth(source: SourceSpec) -> OwnMotion:
@@ -51,13 +49,7 @@ def read_truth(source: SourceSpec) -> OwnMotion:
     ConfigError
         If it has none.
     """
-    path = source.path
-    try:
-        with explain_missing(list_formats()[source.format].package, path):
-            found: OwnMotion = import_module(list_formats()[source.format].module).read_truth(path)
-            return found
-    except KeyError as error:
-        raise ConfigError(f"{path.name}: its truth has no field {error.args[0]!r}") from None
+    return _ask(source.format, source.path, "its truth", "read_truth", OwnMotion)
 
 
 def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
@@ -69,17 +61,28 @@ def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
         If it has none.
     """
     path = source.path
-    if not list_formats()[source.format].knows:
+    if not find_format(source.format).knows:
         raise ConfigError(f"estimator {AUTOPILOT!r}: {path.name} is no log of an autopilot")
     try:
-        with explain_missing(list_formats()[source.format].package, path):
-            module = import_module(list_formats()[source.format].module)
-            found: OwnEstimate = module.read_estimate(path, instance)
-            return found
+        return _ask(source.format, path, "its estimate", "read_estimate", OwnEstimate, instance)
     except ConfigError as error:
+        if str(error).startswith(f"{path.name}: "):
+            raise
         raise ConfigError(f"{path.name}: {error}") from None
+
+
+def _ask(form: str, path: Path, what: str, function: str, kind: type[_Answer], *given: object) -> _Answer:
+    """Return what a function of the reader of a format says of a file; ``what`` is named if a field lacks."""
+    known = find_format(form)
+    try:
+        with explain_missing(known.package, path):
+            found = getattr(import_module(known.module), function, lambda *_: None)(path, *given)
     except KeyError as error:
-        raise ConfigError(f"{path.name}: its estimate has no field {error.args[0]!r}") from None
+        raise ConfigError(f"{path.name}: {what} has no field {error.args[0]!r}") from None
+    if not isinstance(found, kind):
+        gives = f"{function} gives no {kind.__name__}, but {type(found).__name__}"
+        raise ConfigError(f"{path.name}: log format {form!r} of {known.brought_by}: {gives}")
+    return found
 
 
 class AutopilotEstimator:

@@ -18,7 +18,7 @@ from bench.evaluation.errors.resampling import resample
 from bench.evaluation.motion.recorded_motion import Check
 from bench.io.config.log import NAV, ReferenceSpec, SourceSpec
 from bench.io.foreign.solutions import DEVIATIONS, read_attitudes, read_solution
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import find_format
 from bench.io.logs import formats
 from bench.io.logs.own_estimate import NEAR, look, read_truth
 from bench.io.logs.record_clock import meet_week, unwrap_week
@@ -96,7 +96,7 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
 def _read_rows(spec: ReferenceSpec) -> tuple[LogRows, FloatArray, FloatArray | None]:
     """Return the rows of a file, the attitude (N, 4) and its sd (N, 3), if it has them."""
     source, shown = spec.source, spec.source.path.name
-    knows = list_formats()[source.format].knows
+    knows = find_format(source.format).knows
     if knows and source.topic is None and look(source.format, source.path).truth:
         return _read_truth(source)
     if source.format != "table":

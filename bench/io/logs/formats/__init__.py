@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 
 from bench.core.words.exceptions import ConfigError
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import find_format
 from bench.io.logs.formats.unreadable import explain_missing
 from bench.io.logs.rows import LogRows
 
@@ -17,7 +17,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     Parameters
     ----------
     form : str
-        One of `bench.io.log_formats.list_formats`, but no table.
+        One of `bench.io.log_formats.list_names`, but no table.
     path : Path
         The file, or the folder of a ROS 2 bag.
     kind : str
@@ -30,9 +30,10 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     ConfigError
         If the file is broken, is not of this format, or has no such rows: one line.
     """
-    found = list_formats()[form]
+    found = find_format(form)
     with explain_missing(found.package, path):
         rows = import_module(found.module).read(form, path, kind, topic)
     if not isinstance(rows, LogRows):
-        raise ConfigError(f"{path.name}: the reader of {form!r} gives no LogRows, but {type(rows).__name__}")
+        what = f"log format {form!r} of {found.brought_by}"
+        raise ConfigError(f"{path.name}: {what}: read gives no LogRows, but {type(rows).__name__}")
     return rows

@@ -1,0 +1,3 @@
+"""Packages of others are installed by a test, not collected."""
+
+collect_ignore = ["examples"]
