@@ -4,8 +4,8 @@ A module of that group has ``recognises(path) -> bool`` and
 
 - ``read_almanac(path, near, shown) -> KeplerSets``: the satellites of an almanac near a time;
 - ``read_orbits(paths) -> Orbits``: the satellites of navigation files;
-- ``read_ranges(source, gnss) -> RecordedRanges``: what ranges tell beside a recorded IMU, as
-  `bench.io.logs.log_ranges` says.
+- ``read_ranges(observations, navigation, time_offset, gnss) -> RecordedRanges``: what the ranges in files
+  tell beside a recorded IMU, with noise, masks, systems and carriers of a datasheet.
 
 Times are in seconds since 1980-01-06.
 """
@@ -19,8 +19,10 @@ from typing import NamedTuple, TypeVar
 
 from bench.core.files.installed import find_installed, find_own, import_installed
 from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.data import GnssObservations, SkyView
 from bench.core.records.orbit_sets import GlonassSets, KeplerSets
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.rows import LogRows
 
 _Answer = TypeVar("_Answer")
 
@@ -31,6 +33,15 @@ class Orbits(NamedTuple):
     shown: str  # names of the files
     sets: Mapping[int, KeplerSets | GlonassSets]  # by system
     klobuchar: FloatArray | None  # (8,) ionosphere
+
+
+class RecordedRanges(NamedTuple):
+    """What the ranges of a receiver tell, on the clock of a log [s]."""
+
+    fixes: LogRows
+    observations: GnssObservations | None  # if the datasheet that is assumed has a [sky]
+    sky: SkyView
+    lack: str  # why there are no observations, in words; empty: there are some
 
 
 def ask_reader(path: Path, what: str, kind: type[_Answer], *given: object) -> _Answer:

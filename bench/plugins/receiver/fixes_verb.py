@@ -14,7 +14,7 @@ from rich.console import Console
 from bench.cli.verbs.printing import MOST_ROWS, print_findings
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.words.exceptions import ConfigError
-from bench.io.results.folders import check_file
+from bench.io.results import check_file
 from bench.plugins.receiver import rinex_fixes
 from bench.plugins.receiver.receiver_settings import solve_rinex
 from bench.plugins.receiver.rinex.lines import find_kind

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import GnssObservations
 from bench.core.records.sensor_specs import GnssSpec, SkySpec
-from bench.io.config.log import SourceSpec
-from bench.io.logs.log_ranges import RecordedRanges
+from bench.io.fix_readers import RecordedRanges
 from bench.io.logs.rows import LogRows
 from bench.navigation.engine.kept_rows import take_rows
 from bench.plugins.receiver.rinex_fixes import RinexFixes, solve_files
@@ -22,11 +23,13 @@ from bench.simulation.signals.orbits import C
 from bench.simulation.signals.processing import Processing
 
 
-def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
+def read_ranges(
+    observations: Sequence[Path], navigation: Sequence[Path], time_offset: float, gnss: GnssSpec
+) -> RecordedRanges:
     """Solve the files of a receiver.
 
     Times are those of validity: by the receiver's clock, less its offset as the fixes have it, in GPS time
-    since 1980-01-06 with the offset of the source [s]. Noise, masks, systems and carriers are those of the
+    since 1980-01-06 plus the offset [s]. Noise, masks, systems and carriers are those of the
     datasheet that the filters assume; a satellite that states a worse accuracy counts as that.
 
     Raises
@@ -37,9 +40,9 @@ def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
     sky = gnss.sky
     processing = Processing() if sky is None else _make_processing(sky)
     loops = None if sky is None else partial(_find_noise, sky)
-    solved = solve_files(source.observations, source.navigation, processing, loops=loops)
+    solved = solve_files(observations, navigation, processing, loops=loops)
     t = solved.observations.origin + solved.observations.t - _find_clock(solved) / C
-    t = t + source.time_offset
+    t = t + time_offset
     fixes, good = solved.fixes, solved.fixes.valid
     values = {
         "lla": fixes.lla[good],
@@ -48,15 +51,15 @@ def read_ranges(source: SourceSpec, gnss: GnssSpec) -> RecordedRanges:
         "cov_vel": fixes.cov_vel_n[good].reshape(-1, 9),
         "satellites": fixes.satellites[good].astype(float),
     }
-    observations, lack = None, ""
+    ranges, lack = None, ""
     if sky is None:
         lack = "[sensors.assumed] gnss has no [sky]: filters get its fixes, not its ranges"
     else:
-        observations = _take_whole(solved, sky, t)
-        lack = "" if len(observations) else "no satellite has both a range and a Doppler"
+        ranges = _take_whole(solved, sky, t)
+        lack = "" if len(ranges) else "no satellite has both a range and a Doppler"
     notes = [f"{solved.observations.shown}: {note}" for note in (*solved.notes, lack) if note]
     rows = LogRows(t[good], values, tuple(notes))
-    return RecordedRanges(rows, observations, solved.view_sky(t), lack)
+    return RecordedRanges(rows, ranges, solved.view_sky(t), lack)
 
 
 def _make_processing(sky: SkySpec) -> Processing:

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from bench.core.compilation.compiled import on_arrays
 from bench.core.files import durable
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray, IntArray
@@ -32,7 +31,7 @@ from bench.core.words.exceptions import ExportError
 from bench.io.exports.outgoing import ExportData
 from bench.plugins.receiver.rinex.lines import BEIDOU_LATE
 from bench.simulation.signals import orbits
-from bench.simulation.signals.delays import range_kernel
+from bench.simulation.signals.delays import find_range
 from bench.simulation.signals.gps_time import leap_seconds
 from bench.simulation.signals.orbit_fit import fit_glonass, fit_kepler
 from bench.simulation.signals.orbits import DAY, GPS_EARTH_RATE, WEEK, C
@@ -42,7 +41,6 @@ FORMATS = {
 }
 OBSERVATIONS, NAVIGATION = "run.obs", "run.nav"
 _EPOCH = datetime(1980, 1, 6)
-_range = on_arrays(range_kernel)
 _CODES = {GPS: ("1C", "2W"), GLONASS: ("1C", "2C"), GALILEO: ("1C", "5Q"), BEIDOU: ("2I", "6I")}
 """Codes of the carriers of `orbits.carrier_frequencies`."""
 _VALID = {GLONASS: 900.0}
@@ -144,7 +142,7 @@ def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tup
     rows = np.concatenate([np.arange(a, a + n) for a, n in zip(first, count, strict=True)])
     pos_e = np.column_stack([np.interp(t, known_t, column) for column in earth.to_ecef(lla).T])
     epoch = np.repeat(np.arange(len(first)), count)
-    distance = np.asarray(_range(*o.sat_pos_e[rows].T, *pos_e[epoch].T, GPS_EARTH_RATE)[0])
+    distance = np.asarray(find_range(*o.sat_pos_e[rows].T, *pos_e[epoch].T, GPS_EARTH_RATE)[0])
     new = np.concatenate([[0], np.cumsum(count)])
     late = o.pseudorange[rows, 0] + o.sat_clock[rows] - distance
     clock = np.array([np.median(late[a:b]) for a, b in pairwise(new)]) / C

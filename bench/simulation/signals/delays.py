@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from bench.core.compilation.compiled import kernel
+from bench.core.compilation.compiled import kernel, on_arrays
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import STANDARD_GRAVITY
 from bench.simulation.signals.orbits import L1, C
@@ -69,6 +69,10 @@ def range_kernel(
     dy = sy * cos_t - sx * sin_t - ry
     distance = np.sqrt(dx * dx + dy * dy + dz * dz)
     return distance, dx / distance, dy / distance, dz / distance
+
+
+find_range = on_arrays(range_kernel)
+"""The same of arrays."""
 
 
 @kernel

@@ -15,7 +15,7 @@ import numpy as np
 from bench.core.compilation.compiled import on_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.orbit_sets import LETTERS
-from bench.simulation.signals.delays import range_kernel, range_rate_kernel
+from bench.simulation.signals.delays import find_range, range_rate_kernel
 from bench.simulation.signals.fault_test import find_alarms
 from bench.simulation.signals.orbits import GPS_EARTH_RATE
 
@@ -33,8 +33,6 @@ _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weigh
 EARTH_RADIUS = 6371e3  # [m]
 SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
 _NO_DECAY = 1e-6  # stands for a decay of 0: errors of satellites are independent [m]
-
-_range = on_arrays(range_kernel)
 
 
 class Shared(NamedTuple):
@@ -196,7 +194,7 @@ def _iterate(
             break
         px, py, pz = (x[going, k, None] for k in range(3))
         q = pos[going]
-        distance, ex, ey, ez = _range(q[..., 0], q[..., 1], q[..., 2], px, py, pz, rate)
+        distance, ex, ey, ez = find_range(q[..., 0], q[..., 1], q[..., 2], px, py, pz, rate)
         left = (
             np.where(padded.used[going], z[going] - distance, 0.0) - (one[going] @ x[going, 3:, None])[..., 0]
         )
@@ -431,7 +429,7 @@ def solve_velocities(
     if len(rows) == 0:
         return fixes
     epoch, sat, vel = epoch[rows], sat_pos_e[rows].T, sat_vel_e[rows].T
-    distance, *e = _range(*sat, *pos_e[epoch].T, rate)
+    distance, *e = find_range(*sat, *pos_e[epoch].T, rate)
     a, b = on_arrays(range_rate_kernel)(*sat, *vel, *pos_e[epoch].T, *e, distance, rate)
     H = np.column_stack([-e[0] / b, -e[1] / b, -e[2] / b, np.ones(len(rows))])
     left, w = range_rate[rows] - a / b, 1.0 / sd[rows] ** 2
