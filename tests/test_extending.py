@@ -350,7 +350,7 @@ from bench.cli.command_line import commands
 from bench.core.records.instruments import INSTRUMENTS
 from bench.evaluation.metrics.run_metrics import METRICS
 from bench.experiments.studies import STUDIES
-from bench.io.log_formats import list_formats
+from bench.io.log_formats import list_names
 from bench.navigation.options import FusionOptions
 from bench.views import recording
 
@@ -367,7 +367,7 @@ wrong = result.sensed.data.imu.dtheta_b[:, 0] - roll_rate
 print(json.dumps({
     "package": bench.__file__,
     "there": {
-        "a log format": list(list_formats()),
+        "a log format": list_names(),
         "a verb": commands.list_commands(None),
         "a study": list(STUDIES),
         "a metric": [row.name for row in METRICS],

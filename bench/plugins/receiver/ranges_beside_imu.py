@@ -16,8 +16,7 @@ from bench.io.fix_readers import RecordedRanges
 from bench.io.logs.rows import LogRows
 from bench.navigation.engine.kept_rows import take_rows
 from bench.plugins.receiver.rinex_fixes import RinexFixes, solve_files
-from bench.simulation.sensors.measurement_level.loops import find_loop_noise
-from bench.simulation.sensors.measurement_level.sky import make_processing
+from bench.simulation.sensors.measurement_level.loops import find_loop_noise, make_processing
 from bench.simulation.signals import receiver_solution
 from bench.simulation.signals.orbits import C
 from bench.simulation.signals.processing import Processing

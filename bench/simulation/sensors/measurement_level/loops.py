@@ -1,4 +1,4 @@
-"""The tracking loops of a receiver: noise by C/N0, multipath, and what they give on each carrier."""
+"""The tracking loops of a receiver: noise by C/N0, multipath, ranges on each carrier, and its settings."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.sensor_specs import Fault, SkySpec
 from bench.simulation.signals.orbits import C
+from bench.simulation.signals.processing import ErrorBudget, Processing
 
 _CHIP = (C / 1.023e6, C / 0.511e6, C / 1.023e6 / np.sqrt(3.0), C / 2.046e6)
 """Chip of the civil code by system [m], their ICDs; the correlation of BOC(1,1) is three times as steep."""
@@ -84,3 +85,22 @@ def track_bands(
         if band == 0:
             tracking[:] = noise, doppler
     return pseudorange, range_rate, strength, tracking
+
+
+def make_processing(sky: SkySpec) -> Processing:
+    """Return the settings by which the receiver computes its fixes: it knows how large its errors are."""
+    return Processing(
+        budget=ErrorBudget(
+            zenith_ionosphere=sky.ionosphere_sd,
+            ionosphere_share=sky.ionosphere_share,
+            ionosphere_decay=sky.ionosphere_decay,
+            zenith_troposphere=sky.troposphere_sd,
+            multipath_zenith=sky.multipath_zenith_sd,
+            multipath_horizon=sky.multipath_horizon_sd,
+            second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
+        ),
+        systems=sky.systems,
+        ionosphere="free" if sky.bands == 2 else "klobuchar",
+        mask=sky.elevation_mask,
+        false_alarm=sky.false_alarm,
+    )

@@ -29,14 +29,13 @@ from bench.simulation.sensors.measurement_level.ionosphere_field import (
     field_kernel,
     locate_pierce_points,
 )
-from bench.simulation.sensors.measurement_level.loops import track_bands
+from bench.simulation.sensors.measurement_level.loops import make_processing, track_bands
 from bench.simulation.sensors.measurement_level.view import View, compute_view
 from bench.simulation.sensors.timing import find_outage_rows
 from bench.simulation.signals import orbits, receiver_solution
 from bench.simulation.signals.delays import mapping_kernel
 from bench.simulation.signals.look import Look, compute_look, estimate_range_sd, share_errors
 from bench.simulation.signals.orbits import C
-from bench.simulation.signals.processing import ErrorBudget, Processing
 
 _LEAST = (0.01, 1e-4)  # smallest assumed sd of range and range rate [m, m/s]
 
@@ -185,25 +184,6 @@ def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray)
         elevation=np.arcsin(v.sin_el),
         cn0=np.where(v.received & reported[v.epoch], v.cn0, np.nan),
         used=of_all,
-    )
-
-
-def make_processing(sky: SkySpec) -> Processing:
-    """Return the settings by which the receiver computes its fixes: it knows how large its errors are."""
-    return Processing(
-        budget=ErrorBudget(
-            zenith_ionosphere=sky.ionosphere_sd,
-            ionosphere_share=sky.ionosphere_share,
-            ionosphere_decay=sky.ionosphere_decay,
-            zenith_troposphere=sky.troposphere_sd,
-            multipath_zenith=sky.multipath_zenith_sd,
-            multipath_horizon=sky.multipath_horizon_sd,
-            second_band=float(10.0 ** (sky.second_band_loss / 20.0)),
-        ),
-        systems=sky.systems,
-        ionosphere="free" if sky.bands == 2 else "klobuchar",
-        mask=sky.elevation_mask,
-        false_alarm=sky.false_alarm,
     )
 
 
