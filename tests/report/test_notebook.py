@@ -40,11 +40,11 @@ def test_a_study_shows_its_answer_its_tables_and_its_figures(answer):
 
 
 def test_a_long_table_is_cut_and_says_so():
-    shown = write_table("Many", ["k"], [[k] for k in range(MOST_ROWS + 7)])
+    shown = write_table("Many", {"k": range(MOST_ROWS + 7)})
     assert shown.count("<tr>") == MOST_ROWS + 1
     assert "<p>7 more rows</p>" in shown
 
 
 def test_what_is_outside_is_marked_and_nothing_is_a_tag():
-    assert '<td style="color:red">&lt;3 !</td>' in write_table("", [""], [[ShownFigure("<3", outside=True)]])
+    assert '<td style="color:red">&lt;3 !</td>' in write_table("", {"": [ShownFigure("<3", outside=True)]})
     assert write_sentences(["a < b", ""]) == "<p>a &lt; b</p>"

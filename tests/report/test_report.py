@@ -2,6 +2,7 @@
 
 import base64
 import hashlib
+import io
 import re
 import subprocess
 from dataclasses import replace
@@ -12,11 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun_cli
+from rich.console import Console
 
 import bench
 from bench.cli.command_line import main
+from bench.cli.verbs.printing import print_table
+from bench.core.files.places import PACKAGE
+from bench.core.records.findings import FindingTable
 from bench.core.records.findings.series import Plot, Series, draw_three_sigma
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import ShownFigure, ShownText
 from bench.evaluation.metrics.key_figures import list_key_figures
 from bench.evaluation.metrics.metric_words import format_metric, group_metrics
 from bench.views.report import page, svg
@@ -308,3 +314,35 @@ def test_a_narrow_logarithmic_axis_has_round_numbers_of_a_plain_one():
     assert at == pytest.approx(np.log10(numbers))
     assert svg._round_marks(np.log10(0.9), np.log10(6.0), 5, log=True)[1].tolist() == [1.0, 2.0, 5.0]
     assert svg._round_marks(-3.0, 5.0, 5, log=True)[1].tolist() == [1e-3, 1e-1, 1e1, 1e3, 1e5]
+
+
+def test_one_table_is_the_same_on_a_terminal_and_on_a_page():
+    columns = {
+        "": ["Position", ShownText("error <h>", tip="pos_h"), ShownText("bench run x", code=True)],
+        "first": [ShownFigure(""), ShownFigure("5.1", "1 to 2", outside=True), None],
+        "verdict": [ShownText(""), ShownText("worse", "bad"), ShownText("report", link="a b/report.html")],
+    }
+    table = FindingTable("t", "Title", columns, heads={"": "metric", "first": "mine"})
+    kinds = {"verdict": "text"}
+    shown = page.render("index.html.jinja", interactive=False, title="Results", table=table, kinds=kinds)
+    for line in (
+        '<th scope="col">metric</th><th scope="col" title="first">mine</th><th scope="col" class="text">',
+        '<tr class="group"><th scope="rowgroup" colspan="3">Position</th></tr>',
+        '<tr><th scope="row" title="pos_h">error &lt;h&gt;</th><td class="outside">5.1 '
+        '<b title="outside its bounds">!</b> <small>1 to 2</small></td><td class="text verdict bad">worse</td>',
+        '<tr><th scope="row"><code>bench run x</code></th><td>-</td>'
+        '<td class="text"><a href="a%20b/report.html">report</a></td></tr>',
+    ):
+        assert line in shown
+    file = io.StringIO()
+    print_table(Console(file=file, width=80), table)
+    for words in ("Title", "Position", "error <h>", "5.1 ! (1 to 2)", "worse", "bench run x", "report"):
+        assert words in file.getvalue()
+
+
+def test_nothing_else_writes_tables():
+    """Verbs and pages have tables as records; one function prints them and one macro writes them."""
+    files = [file for file in PACKAGE.rglob("*") if file.suffix in (".py", ".jinja")]
+    texts = {file.name: file.read_text(encoding="utf-8") for file in files}
+    assert {name for name, text in texts.items() if "<table" in text} == {"parts.html.jinja", "notebook.py"}
+    assert {name for name, text in texts.items() if "rich.table" in text} == {"printing.py"}

@@ -18,12 +18,10 @@ from bench.cli.verbs.flight_verbs import find_own_estimators
 from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
 from bench.core.records.specs import Guard
-from bench.core.words.notebook import ShownFigure
-from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.experiments.campaigns import plan, running
-from bench.experiments.campaigns.outcome import Outcome
+from bench.experiments.campaigns.outcome import RATIO, Outcome, tabulate
 from bench.experiments.campaigns.running import Campaign, Progress
 from bench.experiments.card.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.experiments.card.card_making import (
@@ -44,7 +42,6 @@ CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
 
 _IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
 _IN_WORDS = {"pos_rmse_h_m": "horizontal error", "pos_rmse_d_m": "height", "heading_rmse_deg": "heading"}
-_NEES = "ANEES / n"
 _MOST_FAILURES = 5  # that are printed
 
 
@@ -165,38 +162,25 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
 def _tabulate(result: Campaign, *, several: bool) -> FindingTable:
     """Return a column for each estimator, or a row for each condition and estimator."""
     ran = result.outcomes
-    names = _IN_ROWS if several else dict.fromkeys(name for one in ran for name in one.errors)
-    rows: dict[str, list[ShownFigure | None]] = {
-        name_metric(name): [one.errors[name].show() if name in one.errors else None for one in ran]
-        for name in names
-    }
+    found = _IN_ROWS if several else dict.fromkeys(name for one in ran for name in one.errors)
+    names = {name_metric(name): name for name in found}
     if several or any(one.consistency for one in ran):
-        rows[_NEES] = [ratio.show() if (ratio := _find_ratio(one)) else None for one in ran]
+        names[RATIO] = RATIO
     if several:
-        heads: dict[str, list[Any]] = {
-            "condition": [one.condition for one in ran],
-            "estimator": [one.label for one in ran],
-            "converged": [ShownFigure(f"{one.converged_runs} of {one.runs}") for one in ran],
-        }
-        return FindingTable("conditions", "", heads | rows)
-    columns = {one.label: [row[k] for row in rows.values()] for k, one in enumerate(ran)}
-    return FindingTable("estimators", "", {"": list(rows), **columns})
+        return tabulate(ran, names)
+    columns = {one.label: [one.show(name) for name in names.values()] for one in ran}
+    return FindingTable("estimators", "", {"": list(names), **columns})
 
 
 def _summarize(one: Outcome) -> str:
     """Return the main errors of an estimator, and how its claim holds, with their intervals."""
     parts = []
     for metric, words in _IN_WORDS.items():
-        if (found := one.errors.get(metric)) is not None:
-            parts.append(f"{words} {found.show(3)} {find_words(metric).unit}")
-    if ratio := _find_ratio(one):
-        parts.append(f"{_NEES} {ratio.show(3)}, 1 is right")
+        if found := one.show(metric, 3):
+            parts.append(f"{words} {found} {find_words(metric).unit}")
+    if found := one.show(RATIO, 3):
+        parts.append(f"{RATIO} {found}, 1 is right")
     return f"{one.label}: {'; '.join(parts) or 'fewer than two runs converged'}"
-
-
-def _find_ratio(outcome: Outcome) -> Estimate | None:
-    found = outcome.consistency
-    return Estimate(found.ratio, found.low, found.high) if found else None
 
 
 def run_card(

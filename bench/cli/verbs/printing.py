@@ -18,7 +18,7 @@ from rich.text import Text
 
 from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import LOOKS
-from bench.core.words.notebook import ShownFigure, format_cell
+from bench.core.words.notebook import ShownFigure, ShownText, format_cell
 
 MOST_ROWS = 40  # of a table that are printed
 _WIDEST_TEXT = 24  # a column of text in a table too wide for the console
@@ -110,7 +110,7 @@ class _Shown(NamedTuple):
 
 def _show(name: str, values: Sequence[object], *, narrow: bool = False) -> _Shown:
     """Return a column; if narrow, its head is broken after underscores and spaces, and text is wrapped."""
-    words = any(isinstance(value, str) for value in values)
+    words = any(isinstance(value, str | ShownText) for value in values)
     outside = any(isinstance(value, ShownFigure) and value.outside for value in values)
     styles = [_find_style(value) for value in values]
     cells = [_format(value, marked=outside, narrow=narrow) for value in values]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from textwrap import wrap
 from typing import Any
 
@@ -20,10 +20,9 @@ from bench.evaluation.metrics.key_figures import (
     MEANING,
     Measured,
     explain_rows,
-    format_bounds,
     list_key_figures,
+    tabulate_metrics,
 )
-from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
 
 ROOM = 14
 """Lines for the headlines of a run: with what stands before and behind them a screen of 24."""
@@ -68,7 +67,7 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
         if text := values.get("verdict_text"):
             console.print(text, style=headline.judge_look(str(values["verdict"]), values).style)
     names = list_key_figures(measured)
-    print_table(console, _tabulate_metrics(measured, names))
+    print_table(console, tabulate_metrics(measured, names))
     if any(verdict.find_bounds(name, values) for values in measured.values() for name in names):
         console.print(MEANING, style="dim")
     if explained := explain_rows(names):
@@ -77,22 +76,6 @@ def print_metrics(console: Console, measured: Measured, solutions: Mapping[str, 
         for text in verdict.list_sentences(values):
             console.print(text)
     _print_remarks(console, measured, solutions)
-
-
-def _tabulate_metrics(measured: Measured, names: Sequence[str]) -> FindingTable:
-    """Return the table of some metrics by heading, with their bounds."""
-    columns: dict[str, list[str | ShownFigure]] = {"": [], **{label: [] for label in measured}}
-    for heading, members in group_metrics(names).items():
-        for name in (None, *members):
-            columns[""].append(name_metric(name) if name else heading)
-            for label, values in measured.items():
-                columns[label].append(_show_metric(name, values) if name else ShownFigure(""))
-    return FindingTable("metrics", "", columns)
-
-
-def _show_metric(name: str, values: Mapping[str, Any]) -> ShownFigure:
-    outside, bounds = verdict.is_outside(name, values), format_bounds(name, values)
-    return ShownFigure(format_metric(name, values.get(name)), bounds, outside)
 
 
 def print_bound(console: Console, measured: Measured) -> None:

@@ -75,11 +75,13 @@ class RunResult(Rebuilt):
     def _repr_html_(self) -> str:
         """Return the verdicts, and the metrics without ``_all`` as a table, a column for each estimator."""
         names = {name: None for values in self.metrics.values() for name in values}
-        rows = []
-        for name in names:
-            values = [one.get(name) for one in self.metrics.values()]
-            if not name.endswith("_all") and any(isinstance(v, int | float) for v in values):
-                rows.append([name, *(_mark(name, one) for one in self.metrics.values())])
+        shown = [
+            name
+            for name in names
+            if not name.endswith("_all")
+            and any(isinstance(one.get(name), int | float) for one in self.metrics.values())
+        ]
+        columns = {label: [_mark(name, one) for name in shown] for label, one in self.metrics.items()}
         head = f"{self.profile.get('title', '')}: seed {self.seed}, run {self.run}"
         texts = [
             text
@@ -90,7 +92,7 @@ class RunResult(Rebuilt):
                 *values.get("required_text", ()),
             )
         ]
-        return write_sentences(texts) + write_table(head, ["", *self.metrics], rows)
+        return write_sentences(texts) + write_table(head, {"": shown, **columns})
 
     def frame(self) -> Any:
         """Return the metrics as a pandas.DataFrame, a column for each estimator."""

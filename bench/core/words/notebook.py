@@ -26,17 +26,32 @@ class ShownFigure(NamedTuple):
         return f"{self.text}{' !' if self.outside else ''}{f' ({self.bounds})' if self.bounds else ''}"
 
 
+class ShownText(NamedTuple):
+    """A text as it is shown, where it is more than its words."""
+
+    text: str
+    kind: str = ""  # class of a verdict
+    tip: str = ""  # shown below the pointer
+    link: str = ""  # the page it leads to
+    code: bool = False  # a command
+
+    def __str__(self) -> str:
+        """Return the text."""
+        return self.text
+
+
 def write_sentences(texts: Iterable[str]) -> str:
     """Return a paragraph for each text that is not empty."""
     return "".join(f"<p>{escape(text)}</p>" for text in texts if text)
 
 
-def write_table(caption: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return a table with its caption and a heading for each column; a line counts the rows left out.
+def write_table(caption: str, columns: Mapping[str, Sequence[Any]]) -> str:
+    """Return columns as a table with its caption; a line counts the rows left out.
 
     Numbers have four digits, None is a dash, and a :class:`ShownFigure` outside of its bounds is red.
     """
-    lines = ["".join(f"<th>{escape(name)}</th>" for name in head)]
+    rows = list(zip(*columns.values(), strict=True))
+    lines = ["".join(f"<th>{escape(name)}</th>" for name in columns)]
     lines += ["".join(_write_cell(value) for value in row) for row in rows[:MOST_ROWS]]
     body = "".join(f"<tr>{line}</tr>" for line in lines)
     left = len(rows) - MOST_ROWS

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from bench.core.records.findings import FindingTable
+from bench.core.words.notebook import ShownFigure, ShownText
 from bench.core.words.wording import format_number
-from bench.evaluation.consistency.verdict import find_bounds
-from bench.evaluation.metrics.metric_words import find_words
+from bench.evaluation.consistency.verdict import find_bounds, is_outside
+from bench.evaluation.metrics.metric_words import find_words, format_metric, group_metrics, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
 
 Measured = Mapping[str, Mapping[str, Any]]
@@ -83,6 +85,26 @@ def list_key_figures(measured: Measured) -> list[str]:
     if any(values.get(_COVERAGE) not in (None, 1.0) for values in measured.values()):
         found.append(_COVERAGE)
     return found
+
+
+def tabulate_metrics(measured: Measured, names: Iterable[str], title: str = "") -> FindingTable:
+    """Return the table of some metrics by heading, with their bounds; a column for each estimator."""
+    columns: dict[str, list[str | ShownText | ShownFigure]] = {"": [], **{label: [] for label in measured}}
+    for heading, members in group_metrics(names).items():
+        columns[""].append(heading)
+        for label in measured:
+            columns[label].append(ShownFigure(""))
+        for name in members:
+            known = find_metric(name)
+            columns[""].append(ShownText(name_metric(name), tip=f"{name}: {known.words if known else ''}"))
+            for label, values in measured.items():
+                columns[label].append(_show_metric(name, values))
+    return FindingTable("metrics", title, columns, heads={"": "metric"})
+
+
+def _show_metric(name: str, values: Mapping[str, Any]) -> ShownFigure:
+    text, bounds = format_metric(name, values.get(name)), format_bounds(name, values)
+    return ShownFigure(text, bounds, is_outside(name, values))
 
 
 def format_bounds(name: str, values: Mapping[str, Any]) -> str:

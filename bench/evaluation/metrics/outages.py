@@ -72,7 +72,6 @@ def make_drift_row(
     }
 
 
-DRIFT_COLUMNS = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
 DRIFT_MEANING = (
     "With each quantile stands its 95 % confidence interval. Claimed: the median by the covariance of the "
     "filter. Law: the median expected from bias instability and noise of the assumed datasheet, with a "
@@ -82,12 +81,12 @@ DRIFT_MEANING = (
 
 def tabulate_drifts(rows: Sequence[Mapping[str, Any]]) -> FindingTable:
     """Return the table of the drift in each outage."""
-    texts = list(map(format_drift_row, rows))
-    return make_table("drifts", "Horizontal drift without GNSS [m]", DRIFT_COLUMNS, texts)
+    names = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
+    return make_table("drifts", "Horizontal drift without GNSS [m]", names, list(map(_show_drift, rows)))
 
 
-def format_drift_row(row: Mapping[str, Any]) -> tuple[str | ShownFigure, ...]:
-    """Return a row of the drift table as text; a limit is a dash if there are too few places."""
+def _show_drift(row: Mapping[str, Any]) -> tuple[str | ShownFigure, ...]:
+    """Return a row of the drift table; a limit is a dash if there are too few places."""
     return (
         f"{row['duration_s']:g} s",
         row["estimator"],

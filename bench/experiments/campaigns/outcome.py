@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
+from bench.core.records.findings import FindingTable
+from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import format_number, one_line
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensembles import ensemble, regression
@@ -17,6 +20,8 @@ from bench.experiments.campaigns.groups import Group
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
 """Metrics whose squares are averaged over the runs."""
+RATIO = "ANEES / n"
+"""Name of the NEES over its expectation in tables."""
 
 _LEAST = 2  # runs that have an interval
 
@@ -38,6 +43,13 @@ class Outcome:
         """Number of runs that converged."""
         return round(self.runs * self.converged.value)
 
+    def show(self, name: str, digits: int = 4) -> ShownFigure | None:
+        """Return an error, or what `RATIO` names, with its interval; None if there is none."""
+        one, found = self.consistency, self.errors.get(name)
+        if name == RATIO:
+            found = Estimate(one.ratio, one.low, one.high) if one else None
+        return found.show(digits) if found else None
+
     @property
     def sentences(self) -> tuple[str, ...]:
         """What the figures mean."""
@@ -53,6 +65,17 @@ class Outcome:
             found.append(f"{self.label} is {self.consistency.sentence}")
             found += [f"{self.label}: {reason}" for reason in self.consistency.reasons]
         return tuple(found)
+
+
+def tabulate(outcomes: Sequence[Outcome], names: Mapping[str, str], title: str = "") -> FindingTable:
+    """Return a row for each condition and estimator; ``names`` are the metrics of columns by their names."""
+    columns: dict[str, list[Any]] = {
+        "condition": [one.condition for one in outcomes],
+        "estimator": [one.label for one in outcomes],
+        "converged": [ShownFigure(f"{one.converged_runs} of {one.runs}") for one in outcomes],
+    }
+    shown = {name: [one.show(metric) for one in outcomes] for name, metric in names.items()}
+    return FindingTable("conditions", title, columns | shown)
 
 
 def summarize(group: Group) -> Outcome:

@@ -31,7 +31,7 @@ from bench.experiments.campaigns.campaign_tables import (
 )
 from bench.experiments.campaigns.groups import gather
 from bench.experiments.campaigns.journal import NAME, Journal
-from bench.experiments.campaigns.outcome import Outcome, Pair, compare, pair_runs, summarize
+from bench.experiments.campaigns.outcome import Outcome, Pair, compare, pair_runs, summarize, tabulate
 from bench.experiments.campaigns.plan import Cell, Plan, PlannedRun, plan_runs
 from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, count_processors
 from bench.experiments.campaigns.worker import RunTask, choose_step, fly, measure
@@ -119,14 +119,9 @@ class Campaign:
     def _repr_html_(self) -> str:
         """Return the sentences, and a table of the figures with their intervals."""
         names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
-        rows = [
-            [one.condition, one.label, f"{one.converged_runs} of {one.runs}"]
-            + [one.errors[name].show() if name in one.errors else None for name in names]
-            for one in self.outcomes
-        ]
-        head = ["condition", "estimator", "converged", *names]
+        table = tabulate(self.outcomes, {name: name for name in names})
         caption = f"{self.finished} of {self.planned} runs"
-        return write_sentences(self.sentences) + write_table(caption, head, rows)
+        return write_sentences(self.sentences) + write_table(caption, table.columns)
 
     def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
         """Draw a quantity along the runs, a plot for each condition: see `bench.plot_result`."""

@@ -86,9 +86,10 @@ class Card(Table):
 
     def _repr_html_(self) -> str:
         """Return the summary, and a table of the lines."""
-        rows = [[one.flight, one.topic, one.value, one.low, one.high, one.sentence] for one in self.lines]
-        head = ["flight", "topic", "value", "low", "high", "in words"]
-        return write_sentences([self.summary]) + write_table(f"Card of {self.estimator}", head, rows)
+        names = ("flight", "topic", "value", "low", "high", "sentence")
+        columns = {name: [getattr(one, name) for one in self.lines] for name in names}
+        columns["in words"] = columns.pop("sentence")
+        return write_sentences([self.summary]) + write_table(f"Card of {self.estimator}", columns)
 
     def frame(self) -> Any:
         """Return the lines as a pandas.DataFrame, a row for each figure of a flight, with its interval."""

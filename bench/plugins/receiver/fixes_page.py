@@ -9,20 +9,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.core.mathematics.units import HOUR
+from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import find_look
 from bench.core.records.findings.series import Plot
+from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.plugins.receiver import receiver_plots
-from bench.plugins.receiver.rinex_fixes import RinexFixes
+from bench.plugins.receiver.rinex_fixes import RinexFixes, tabulate_satellites
 from bench.simulation.signals.orbits import DAY
 from bench.views.report import page, svg
 
 _LONG = 7200.0  # a longer record has an axis of hours [s]
 
+_SATELLITES = "Epochs with a fix where each was used or left out; residuals of its ranges"
+
 
 def make_page(solved: RinexFixes) -> str:
     """Return the report of the fixes of a RINEX file as HTML."""
-    figures = solved.figures()
+    figures, against = solved.figures(), receiver_plots.name_reference(solved)
+    named = [ShownText(receiver_plots.name_figure(name), tip=name) for name in figures]
+    columns = {"figure": named, "value": list(figures.values())}
     good = solved.fixes.valid
     error, t = receiver_plots.find_errors(solved), receiver_plots.count_seconds(solved)
     placed = error[receiver_plots.find_placed(error, solved), :2]
@@ -44,19 +50,9 @@ def make_page(solved: RinexFixes) -> str:
         facts=list(_list_facts(solved)),
         card=_make_card(solved, figures),
         notes=solved.notes,
-        satellites=[
-            (one.name, one.epochs, one.excluded, *(format_number(v) for v in one[3:]))
-            for one in solved.list_satellites()
-        ],
-        figures=[
-            (
-                name,
-                receiver_plots.name_figure(name),
-                format_number(value) if isinstance(value, float) else str(value),
-            )
-            for name, value in figures.items()
-        ],
-        against=receiver_plots.name_reference(solved),
+        satellites=tabulate_satellites(solved.list_satellites(), _SATELLITES),
+        figures=FindingTable("figures", f"Errors are relative to {against}", columns),
+        against=against,
         track=svg.draw_track([], placed, (), instants, circles) if len(placed) else "",
         circles=[f"{name} of the fixes within {format_number(radius, 3)} m" for name, radius in circles],
         plots=[page.make_figure(shift(plot), (shift.begin, shift.end), ()) for plot in plots],

@@ -12,14 +12,13 @@ from typing import Any
 from rich.console import Console
 
 from bench.cli.verbs.printing import MOST_ROWS, print_findings
-from bench.core.records.findings import FindingTable, make_table
+from bench.core.records.findings import FindingTable
 from bench.core.words.exceptions import ConfigError
 from bench.io.results import check_file
 from bench.plugins.receiver import rinex_fixes
 from bench.plugins.receiver.receiver_settings import solve_rinex
 from bench.plugins.receiver.rinex.lines import find_kind
 
-_COLUMNS = ("satellite", "epochs", "excluded", "residual_rms_m", "residual_max_m", "cn0_dbhz")
 _MOST = 8  # satellites on the screen; all are in the report
 
 
@@ -90,4 +89,4 @@ def _tabulate_satellites(solved: rinex_fixes.RinexFixes) -> list[FindingTable]:
         return []
     worst = sorted(all_of_them, key=lambda one: (-one.excluded, -one.residual_rms))[:_MOST]
     title = f"The {len(worst)} of {len(all_of_them)} satellites left out most often or with most residual"
-    return [make_table("satellites", title, _COLUMNS, worst)]
+    return [rinex_fixes.tabulate_satellites(worst, title)]

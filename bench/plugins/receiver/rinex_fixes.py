@@ -15,6 +15,7 @@ from bench.core.files import durable
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import GnssFixes, GnssObservations, SkyView
+from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.nees_band import find_band
@@ -48,6 +49,18 @@ class SatelliteUse(NamedTuple):
     residual_rms: float  # [m]
     residual_max: float  # [m]
     cn0: float  # mean [dB-Hz]
+
+
+_HEADS = {
+    "satellite": "satellite", "epochs": "used", "excluded": "left out", "residual_rms_m": "residual RMS [m]",
+    "residual_max_m": "largest [m]", "cn0_dbhz": "C/N0 [dB-Hz]",
+}  # fmt: skip
+"""Column of the table of satellites -> its words on a page."""
+
+
+def tabulate_satellites(found: Sequence[SatelliteUse], title: str) -> FindingTable:
+    """Return the table of how satellites were used."""
+    return replace(make_table("satellites", title, list(_HEADS), found), heads=_HEADS)
 
 
 @dataclass(frozen=True, slots=True)

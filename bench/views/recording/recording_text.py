@@ -14,7 +14,7 @@ from bench.core.records.specs import IN_FLIGHT
 from bench.core.words.palette import choose_looks
 from bench.core.words.wording import format_number, replace_control
 from bench.evaluation.consistency.verdict import list_sentences
-from bench.evaluation.metrics.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.views.plots.content import Content
 from bench.views.plots.facts import list_facts, list_units
@@ -145,10 +145,11 @@ def make_verdict_table(result: RunResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def make_drift_page(table: Sequence[Mapping[str, Any]]) -> str:
+def make_drift_page(rows: Sequence[Mapping[str, Any]]) -> str:
     """Return the drift over outages of a log in Markdown; nothing when none was cut."""
-    if not table:
+    if not rows:
         return ""
-    rows = [DRIFT_COLUMNS, ("---",) * len(DRIFT_COLUMNS), *map(format_drift_row, table)]
-    lines = [f"| {' | '.join(map(str, row))} |" for row in rows]
+    table = tabulate_drifts(rows)
+    texts = [table.columns, ("---",) * len(table.columns), *table.rows]
+    lines = [f"| {' | '.join(map(str, row))} |" for row in texts]
     return "\n".join(["", "**Horizontal drift without GNSS** [m]", "", *lines, "", DRIFT_MEANING, ""])

@@ -11,16 +11,17 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import unit_of
-from bench.core.records.findings import series
+from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.findings.looks import find_look
 from bench.core.records.findings.series import Plot, Series
 from bench.core.records.specs import EvaluationWindow
+from bench.core.words.notebook import ShownFigure, ShownText
 from bench.core.words.palette import Colour
 from bench.core.words.wording import format_number
-from bench.evaluation.ensembles.ensemble import CONFIDENCE, Estimate
+from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
-from bench.experiments.campaigns.outcome import POOLED, Outcome
+from bench.experiments.campaigns.outcome import POOLED, RATIO, Outcome, tabulate
 from bench.experiments.campaigns.plan import Condition
 from bench.experiments.campaigns.running import Campaign
 from bench.io import results
@@ -33,6 +34,11 @@ _MOST_LOST = 50  # runs that are listed
 _FAR = (
     20.0  # an estimator that errs so many times more than the middle one does not scale a plot, has no band
 )
+_POOLED = (
+    f"Pooled over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals; ANEES / n of an honest "
+    "filter is 1 (99.5 %)"
+)
+_EXTREMES = "Horizontal position error, root mean square of the run, and the command that repeats it"
 
 _COURSES = (
     ("pos_err_n_m", "north position error [m]"),
@@ -49,17 +55,6 @@ _COURSES = (
     ("heading_sd_deg", "claimed heading sigma [deg]"),
 )
 """Columns of the table of epochs -> title."""
-
-
-class CampaignRow(NamedTuple):
-    """A row of the table of figures: one condition and one estimator."""
-
-    condition: str
-    label: str
-    converged: str
-    kind: str  # class of its verdict
-    word: str
-    cells: tuple[tuple[str, str], ...]  # a figure and its interval
 
 
 class Section(NamedTuple):
@@ -85,7 +80,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
     """
     labels = list(dict.fromkeys(one.label for one in campaign.outcomes))
     colours = series.estimator_colours(labels)
-    errors = list(dict.fromkeys(name for one in campaign.outcomes for name in one.errors))
+    lost = _list_lost(campaign)
     several = len(campaign.conditions) > 1
     return page.render(
         "campaign.html.jinja",
@@ -94,16 +89,15 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         facts=list(_list_facts(campaign)),
         cards=[] if several else [_make_card(one) for one in campaign.outcomes],
         sentences=[] if several else [one.sentence for one in campaign.comparisons],
-        errors=[(name, _name_error(name)) for name in errors],
-        rows=[_make_row(one, errors) for one in campaign.outcomes],
+        figures=_tabulate(campaign),
         confidence=f"{100 * CONFIDENCE:.0f} %",
         legend=[(label, svg.css_colour(colour), "line") for label, colour in colours.items()],
         sweep=[figure for plot in _plot_sweep(campaign, colours) for figure in _draw(plot)],
         sections=list(_draw_conditions(campaign, colours)),
         left_out=max(len(campaign.conditions) - _MOST_CONDITIONS, 0),
-        extremes=_list_extremes(campaign, labels),
-        lost=_list_lost(campaign)[:_MOST_LOST],
-        lost_count=len(_list_lost(campaign)),
+        extremes=_tabulate_extremes(campaign, labels),
+        lost=make_table("lost", "", ("estimator", "reason", "command"), lost[:_MOST_LOST]),
+        lost_count=len(lost),
         provenance=list(page.list_provenance(campaign.provenance)),
         document=results.to_json([dict(one) for one in campaign.conditions]),
     )
@@ -158,18 +152,17 @@ def _list_errors(outcome: Outcome) -> Iterator[str]:
             yield f"{words.words} {format_number(found.value, 3)} {words.unit} ({found.interval})"
 
 
-def _make_row(outcome: Outcome, errors: Sequence[str]) -> CampaignRow:
-    found = outcome.consistency
-    ratio = Estimate(found.ratio, found.low, found.high) if found else None
-    estimates = (*(outcome.errors.get(name) for name in errors), ratio)
-    return CampaignRow(
-        outcome.condition,
-        outcome.label,
-        f"{outcome.converged_runs} of {outcome.runs}",
-        find_look(found.word)[0] if found else "none",
-        found.word if found else "–",
-        tuple(("–", "") if one is None else _format(one) for one in estimates),
-    )
+def _tabulate(campaign: Campaign) -> FindingTable:
+    """Return a row for each condition and estimator: verdict, errors and NEES over the runs."""
+    outcomes = campaign.outcomes
+    errors = list(dict.fromkeys(name for one in outcomes for name in one.errors))
+    table = tabulate(outcomes, {name: name for name in (*errors, RATIO)}, _POOLED)
+    words = [one.consistency.word if one.consistency else "" for one in outcomes]
+    verdicts = [ShownText(word or "–", find_look(word).kind if word else "none") for word in words]
+    columns = {name: [cell or ShownFigure("–") for cell in cells] for name, cells in table.columns.items()}
+    first = {name: columns.pop(name) for name in ("condition", "estimator", "converged")}
+    heads = {name: _name_error(name) for name in errors}
+    return replace(table, columns={**first, "verdict": verdicts, **columns}, heads=heads)
 
 
 def _name_error(name: str) -> str:
@@ -178,30 +171,25 @@ def _name_error(name: str) -> str:
     return f"CEP{circle[1]} [m]" if circle else name_metric(name)
 
 
-def _format(estimate: Estimate) -> tuple[str, str]:
-    return format_number(estimate.value), estimate.interval
-
-
-def _list_extremes(campaign: Campaign, labels: Iterable[str]) -> list[tuple[str, str, str, str]]:
+def _tabulate_extremes(campaign: Campaign, labels: Iterable[str]) -> FindingTable:
     """Return estimator, which run, its horizontal error and its command: the median and the worst run."""
     table, found = campaign.runs.to_pydict(), []
-    if "pos_rmse_h_m" not in table:
-        return []
-    rows = list(zip(table["estimator"], table["pos_rmse_h_m"], table["command"], strict=True))
+    names = ("estimator", "pos_rmse_h_m", "command")
+    rows = list(zip(*map(table.get, names), strict=True)) if names[1] in table else []
     for label in labels:
         mine = sorted((error, command) for one, error, command in rows if one == label and error is not None)
         for which, k in (("median", len(mine) // 2), ("worst", len(mine) - 1)):
             if mine:
-                found.append((label, which, format_number(mine[k][0]), mine[k][1]))
-    return found
+                found.append((label, which, mine[k][0], ShownText(mine[k][1], code=True)))
+    return make_table("extremes", _EXTREMES, ("estimator", "run", "error [m]", "command"), found)
 
 
-def _list_lost(campaign: Campaign) -> list[tuple[str, str, str]]:
+def _list_lost(campaign: Campaign) -> list[tuple[str, str, ShownText]]:
     """Return estimator, reason and command of each run that did not converge."""
     table = campaign.runs.to_pydict()
     columns = (table[name] for name in ("estimator", "converged", "reason", "command"))
     return [
-        (label, str(reason or ""), command)
+        (label, str(reason or ""), ShownText(command, code=True))
         for label, converged, reason, command in zip(*columns, strict=True)
         if not converged
     ]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from statistics import median
 
 from bench.core.files import durable
+from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.findings.looks import find_look
+from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.experiments.card.card_lines import CONVENTIONS, Line
 from bench.experiments.card.card_making import Card, describe_suite
@@ -45,6 +48,8 @@ _DRAWN = {
 _UNITS = {"accuracy": "m", "height": "m", "velocity": "m/s", "tilt": "deg", "heading": "deg"}
 """Topics whose draws are errors -> their unit."""
 
+_SIZE = "median of the draws"
+
 
 def write_card(path: Path, card: Card) -> None:
     """Write a card as a page that needs no other file and no network.
@@ -58,10 +63,8 @@ def write_card(path: Path, card: Card) -> None:
     """
     page.check_page(path, force=True)
     lines = [*card.lines, *([card.speed] if card.speed else [])]
-    topics = [
-        (title, [_make_row(line) for line in lines if line.topic == topic])
-        for topic, title in _TITLES.items()
-    ]
+    topics = {title: [line for line in lines if line.topic == topic] for topic, title in _TITLES.items()}
+    lost = [(one.flight, one.draw, one.reason, ShownText(one.command, code=True)) for one in card.lost]
     text = page.render(
         "card.html.jinja",
         interactive=False,
@@ -70,7 +73,8 @@ def write_card(path: Path, card: Card) -> None:
         suite=describe_suite(card),
         written=page.write_minute(datetime.now()),
         pictures=list(_draw(card)),
-        topics=[(title, rows) for title, rows in topics if rows],
+        topics=[(title, _tabulate(own)) for title, own in topics.items() if own],
+        lost=make_table("lost", "", ("flight", "draw", "why", "repeat it"), lost),
     )
     durable.write(path, text)
 
@@ -99,10 +103,18 @@ def _describe_size(line: Line) -> str:
     return f"{format_number(median(draws), 3)} {unit}" if unit and draws else ""
 
 
-def _make_row(line: Line) -> tuple[str, str, str, str, str, str, str]:
-    """Return flight, figure, value, interval, size, class and sentence of a line."""
+def _tabulate(lines: Sequence[Line]) -> FindingTable:
+    """Return the table of the lines of a topic, with their size if they are errors."""
+    names = ("flight", "value", "95 % interval", _SIZE, "in words")
+    table = make_table("topic", "", names, list(map(_make_row, lines)))
+    shown = {name: cells for name, cells in table.columns.items() if name != _SIZE or cells[0]}
+    return replace(table, columns=shown)
+
+
+def _make_row(line: Line) -> tuple[str | ShownText, ...]:
+    """Return flight, value, interval, size and sentence of a line."""
     ends = " to ".join("open" if end is None else format_number(end) for end in (line.low, line.high))
     text = line.sentence.removeprefix(f"{line.flight}: ").removeprefix(f"{line.topic}: ")
     never = "never" if line.topic in ("convergence", "coverage") else "-"
-    value = never if line.value is None else format_number(line.value)
-    return line.flight, line.figure, value, ends, _describe_size(line), _find_kind(line), text
+    value = ShownText(never if line.value is None else format_number(line.value), tip=line.figure)
+    return line.flight, value, ends, _describe_size(line), ShownText(text, _find_kind(line))

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bench.core.files import durable
+from bench.core.records.findings import make_table
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.headline import make_headline
 from bench.experiments.campaigns.stored import load_campaign
@@ -20,20 +22,13 @@ from bench.views.report import page
 INDEX = "index.html"
 
 
-class _IndexRow(NamedTuple):
-    """One estimator of one results folder."""
-
-    folder: str
-    link: str  # to its report
-    title: str
-    draw: str  # seed and run, or how many runs a campaign has
-    label: str
-    word: str  # of its verdict
-    kind: str  # class of the verdict
-    error: str  # horizontal [m]
-    claimed: str  # [m]
-    unit: str  # the IMU
-    written: str  # day, local time
+_TITLE = "A row for each estimator of each run and campaign; horizontal errors, root mean square"
+_KINDS = {
+    "folder": "", "estimator": "text", "verdict": "text", "error [m]": "", "claimed [m]": "", "IMU": "text",
+    "written": "text", "draw": "text", "experiment": "words",
+}  # fmt: skip
+"""Column -> its class."""
+_Row = tuple[str | ShownText, ...]
 
 
 def find_folders(root: Path) -> list[Path]:
@@ -55,7 +50,7 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
     OSError
         If the file cannot be written; an existing file is left unchanged.
     """
-    rows: list[_IndexRow] = []
+    rows: list[_Row] = []
     problems: list[str] = []
     for folder in folders:
         name = next((name for name in _READERS if (folder / name).is_file()), results.RESULT)
@@ -63,71 +58,63 @@ def write_index(path: Path, folders: Sequence[Path]) -> list[str]:
             rows += _READERS.get(name, _list_run)(folder, _Place.of(folder / name, path.parent))
         except ConfigError as error:
             problems += error.lines
-    durable.write(path, page.render("index.html.jinja", interactive=False, title="Results", rows=rows))
+    table = make_table("index", _TITLE, list(_KINDS), rows)
+    text = page.render("index.html.jinja", interactive=False, title="Results", table=table, kinds=_KINDS)
+    durable.write(path, text)
     return problems
 
 
 class _Place(NamedTuple):
-    """Where a folder is, and since when."""
+    """A folder with the link to its report, if there is one, and since when it is there."""
 
-    name: str  # relative to the page
-    link: str  # to its report; "" if there is none
+    folder: ShownText
     written: str
 
     @classmethod
     def of(cls, result: Path, root: Path) -> _Place:
         name = Path(os.path.relpath(result.parent, root)).as_posix()
         there = (result.parent / results.REPORT).is_file()
-        return cls(name, f"{name}/{results.REPORT}" if there else "", page.read_day(result))
+        link = f"{name}/{results.REPORT}" if there else ""
+        return cls(ShownText(name, link=link), page.read_day(result))
 
 
-def _list_run(folder: Path, place: _Place) -> list[_IndexRow]:
+def _list_run(folder: Path, place: _Place) -> list[_Row]:
     summary = results.read_summary(folder)
     profile = summary["profile"]
-    rows = []
+    rows: list[_Row] = []
     for label, values in summary["metrics"].items():
         head = make_headline(label, values)
         word = "; ".join(filter(None, (head.word, head.reason)))
         error, claimed = (format_number(values.get(f"pos_{which}_h_m")) for which in ("rmse", "claimed"))
         draw = f"seed {summary['seed']}, run {summary['run']}"
-        rows.append(
-            _IndexRow(
-                place.name, place.link, str(profile.get("title", "")), draw, label, word, head.look.kind,
-                error, claimed, _find_unit(profile), place.written,
-            )
-        )  # fmt: skip
+        verdict, title = ShownText(word, head.look.kind), str(profile.get("title", ""))
+        of_run = _find_unit(profile), place.written, draw, title
+        rows.append((place.folder, label, verdict, error, claimed, *of_run))
     return rows
 
 
-def _list_campaign(folder: Path, place: _Place) -> list[_IndexRow]:
+def _list_campaign(folder: Path, place: _Place) -> list[_Row]:
     campaign = load_campaign(folder)
     flown = campaign.conditions[0]["as_flown"]
     several = len(campaign.conditions) > 1
-    rows = []
+    rows: list[_Row] = []
     for one in campaign.outcomes:
         word = one.consistency.word if one.consistency else ""
         said = one.consistency.sentence.replace(": ", "; ", 1) if one.consistency else "–"
         error = one.errors.get("pos_rmse_h_m")
-        rows.append(
-            _IndexRow(
-                place.name, place.link, one.condition if several else str(flown.get("title", "")),
-                f"{one.runs} runs", one.label, said, find_look(word).kind if word else "none",
-                format_number(error.value) if error else "-", "-", "" if several else _find_unit(flown),
-                place.written,
-            )
-        )  # fmt: skip
+        verdict = ShownText(said, find_look(word).kind if word else "none")
+        title, unit = (one.condition, "") if several else (str(flown.get("title", "")), _find_unit(flown))
+        shown = format_number(error.value if error else None)
+        about = unit, place.written, f"{one.runs} runs", title
+        rows.append((place.folder, one.label, verdict, shown, "-", *about))
     return rows
 
 
-def _list_study(folder: Path, place: _Place) -> list[_IndexRow]:
+def _list_study(folder: Path, place: _Place) -> list[_Row]:
     study = load_study(folder)
     draws = f"{study.findings.draws} draws" if study.findings.draws else ""
-    return [
-        _IndexRow(
-            place.name, place.link, study.question, draws, f"study {study.name}", "–", "none", "-", "-", "",
-            place.written,
-        )
-    ]  # fmt: skip
+    about = "", place.written, draws, study.question
+    return [(place.folder, f"study {study.name}", ShownText("–", "none"), "-", "-", *about)]
 
 
 def _find_unit(profile: Mapping[str, Any]) -> str:
@@ -135,7 +122,7 @@ def _find_unit(profile: Mapping[str, Any]) -> str:
     return str(on_board.get("imu") or "")
 
 
-_READERS: Mapping[str, Callable[[Path, _Place], list[_IndexRow]]] = {
+_READERS: Mapping[str, Callable[[Path, _Place], list[_Row]]] = {
     results.CAMPAIGN_RESULT: _list_campaign,
     results.STUDY_RESULT: _list_study,
 }

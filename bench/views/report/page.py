@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -12,16 +13,16 @@ from typing import Any, NamedTuple
 
 import bench
 from bench.core.files.places import PACKAGE
-from bench.core.records.findings import series
+from bench.core.records.findings import FindingTable, make_table, series
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.notebook import ShownFigure, ShownText, format_cell
 from bench.core.words.palette import write_variables
 from bench.core.words.wording import replace_control
 from bench.evaluation.consistency import verdict
 from bench.evaluation.consistency.headline import NEES, make_headline
-from bench.evaluation.metrics.key_figures import MEANING, explain_rows, format_bounds, list_key_figures
-from bench.evaluation.metrics.metric_words import format_metric, group_metrics, name_metric
-from bench.evaluation.metrics.outages import DRIFT_COLUMNS, DRIFT_MEANING, format_drift_row
+from bench.evaluation.metrics.key_figures import MEANING, explain_rows, list_key_figures, tabulate_metrics
+from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.io import results
 from bench.views.plots.content import Content, gather_content
@@ -41,18 +42,10 @@ _INTRODUCTIONS = {
 }
 """Name of a tab -> what its plots show."""
 
-
+_FIGURES = "Main metrics of each estimator, with the bounds of one run"
 _WORST_FIRST = ("bad", "wide", "none", "good")
 _TRUTH = "truth"
 _COLUMNS = 3  # of plots on a wide page
-
-
-class TableCell(NamedTuple):
-    """A figure in a table."""
-
-    text: str
-    bounds: str
-    outside: bool
 
 
 class CaptionedPlot(NamedTuple):
@@ -90,13 +83,11 @@ def make_page(name: str, result: RunResult) -> str:
         cards=cards,
         worst=min(cards, key=lambda card: _WORST_FIRST.index(card["kind"]))["label"] if cards else "",
         nees=NEES,
-        labels=list(result.metrics),
-        figures=_fill_table(result.metrics, key_figures),
-        all_figures=_fill_table(result.metrics, _list_all(result.metrics)),
+        figures=tabulate_metrics(result.metrics, key_figures, _FIGURES),
+        all_figures=tabulate_metrics(result.metrics, _list_all(result.metrics), "All metrics"),
         meaning=MEANING,
         explanations=explain_rows(key_figures),
-        drift_columns=DRIFT_COLUMNS,
-        drift_rows=[format_drift_row(row) for row in result.more.get("outages", ())],
+        drifts=_tabulate_drifts(result),
         drift_meaning=DRIFT_MEANING,
         checks=result.more.get("validity", ()),
         comparisons=result.more.get("comparisons", ()),
@@ -107,7 +98,7 @@ def make_page(name: str, result: RunResult) -> str:
         shades=[(shade.key, shade.name) for shade in shades],
         sections=sections,
         units=list(list_units(profile)),
-        events=list(_list_events(result)),
+        events=_tabulate_events(result),
         provenance=list(list_provenance(result.provenance)),
         command=_find_command(result),
         document=results.to_json(profile),
@@ -146,41 +137,37 @@ def _list_all(measured: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [name for name in names if find_metric(name) is not None]
 
 
-def _fill_table(
-    measured: Mapping[str, Mapping[str, Any]], names: Iterable[str]
-) -> list[tuple[str, list[tuple[str, str, list[TableCell]]]]]:
-    """Return headings with their rows: words with unit, identifier and meaning, a cell for each estimator."""
-    return [
-        (
-            heading,
-            [(name_metric(name), f"{name}: {_explain(name)}", _fill_row(name, measured)) for name in group],
-        )
-        for heading, group in group_metrics(names).items()
-    ]
+def _tabulate_drifts(result: RunResult) -> FindingTable:
+    """Return the table of the drift in each outage, with each interval in the line of its quantile."""
+    table = tabulate_drifts(result.more.get("outages", ()))
+    return replace(table, columns={name: list(map(str, cells)) for name, cells in table.columns.items()})
 
 
-def _fill_row(name: str, measured: Mapping[str, Mapping[str, Any]]) -> list[TableCell]:
-    return [_make_cell(name, one) for one in measured.values()]
+def _tabulate_comparison(one: Mapping[str, Any]) -> FindingTable:
+    """Return the table of a comparison of two results."""
+    rows = one["rows"]
+    columns = {
+        "estimator": [row["estimator"] for row in rows],
+        "metric": [ShownText(row["metric"], tip=row["name"]) for row in rows],
+        "first": [row["old"] for row in rows],
+        "second": [row["new"] for row in rows],
+    }
+    if not one["single"]:
+        columns["verdict"] = [ShownText(row["word"], row["kind"]) for row in rows]
+        columns["change"] = [row["change"] for row in rows]
+    title = f"{one['first']} beside {one['other']}. {one['meaning']}"
+    return FindingTable("comparison", title, columns, heads={"first": one["first"], "second": one["other"]})
 
 
-def _explain(name: str) -> str:
-    metric = find_metric(name)
-    return metric.words if metric else ""
-
-
-def _make_cell(name: str, values: Mapping[str, Any]) -> TableCell:
-    return TableCell(
-        format_metric(name, values.get(name)), format_bounds(name, values), verdict.is_outside(name, values)
-    )
-
-
-def _list_events(result: RunResult) -> Iterable[tuple[str, str, str, str]]:
+def _tabulate_events(result: RunResult) -> FindingTable:
     rows = [(start, end, "", kind, text) for start, end, kind, text, *_ in result.events.rows()]
     for label, solution in result.solutions.items():
         rows += [(start, end, label, kind, text) for start, end, kind, text, *_ in solution.events.rows()]
-    for start, end, label, kind, text in sorted(rows):
-        when = f"{start:.1f}" if end <= start else f"{start:.1f} to {end:.1f}"
-        yield when, label, kind.replace("_", " "), text
+    shown = [
+        (f"{start:.1f}" if end <= start else f"{start:.1f} to {end:.1f}", label, kind.replace("_", " "), text)
+        for start, end, label, kind, text in sorted(rows)
+    ]
+    return make_table("events", "", ("time [s]", "estimator", "kind", "what"), shown)
 
 
 def read_day(result: Path) -> str:
@@ -324,7 +311,7 @@ def render(template: str, *, interactive: bool = True, **values: Any) -> str:
 def _load_templates() -> Any:
     import jinja2
 
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_read),
         autoescape=True,
         trim_blocks=True,
@@ -332,6 +319,14 @@ def _load_templates() -> Any:
         finalize=_clean,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters |= {"cell": _make_cell, "comparison": _tabulate_comparison}
+    return environment
+
+
+def _make_cell(value: object) -> dict[str, Any]:
+    """Return the text of a cell of a table, and all that a figure or a text may have besides."""
+    shown = value if isinstance(value, ShownFigure | ShownText) else ShownText(format_cell(value))
+    return ShownFigure("")._asdict() | ShownText("")._asdict() | shown._asdict()
 
 
 def _clean(value: Any) -> Any:

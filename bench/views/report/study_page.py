@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,7 +26,7 @@ def make_page(result: StudyResult, written: str = "") -> str:
         facts=[*_list_facts(result), *([f"written {written}"] if written else [])],
         verdicts=result.verdicts,
         figures=[_draw(plot) for plot in result.findings.figures],
-        tables=[_fill(table) for table in result.findings.tables],
+        tables=[_lay_out(table) for table in result.findings.tables],
         command=result.command,
         options=[(key, _say(value)) for key, value in result.options.items() if value not in (None, (), [])],
         provenance=list(page.list_provenance(result.provenance)),
@@ -66,15 +66,10 @@ def _find_window(plot: Plot) -> tuple[float, float]:
     return first, last
 
 
-def _fill(table: FindingTable) -> dict[str, Any]:
-    """Return title, heads (identifier, words, class) and rows of a table."""
-    columns = [[format_cell(value) for value in values] for values in table.columns.values()]
-    kinds = [_find_kind(values, cells) for values, cells in zip(table.columns.values(), columns, strict=True)]
-    return {
-        "title": table.title,
-        "heads": [(name, _name_column(name), kind) for name, kind in zip(table.columns, kinds, strict=True)],
-        "rows": [list(zip(row, kinds, strict=True)) for row in zip(*columns, strict=True)],
-    }
+def _lay_out(table: FindingTable) -> tuple[FindingTable, dict[str, str]]:
+    """Return a table with the words of its columns, and their classes."""
+    heads = {name: _name_column(name) for name in table.columns}
+    return replace(table, heads=heads), {name: _find_kind(values) for name, values in table.columns.items()}
 
 
 def _name_column(name: str) -> str:
@@ -82,8 +77,8 @@ def _name_column(name: str) -> str:
     return words.replace("_", " ") + (f" [{unit}]" if unit else "")
 
 
-def _find_kind(values: Sequence[object], cells: Sequence[str]) -> str:
+def _find_kind(values: Sequence[object]) -> str:
     """Return the class of a column: text stands on the left, long text on several lines."""
     if not any(isinstance(value, str) for value in values):
         return "number"
-    return "words" if max(map(len, cells)) > _LONG else "text"
+    return "words" if max(len(format_cell(value)) for value in values) > _LONG else "text"

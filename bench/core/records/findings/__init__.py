@@ -10,25 +10,46 @@ import bench
 from bench.core.mathematics.units import unit_of
 from bench.core.records.findings.series import Plot
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.notebook import ShownFigure, make_frame, write_sentences, write_table
+from bench.core.words.notebook import make_frame, write_sentences, write_table
 from bench.core.words.wording import suggest
 
 
 @dataclass(frozen=True)
 class FindingTable:
-    """A table of what was found."""
+    """A table as it is shown, whoever shows it; a row with a name alone is a heading."""
 
     name: str  # of its file
     title: str
     columns: Mapping[str, Sequence[Any]]  # name, which ends in its unit -> values (N,); None: no value
     units: Mapping[str, str] = field(default_factory=dict)  # of the columns that have one
+    heads: Mapping[str, str] = field(default_factory=dict)  # words on a page for names of columns
+
+    @property
+    def rows(self) -> list[tuple[Any, ...]]:
+        """The rows, a value of each column."""
+        return list(zip(*self.columns.values(), strict=True))
+
+    @property
+    def groups(self) -> list[tuple[str, list[tuple[Any, ...]]]]:
+        """The headings with the rows below each; "" for rows above the first heading."""
+        found: list[tuple[str, list[tuple[Any, ...]]]] = [("", [])]
+        for row in self.rows:
+            first, *others = map(str, row)
+            if others and not any(others):
+                found.append((first, []))
+            else:
+                found[-1][1].append(row)
+        return [one for one in found if any(one)]
 
 
 def make_table(name: str, title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> FindingTable:
-    """Return a table of rows; a column gets the unit in which its name ends."""
+    """Return a table of rows of texts, numbers, shown figures and texts, and None.
+
+    A column gets the unit in which its name ends.
+    """
     values = {
-        key: [one if isinstance(one, str | int | ShownFigure | None) else float(one) for one in column]
-        for key, column in zip(columns, zip(*rows, strict=True), strict=True)
+        key: [one if isinstance(one, str | int | tuple | None) else float(one) for one in column]
+        for key, column in zip(columns, zip(*rows, strict=True) if rows else [()] * len(columns), strict=True)
     }
     return FindingTable(name, title, values, {key: unit for key in columns if (unit := unit_of(key))})
 
@@ -111,8 +132,5 @@ class StudyResult:
 
     def _repr_html_(self) -> str:
         """Return what was found, and the tables."""
-        tables = (
-            write_table(table.title, list(table.columns), list(zip(*table.columns.values(), strict=True)))
-            for table in self.tables.values()
-        )
+        tables = (write_table(table.title, table.columns) for table in self.tables.values())
         return write_sentences(self.verdicts) + "".join(tables)
