@@ -329,7 +329,8 @@ def test_one_table_is_the_same_on_a_terminal_and_on_a_page():
         '<th scope="col">metric</th><th scope="col" title="first">mine</th><th scope="col" class="text">',
         '<tr class="group"><th scope="rowgroup" colspan="3">Position</th></tr>',
         '<tr><th scope="row" title="pos_h">error &lt;h&gt;</th><td class="outside">5.1 '
-        '<b title="outside its bounds">!</b> <small>1 to 2</small></td><td class="text verdict bad">worse</td>',
+        '<b title="outside its bounds">!</b> <small>1 to 2</small></td>',
+        '<td class="text verdict bad">worse</td></tr>',
         '<tr><th scope="row"><code>bench run x</code></th><td>-</td>'
         '<td class="text"><a href="a%20b/report.html">report</a></td></tr>',
     ):
