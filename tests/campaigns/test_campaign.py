@@ -33,6 +33,7 @@ from bench.core.words.wording import format_number
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, mean_band
 from bench.evaluation.ensembles.ensemble import Estimate, compare_rmse
 from bench.evaluation.errors.error_series import heading_sd, select_epochs
+from bench.evaluation.metrics.metric_words import name_metric
 from bench.experiments.campaigns import running
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.journal import NAME, Journal
@@ -44,7 +45,6 @@ from bench.views import recording
 from bench.views.recording import drawing
 from bench.views.report import campaign_page
 from bench.views.report.index import find_folders, write_index
-from bench.views.report.page import name_metric
 
 PROFILE = """
 title = "Short"
