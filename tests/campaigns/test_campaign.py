@@ -318,7 +318,7 @@ def test_two_campaigns_are_drawn_over_each_other(here, capsys):
     assert all(text in words for text in (*found.sentences, *found.differences))
     row = next(row for row in found.verdicts if row.metric == "tilt_rmse_deg")
     cells = (row.estimator, name_metric(row.metric), format_number(row.old), format_number(row.new), row.word)
-    assert all(f">{cell}</td>" in words for cell in (*cells, row.format_change()))
+    assert all(f">{cell}</t" in words for cell in (*cells, row.format_change()))
     plots = re.findall(r'aria-label="([^"]+)"', words)
     tilt = next(text for text in plots if text.startswith("tilt error [deg]: loose-15, two"))
     for name in ("two", "better"):
