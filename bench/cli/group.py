@@ -83,24 +83,9 @@ set_option = click.option(
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence"
 )
-recording_option = click.option(
-    "--no-rrd",
-    "recording",
-    is_flag=True,
-    flag_value=False,
-    default=True,
-    show_default=False,
-    help="write no recording",
-)
-report_option = click.option(
-    "--no-report",
-    "report",
-    is_flag=True,
-    flag_value=False,
-    default=True,
-    show_default=False,
-    help="write no report",
-)
+_OFF: Mapping[str, Any] = {"is_flag": True, "flag_value": False, "default": True, "show_default": False}
+recording_option = click.option("--no-rrd", "recording", help="write no recording", **_OFF)
+report_option = click.option("--no-report", "report", help="write no report", **_OFF)
 rates_option = click.option(
     "--rates",
     type=click.Choice(["deg", "rad"]),

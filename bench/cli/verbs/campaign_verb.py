@@ -9,11 +9,9 @@ from textwrap import wrap
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn
-from rich.progress import Progress as Bar
 from rich.text import Text
 
-from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.flight_verbs import find_own_estimators
 from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
@@ -92,22 +90,8 @@ def run_campaign(
 @contextlib.contextmanager
 def _show_progress(name: str) -> Iterator[Callable[[Progress], None]]:
     """Provide a function that shows how far a campaign is, on a terminal."""
-    screen = PlainConsole(stderr=True)
-    if not screen.is_interactive:
-        yield lambda progress: None
-        return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn())
-    with Bar(
-        *columns, TextColumn("{task.fields[text]}", markup=False), console=screen, transient=True
-    ) as bar:
-        task = bar.add_task(f"flying {name}", total=None, text="")
-
-        def show(now: Progress) -> None:
-            bar.update(
-                task, description=name, total=now.runs, completed=now.done, text=describe_progress(now)
-            )
-
-        yield show
+    with show_bar(f"flying {name}") as show:
+        yield lambda now: show(name, now.done, now.runs, describe_progress(now))
 
 
 def describe_progress(now: Progress) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import contextlib
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -30,3 +31,26 @@ class PlainConsole(Console):
         for piece in super().render(renderable, options):
             text = piece.text if piece.control else replace_control(piece.text)
             yield piece if text == piece.text else Segment(text, piece.style)
+
+
+@contextlib.contextmanager
+def show_bar(waiting: str, *, timed: bool = False) -> Iterator[Callable[..., None]]:
+    """Provide a function that shows on a terminal what goes on, how much is done, of how much, and a text.
+
+    Elsewhere it shows nothing. If it is ``timed``, the time since the begin stands in the place of the text.
+    """
+    screen = PlainConsole(stderr=True)
+    if not screen.is_interactive:
+        yield lambda *_: None
+        return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}", markup=False), BarColumn())
+    last = TimeElapsedColumn() if timed else TextColumn("{task.fields[text]}", markup=False)
+    with Progress(*columns, last, console=screen, transient=True) as bar:
+        task = bar.add_task(waiting, total=None, text="")
+
+        def show(what: str, done: float, of: float | None, text: str = "") -> None:
+            bar.update(task, description=what, completed=done, total=of, text=text)
+
+        yield show

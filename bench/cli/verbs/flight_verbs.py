@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import print_findings
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
@@ -161,15 +161,5 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 @contextlib.contextmanager
 def show_stages() -> Iterator[Watcher]:
     """Provide a function that shows on a terminal what is going on; elsewhere it shows nothing."""
-    screen = PlainConsole(stderr=True)
-    if not screen.is_interactive:
-        yield lambda stage: None
-        return
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description}", markup=False), BarColumn())
-    with Progress(*columns, TimeElapsedColumn(), console=screen, transient=True) as bar:
-        task = bar.add_task("starting", total=None)
-        yield lambda stage: bar.update(
-            task, description=str(stage), completed=stage.done, total=stage.total or None
-        )
+    with show_bar("starting", timed=True) as show:
+        yield lambda stage: show(str(stage), stage.done, stage.total or None)

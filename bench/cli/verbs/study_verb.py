@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, TextColumn
-from rich.progress import Progress as Bar
 
-from bench.cli.verbs.console import PlainConsole
+from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import MOST_ROWS, print_findings
 from bench.core.records.findings import StudyResult
 from bench.experiments.studies.conducting import study
@@ -41,15 +39,5 @@ def print_study(console: Console, result: StudyResult) -> None:
 @contextlib.contextmanager
 def _show_progress() -> Iterator[Progress]:
     """Provide a function that shows how far a study is, on a terminal."""
-    screen = PlainConsole(stderr=True)
-    if not screen.is_interactive:
-        yield lambda what, done, of: None
-        return
-    columns = (TextColumn("{task.description}", markup=False), BarColumn())
-    with Bar(*columns, TextColumn("{task.completed} of {task.total}"), console=screen, transient=True) as bar:
-        task = bar.add_task("", total=None)
-
-        def show(what: str, done: int, of: int) -> None:
-            bar.update(task, description=what, total=of, completed=done)
-
-        yield show
+    with show_bar("") as show:
+        yield lambda what, done, of: show(what, done, of, f"{done} of {of}")
