@@ -159,7 +159,10 @@ def _tabulate(campaign: Campaign) -> FindingTable:
     table = tabulate(outcomes, {name: name for name in (*errors, RATIO)}, _POOLED)
     words = [one.consistency.word if one.consistency else "" for one in outcomes]
     verdicts = [ShownText(word or "–", find_look(word).kind if word else "none") for word in words]
-    columns = {name: [cell or ShownFigure("–") for cell in cells] for name, cells in table.columns.items()}
+    columns = {
+        name: [ShownFigure("–") if cell is None else cell for cell in cells]
+        for name, cells in table.columns.items()
+    }
     first = {name: columns.pop(name) for name in ("condition", "estimator", "converged")}
     heads = {name: _name_error(name) for name in errors}
     return replace(table, columns={**first, "verdict": verdicts, **columns}, heads=heads)
