@@ -199,6 +199,7 @@ if not TYPE_CHECKING:  # a checker of types sees the imports above, and no name 
 
     def __getattr__(name: str) -> Any:
         if name in _PUBLIC:
+            import_module("bench.views")  # so that results can draw themselves
             return getattr(import_module(_PUBLIC[name]), name)
         if name in _OF_PLUGINS:
             from bench.core.files.installed import find_own, read_constant

@@ -7,6 +7,7 @@ import pytest
 import bench
 from bench import pipeline
 from bench.cli.command_line import commands
+from bench.core.words import notebook
 from bench.core.words.exceptions import ConfigError
 
 FUNCTIONS = {
@@ -173,3 +174,11 @@ def test_every_result_shows_itself_on_one_screen_and_as_a_frame(profile):
     frame = result.frame()
     assert frame.loc["pos_rmse_h_m", "loose-15"] == result.metrics["loose-15"]["pos_rmse_h_m"]
     assert result.plot().axes
+
+
+def test_what_draws_a_result_is_set_by_the_views(monkeypatch):
+    monkeypatch.setattr(notebook, "_drawers", [])
+    with pytest.raises(RuntimeError, match="it draws results"):
+        notebook.draw(None)
+    notebook.set_drawer(lambda result, *chosen, **look: (result, chosen, look))
+    assert notebook.draw(1, "position", form="pdf") == (1, ("position",), {"form": "pdf"})

@@ -62,9 +62,10 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
     """Yield the modules of bench that a file imports or names, in functions and for types only included.
 
     ``from bench.core.mathematics.earth import RATE`` names ``bench.core.mathematics.earth``, ``from bench
-    import earth`` as well; the packages above a module, which Python imports first, are not counted. So does
-    the text "bench.core.mathematics.earth" or "bench.core.mathematics.earth:Earth", which may be imported
-    later; f"bench.simulation.sensors.{kind}" and f"{__name__}.{kind}" name every module of that package.
+    import earth`` as well; the packages above a module, which Python imports first, are not counted. A public
+    name of ``bench`` is a name of where it lives. So does the text "bench.core.mathematics.earth" or
+    "bench.core.mathematics.earth:Earth", which may be imported later; f"bench.simulation.sensors.{kind}" and
+    f"{__name__}.{kind}" name every module of that package.
     """
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -73,6 +74,9 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
         elif isinstance(node, ast.JoinedStr):
             folder = read_start(node, name)
             yield from (one for one in known if folder in known and one.rpartition(".")[0] == folder)
+        elif isinstance(node, ast.Attribute):
+            root = isinstance(node.value, ast.Name) and node.value.id == "bench"
+            yield from [bench._PUBLIC[node.attr]] if root and node.attr in bench._PUBLIC else ()
         elif isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names if alias.name in known)
         elif isinstance(node, ast.ImportFrom):
@@ -80,6 +84,8 @@ def imported(name: str, path: Path, known: dict[str, Path]) -> Iterator[str]:
             base = ".".join([*above, *([node.module] if node.module else [])])
             for alias in node.names:
                 target = f"{base}.{alias.name}"
+                if base == "bench" and alias.name in bench._PUBLIC:
+                    yield bench._PUBLIC[alias.name]
                 if target in known or base in known:
                     yield target if target in known else base
 

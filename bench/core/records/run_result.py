@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import bench
 from bench.core.records.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
 from bench.core.records.fields import Rebuilt
 from bench.core.records.specs import EvaluationWindow
-from bench.core.words.notebook import ShownFigure, format_cell, make_frame, write_sentences, write_table
+from bench.core.words.notebook import ShownFigure, draw, format_cell, make_frame, write_sentences, write_table
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -60,7 +59,7 @@ class RunResult(Rebuilt):
 
     def plot(self, tab: str | None = None, estimator: str | None = None, **look: Any) -> Any:
         """Draw the plots of a tab, such as "position": see `bench.plot_result`."""
-        return bench.plot_result(self, tab, estimator, **look)
+        return draw(self, tab, estimator, **look)
 
     def __repr__(self) -> str:
         """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from html import escape
 from importlib import import_module
 from typing import Any, NamedTuple
@@ -80,3 +80,24 @@ def load_pandas() -> Any:
         return import_module("pandas")
     except ImportError:
         raise BenchError("a frame needs pandas: pip install pandas") from None
+
+
+_drawers: list[Callable[..., Any]] = []
+
+
+def set_drawer(drawer: Callable[..., Any]) -> None:
+    """Say what draws results; `bench.views` does."""
+    _drawers[:] = [drawer]
+
+
+def draw(result: Any, *chosen: Any, **look: Any) -> Any:
+    """Draw a result, as `bench.plot_result` does.
+
+    Raises
+    ------
+    RuntimeError
+        If `bench.views` was not imported.
+    """
+    if not _drawers:
+        raise RuntimeError("import bench.views: it draws results")
+    return _drawers[0](result, *chosen, **look)

@@ -11,14 +11,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import bench
 from bench import pipeline
 from bench.core.files import durable
 from bench.core.files.scratch import make_scratch
 from bench.core.files.spawned import Printed
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.core.words.notebook import make_frame, write_sentences, write_table
+from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
 from bench.evaluation.ensembles.ensemble import Comparison
 from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 from bench.experiments.campaigns.batches import Lost, Pool, compute
@@ -125,7 +124,7 @@ class Campaign:
 
     def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
         """Draw a quantity along the runs, a plot for each condition: see `bench.plot_result`."""
-        return bench.plot_result(self, quantity, **look)
+        return draw(self, quantity, **look)
 
     def frame(self) -> Any:
         """Return the table of runs as a pandas.DataFrame, a row for each run and estimator."""

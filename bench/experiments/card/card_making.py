@@ -11,12 +11,11 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-import bench
 from bench import pipeline
 from bench.core.files.file_checks import read_json
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.notebook import make_frame, write_sentences, write_table
+from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import MET, Finding
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
@@ -98,7 +97,7 @@ class Card(Table):
 
     def plot(self, topic: str = "accuracy", **look: Any) -> Any:
         """Draw a topic's ratios with their intervals on each flight: see `bench.plot_result`."""
-        return bench.plot_result(self, topic, **look)
+        return draw(self, topic, **look)
 
     @property
     def sentences(self) -> tuple[str, ...]:

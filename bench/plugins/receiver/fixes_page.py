@@ -9,10 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bench.core.mathematics.units import HOUR
-from bench.core.records.findings import FindingTable
+from bench.core.records.findings import FindingTable, ShownText
 from bench.core.records.findings.looks import find_look
 from bench.core.records.findings.series import Plot
-from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.plugins.receiver import receiver_plots
 from bench.plugins.receiver.rinex_fixes import RinexFixes, tabulate_satellites

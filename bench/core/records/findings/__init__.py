@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import bench
 from bench.core.mathematics.units import unit_of
 from bench.core.records.findings.series import Plot
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.notebook import make_frame, write_sentences, write_table
+from bench.core.words.notebook import ShownText as ShownText
+from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
 from bench.core.words.wording import suggest
 
 
@@ -117,7 +117,7 @@ class StudyResult:
 
     def plot(self, figure: str | None = None, **look: Any) -> Any:
         """Draw a figure, the first if none is named: see `bench.plot_result`."""
-        return bench.plot_result(self, figure, **look)
+        return draw(self, figure, **look)
 
     def frame(self, table: str | None = None) -> Any:
         """Return a table, the first if none is named, as a pandas.DataFrame."""
