@@ -245,7 +245,7 @@ WITHOUT = {"a profile", "a sensor of a known kind", "an aircraft", "an estimator
 
 def table() -> dict[str, tuple[int, str, str]]:
     """Return what the guide says of each addition: how many files of code, what else, and which."""
-    rows = re.findall(r"^\| (an? .+?) \| (\d+)([^|]*) \| (.+) \|$", GUIDE.read_text(encoding="utf-8"), re.M)
+    rows = re.findall(r"^- \*\*(an? .+?)\*\*, (\d+) files?([^:]*): (.+)$", GUIDE.read_text("utf-8"), re.M)
     return {what: (int(number), more, which) for what, number, more, which in rows}
 
 

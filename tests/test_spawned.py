@@ -24,9 +24,12 @@ def test_the_time_of_a_process_is_told(monkeypatch, system):
 
 
 def test_the_memory_of_a_process_is_told():
-    before = spawned.measure_memory(os.getpid())
-    kept = np.ones(8_000_000)
-    assert spawned.measure_memory(os.getpid()) - before == pytest.approx(kept.nbytes, rel=0.1)
+    before, until = spawned.measure_memory(os.getpid()), time.monotonic() + 10.0
+    kept = np.ones(8_000_000)  # which some systems count late
+    while (more := spawned.measure_memory(os.getpid()) - before) < 0.9 * kept.nbytes:
+        assert time.monotonic() < until, more
+        time.sleep(0.05)
+    assert more < 1.5 * kept.nbytes
 
 
 def test_one_that_has_ended_takes_nothing():
