@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from bench.core.files.installed import find_class, find_own, import_plugin
+from bench.core.files.installed import find_class, find_own, read_constant
 from bench.core.words.exceptions import EstimatorError
 from bench.core.words.wording import as_toml
 from bench.navigation.estimator import Estimator, catch_exit, construct
@@ -120,7 +120,8 @@ _CORE = {
 
 def _add_plugins() -> Iterator[tuple[str, BuiltIn]]:
     for name, place in find_own("estimators").items():
-        yield name, BuiltIn(place=place, **import_plugin("estimators", name).ESTIMATORS[name])
+        rows = read_constant(place.partition(":")[0], "ESTIMATORS")
+        yield name, BuiltIn(place=place, **rows[name])
 
 
 BUILT_IN: Mapping[str, BuiltIn] = {**_CORE, **dict(_add_plugins())}

@@ -374,7 +374,7 @@ def explain(
 
     if judged.metrics["verdict"] not in BROKEN:
         return judged
-    (choice,) = (one for one in profile.estimators if one.label == judged.label)
+    choice = next(row for row in profile.estimators if row.label == judged.label)
     begin, found = profile.evaluation.begin, dict[str, Any]()
     if choice.use not in built_in.BUILT_IN:
         found = find_mistakes(truth, [solution], sensed.data.antenna_b, begin)

@@ -17,6 +17,7 @@ package can take their names, and they run in this process as the rest of bench 
 
 from __future__ import annotations
 
+import contextlib
 import re
 from ast import literal_eval
 from collections.abc import Collection, Iterator
@@ -26,7 +27,6 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, PackageNotFoundError, distribution, entry_points
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from bench.core.files.places import PACKAGE
@@ -61,14 +61,6 @@ def find_own(group: str) -> dict[str, str]:
     return {name: place for one, name, place in _list_own() if one == group}
 
 
-def import_plugin(group: str, name: str) -> ModuleType:
-    """Import the package of the plug-in that adds this name to a group; its modules wait until needed.
-
-    Its ``GROUP`` in capitals holds a row for each name: what is said of it before it is imported.
-    """
-    return import_module(".".join(find_own(group)[name].split(".")[:3]))
-
-
 def list_modules(package: str) -> list[str]:
     """Return the names of the modules below a package of bench, without importing them."""
     found = sorted(_find_source(package).with_suffix("").rglob("[!_]*.py"))
@@ -76,13 +68,14 @@ def list_modules(package: str) -> list[str]:
 
 
 def read_constant(module: str, name: str) -> Any:
-    """Return a constant that a module of bench or a plug-in assigns, a literal, without importing it.
-
-    None if it assigns none of this name.
-    """
+    """Return a literal that a module of bench assigns, without importing the module; None if it has none."""
     source = _find_source(module).read_text(encoding="utf-8")
-    found = re.search(rf"^{name} = (.*(?:\n[ )}}\]].*)*)", source, re.MULTILINE)
-    return None if found is None else literal_eval(found[1])
+    _, found, rest = source.partition(f"\n{name} = ")
+    lines = rest.splitlines()
+    for count in range(1, len(lines) + 1) if found else ():
+        with contextlib.suppress(SyntaxError):  # a literal of more lines
+            return literal_eval("\n".join(lines[:count]))
+    return None
 
 
 def _find_source(module: str) -> Path:

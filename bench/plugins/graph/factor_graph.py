@@ -37,6 +37,16 @@ from bench.navigation.start import alignment
 from bench.navigation.start.whole_records import run_between_gaps
 from bench.plugins.graph.graph_options import GraphOptions
 
+ESTIMATORS = {
+    "graph-smoother": {
+        "title": "loose-15 as a factor graph of gtsam over a whole record with white fixes, slow "
+        "(extra 'graph')",
+        "model": "bench.plugins.graph.graph_options:GraphOptions",
+        "package": "gtsam",
+    },
+}
+"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+
 _SMALL = 0.01  # step of the last pass, in standard deviations
 _LEAST = np.array([1e-7, 1e-6, 1e-10, 1e-8])  # of noise of gyro and accelerometer, of their biases, SI
 _LEAST_SD = 1e-6  # of start and fixes, m, m/s, rad: a course is a velocity, and P may be singular

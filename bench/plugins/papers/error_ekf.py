@@ -26,6 +26,23 @@ from bench.navigation.models.classic.navigator import (
 from bench.navigation.models.classic.observation_model import Fix, antenna_sweep
 from bench.navigation.models.classic.process_model import SIZE
 
+ESTIMATORS = {
+    "error-ekf": {
+        "title": "the generic filter of the errors of two systems, nonlinear measurement, INS never "
+        "corrected, slow",
+        "model": "ClassicOptions",
+        "fixed": {
+            "form": "joseph",
+            "covariance_precision": "double",
+            "rows": 7,
+            "feedback": False,
+            "correction_period": 0.0,
+            "admissible_deg": 1.0,
+        },
+    },
+}
+"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+
 _M1 = np.eye(15, SIZE)  # errors in z1
 _M2 = np.zeros((7, SIZE))  # errors in z2
 _M2[0, 15] = 1.0

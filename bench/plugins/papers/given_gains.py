@@ -24,6 +24,25 @@ from bench.navigation.models.classic.observation_model import measurement_matrix
 from bench.navigation.models.classic.process_model import SIZE, Sigmas, model_van_loan, per_axis
 from bench.plugins.papers.given_gain_options import ComplementaryOptions, LeastSquaresOptions
 
+ESTIMATORS = {
+    "fixed-gain": {
+        "title": "classic-22 with the gain of a settled filter throughout, slow",
+        "model": "ClassicOptions",
+        "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
+    },
+    "complementary": {
+        "title": "mutual compensation: differences of INS and aid, smoothed and taken off, slow",
+        "model": "bench.plugins.papers.given_gain_options:ComplementaryOptions",
+        "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
+    },
+    "least-squares": {
+        "title": "least squares over the past, old measurements with less weight, slow",
+        "model": "bench.plugins.papers.given_gain_options:LeastSquaresOptions",
+        "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
+    },
+}
+"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+
 BIAS_TIME, SETTLED = 10.0, 300.0  # of the fixed gain: how long an error of the IMU lasts, and its flight [s]
 _NORTHWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # B of level flight to the north
 _MOTION, _IMU = range(3, 9), range(9, 15)  # states: velocity and attitude, errors of the IMU
