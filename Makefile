@@ -57,9 +57,10 @@ perf: .venv/perf
 oracle: .venv/ready
 	$(BIN)/python -m tests.oracle
 
-# the tables of bench/guide that say what the code declares
+# the tables of bench/guide that the code declares, and the outputs of the commands on its pages
 guide: .venv/ready
 	$(BIN)/python -m tests.tools.guide_tables
+	BENCH_WRITE_GUIDE=1 $(BIN)/pytest -q tests/workbench/test_guide.py -k every_block
 
 # the pictures of bench/guide, which Chromium takes; half an hour for what they show
 pictures: .venv/ready

@@ -1,8 +1,8 @@
-"""bench: where an INS/GNSS navigation filter is judged on realistic flights.
+"""bench: where an INS/GNSS navigation filter is evaluated on realistic flights.
 
 JSBSim flies an aircraft through a profile and gives the truth; sensor models
 turn truth into what an IMU, a GNSS receiver, a barometer and other instruments would
-have reported; estimators turn the sensors into position, velocity, attitude and
+have reported; filters turn the sensors into position, velocity, attitude and
 covariance; the bench says how wrong they were and whether they knew it.
 
 >>> import bench
@@ -20,7 +20,7 @@ Rotation
     Quaternions are Hamilton, scalar first (w, x, y, z).
 Vectors
     carry the frame last: ``vel_n``, ``f_b``. Rates carry all three: ``w_ib_b`` is
-    the rate of b relative to i, resolved in b. Arrays are (N, 3), one instant
+    the rate of b relative to i, resolved in b. Arrays are (N, 3), one time
     per row.
 Specific force
     is what an accelerometer reads: at rest ``f_b = -C_bn g_n``, so -9.8 m/s^2
@@ -55,16 +55,18 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from bench.cli.api import (
         describe_flight as describe_flight,
-        export_run as export_run,
         fly as fly,
-        judge as judge,
-        list_exports as list_exports,
-        measure_allan as measure_allan,
-        navigate as navigate,
+        evaluate as evaluate,
+        run_filter as run_filter,
         open_filter as open_filter,
         run as run,
-        score_solution as score_solution,
         sense as sense,
+    )
+    from bench.cli.exchanging import (
+        export_run as export_run,
+        list_exports as list_exports,
+        measure_allan as measure_allan,
+        score_solution as score_solution,
         stream_run as stream_run,
     )
     from bench.plugins.receiver.receiver_settings import solve_rinex as solve_rinex
@@ -78,7 +80,7 @@ if TYPE_CHECKING:
     )
     from bench.experiments.card.card_comparison import compare_cards as compare_cards
     from bench.experiments.campaigns.running import Campaign as Campaign, campaign as campaign
-    from bench.experiments.campaigns.stored import load_campaign as load_campaign
+    from bench.experiments.campaigns.stored import read_campaign as read_campaign
     from bench.experiments.tuning.noise_factors import Tuning as Tuning, tune as tune
     from bench.io.config import (
         list_aircraft as list_aircraft,
@@ -86,7 +88,7 @@ if TYPE_CHECKING:
         list_legs as list_legs,
         list_profiles as list_profiles,
         list_sensors as list_sensors,
-        load_profile as load_profile,
+        read_profile as read_profile,
     )
     from bench.core.records.data import (
         ErrorSeries as ErrorSeries,
@@ -104,22 +106,22 @@ if TYPE_CHECKING:
         EstimatorError as EstimatorError,
         FlightError as FlightError,
     )
-    from bench.pipeline.log_pipeline import navigate_log as navigate_log, read_log as read_log
-    from bench.navigation.engine.record_cuts import take_piece as take_piece
+    from bench.pipeline.log_pipeline import navigate as navigate, read_log as read_log
+    from bench.navigation.engine.record_cuts import slice_sensors as slice_sensors
     from bench.navigation.estimator import Estimator as Estimator, check_estimator as check_estimator
     from bench.navigation.filter_adapters import fix_steps as fix_steps, track_solution as track_solution
     from bench.views.recording import write_recording as write_recording
     from bench.views.report.paper import plot_result as plot_result
     from bench.views.report.writing import write_figures as write_figures, write_report as write_report
     from bench.core.records.run_result import RunResult as RunResult
-    from bench.cli.saving import save as save
+    from bench.cli.saving import write_result as write_result
     from bench.plugins.hil.serving import serve as serve
     from bench.core.records.specs import Guard as Guard, Profile as Profile
-    from bench.io.results import load as load, to_arrow as to_arrow, to_pandas as to_pandas
-    from bench.io.results.filter_state import resume_filter as resume_filter, save_filter as save_filter
+    from bench.io.results import read_result as read_result, to_arrow as to_arrow, to_pandas as to_pandas
+    from bench.io.results.filter_state import read_filter as read_filter, write_filter as write_filter
     from bench.experiments.studies.conducting import study as study
     from bench.core.records.findings import StudyResult as StudyResult
-    from bench.io.results.study_folder import load_study as load_study
+    from bench.io.results.study_folder import read_study as read_study
 
 _PUBLIC = {
     "campaign": "bench.experiments.campaigns.running",
@@ -128,38 +130,38 @@ _PUBLIC = {
     "compare_cards": "bench.experiments.card.card_comparison",
     "compare_results": "bench.experiments.baselines.comparing",
     "describe_flight": "bench.cli.api",
-    "export_run": "bench.cli.api",
+    "export_run": "bench.cli.exchanging",
     "fix_steps": "bench.navigation.filter_adapters",
     "fly": "bench.cli.api",
-    "judge": "bench.cli.api",
+    "evaluate": "bench.cli.api",
     "list_aircraft": "bench.io.config",
     "list_estimators": "bench.io.config",
-    "list_exports": "bench.cli.api",
+    "list_exports": "bench.cli.exchanging",
     "list_legs": "bench.io.config",
     "list_profiles": "bench.io.config",
     "list_sensors": "bench.io.config",
-    "load": "bench.io.results",
-    "load_campaign": "bench.experiments.campaigns.stored",
-    "load_profile": "bench.io.config",
-    "load_study": "bench.io.results.study_folder",
+    "read_result": "bench.io.results",
+    "read_campaign": "bench.experiments.campaigns.stored",
+    "read_profile": "bench.io.config",
+    "read_study": "bench.io.results.study_folder",
     "make_card": "bench.experiments.card.card_making",
-    "measure_allan": "bench.cli.api",
-    "navigate": "bench.cli.api",
-    "navigate_log": "bench.pipeline.log_pipeline",
+    "measure_allan": "bench.cli.exchanging",
+    "navigate": "bench.pipeline.log_pipeline",
+    "run_filter": "bench.cli.api",
     "open_filter": "bench.cli.api",
     "plot_result": "bench.views.report.paper",
     "read_card": "bench.experiments.card.card_making",
     "read_log": "bench.pipeline.log_pipeline",
     "record_baselines": "bench.experiments.baselines.checking",
-    "resume_filter": "bench.io.results.filter_state",
+    "read_filter": "bench.io.results.filter_state",
     "run": "bench.cli.api",
-    "save": "bench.cli.saving",
-    "save_filter": "bench.io.results.filter_state",
-    "score_solution": "bench.cli.api",
+    "write_result": "bench.cli.saving",
+    "write_filter": "bench.io.results.filter_state",
+    "score_solution": "bench.cli.exchanging",
     "sense": "bench.cli.api",
-    "stream_run": "bench.cli.api",
+    "stream_run": "bench.cli.exchanging",
     "study": "bench.experiments.studies.conducting",
-    "take_piece": "bench.navigation.engine.record_cuts",
+    "slice_sensors": "bench.navigation.engine.record_cuts",
     "to_arrow": "bench.io.results",
     "to_pandas": "bench.io.results",
     "track_solution": "bench.navigation.filter_adapters",

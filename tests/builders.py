@@ -45,7 +45,7 @@ def band(count: Any, states: int = 1) -> tuple[Any, Any]:
 
 
 def student(draws: int) -> float:
-    """Return the half-width of the 99.9 % band of the mean of normal draws, in standard errors of theirs.
+    """Return the half-width of the 99.9 % band of the mean of normal runs, in standard errors of theirs.
 
     Examples
     --------
@@ -159,14 +159,14 @@ def steered(
 
 @dataclass
 class Ensemble:
-    """NEES and NIS of an estimator over several draws of the sensors on one flight."""
+    """NEES and NIS of a filter over several runs of the sensors on one flight."""
 
     t: FloatArray = field(default_factory=lambda: np.empty(0))  # (M,) [s]
-    nees: list[FloatArray] = field(default_factory=list)  # (M,) of each draw
-    nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each draw
+    nees: list[FloatArray] = field(default_factory=list)  # (M,) of each run
+    nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each run
 
     def averages(self) -> FloatArray:
-        """Return the NEES of each draw averaged over time: these are independent of each other."""
+        """Return the NEES of each run averaged over time: these are independent of each other."""
         return np.mean(self.nees, axis=1)
 
     def pooled_nis(self) -> dict[str, Any]:
@@ -178,7 +178,7 @@ class Ensemble:
         return pooled
 
     def claims(self, states: int = 9, nees_factor: float = 1.0) -> Any:
-        """Return the verdict on the three claims of consistency: NEES at whole seconds, and NIS."""
+        """Return the verdict on the three covariances of consistency: NEES at whole seconds, and NIS."""
         whole = np.abs(self.t - np.round(self.t)) < 1e-6
         nees = nees_factor * np.array(self.nees)[:, whole]
         return ensemble_consistency.check_consistency(nees, states, self.nis)
@@ -192,9 +192,9 @@ def ensemble(
     from_s: float,
     assumed: Any = None,
 ) -> Ensemble:
-    """Run an estimator on the draws 0 ... runs - 1 of the sensors, judged from an instant on.
+    """Run a filter on the runs 0 ... runs - 1 of the sensors, evaluated from a time on.
 
-    ``assumed`` replaces the datasheets that the estimator believes.
+    ``assumed`` replaces the datasheets that the filter assumes.
     """
     found = Ensemble()
     for run in range(runs):

@@ -18,7 +18,7 @@ from bench.core.files.places import cache_folder
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import Sensed, Trajectory
 from bench.core.records.flight_specs import FlightSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation import sensors
 from bench.simulation.flight import fly
 from bench.simulation.flight.truth import Stretch
@@ -58,7 +58,7 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Skip the tests of an estimator of gtsam where that is not installed."""
+    """Skip the tests of a filter of gtsam where that is not installed."""
     chosen = getattr(getattr(item, "callspec", None), "params", {}).values()
     if "graph-smoother" in [one for one in chosen if isinstance(one, str)]:
         pytest.importorskip("gtsam", reason="the extra 'graph' is not installed")
@@ -107,7 +107,7 @@ def made_once(session_folder: Path) -> Callable[[str, Callable[[], Any]], Any]:
 
 @pytest.fixture(scope="session")
 def recorded(made_once: Callable[[str, Callable[[], Any]], Any]) -> Callable[[FlightSpec], Stretch]:
-    """Return a function that records a flight as one stretch, each flight once in a session."""
+    """Return a function that records a flight as one segment, each flight once in a session."""
     return lambda spec: made_once(
         hashlib.sha256(repr(spec).encode()).hexdigest()[:16], lambda: record_whole(spec)
     )
@@ -122,7 +122,7 @@ def short_truth() -> Trajectory:
 @pytest.fixture(scope="session")
 def figure_eight_truth() -> Trajectory:
     """The shipped flight figure-eight, 600 s at 200 Hz, from the cache of truths."""
-    return pipeline.fly(load_profile("figure-eight"))
+    return pipeline.fly(read_profile("figure-eight"))
 
 
 @pytest.fixture(scope="session")

@@ -36,8 +36,7 @@ from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
 from bench.core.words.exceptions import BenchError
 from bench.experiments.baselines import checking
 from bench.experiments.baselines.baseline_file import read_baseline, write_baseline
-from bench.experiments.baselines.checking import _write_change as write_change
-from bench.experiments.baselines.checking import record_baselines
+from bench.experiments.baselines.checking import record_baselines, write_change
 from bench.experiments.baselines.junit import write_junit
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.journal import NAME, Journal
@@ -274,18 +273,21 @@ def works(place: Path) -> list[Work]:
     filters = {}
     for k, look_back in ((1, 0.5), (2, 1.0)):
         filters[k] = bench.open_filter("loose-15", sensed.initial, look_back=look_back)
-        filters[k].feed(sensed.data)
-    saved = {k: saving.save(results[k], place / f"saved-{k}", recording=False, report=False) for k in (1, 2)}
+        filters[k].update(sensed.data)
+    saved = {
+        k: saving.write_result(results[k], place / f"saved-{k}", recording=False, report=False)
+        for k in (1, 2)
+    }
     truths = {k: result.truth for k, result in results.items()}
 
     def write_run(folder: Path, version: int) -> None:
-        saving.save(results[version], folder / "run", recording=False, report=False, force=True)
+        saving.write_result(results[version], folder / "run", recording=False, report=False, force=True)
 
     def write_report(folder: Path, version: int) -> None:
         if version == 1:
             write_run(folder, 1)
         else:
-            saving._write_report(folder / "run", results[1])
+            saving.write_report(folder / "run", results[1])
 
     def write_card(folder: Path, version: int) -> None:
         store.write_json(folder / "card.json", cards[version].model_dump())
@@ -308,13 +310,13 @@ def works(place: Path) -> list[Work]:
         return next(k for k, one in baselines.items() if one.estimators.keys() == names)
 
     def write_filter(folder: Path, version: int) -> None:
-        bench.save_filter(filters[version], folder / "filter.npz")
+        bench.write_filter(filters[version], folder / "filter.npz")
 
     def write_export(folder: Path, version: int) -> None:
         bench.export_run(saved[version], "csv", out=folder / "csv", force=True)
 
     def campaign(folder: Path, version: int) -> None:
-        """Run the first draw, interrupted; then go on to the second."""
+        """Run the first run, interrupted; then go on to the second."""
 
         def stop(progress: Progress) -> None:
             if version == 1 and progress.done == 1:
@@ -332,7 +334,7 @@ def works(place: Path) -> list[Work]:
                 store.read_table(out / name)
         if not done:
             return None
-        runs = bench.load_campaign(out).runs if done == 2 and (out / store.CAMPAIGN_RESULT).exists() else ()
+        runs = bench.read_campaign(out).runs if done == 2 and (out / store.CAMPAIGN_RESULT).exists() else ()
         return 2 if len(runs) == 2 else 1
 
     def cached(folder: Path) -> None:

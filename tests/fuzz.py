@@ -1,4 +1,4 @@
-"""Damage files of every format that bench reads, and check that each is read or refused by a message.
+"""Damage files of every format that bench reads, and check that each is read or rejected by a message.
 
 A base file is accepted whole. Each input is the base after one to four random edits. Reading it must end, or
 raise a `BenchError` of one line per message; anything else is a failure. The edits follow from format, seed
@@ -32,12 +32,12 @@ from mcap.writer import CompressionType
 from rosbags.rosbag2 import StoragePlugin
 
 import bench
-from bench.cli import api
+from bench.cli import exchanging
 from bench.cli.command_line import commands  # noqa: F401  (what a verb loads is loaded before the time is taken)
 from bench.core.files.places import PACKAGE
 from bench.core.records.flight_specs import TableSpec
 from bench.core.words.exceptions import BUG, BenchError
-from bench.io.config import library, load_profile
+from bench.io.config import library, read_profile
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.log import SourceSpec, load_log
 from bench.io.exports import gather
@@ -297,7 +297,7 @@ baro = "baro.toml"
         imu = replace(spec.imu, time_offset=-test_log_formats.EPOCH)
         spec = replace(spec, imu=imu, gnss=SourceSpec(folder / "gnss.csv"), instruments={})
     return Case(
-        files, lambda _: bench.navigate_log(folder / "drive.toml"), not binary, lambda _: read_records(spec)
+        files, lambda _: bench.navigate(folder / "drive.toml"), not binary, lambda _: read_records(spec)
     )
 
 
@@ -339,7 +339,7 @@ def _copy(folder: Path, files: list[Path]) -> list[Path]:
 
 def _make_profiles(folder: Path) -> Case:
     """The shipped profiles."""
-    return Case(_copy(folder, sorted(PROFILES.glob("*.toml"))), lambda path: load_profile(str(path)), True)
+    return Case(_copy(folder, sorted(PROFILES.glob("*.toml"))), lambda path: read_profile(str(path)), True)
 
 
 def _make_datasheets(folder: Path) -> Case:
@@ -367,11 +367,11 @@ def _make_results(folder: Path) -> Case:
     )
 
     def read(path: Path) -> object:
-        run = bench.load(folder / "run")
+        run = bench.read_result(folder / "run")
         for record in ("truth", "sensed"):
             getattr(run, record)
         gather(folder / "run", ["truth", "solution:made"])
-        return api.score_solution(folder / "his.csv", folder / "run")
+        return exchanging.score_solution(folder / "his.csv", folder / "run")
 
     return Case(sorted((folder / "run").iterdir()), read, text=False)
 
@@ -428,7 +428,7 @@ FORMATS: dict[str, Callable[[Path], Case]] = {
 
 
 def judge(read: Callable[[Path], object], path: Path) -> tuple[str, str]:
-    """Read a file; return "read", "refused" or "failed", and what was raised."""
+    """Read a file; return "read", "rejected" or "failed", and what was raised."""
     begun = time.process_time()
     try:
         with warnings.catch_warnings():

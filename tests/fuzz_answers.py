@@ -212,10 +212,10 @@ def make_answers(folder: Path) -> Any:
     global given
     (folder / "short.toml").write_text(PROFILE, encoding="utf-8")
     used = (f"{__name__}:Answer", "loose-15")
-    profile = bench.load_profile(folder / "short.toml", estimators=used, guard=Guard(in_process=True))
+    profile = bench.read_profile(folder / "short.toml", estimators=used, guard=Guard(in_process=True))
     truth = bench.fly(profile)
     sensed = bench.sense(profile, truth)
-    given = sound = bench.navigate("loose-15", sensed.data, sensed.initial)
+    given = sound = bench.run_filter("loose-15", sensed.data, sensed.initial)
     alone = pipeline.run(profile, truth=truth).metrics["loose-15"]
     path, whole = folder / "answer", b"sound"
     path.write_bytes(whole)
@@ -238,9 +238,9 @@ def make_answers(folder: Path) -> Any:
     def read(path: Path) -> object:
         result = look(path)
         try:
-            bench.save(result, folder / "run", recording=False, force=True)
-            return bench.load(folder / "run")
-        except BenchError as error:  # no answer is refused here: it is a row
+            bench.write_result(result, folder / "run", recording=False, force=True)
+            return bench.read_result(folder / "run")
+        except BenchError as error:  # no answer is rejected here: it is a row
             raise AssertionError(f"not saved: {error}") from error
 
     return [path], read, look

@@ -22,15 +22,15 @@ from bench.experiments.baselines import checking
 from bench.experiments.baselines.baseline_file import read_baseline
 from bench.experiments.baselines.checking import record_baselines
 from bench.experiments.baselines.comparing import compare
-from bench.experiments.campaigns.journal import NAME, _sum
+from bench.experiments.campaigns.journal import NAME, sum_text
 from bench.experiments.campaigns.pools import SerialExecutor
 from bench.experiments.card.card_comparison import compare_cards, list_differences
 from bench.experiments.card.card_making import read_card
 from bench.io import results
 from bench.io.results.folders import MARK
-from bench.io.results.study_folder import save_study
+from bench.io.results.study_folder import write_study
 from bench.views.report import campaign_page, card_page, page, study_page
-from bench.views.report.paper import _list_drawings
+from bench.views.report.paper import list_drawings
 from tests.faults import PROFILE, make_card
 
 Made = tuple[list[Path], Callable[[Path], object], Callable[[np.random.Generator, Path, bytes], bytes]]
@@ -50,7 +50,7 @@ def edit(random: np.random.Generator, path: Path, whole: bytes) -> bytes:
         lines = whole.splitlines(keepends=True)
         k = int(random.integers(len(lines)))
         text = _edit_document(random, lines[k].partition(b" ")[2])
-        lines[k] = _sum(text) + b" " + text + b"\n"
+        lines[k] = sum_text(text) + b" " + text + b"\n"
         return b"".join(lines)
     return _edit_document(random, whole)
 
@@ -106,11 +106,11 @@ def make_views(folder: Path) -> Made:
     """A results folder, shown as a report, as figures and in a comparison."""
     source = _profile(folder)
     for k in (1, 2):
-        bench.save(bench.run(source, seed=k), folder / f"run-{k}", recording=False, report=False)
+        bench.write_result(bench.run(source, seed=k), folder / f"run-{k}", recording=False, report=False)
 
     def read(path: Path) -> object:
-        result = bench.load(folder / "run-1")
-        list(_list_drawings(result))
+        result = bench.read_result(folder / "run-1")
+        list(list_drawings(result))
         page.make_page("run", result)
         return bench.compare_results([folder / "run-1", folder / "run-2"])
 
@@ -124,7 +124,7 @@ def make_campaign(folder: Path) -> Made:
         bench.campaign(source, 3, seed=k, executor=SerialExecutor(), jobs=1, out=folder / f"campaign-{k}")
 
     def read(path: Path) -> object:
-        result = bench.load_campaign(folder / "campaign-1")
+        result = bench.read_campaign(folder / "campaign-1")
         campaign_page.make_page("campaign", result)
         return bench.compare_results([folder / "campaign-1", folder / "campaign-2"])
 
@@ -179,10 +179,10 @@ def make_baseline(folder: Path) -> Made:
 
 def make_study(folder: Path) -> Made:
     """The folder of a study, shown."""
-    save_study(folder / "study", bench.study("requirements", jobs=1))
+    write_study(folder / "study", bench.study("requirements", jobs=1))
 
     def read(path: Path) -> object:
-        return study_page.make_page(bench.load_study(folder / "study"))
+        return study_page.make_page(bench.read_study(folder / "study"))
 
     files = [p for p in (folder / "study").rglob("*") if p.suffix in (".json", ".parquet") and p.name != MARK]
     return sorted(files), read, edit
@@ -190,14 +190,14 @@ def make_study(folder: Path) -> Made:
 
 def make_saved(folder: Path) -> Made:
     """The state of a filter, taken up again."""
-    profile = bench.load_profile(_profile(folder))
+    profile = bench.read_profile(_profile(folder))
     sensed = bench.sense(profile, bench.fly(profile))
     filter_ = bench.open_filter("loose-15", sensed.initial)
-    filter_.feed(sensed.data)
-    bench.save_filter(filter_, folder / "filter.npz")
+    filter_.update(sensed.data)
+    bench.write_filter(filter_, folder / "filter.npz")
 
     def read(path: Path) -> object:
-        return bench.resume_filter(path).answer()
+        return bench.read_filter(path).current()
 
     return (
         [folder / "filter.npz"],

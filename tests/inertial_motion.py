@@ -14,7 +14,7 @@ def body_rates(t):
 
 
 def integrate_rates(t):
-    """Exact integrals of :func:`body_rates` between the instants t."""
+    """Exact integrals of :func:`body_rates` between the epochs t."""
     w = np.stack(
         [-0.5 / 0.9 * np.cos(0.9 * t), -0.2 / 0.5 * np.cos(0.5 * t + 1), 0.15 / 0.3 * np.sin(0.3 * t)], axis=1
     )

@@ -59,14 +59,14 @@ def main(filters: Sequence[str] = ()) -> None:
     kinds = compiled.types_of(0.1, factors, rows)
     at = np.array([compiled.find_address(one, kinds) for one in (fill_kernel, sum_kernel)])
     made = both_kernel(at, 0.1, factors, rows)
-    print(compiled.is_plain(), compiled._takes_shortcuts(), made, rows.tobytes().hex())
+    print(compiled.is_plain(), compiled.takes_shortcuts(), made, rows.tobytes().hex())
     if filters:
         from bench import pipeline
-        from bench.io.config import load_profile
+        from bench.io.config import read_profile
         from bench.navigation import built_in
         from bench.simulation.flight.legs.level import Straight
 
-        profile = load_profile("all-sensors")
+        profile = read_profile("all-sensors")
         profile = replace(profile, flight=replace(profile.flight, legs=(Straight(10.0),), duration=None))
         sensed = pipeline.sense(profile, pipeline.fly(profile, cache=False))
         print("sensors", _hash(sensed.data.imu.dtheta_b, sensed.data.imu.dvel_b, sensed.data.fixes.lla))

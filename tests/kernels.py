@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 from bench import pipeline
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation import built_in
 from bench.simulation.flight.legs.level import Straight
 
 
 def main() -> None:
     """Run every sensor and a filter over ten seconds of flight."""
-    profile = load_profile("all-sensors")
+    profile = read_profile("all-sensors")
     profile = replace(profile, flight=replace(profile.flight, legs=(Straight(10.0),), duration=None))
     sensed = pipeline.sense(profile, pipeline.fly(profile, cache=False))
     built_in.load("loose-15", {}).run(sensed.data, sensed.initial)

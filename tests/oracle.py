@@ -1,9 +1,9 @@
 """loose-22 against classic-22 on the shipped profiles: ``make oracle`` writes the guide's table.
 
-The two are one estimator in other axes, coordinates and code, linearized at other points; both weigh a fix by
+The two are one filter in other axes, coordinates and code, linearized at other points; both weigh a fix by
 its datasheet. Left out are the profile across the pole, for the reduced coordinates of classic-22 end at
 85 deg (equations 1.5), the one at rest, where loose-22 alone knows that nothing tells the heading, the one
-whose jumping fixes both refuse for a while, after which P hangs on the instant, and those flown by a filter.
+whose jumping fixes both reject for a while, after which P hangs on the time, and those flown by a filter.
 Exit status 1 when a difference exceeds its limit.
 
     python -m tests.oracle                    all profiles, bench/guide/accuracy.md rewritten
@@ -21,7 +21,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.mathematics import earth, rotation
-from bench.io.config import list_profiles, load_profile
+from bench.io.config import list_profiles, read_profile
 from bench.navigation.models.classic import Classic22
 from bench.navigation.models.loose_tight import Loose
 from tests.measured import stamp, write_measured
@@ -34,7 +34,7 @@ BEGIN, END = "<!-- make oracle writes this table -->", "<!-- to here -->"
 
 def differences(name: str) -> tuple[float, dict[str, float]]:
     """Return the length of a profile's flight [s] and the RMS differences of both filters on it."""
-    profile = load_profile(name)
+    profile = read_profile(name)
     truth = pipeline.fly(profile)
     sensed = pipeline.sense(profile, truth)
     mine = Classic22().run(sensed.data, sensed.initial)
@@ -53,7 +53,7 @@ def row(cells: list[str]) -> str:
 def main(names: list[str]) -> int:
     """Compare, print, and write the table when nothing was named."""
     known = [name for name, *_ in list_profiles() if name not in EXEMPT]
-    known = [name for name in known if load_profile(name).guidance is None]
+    known = [name for name in known if read_profile(name).guidance is None]
     unknown = sorted(set(names) - set(known))
     if unknown:
         print(

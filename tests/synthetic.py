@@ -37,7 +37,7 @@ def turning(
 ) -> Trajectory:
     """A level circle flown at constant speed [m/s], turn rate [rad/s] and bank [rad].
 
-    Position moves on the ellipsoid by the circle's metres over the radii at ORIGIN, right to the
+    Position moves on the ellipsoid by the circle's meters over the radii at ORIGIN, right to the
     circle's size over the Earth's (1e-5). The rates of Earth and transport are constant in n to the
     same order; Coriolis is left out of the specific force.
     """

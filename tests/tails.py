@@ -3,7 +3,7 @@
 Flights in moderate turbulence, each with a wind and gusts of its own and cuts of 60 s. Of each filter: the
 median drift, its 95 % value over the median (2.08 if all cuts were alike), and the mean of e' P^-1 e of the
 horizontal error at the end of a cut (2 is right), for all cuts, for those begun straight and those in a turn.
-A smoother is judged in the middle of a cut, where it knows least; tight coupling flies with satellites.
+A smoother is evaluated in the middle of a cut, where it knows least; tight coupling flies with satellites.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import sys
 import numpy as np
 
 import bench
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 
 CUT = 60.0  # [s]
 STARTS = (90.0, 210.0, 330.0, 450.0)  # [s]
@@ -35,7 +35,7 @@ def cuts(flights: int, draws: int, name: str) -> np.ndarray:
     found: list[tuple[float, float, bool]] = []
     for flight in range(flights):
         outages = [{"start_s": start, "duration_s": CUT} for start in STARTS]
-        profile = load_profile(
+        profile = read_profile(
             PROFILES[flight % len(PROFILES)],
             {
                 "seed": 4000 + flight,
@@ -50,8 +50,8 @@ def cuts(flights: int, draws: int, name: str) -> np.ndarray:
         heading = np.unwrap(np.arctan2(truth.vel_n[:, 1], truth.vel_n[:, 0]))
         for draw in range(draws):
             sensed = bench.sense(profile, truth, run=draw)
-            solution = bench.navigate(name, sensed.data, sensed.initial)
-            errors, _ = bench.judge(profile, truth, solution)
+            solution = bench.run_filter(name, sensed.data, sensed.initial)
+            errors, _ = bench.evaluate(profile, truth, solution)
             for start in STARTS:
                 end = int(np.searchsorted(errors.t, start + WORST.get(name, CUT) - 0.05)) - 1
                 e, P = errors.pos_n[end, :2], solution.cov[end, :2, :2]

@@ -1,5 +1,5 @@
 """Python does what the verbs do: run is its four steps, what was made is saved and read back, and an argument
-that would have no effect is refused."""
+that would have no effect is rejected."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ FUNCTIONS = {
     "fixes": "solve_rinex",
     "fly": "describe_flight",
     "list": "list_profiles",
-    "navigate": "navigate_log",
+    "navigate": "navigate",
     "record": "write_recording",
     "report": "write_report",
     "run": "run",
@@ -32,11 +32,12 @@ FUNCTIONS = {
 }
 """Verb -> what does it from Python."""
 WITHOUT = {
-    "show": "prints what `load` and `load_campaign` return",
+    "show": "prints what `read_result` and `read_campaign` return",
     "cache": "looks after files of this machine",
     "guide": "shows pages",
     "new": "writes a starting point to edit",
     "view": "opens a window",
+    "upgrade": "rewrites files of an earlier format",
     "warm": "compiles for this machine",
 }
 """Verb without a function -> why."""
@@ -51,21 +52,21 @@ SHORT = {
 
 @pytest.fixture(scope="module")
 def profile():
-    return bench.load_profile("figure-eight", SHORT, seed=3, estimators=["loose-15"])
+    return bench.read_profile("figure-eight", SHORT, seed=3, estimators=["loose-15"])
 
 
 def test_run_is_fly_sense_navigate_judge(profile):
     result = bench.run(profile)
     truth = bench.fly(profile)
     sensed = bench.sense(profile, truth)
-    solution = bench.navigate("loose-15", sensed.data, sensed.initial)
-    errors, metrics = bench.judge(profile, truth, solution, sensed)
+    solution = bench.run_filter("loose-15", sensed.data, sensed.initial)
+    errors, metrics = bench.evaluate(profile, truth, solution, sensed)
     np.testing.assert_array_equal(result.solutions["loose-15"].lla, solution.lla)
     np.testing.assert_array_equal(result.errors["loose-15"].pos_n, errors.pos_n)
     judged = result.metrics["loose-15"]
     assert {name: judged[name] for name in metrics} == metrics
     words = {
-        "unmodelled",
+        "unmodeled_errors",
         "verdict",
         "verdict_reason",
         "verdict_text",
@@ -90,18 +91,18 @@ def test_every_verb_has_its_function():
 def test_a_result_is_saved_and_read_back_with_its_truth_and_sensors(profile, tmp_path):
     result = bench.run(profile)
     assert result.events.select("leg")
-    folder = bench.save(result, tmp_path / "short")
+    folder = bench.write_result(result, tmp_path / "short")
     assert (folder / "flight.rrd").is_file()
-    loaded = bench.load(folder)
+    loaded = bench.read_result(folder)
     np.testing.assert_array_equal(loaded.truth.lla, result.truth.lla)
     np.testing.assert_array_equal(loaded.sensors.fixes.lla, result.sensors.fixes.lla)
-    again = bench.navigate("loose-15", loaded.sensors, loaded.sensed.initial)
+    again = bench.run_filter("loose-15", loaded.sensors, loaded.sensed.initial)
     np.testing.assert_array_equal(again.cov, result.solutions["loose-15"].cov)
     with pytest.raises(ConfigError, match="exists"):
-        bench.save(result, folder)
-    copy = bench.save(loaded, tmp_path / "copy")
+        bench.write_result(result, folder)
+    copy = bench.write_result(loaded, tmp_path / "copy")
     assert (copy / "flight.rrd").is_file()
-    assert bench.load(copy).metrics == loaded.metrics
+    assert bench.read_result(copy).metrics == loaded.metrics
 
 
 def test_another_draw_is_another_result(profile):
@@ -113,7 +114,7 @@ def test_another_draw_is_another_result(profile):
     "argument", [{"seed": 1}, {"estimators": ["loose-15"]}, {"sensors": {"imu": "stim300"}}]
 )
 def test_arguments_without_effect_are_refused(profile, argument):
-    with pytest.raises(ConfigError, match="with a profile already read, seed"):
+    with pytest.raises(ConfigError, match="cannot be combined with a loaded profile"):
         bench.run(profile, **argument)
 
 
@@ -124,7 +125,7 @@ def test_a_draw_is_a_whole_number(profile, run):
 
 
 def test_a_unit_is_exchanged_by_name():
-    profile = bench.load_profile("figure-eight", {**SHORT, "sensors.imu": "stim300"})
+    profile = bench.read_profile("figure-eight", {**SHORT, "sensors.imu": "stim300"})
     assert profile.sensors.imu.name == "stim300"
     assert "run" in dir(bench)
     with pytest.raises(AttributeError, match="has no attribute 'fligh'"):
@@ -156,10 +157,10 @@ def test_overrides_and_seed_are_those_of_load_profile_in_every_step(profile):
     sensed = bench.sense("figure-eight", truth, **own)
     np.testing.assert_array_equal(sensed.data.imu.dvel_b, bench.sense(profile, truth).data.imu.dvel_b)
     result = bench.run("figure-eight", estimators=["loose-15"], **own)
-    errors, metrics = bench.judge("figure-eight", truth, result.solutions["loose-15"], **own)
+    errors, metrics = bench.evaluate("figure-eight", truth, result.solutions["loose-15"], **own)
     assert metrics["pos_rmse_h_m"] == result.metrics["loose-15"]["pos_rmse_h_m"]
     assert len(errors) == 201
-    with pytest.raises(ConfigError, match="seed and overrides change nothing"):
+    with pytest.raises(ConfigError, match="seed and overrides cannot be combined"):
         bench.fly(profile, seed=4)
 
 

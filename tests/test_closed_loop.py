@@ -106,7 +106,7 @@ def test_an_estimate_without_error_flies_the_same_bits():
 @pytest.mark.long
 @pytest.mark.parametrize("name", [one.name for one in list_profiles()])
 def test_an_estimate_without_error_flies_the_same_bits_on_every_profile(name):
-    spec = config.load_profile(name).flight
+    spec = config.read_profile(name).flight
     assert isinstance(spec, FlightSpec)
     same_bits(fly_by_truth(spec, seconds=1.0), results.join_pieces(fly_pieces(spec)))
 
@@ -120,7 +120,7 @@ def test_the_last_estimate_itself_is_late_and_flies_all_the_same():
 
 def test_a_recorded_flight_gives_the_answers_that_flew_it(profile):
     """Sensed and navigated again: the same bits; `navigate` on the whole record ends on the last of them."""
-    loaded = config.load_profile(profile)
+    loaded = config.read_profile(profile)
     flown = closed_loop.fly(loaded, run=2)
     again = closed_loop.replay(loaded, flown.truth, run=2)
     same_bits(again, flown.answers, ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov"))
@@ -143,7 +143,7 @@ duration_s = 600.0
 step_m = [30.0, 0.0, 0.0]
 """
     profile.write_text(profile.read_text() + fault)
-    loaded = config.load_profile(profile)
+    loaded = config.read_profile(profile)
     flown = closed_loop.fly(loaded)
     sensed = pipeline.sense(loaded, flown.truth)
     final = pipeline.navigate(loaded.estimators[0], sensed.data, sensed.initial)
@@ -154,15 +154,15 @@ step_m = [30.0, 0.0, 0.0]
 
 
 def test_a_filter_that_dies_as_it_answers_has_told_each_innovation_once(profile, monkeypatch):
-    answer = PieceFilter.answer
+    answer = PieceFilter.current
 
     def fail(self):
         if self.t > 8.0:
             raise EstimatorError("no more")
         return answer(self)
 
-    monkeypatch.setattr(PieceFilter, "answer", fail)
-    flown = closed_loop.fly(config.load_profile(profile))
+    monkeypatch.setattr(PieceFilter, "current", fail)
+    flown = closed_loop.fly(config.read_profile(profile))
     table = flown.answers.innovations
     told = np.stack([table.t, table.code, table.component], axis=1)
     assert len(np.unique(told, axis=0)) == len(told) > 0
@@ -187,7 +187,7 @@ COMPILED = ("loose-22", "loose-mems", "loose-full", "tight", "baro-inertial", "f
     ids=lambda change: "-".join(map(str, change.values())),
 )
 def test_a_flight_gives_its_answers_again_with_every_unit_and_compiled_filter(change, profile):
-    loaded = config.load_profile(profile, change)
+    loaded = config.read_profile(profile, change)
     flown = closed_loop.fly(loaded, run=1)
     again = closed_loop.replay(loaded, flown.truth, run=1)
     same_bits(again, flown.answers, ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov"))
@@ -260,13 +260,13 @@ class Passage:
 
     end = property(lambda self: self.one.end)
 
-    def feed(self, piece, look_back, *, last):
+    def update(self, piece, look_back, *, last):
         if piece.imu.t[-1] > self.until:
             return self.one.a_name_misspelt
-        return self.one.feed(piece, look_back, last=last)
+        return self.one.update(piece, look_back, last=last)
 
-    def answer(self, head):
-        return self.one.answer(head)
+    def current(self, head):
+        return self.one.current(head)
 
     def copy(self):
         return Passage(self.one.copy(), self.until)
@@ -302,5 +302,5 @@ def test_a_bug_in_the_filter_that_flies_keeps_its_traceback(until, profile, tmp_
 )
 def test_what_cannot_fly_is_refused_in_a_line(profile, change, message):
     with pytest.raises(Exception, match=message) as caught:
-        closed_loop.fly(config.load_profile(profile, change))
+        closed_loop.fly(config.read_profile(profile, change))
     assert isinstance(caught.value, ConfigError) or "pieces" in str(caught.value)

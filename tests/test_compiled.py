@@ -97,7 +97,7 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
     """Also one without a kernel of its own, and one that is imported by such a one."""
     folder = copy_of_the_package(tmp_path)
     monkeypatch.setattr(compiled, "PACKAGE", folder / "bench")
-    before = compiled._hash_sources()
+    before = compiled.hash_sources()
     for name in (
         "bench/navigation/error_state_filter/schedule.py",
         "bench/navigation/error_state_filter/state_processes.py",
@@ -107,12 +107,12 @@ def test_every_module_whose_values_kernels_take_names_the_cache(monkeypatch, tmp
     ):
         path = folder / name
         path.write_text(path.read_text() + "\n# changed\n")
-        after = compiled._hash_sources()
+        after = compiled.hash_sources()
         assert after != before, name
         before = after
     cli = folder / "bench" / "cli" / "flights.py"
     cli.write_text(cli.read_text() + "\n# changed\n")
-    assert compiled._hash_sources() == before
+    assert compiled.hash_sources() == before
 
 
 def test_another_process_finds_a_kernel_by_its_name():
@@ -126,7 +126,7 @@ def test_folders_unused_for_a_month_are_removed(tmp_path):
     month = 31 * 86400
     for folder in (old, keep):
         os.utime(folder, (time.time() - month,) * 2)
-    compiled._remove_unused(tmp_path, keep=keep)
+    compiled.remove_unused(tmp_path, keep=keep)
     assert sorted(f.name for f in tmp_path.iterdir()) == ["keep", "young"]
 
 
@@ -169,7 +169,7 @@ def test_a_kernel_is_compiled_by_itself_only_where_its_address_is_asked_for():
     """With the shortcuts it has no machine code as a part of another one; by its address it does the same."""
     total = np.zeros(1)
     assert contain_kernel(1.5, total) == 7
-    shortcuts = compiled._takes_shortcuts() and not compiled.is_plain()
+    shortcuts = compiled.takes_shortcuts() and not compiled.is_plain()
     assert bool(add_kernel.dispatcher.signatures) != shortcuts
     at = compiled.find_address(add_kernel, compiled.types_of(1.5, total))
     assert len(add_kernel.dispatcher.signatures) == 1
@@ -204,14 +204,14 @@ def test_a_filter_compiles_the_rows_of_the_sensors_it_reads_alone():
     """In a process of its own: a barometer was read, no magnetometer and no satellites."""
     code = """
 from bench.simulation import sensors
-from bench.navigation.error_state_filter import measurement_rows
 from bench.navigation import built_in
+from bench.navigation.error_state_filter.measurement_rows import BARO_ROWS, MAGNETIC_ROWS, ROWS
 from bench.navigation.error_state_filter.ranges import ranging
 from tests.weaving import units, weaving
 sensed = sensors.sense(weaving(5.0, rate=100.0), units(), 1, 0)
 built_in.load("loose-22", {}).run(sensed.data, sensed.initial)
 made = [bool(k.dispatcher.signatures) for k in
-        (measurement_rows._baro_kernel, measurement_rows._magnetic_kernel, ranging.satellites_kernel)]
+        (ROWS[BARO_ROWS], ROWS[MAGNETIC_ROWS], ranging.satellites_kernel)]
 assert made == [True, False, False], made
 """
     subprocess.run([sys.executable, "-c", code], check=True)

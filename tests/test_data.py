@@ -59,7 +59,7 @@ def test_sensor_records_take_what_a_receiver_sends():
     flags = np.array([True, False, True, True])
     baro = BaroData(t, t, flags, np.full(4, np.nan), t)
     assert len(baro.t) == 4
-    with pytest.raises(ValueError, match=r"BaroData.valid must hold values of type bool"):
+    with pytest.raises(ValueError, match=r"BaroData.valid must contain values of type bool"):
         BaroData(t, t, np.array([0, 1, 2, 1]), t, t)
     with pytest.raises(ValueError, match="columns differ in length"):
         BaroData(t, t, flags[:2], t, t)
@@ -96,7 +96,7 @@ def test_arrays_say_what_would_be_right():
     with pytest.raises(ValueError, match="row 1"):
         as_float("t", [0.0, np.inf], (None,))
     assert as_float("alt", 3, ()).shape == ()
-    with pytest.raises(ValueError, match="n must hold values of type int64"):
+    with pytest.raises(ValueError, match="n must contain values of type int64"):
         as_kind("n", [1.5], np.int64, (None,))
 
 

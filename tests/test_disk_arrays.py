@@ -38,7 +38,6 @@ def test_what_is_released_leaves_memory_and_keeps_its_values(monkeypatch, tmp_pa
     assert resident() - before < 3e6
     assert_array_equal(array.sum(axis=0), 400_000 * np.arange(10))
     assert list((tmp_path / "scratch").iterdir()) == []  # its file has no name
-    assert len(disk_arrays._mapped) > 0
     del array
     gc.collect()
     assert resident() - before < 3e6
@@ -61,7 +60,7 @@ def test_taken_rows_are_those_of_the_array(monkeypatch):
 
 
 def test_a_longer_flight_takes_hardly_more_memory(monkeypatch):
-    """To sense, navigate and judge it, with blocks of 4096 samples instead of 65,536.
+    """To sense, navigate and evaluate it, with blocks of 4096 samples instead of 65,536.
 
     What grows with each sample is the biases that were drawn (56 B for every 2.5 samples), fixes (168 B for
     every 50), barometer (40 B for every 10), and some hundred B of errors and metrics for every 50:

@@ -228,7 +228,7 @@ REAL = {
     "a study": Real("closed-loop", ("bench/experiments/studies/flown_by_filters.py",)),
     "a metric": Real("fault_{}_alarm_share", patch="metric"),
     "an aiding sensor": Real("heading", ("bench/simulation/sensors/dual_antenna.py",), "sensor"),
-    "an estimator state": Real("time_offset_sd", patch="state"),
+    "a filter state": Real("time_offset_sd", patch="state"),
 }
 
 TOYS = {
@@ -239,13 +239,14 @@ TOYS = {
     "a leg": LEG,
     "an IMU error term": IMU_TERM,
 }
-WITHOUT = {"a profile", "a sensor of a known kind", "an aircraft", "an estimator", "an estimator option"}
+WITHOUT = {"a profile", "a sensor of a known kind", "an aircraft", "a filter", "a filter option"}
 """Additions of the table that other tests make: a file beside those that are shipped, or an own module."""
 
 
 def table() -> dict[str, tuple[int, str, str]]:
     """Return what the guide says of each addition: how many files of code, what else, and which."""
-    rows = re.findall(r"^- \*\*(an? .+?)\*\*, (\d+) files?([^:]*): (.+)$", GUIDE.read_text("utf-8"), re.M)
+    text = re.sub(r"\n  +(?=\S)", " ", GUIDE.read_text("utf-8"))
+    rows = re.findall(r"^- \*\*(an? .+?)\*\*, (\d+) files?([^:]*): (.+)$", text, re.M)
     return {what: (int(number), more, which) for what, number, more, which in rows}
 
 
@@ -355,7 +356,7 @@ from bench.navigation.options import FusionOptions
 from bench.views import recording
 
 result = bench.run("toys.toml")
-bench.save(result, "run")
+bench.write_result(result, "run")
 counts = bench.export_run("run", "counts", out="counts")
 loose, baro = result.solutions["loose-15"], result.sensed.data.baro
 t, drawn = recording.column("run/flight.rrd", "/toy/height/height", "Scalars:scalars")
@@ -372,7 +373,7 @@ print(json.dumps({
         "a study": list(STUDIES),
         "a metric": [row.name for row in METRICS],
         "an aiding sensor": list(INSTRUMENTS),
-        "an estimator state": list(FusionOptions.model_fields),
+        "a filter state": list(FusionOptions.model_fields),
     },
     "metrics": result.metrics,
     "rmse": float(np.sqrt((result.errors["loose-15"].pos_n[counted, :2] ** 2).sum(axis=1).mean())),
@@ -469,7 +470,7 @@ def test_the_fault_strikes_the_instrument_and_its_innovations_are_refused(flown)
 
 def test_the_error_term_acts_and_is_named_where_nothing_models_it(flown):
     assert 1e-3 < abs(flown["shear"]) < 0.2  # drawn with 3 deg, 0.05 rad
-    assert "gyro shear" in flown["metrics"]["loose-15"]["unmodelled"]
+    assert "gyro shear" in flown["metrics"]["loose-15"]["unmodeled_errors"]
 
 
 def test_the_tab_is_in_the_recording(flown):

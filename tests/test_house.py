@@ -28,7 +28,7 @@ MOST_MODULES = 20  # of a folder
 MOST_ARROWS = 40  # between rooms
 LONGEST_CHAIN = 46  # modules that import each other one after the other
 MOST_CODE = 60  # lines of a function
-MOST_FILES = {"navigate": 50, "load_profile": 26}  # whose code runs
+MOST_FILES = {"navigate": 50, "read_profile": 26}  # whose code runs
 ROOMS = (
     "cli",
     "views",
@@ -254,12 +254,12 @@ def list_files_run(function) -> set[str]:
 
 
 def test_few_files_run_for_one_answer():
-    profile = bench.load_profile("static", {"leg.1.duration_s": 40, "evaluation.from_s": 20})
+    profile = bench.read_profile("static", {"leg.1.duration_s": 40, "evaluation.from_s": 20})
     sensed = bench.sense(profile, bench.fly(profile))
-    navigate = list_files_run(lambda: bench.navigate("loose-15", sensed.data, sensed.initial))
+    navigate = list_files_run(lambda: bench.run_filter("loose-15", sensed.data, sensed.initial))
     assert len(navigate) <= MOST_FILES["navigate"], sorted(navigate)
-    load = list_files_run(lambda: bench.load_profile("figure-eight"))
-    assert len(load) <= MOST_FILES["load_profile"], sorted(load)
+    load = list_files_run(lambda: bench.read_profile("figure-eight"))
+    assert len(load) <= MOST_FILES["read_profile"], sorted(load)
 
 
 def test_an_import_that_goes_up_is_found():
@@ -301,7 +301,7 @@ def test_imports_by_text_and_for_types_are_seen(tmp_path):
 
 
 def test_readme_shows_the_floors_as_they_are():
-    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    text = (PACKAGE.parent / "CONTRIBUTING.md").read_text(encoding="utf-8")
     shown = re.search(r"```text\n(plugins > [^`]*)```", text)[1]
     assert [" ".join(one.split()) for one in shown.split(">")] == read_floors()["bench"]
 
@@ -325,7 +325,8 @@ def test_the_tests_that_begin_first_are_there():
 def test_what_pip_is_to_install_is_this_project_and_an_extra_of_it():
     root = PACKAGE.parent
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = {f"{project['name']}[{extra}]" for extra in project["optional-dependencies"]}
+    names = (project["name"], ".")
+    extras = {f"{name}[{extra}]" for name in names for extra in project["optional-dependencies"]}
     texts = [path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.[pm][yd]")]
     named = [name for text in texts for name in re.findall(r"pip install '([^']+)'", text)]
     assert named

@@ -105,7 +105,7 @@ def test_a_file_names_them_without_permission_and_the_filter_has_a_process_of_it
     assert own != head
     Path("own.toml").write_text(own + '[[estimator]]\nuse = "held"\noptions = { gate = 2.0 }\n')
     assert main(["run", "own.toml", "-o", "out", *SET]) in (0, 1)
-    result = bench.load("out")
+    result = bench.read_result("out")
     assert "nees_mean" in result.metrics["held"], result.metrics["held"]
     assert result.sensors.specs.imu.name == "lab-imu"
     assert (tmp_path / "filter").exists()
@@ -118,13 +118,13 @@ def test_a_file_names_them_without_permission_and_the_filter_has_a_process_of_it
 
 def test_a_name_that_is_near_is_offered_and_a_class_of_a_file_still_needs_permission(lab):
     with pytest.raises(ConfigError, match="Did you mean 'held'"):
-        bench.load_profile("figure-eight", estimators=["hled"])
+        bench.read_profile("figure-eight", estimators=["hled"])
     text = (PACKAGE / "profiles" / "figure-eight.toml").read_text()
     Path("own.toml").write_text(text + '[[estimator]]\nuse = "lab_nav.filters:Held"\n')
     with pytest.raises(ConfigError, match="is code that would run on this machine"):
-        bench.load_profile("own.toml")
+        bench.read_profile("own.toml")
     with pytest.raises(ConfigError, match="Did you mean 'lab-imu'"):
-        bench.load_profile("figure-eight", {"sensors.imu": "lab-imus"})
+        bench.read_profile("figure-eight", {"sensors.imu": "lab-imus"})
 
 
 def test_a_clash_and_a_broken_entry_are_a_line_and_stop_nothing(lab, tmp_path, capsys):
@@ -151,7 +151,7 @@ gone = other.nowhere
     ]
     assert main(["list", "estimators"]) == 0
     assert "is a name of lab-nav 1.2" in " ".join(capsys.readouterr().out.split())
-    profile = bench.load_profile("figure-eight", {"sensors.imu": "stim300"}, estimators=["loose-15", "held"])
+    profile = bench.read_profile("figure-eight", {"sensors.imu": "stim300"}, estimators=["loose-15", "held"])
     assert [choice.use for choice in profile.estimators] == ["loose-15", "held"]
     assert profile.sensors.imu.name == "stim300"
 

@@ -1,4 +1,4 @@
-"""The tool of ``make mutants``, on a package of a few lines whose tests notice some errors and not others."""
+"""The tool of ``make mutants``, on a package of a few lines whose tests detect some errors and not others."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ def test_what_tests_notice_and_what_they_do_not(tree, tmp_path, capsys):
     assert lines[at + 1 : at + 3] == ["  - return -x", "  + return x"]
     assert "  + FAR = 200.0" in lines
     assert lines[-1].startswith(
-        "5 of 7 noticed, 0 of them by taking too long; drawn from 7 with seed 1, 1 marked"
+        "5 of 7 detected, 0 of them by taking too long; drawn from 7 with seed 1, 1 marked"
     )
     assert "1 tests did not pass" in capsys.readouterr().out
 

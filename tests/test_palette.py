@@ -1,4 +1,4 @@
-"""The colours of pages, recordings and figures are told apart by everybody, on light and on dark ground."""
+"""The colors of pages, recordings and figures are told apart by everybody, on light and on dark ground."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bench.core.files.places import PACKAGE
 from bench.core.words.palette import FIXES, SLOTS, choose_looks
 from bench.navigation.built_in import BUILT_IN
 
-COLOURS = (*SLOTS, FIXES)
+COLORS = (*SLOTS, FIXES)
 GROUNDS = {"light": ("#ffffff", "#f6f8fa"), "dark": ("#0f1318", "#181d24")}
 """Of a page and of a plot, as page.css has them."""
 TO_XYZ = np.array(
@@ -39,8 +39,8 @@ CONES = {
 """Sight -> what it makes of linear sRGB: Machado, Oliveira and Fernandes 2009, severity 1.0."""
 
 
-def linearize(colour) -> np.ndarray:
-    c = np.asarray(colour, float) / 255.0
+def linearize(color) -> np.ndarray:
+    c = np.asarray(color, float) / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
@@ -71,8 +71,8 @@ def ciede2000(one, other) -> float:
     return float(np.sqrt(x * x + y * y + z * z + turn * y * z))
 
 
-def luminance(colour) -> float:
-    return float(TO_XYZ[1] @ linearize(colour))
+def luminance(color) -> float:
+    return float(TO_XYZ[1] @ linearize(color))
 
 
 def read_hex(text: str) -> tuple[int, ...]:
@@ -95,26 +95,26 @@ def test_the_distance_is_that_of_its_authors(one, other, apart):
 
 @pytest.mark.parametrize("sight", CONES)
 @pytest.mark.parametrize("ground", GROUNDS)
-def test_any_two_colours_are_told_apart(ground, sight):
-    seen = [to_lab(np.asarray(CONES[sight]) @ linearize(getattr(slot, ground))) for slot in COLOURS]
+def test_any_two_colors_are_told_apart(ground, sight):
+    seen = [to_lab(np.asarray(CONES[sight]) @ linearize(getattr(slot, ground))) for slot in COLORS]
     apart = {
-        (COLOURS[i].name, COLOURS[j].name): ciede2000(seen[i], seen[j])
-        for i, j in combinations(range(len(COLOURS)), 2)
+        (COLORS[i].name, COLORS[j].name): ciede2000(seen[i], seen[j])
+        for i, j in combinations(range(len(COLORS)), 2)
     }
     assert len(apart) == 28
     assert min(apart.values()) >= 20.0, min(apart, key=lambda pair: apart[pair])
 
 
-def test_no_colour_on_light_ground_is_nearly_black():
+def test_no_color_on_light_ground_is_nearly_black():
     assert min(to_lab(linearize(slot.light))[0] for slot in SLOTS) > 25.0
 
 
 @pytest.mark.parametrize("ground", GROUNDS)
-def test_every_colour_stands_out_from_its_ground(ground):
+def test_every_color_stands_out_from_its_ground(ground):
     style = (PACKAGE / "views" / "report" / "page.css").read_text()
     for back in GROUNDS[ground]:
         assert back.replace("#ffffff", "#fff") in style
-        for slot in COLOURS:
+        for slot in COLORS:
             low, high = sorted((luminance(getattr(slot, ground)), luminance(read_hex(back))))
             assert (high + 0.05) / (low + 0.05) >= 3.0, slot.name
 
@@ -124,22 +124,22 @@ def test_the_cones_are_those_of_colorspacious():
     kinds = {"protan": "protanomaly", "deutan": "deuteranomaly", "tritan": "tritanomaly"}
     for sight, kind in kinds.items():
         space = {"name": "sRGB1+CVD", "cvd_type": kind, "severity": 100}
-        colour = SLOTS[1].dark
-        seen = colorspacious.cspace_convert(np.array(colour) / 255.0, space, "sRGB1-linear")
-        assert_allclose(np.asarray(CONES[sight]) @ linearize(colour), seen, atol=2e-4)
+        color = SLOTS[1].dark
+        seen = colorspacious.cspace_convert(np.array(color) / 255.0, space, "sRGB1-linear")
+        assert_allclose(np.asarray(CONES[sight]) @ linearize(color), seen, atol=2e-4)
 
 
-def test_a_filter_has_the_same_colour_wherever_it_is_drawn():
+def test_a_filter_has_the_same_color_wherever_it_is_drawn():
     alone, many = (
         choose_looks(["loose-15"]),
         choose_looks(["mine", "loose-full", "loose-15", "free-inertial"]),
     )
     assert alone["loose-15"] == many["loose-15"]
-    assert len({look.colour for look in many.values()}) == 4
+    assert len({look.color for look in many.values()}) == 4
     assert not any(look.dashed for look in many.values())
     compared = choose_looks(["loose-15, before", "loose-15, after"])
     assert [look.dashed for look in compared.values()] == [False, True]
-    assert len({look.colour for look in compared.values()}) == 1
+    assert len({look.color for look in compared.values()}) == 1
     every = choose_looks(BUILT_IN)
     assert set(every) == set(BUILT_IN)
-    assert {look.colour for look in every.values()} == {slot.dark for slot in SLOTS[1:]}
+    assert {look.color for look in every.values()} == {slot.dark for slot in SLOTS[1:]}

@@ -46,7 +46,7 @@ def test_only_folders_of_killed_processes_of_this_machine_are_removed(tmp_path, 
     alive, killed = start(tmp_path), start(tmp_path)
     with monkeypatch.context() as elsewhere:
         elsewhere.setattr("platform.node", lambda: "another")
-        other = tmp_path / f"{scratch.PREFIX}{scratch._identify_machine()}-0"
+        other = tmp_path / f"{scratch.PREFIX}{scratch.identify_machine()}-0"
     other.mkdir()
     (tmp_path / f"{scratch.PREFIX}mine").mkdir()
     before = set(tmp_path.iterdir())
@@ -99,7 +99,7 @@ def test_a_file_system_without_locks_is_no_reason_to_stop(tmp_path, monkeypatch)
 def test_a_name_that_leads_elsewhere_is_not_followed_and_loses_nothing(tmp_path, name):
     """What was set aside stays where it is; the next command works."""
     place = tmp_path / "place"
-    left = place / f"{scratch.PREFIX}{scratch._identify_machine()}-0"
+    left = place / f"{scratch.PREFIX}{scratch.identify_machine()}-0"
     (left / "old").mkdir(parents=True)
     (left / "old" / "result").write_text("precious")
     if name is not None:
@@ -113,7 +113,7 @@ def test_a_name_that_leads_elsewhere_is_not_followed_and_loses_nothing(tmp_path,
 
 def test_folders_of_other_users_and_links_are_left_alone(tmp_path, monkeypatch):
     """In a shared place anybody may make them; a link as the lock would make a file elsewhere."""
-    left, elsewhere = tmp_path / f"{scratch.PREFIX}{scratch._identify_machine()}-0", tmp_path / "elsewhere"
+    left, elsewhere = tmp_path / f"{scratch.PREFIX}{scratch.identify_machine()}-0", tmp_path / "elsewhere"
     (left / "old").mkdir(parents=True)
     (left / "name").write_text("home")
     (left / scratch.LOCK).symlink_to(elsewhere)

@@ -21,15 +21,15 @@ import bench
 
 class Hold:
     def run(self, sensors: bench.SensorData, initial: bench.InitialState) -> bench.NavSolution:
-        return bench.navigate("free-inertial", sensors, initial)
+        return bench.run_filter("free-inertial", sensors, initial)
 
 
-profile: bench.Profile = bench.load_profile(Path("mine.toml"), {"sensors.imu": "stim300"}, seed=7)
+profile: bench.Profile = bench.read_profile(Path("mine.toml"), {"sensors.imu": "stim300"}, seed=7)
 truth: bench.Trajectory = bench.fly("figure-eight", overrides={"duration_s": 60.0})
 sensed = bench.sense(profile, truth, run=3)
 estimator: bench.Estimator = Hold()
 solution = estimator.run(sensed.data, sensed.initial)
-errors, metrics = bench.judge(profile, truth, solution, sensed)
+errors, metrics = bench.evaluate(profile, truth, solution, sensed)
 north: np.floating = errors.pos_n[:, 0].max()
 result: bench.RunResult = bench.run("figure-eight", estimators=["loose-15"], sensors={"imu": "stim300"})
 print(result.metrics["loose-15"]["pos_rmse_h_m"], metrics["nees_mean"], truth.lla.shape)
@@ -48,10 +48,10 @@ bench.run("figure-eight", nonsense=1)
 bench.run("figure-eight", seed="7")
 bench.run("figure-eight", 7)
 bench.fly()
-bench.load_profile("figure-eight").titel
+bench.read_profile("figure-eight").titel
 bench.run("figure-eight").metric
-bench.navigate("loose-15", bench.fly("figure-eight"), None)
-bench.sense("figure-eight", bench.load_profile("figure-eight"))
+bench.run_filter("loose-15", bench.fly("figure-eight"), None)
+bench.sense("figure-eight", bench.read_profile("figure-eight"))
 bench.campaign("figure-eight", runs="many")
 number: int = bench.fly("figure-eight")
 """

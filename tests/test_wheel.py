@@ -91,7 +91,7 @@ def required(wheel: Path) -> dict[str, Distribution]:
 def test_installed_beside_nothing_but_what_it_requires_it_flies_in_an_empty_folder(wheel, tmp_path):
     """The environment links to the installed files of each required package; pip finds nothing missing.
 
-    An estimator without a large kernel flies: none is compiled in this environment yet.
+    A filter without a large kernel flies: none is compiled in this environment yet.
     """
     here, env = tmp_path / "empty", tmp_path / "env"
     here.mkdir()

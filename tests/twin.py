@@ -12,7 +12,7 @@ rules, and the order of Phi (``transition``).
     C'   = C [w_ib_b x] - [(w_ie_n + w_en_n) x] C                                     (A-5.1.3)
     v'   = C f_b + g_n - (2 w_ie_n + w_en_n) x v                                      (A-5.1.4)
 
-Errors are estimate minus truth: metres and m/s along n, a turn about the vertical and then a tilt,
+Errors are estimate minus truth: meters and m/s along n, a turn about the vertical and then a tilt,
 C_est = exp([tilt x]) exp([heading x]) C_true, biases, baro bias. The twin takes records without faulty rows
 only.
 """
@@ -71,8 +71,8 @@ def frame_rates(lat, alt, vel):
     return earth, vector(east, -vel[..., 0] / (meridian + alt), -east * np.tan(lat))
 
 
-def metres(lla):
-    """Metres north, east, down (..., 3) of one unit of lat, lon, height at a place."""
+def meters(lla):
+    """Meters north, east, down (..., 3) of one unit of lat, lon, height at a place."""
     meridian, prime = radii(lla[..., 0])
     alt = lla[..., 2]
     return vector(meridian + alt, (prime + alt) * np.cos(lla[..., 0]), 0 * alt - 1)
@@ -136,14 +136,14 @@ def strapdown(lla, vel, C, dt, dtheta, dvel, before):
         )
 
     dvel_n = C @ dvel_start
-    lla_middle = lla + 0.5 * dt * vel / metres(lla)
+    lla_middle = lla + 0.5 * dt * vel / meters(lla)
     g = gravity(lla_middle[0], lla_middle[2])
     earth, transport = frame_rates(lla_middle[0], lla_middle[2], vel)
     vel_middle = vel + 0.5 * (dvel_n + (g - cross(2 * earth + transport, vel)) * dt)
     earth, transport = frame_rates(lla_middle[0], lla_middle[2], vel_middle)
     turn_n = (earth + transport) * dt
     vel_end = vel + dvel_n - 0.5 * cross(turn_n, dvel_n) + dt * (g - cross(2 * earth + transport, vel_middle))
-    lla_end = lla + 0.5 * dt * (vel + vel_end) / metres(lla_middle)
+    lla_end = lla + 0.5 * dt * (vel + vel_end) / meters(lla_middle)
     return lla_end, vel_end, rotation_matrix(-turn_n) @ C @ rotation_matrix(turn), dvel_start
 
 
@@ -155,7 +155,7 @@ def derivative(lla, vel, C, f_b, w_b):
     lat, alt = lla[..., 0], lla[..., 2]
     earth, transport = frame_rates(lat, alt, vel)
     vel_rate = (C @ f_b[..., None])[..., 0] + gravity(lat, alt) - cross(2 * earth + transport, vel)
-    return vel / metres(lla), vel_rate, (C @ w_b[..., None])[..., 0] - earth - transport
+    return vel / meters(lla), vel_rate, (C @ w_b[..., None])[..., 0] - earth - transport
 
 
 def jacobian(lla, vel, C, f_b, w_b):
@@ -163,8 +163,8 @@ def jacobian(lla, vel, C, f_b, w_b):
     d = np.concatenate([np.diag(STEP), -np.diag(STEP)])  # (30, 15)
     tilt = np.stack([rotation_matrix(row) for row in d[:, 6:9]])
     lla_rate, vel_rate, turn = derivative(lla, vel, C, f_b, w_b)
-    per_unit = metres(lla)
-    per_unit_rate = 0.5 * (metres(lla + lla_rate) - metres(lla - lla_rate))
+    per_unit = meters(lla)
+    per_unit_rate = 0.5 * (meters(lla + lla_rate) - meters(lla - lla_rate))
     dlla = d[:, :3] / per_unit[:, None]
     est_lla_rate, est_vel_rate, est_turn = derivative(
         lla[:, None] + dlla,
@@ -217,7 +217,7 @@ def fix_covariance(gnss):
 
 @dataclass
 class Answer:
-    """Solution at the output times, and every sub-vector used or refused."""
+    """Solution at the output times, and every sub-vector used or rejected."""
 
     t: np.ndarray  # (M,)
     lla: np.ndarray  # (M, 3)
@@ -241,7 +241,7 @@ def antenna(lla, vel, C, lever, w_b):
     H[:3, 6:9] = -cross_matrix(C @ lever)
     H[3:, 6:9] = -cross_matrix(C @ cross(w_eb_b, lever))
     H[3:, 9:12] = C @ cross_matrix(lever)
-    return lla + C @ lever / metres(lla), vel + C @ cross(w_eb_b, lever), H
+    return lla + C @ lever / meters(lla), vel + C @ cross(w_eb_b, lever), H
 
 
 def earth_fixed(lla, vector_n):
@@ -300,7 +300,7 @@ def correct(lla, vel, C, bias, x):
     """State less an estimated error."""
     level = rotation_matrix(vector(-x[6], -x[7], 0.0)) @ C
     return (
-        lla - x[:3] / metres(lla),
+        lla - x[:3] / meters(lla),
         vel - x[3:6],
         rotation_matrix(vector(0.0, 0.0, -x[8])) @ level,
         bias - x[9:],
@@ -337,9 +337,9 @@ OWN = {"position": [0, 1, 2], "velocity": [3, 4, 5], "baro": [15]}
 
 
 class Aiding:
-    """Gate and use sub-vectors by filterpy; when each was refused since the last use.
+    """Gate and use sub-vectors by filterpy; when each was rejected since the last use.
 
-    After so many seconds of at least three refusals one that has states of its own is taken back.
+    After so many seconds of at least three rejections one that has states of its own is taken back.
     """
 
     def __init__(self, kf, gate_probability, readmit_after_s):
@@ -542,7 +542,7 @@ def navigate(sensors, initial, gate_probability=1e-5, readmit_after_s=10.0, tigh
             if slow:
                 H[3:, 6:9] = 0.0
             z = np.concatenate(
-                [(place - sensors.fixes.lla[row]) * metres(lla), speed - sensors.fixes.vel_n[row]]
+                [(place - sensors.fixes.lla[row]) * meters(lla), speed - sensors.fixes.vel_n[row]]
             )
             missed = aiding.refused.get("position", []) + aiding.refused.get("velocity", [])
             returns = now - used >= 10.0 and not missed

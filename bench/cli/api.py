@@ -2,17 +2,16 @@
 
 ``run`` does four steps in a row. Each step can be called on its own, with any of its inputs replaced:
 
-    profile = bench.load_profile("figure-eight", seed=7)
+    profile = bench.read_profile("figure-eight", seed=7)
     truth = bench.fly(profile)
     sensed = bench.sense(profile, truth)
-    solution = bench.navigate("loose-15", sensed.data, sensed.initial)
-    errors, metrics = bench.judge(profile, truth, solution)
+    solution = bench.run_filter("loose-15", sensed.data, sensed.initial)
+    errors, metrics = bench.evaluate(profile, truth, solution)
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,14 +23,9 @@ from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.stages import Watcher
-from bench.io import results
-from bench.io.config import load_profile
-from bench.io.config.listing import CatalogEntry
+from bench.io.config import read_profile
 
 if TYPE_CHECKING:
-    from bench.evaluation.motion.noise_curves import AllanResult
-    from bench.io.foreign.scoring import Score
-    from bench.io.streams.streaming import Streamed
     from bench.navigation.open_filters import PieceFilter
 
 
@@ -48,45 +42,55 @@ def run(
     guard: Guard = DEFAULT_GUARD,
     progress: Watcher | None = None,
 ) -> RunResult:
-    """Fly one profile, sense, navigate with every estimator, and judge.
+    """Fly a profile, simulate the sensors, run each filter, and evaluate all solutions.
 
-    An estimator that raises, or cannot start where another can, has failed: its metrics hold the ``reason``
-    and the ``traceback``, and the others go on.
+    A filter that raises, or cannot start if another can, has failed: its metrics hold the ``reason`` and the
+    ``traceback``, and the others go on.
 
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name, path of a TOML file, or a profile already read; with the last, nothing that changes it
-        may be given.
-    seed : int or None
-        Seed of noise and turbulence; None takes that of the profile.
-    run : int
-        Number of the noise draw of this seed.
-    estimators : sequence of str or None
-        Built-in names, ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
-        None takes those of the profile, but no code; `load_profile` with ``allow_code`` permits that.
-    sensors : mapping or None
+        Name of a built-in profile, path of a ``.toml`` file, or a loaded profile. A loaded profile cannot be
+        combined with arguments that change it.
+    seed : int, optional
+        Seed of noise and turbulence. Default: the seed of the profile.
+    run : int, optional
+        Number of the run with this seed. Default: 0.
+    estimators : sequence of str, optional
+        Filters: built-in names, ``module:Class``, ``file:solution.csv`` or
+        ``command:./program {sensors} {solution}``. Default: the built-in filters of the profile;
+        `read_profile` with ``allow_code`` permits others.
+    sensors : mapping, optional
         Sensors to replace, for example ``{"imu": "icm-42688-p"}``: short for ``{"sensors.imu": ...}``.
-    overrides : mapping or None
-        Dotted keys and values that replace those of the file, as for `load_profile`.
-    bound : bool
-        Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
-    causes : bool or None
-        Run a filter whose claim is broken again without each fault and each error that it does not model, a
-        dozen times, and say which made it so: ``causes`` and ``why_text`` in its metrics. None: only built-in
-        ones, True: those of others too. Before, solutions of others are tested for conventions that are
-        mistaken (``looks_like``). False: neither.
-    guard : Guard
-        What a program or a class may take. ``Guard(in_process=True)`` runs a class here, for a debugger.
-    progress : callable or None
-        Called with what is going on (`bench.core.words.stages.Stage`, whose ``str`` says it), whenever that
-        changes.
+    overrides : mapping, optional
+        Profile keys to replace, for example ``{"sensors.imu": "stim300"}``.
+    bound : bool, optional
+        Compare the errors with those of the best linear filter: ``bound`` in the metrics. Default: no.
+    causes : bool, optional
+        Find the causes of an inconsistent covariance: ``causes`` and ``why_text`` in the metrics. The filter
+        runs a dozen times without one error at a time. Default: built-in filters only. True: all filters,
+        which are also tested for wrong conventions (``looks_like``). False: none.
+    guard : Guard, optional
+        Limits for programs and classes. ``Guard(in_process=True)`` runs a class in this process.
+    progress : callable, optional
+        Called with the current stage (`bench.core.words.stages.Stage`; its ``str`` is readable).
+
+    Returns
+    -------
+    RunResult
+        ``metrics``, ``errors`` and ``solutions`` by filter, the truth, the sensor data and the events.
 
     Raises
     ------
     bench.ConfigError, bench.EstimatorError, bench.FlightError
-        If the profile or an argument is wrong, if an estimator cannot be built, and if the aircraft cannot be
-        loaded, trimmed or flown.
+        If the profile or an argument is wrong, a filter cannot be built, or the aircraft cannot be flown.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> result.metrics["loose-15"]["verdict"]
+    'overconfident'
     """
     if sensors is not None and not isinstance(sensors, Mapping):
         raise ConfigError(f'bench.run: sensors = {sensors!r} must be a mapping: {{"imu": "stim300"}}')
@@ -94,11 +98,12 @@ def run(
         given = {"seed": seed, "estimators": estimators, "sensors": sensors, "overrides": overrides}
         if any(value is not None for value in given.values()) or guard != DEFAULT_GUARD:
             raise ConfigError(
-                f"bench.run: with a profile already read, {', '.join(given)} and guard change nothing"
+                f"bench.run: {', '.join(given)} and guard cannot be combined with a loaded profile; "
+                "pass them to bench.read_profile"
             )
     else:
         changes = {**(overrides or {}), **{f"sensors.{kind}": name for kind, name in (sensors or {}).items()}}
-        profile = load_profile(profile, changes, seed, estimators, guard=guard)
+        profile = read_profile(profile, changes, seed, estimators, guard=guard)
     if not isinstance(run, int | np.integer) or run < 0:
         raise ConfigError(f"bench.run: run = {run!r} must be a whole number, at least 0")
     return pipeline.run(profile, int(run), bound=bound, causes=causes, progress=progress)
@@ -107,9 +112,33 @@ def run(
 def fly(
     profile: str | Path | Profile, *, seed: int | None = None, overrides: Mapping[str, Any] | None = None
 ) -> Trajectory:
-    """Return the truth of a profile, from the cache if it was flown before.
+    """Fly a profile and return the true trajectory. Reuses the cache if the flight is unchanged.
 
-    Arguments and errors are those of :func:`run`.
+    Parameters
+    ----------
+    profile : str, Path or Profile
+        Name of a built-in profile, path of a ``.toml`` file, or a loaded profile.
+    seed : int, optional
+        Seed of the turbulence. Default: the seed of the profile.
+    overrides : mapping, optional
+        Profile keys to replace.
+
+    Returns
+    -------
+    Trajectory
+        Motion of the IMU at the N times ``t`` [s]: ``lla`` (N, 3) [rad, rad, m], ``vel_n`` (N, 3) [m/s],
+        ``q_nb`` (N, 4), and the increments that an error-free IMU measures.
+
+    Raises
+    ------
+    bench.ConfigError, bench.FlightError
+        If the profile is wrong, or the aircraft cannot be loaded, trimmed or flown.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.fly("approach").lla.shape[1]
+    3
     """
     return pipeline.fly(_read_profile(profile, seed, overrides))
 
@@ -121,11 +150,34 @@ def describe_flight(
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Mapping[str, Any]:
-    """Fly the truth of a profile into the cache and return its figures.
+    """Fly a profile and return a summary of the flight.
 
-    These are the legs, the extremes of altitude, speed and attitude, motions that are implausible for the
-    aircraft class, and the error of an error-free strapdown against the truth. Names end in their unit, SI
-    and radians. Memory does not grow with the length of the flight. Arguments and errors as for :func:`run`.
+    Memory does not grow with the length of the flight.
+
+    Parameters
+    ----------
+    profile, seed, overrides
+        See `fly`.
+    progress : callable, optional
+        Called with the time that has been flown [s].
+
+    Returns
+    -------
+    mapping
+        Legs, ranges of altitude, speed and attitude, implausible motions, and the integration error of the
+        truth. Names end in their unit, SI and radians.
+
+    Raises
+    ------
+    bench.ConfigError, bench.FlightError
+        See `fly`.
+
+    Examples
+    --------
+    >>> import bench
+    >>> summary = bench.describe_flight("approach")
+    >>> summary["replay_position_m"] < 1e-3
+    True
     """
     return pipeline.fly_over(_read_profile(profile, seed, overrides), progress)
 
@@ -138,21 +190,88 @@ def sense(
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> Sensed:
-    """Return the sensor data of a profile for a truth, with one noise draw. Arguments as for :func:`run`."""
+    """Simulate the sensors of a profile along a true trajectory, with the noise of one run.
+
+    Parameters
+    ----------
+    profile : str, Path or Profile
+        Name of a built-in profile, path of a ``.toml`` file, or a loaded profile.
+    truth : Trajectory
+        True trajectory, from `fly`.
+    run : int, optional
+        Number of the run. Default: 0.
+    seed : int, optional
+        Seed of the noise. Default: the seed of the profile.
+    overrides : mapping, optional
+        Profile keys to replace.
+
+    Returns
+    -------
+    Sensed
+        ``data`` and ``initial`` for the filters, and the true sensor errors, which no filter gets.
+
+    Raises
+    ------
+    bench.ConfigError
+        If the profile is wrong.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> sensed.data.imu.dvel_b.shape[1]
+    3
+    """
     return pipeline.sense(_read_profile(profile, seed, overrides), truth, run)
 
 
-def navigate(
+def run_filter(
     use: str,
     data: SensorData,
     initial: InitialState,
     options: Mapping[str, Any] | None = None,
     guard: Guard = DEFAULT_GUARD,
 ) -> NavSolution:
-    """Run an estimator, a built-in name or ``module:Class``, and return its solution.
+    """Run one filter on sensor data and return its navigation solution.
 
-    Errors as for :func:`run`, and `bench.core.words.exceptions.EstimatorFailedError` if it raises or its
-    process ends.
+    Parameters
+    ----------
+    use : str
+        Name of a built-in filter, such as ``"loose-15"`` (see `list_estimators`), or ``"module:Class"``.
+    data : SensorData
+        Measurements, assumed datasheets and output times, such as ``bench.sense(...).data``.
+    initial : InitialState
+        Initial position, velocity and attitude with their covariance.
+    options : mapping, optional
+        Options of the filter, for example ``{"covariance_hz": 50.0}``. Default: none.
+    guard : Guard, optional
+        Limits for ``"module:Class"``. Built-in filters ignore it.
+
+    Returns
+    -------
+    NavSolution
+        Solution at the M times ``data.output_t``: ``lla`` (M, 3) [rad, rad, m], ``vel_n`` (M, 3) [m/s],
+        ``q_nb`` (M, 4), ``cov`` (M, 9, 9), and others.
+
+    Raises
+    ------
+    bench.ConfigError, bench.EstimatorError
+        If the name or an option is unknown, or the data lack a sensor the filter needs.
+    bench.core.words.exceptions.EstimatorFailedError
+        If the filter raises an exception or its process ends.
+
+    See Also
+    --------
+    run : Fly, simulate, navigate and evaluate in one call.
+    open_filter : Update a filter step by step.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> solution = bench.run_filter("loose-15", sensed.data, sensed.initial)
+    >>> solution.cov.shape == (len(sensed.data.output_t), 9, 9)
+    True
     """
     return pipeline.navigate(EstimatorChoice(use, use, dict(options or {}), guard=guard), data, initial)
 
@@ -164,29 +283,43 @@ def open_filter(
     look_back: float = 1.0,
     guard: Guard = DEFAULT_GUARD,
 ) -> PieceFilter:
-    """Return a filter that takes a record in pieces and answers after each.
+    """Return a filter that is updated step by step, for real-time use.
 
-    ``feed(piece)`` takes the next piece, ``answer()`` gives state and covariance at its last IMU sample,
-    ``finish()`` ends. All answers are those of :func:`navigate` on the whole record, bit for bit, wherever it
-    is cut. Memory does not grow with the length.
+    ``update(piece)`` takes the next piece of sensor data, ``current()`` returns state and covariance at its
+    last IMU sample, ``finish()`` returns the rest. The solution equals `run_filter` on the whole record, bit
+    for bit, wherever it is cut. Memory does not grow with the length.
 
     Parameters
     ----------
     use : str
-        A built-in filter that runs forward, or an estimator with `piecewise.RunsInPieces`.
+        Name of a built-in filter that runs forward, or ``"module:Class"`` with the method ``in_pieces``.
     initial : InitialState
-        Start.
-    options : mapping or None
-        Options of the filter.
-    look_back : float
-        Longest time from the validity of a measurement to its arrival [s]; final answers wait so long.
-    guard : Guard
-        As for :func:`run`; its time limit is for each piece.
+        Initial state.
+    options : mapping, optional
+        Options of the filter. Default: none.
+    look_back : float, optional
+        Longest time from the validity of a measurement to its arrival [s]. Default: 1.
+    guard : Guard, optional
+        Limits for ``"module:Class"``; the time limit holds for each piece.
+
+    Returns
+    -------
+    PieceFilter
+        The filter, which has taken nothing yet.
 
     Raises
     ------
     bench.EstimatorError
         If there is no such filter, an option is wrong, or it cannot run in pieces.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> live = bench.open_filter("loose-15", sensed.initial)
+    >>> rows = live.update(bench.slice_sensors(sensed.data, float("-inf"), 10.0))
+    >>> live.current().lla.shape
+    (1, 3)
     """
     from bench.navigation.open_filters import PieceFilter
 
@@ -195,7 +328,7 @@ def open_filter(
     return PieceFilter(use, given, built, initial, look_back)
 
 
-def judge(
+def evaluate(
     profile: str | Path | Profile,
     truth: Trajectory,
     solution: NavSolution,
@@ -204,198 +337,59 @@ def judge(
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Return the errors of a solution relative to a truth, and its metrics.
+    """Compare a solution with the truth and return its errors and metrics.
 
-    Those of biases need ``sensed``, the draw of the sensors that `bench.sense` returned; a silence of its IMU
-    excuses one of the solution. Other arguments as for :func:`run`.
+    Parameters
+    ----------
+    profile : str, Path or Profile
+        Name of a built-in profile, path of a ``.toml`` file, or a loaded profile.
+    truth : Trajectory
+        True trajectory, from `fly`.
+    solution : NavSolution
+        Solution to evaluate, from `run_filter` or your own code.
+    sensed : Sensed, optional
+        Sensor data of the same run. If given, bias errors are evaluated too, and gaps in the IMU data are not
+        counted as missing output.
+    seed : int, optional
+        Seed of noise and turbulence. Default: the seed of the profile.
+    overrides : mapping, optional
+        Profile keys to replace, for example ``{"sensors.imu": "stim300"}``.
+
+    Returns
+    -------
+    errors : ErrorSeries
+        Estimate minus truth at the M times of the solution: ``pos_n`` (M, 3) [m], ``vel_n`` (M, 3) [m/s],
+        ``phi_n`` (M, 3) [rad], ``heading`` (M,) [rad] and ``nees`` (M,).
+    metrics : dict of str to float
+        Metrics by name; the name ends in the unit. ``bench list metrics`` has all.
+
+    Raises
+    ------
+    bench.ConfigError
+        If the profile is wrong.
+
+    Examples
+    --------
+    >>> import bench
+    >>> truth = bench.fly("approach")
+    >>> sensed = bench.sense("approach", truth)
+    >>> solution = bench.run_filter("loose-full", sensed.data, sensed.initial)
+    >>> errors, metrics = bench.evaluate("approach", truth, solution)
+    >>> errors.pos_n.shape == solution.lla.shape
+    True
     """
     drawn, data = (None, None) if sensed is None else (sensed.truth, sensed.data)
     return pipeline.measure(_read_profile(profile, seed, overrides), truth, solution, drawn, data)
 
 
-def measure_allan(
-    unit: str | None = None,
-    *,
-    log: str | Path | None = None,
-    seed: int = 1,
-    picture: str | Path | None = None,
-    force: bool = False,
-) -> AllanResult:
-    """Measure the Allan deviation of an IMU and compare it with its datasheet.
-
-    Parameters
-    ----------
-    unit : str or None
-        Catalog name or path of a datasheet. Its model is measured or, with a log, compared with the log.
-    log : str, Path or None
-        Table of an IMU at rest, as `bench.io.logs.resting_log.read_resting_log` reads it.
-    seed : int
-        Seed of the noise of the model.
-    picture : str, Path or None
-        File to draw the curves into, .png, .svg or .pdf.
-    force : bool
-        Replace the picture if it is there.
-
-    Returns
-    -------
-    measured : AllanResult
-        ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
-        each term of the datasheet.
-    """
-    from bench.evaluation.motion import noise_curves
-    from bench.io.config.datasheets import read_imu
-    from bench.io.config.library import find_datasheet
-    from bench.io.logs.resting_log import read_resting_log
-    from bench.views.report import allan_picture
-
-    if picture is not None:
-        allan_picture.check_picture(Path(picture), force=force)
-    spec = None if unit is None else read_imu(*find_datasheet("imu", unit, Path()))
-    if log is not None:
-        curves = noise_curves.measure_record(*read_resting_log(Path(log)), spec)
-        name = Path(log).stem + (f" and {spec.name}" if spec else "")
-    elif spec is not None:
-        curves = noise_curves.measure_model(spec, seed)
-        name = spec.name
-    else:
-        raise ConfigError("measure_allan needs an IMU of the catalog or a log")
-    if not curves:
-        raise ConfigError(f"{name}: has no random error to measure")
-    measured = noise_curves.AllanResult(name, tuple(curves), spec, simulated=log is None)
-    if picture is not None:
-        allan_picture.draw_allan(Path(picture), measured)
-    return measured
-
-
-def list_exports() -> list[CatalogEntry]:
-    """Return every format that `export_run` writes."""
-    from bench.io import exports
-
-    return [CatalogEntry(name, title, "export") for name, title in exports.list_formats().items()]
-
-
-def export_run(
-    folder: str | Path,
-    kind: str,
-    *,
-    out: str | Path | None = None,
-    include: Sequence[str] = (),
-    like: str | Path | None = None,
-    force: bool = False,
-) -> Path:
-    """Export the sensor data of a run in the format of another tool, and return the folder of the files.
-
-    Parameters
-    ----------
-    folder : str or Path
-        A results folder.
-    kind : str
-        One of :func:`list_exports`: "csv", "kf-gins", "tum" ...
-    out : str, Path or None
-        Folder to write; None makes one beside the results folder, with the format in its name.
-    include : sequence of str
-        Tracks to export besides the sensors: "truth", "solution:NAME".
-    like : str, Path or None
-        A file of the other tool whose definitions the export takes: for "ulog" a log of one's own firmware.
-    force : bool
-        Replace an existing export.
-    """
-    from bench.io import exports
-
-    needs = exports.find_format(kind).needs_like  # all of this is known before the run is read
-    if needs is (like is None):
-        raise ConfigError(
-            f"export to {kind}: name a log of your own firmware, --like OWN.ulg"
-            if needs
-            else f"export to {kind}: takes no definitions of another file; leave --like out"
-        )
-    folder = Path(folder)
-    # "." and ".." are not usable as a name
-    beside = folder.resolve() if folder.name in ("", "..") else folder
-    out = Path(out) if out else beside.with_name(f"{folder.resolve().name}-{kind}")
-    results.check_folder(out, force=force, kind=results.EXPORT)
-    outgoing = exports.gather(folder, tuple(dict.fromkeys(include)))
-    outgoing = replace(outgoing, like=None if like is None else Path(like))
-    with results.make_folder(out, force=force, kind=results.EXPORT) as partial:
-        exports.write(partial, kind, outgoing, folder.resolve().name)
-    return out
-
-
-def stream_run(
-    folder: str | Path,
-    *,
-    udp: str | None = None,
-    tcp: str | None = None,
-    rate: float = 1.0,
-    allow_remote: bool = False,
-    say: Callable[[str], object] = lambda text: None,
-) -> Streamed:
-    """Send the sensor data of a run to a socket at the pace of its arrival, for a filter in the loop.
-
-    Exactly one of ``udp`` and ``tcp`` is an address ``IP:PORT``. UDP sends each message as a datagram to it;
-    TCP waits for one connection there, and port 0 takes any free port. The other parameters and the errors
-    are those of `bench.io.streams.streaming.stream`.
-    """
-    from bench.io import exports
-    from bench.io.streams import streaming
-
-    if (udp is None) == (tcp is None):
-        raise ConfigError("stream_run needs one of udp and tcp")
-    kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
-    run = exports.gather(Path(folder))
-    return streaming.stream(run, kind, address, rate=rate, remote=allow_remote, say=say)
-
-
-def score_solution(
-    solution: str | Path,
-    folder: str | Path,
-    *,
-    label: str | None = None,
-    t_0: float = 0.0,
-    longest: float | None = None,
-    out: str | Path | None = None,
-    force: bool = False,
-) -> Score:
-    """Judge the solution of any program on a run, like that of an estimator of the bench.
-
-    Parameters
-    ----------
-    solution : str or Path
-        Table of the motion of the IMU at its own times, as `bench.io.foreign.solutions` reads it.
-    folder : str or Path
-        A results folder.
-    label : str or None
-        Label of the solution; None takes the name of the file.
-    t_0 : float
-        Time in the file at the start of the run [s].
-    longest : float or None
-        Longest interval between rows that is interpolated [s]; default twice the median, at most 2 s.
-    out : str, Path or None
-        Folder for a copy of the results with the solution added, without the recording.
-    force : bool
-        Replace an existing results folder.
-    """
-    from bench.io.foreign import scoring
-
-    folder = Path(folder)
-    if out is not None:
-        results.check_folder(Path(out), force=force)
-    score = scoring.score(Path(solution), folder, label, t_0, longest)
-    if out is not None:
-        with results.make_folder(Path(out), force=force) as partial:
-            results.copy_results(folder, partial)
-            results.add_solution(partial, score.label, score.solution, score.errors, score.metrics)
-    return score
-
-
 def _read_profile(
     profile: str | Path | Profile, seed: int | None, overrides: Mapping[str, Any] | None
 ) -> Profile:
-    """Read a profile of which no estimator is run."""
+    """Read a profile of which no filter is run."""
     if not isinstance(profile, Profile):
-        return load_profile(profile, overrides, seed, allow_code=True)
+        return read_profile(profile, overrides, seed, allow_code=True)
     if seed is not None or overrides is not None:
         raise ConfigError(
-            "with a profile already read, seed and overrides change nothing: give its name or path"
+            "seed and overrides cannot be combined with a loaded profile; pass them to bench.read_profile"
         )
     return profile

@@ -11,7 +11,6 @@ import click
 from bench.cli import completion
 from bench.cli.group import (
     FILE,
-    STATUS,
     code_option,
     commands,
     estimator_option,
@@ -32,7 +31,7 @@ from bench.cli.group import (
 from bench.core.words.exceptions import DONE, INTERRUPTED, NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument(
     "sources",
     nargs=-1,
@@ -40,19 +39,20 @@ from bench.core.words.exceptions import DONE, INTERRUPTED, NEGATIVE
     metavar="PROFILE|CAMPAIGN.toml|LOG...",
     shell_complete=completion.profile,
 )
+@click.option("--runs", type=click.IntRange(min=1), metavar="N", help="runs of each flight  [default: 200]")
 @click.option(
-    "--runs", type=click.IntRange(min=1), metavar="N", help="noise draws of each flight  [default: 200]"
-)
-@click.option(
-    "--flights", type=click.IntRange(min=1), metavar="N", help="flights, each with its own turbulence"
+    "--flights",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="number of flights, each with its own turbulence",
 )
 @jobs_option
-@click.option("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler instead")
+@click.option("--scheduler", metavar="ADDRESS", help="use the workers of this Dask scheduler")
 @out_option("folder for journal and tables  [default: campaigns/<profile>-<seed>]")
 @estimator_option("evaluate only this one, of the profile")
 @set_option
 @seed_option
-@click.option("--resume", is_flag=True, help="continue the campaign in the folder: run only what is missing")
+@click.option("--resume", is_flag=True, help="continue the campaign in the folder")
 @json_option("the statistics")
 @report_option
 @force_option("campaign")
@@ -61,7 +61,7 @@ from bench.core.words.exceptions import DONE, INTERRUPTED, NEGATIVE
 @junit_option
 @strict_option
 def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: Any) -> int:
-    """Run many noise draws of a profile, or filters on many logs, and say what they tell together.
+    """Run a profile many times (Monte Carlo), or filters on many logs.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). CAMPAIGN.toml
     names profiles and the values to vary: every combination is a condition with its
@@ -80,9 +80,9 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
       bench campaign flights/*.ulg -e autopilot -e loose-full -o fleet
 
     \b
-    Writes to DIR: runs.parquet (a row for each run and estimator, with the command
+    Writes to DIR: runs.parquet (a row for each run and filter, with the command
     that repeats it), epochs.parquet (mean and percentiles over the runs at up to 600
-    instants, NEES with its band), campaign.json (figures and sentences), report.html and
+    epochs, NEES with its band), campaign.json (figures and sentences), report.html and
     the journal.
     """
     if options["jobs"] and options["scheduler"]:
@@ -113,17 +113,17 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     return DONE if good else NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("source", metavar="PROFILE|LOG.toml", shell_complete=completion.profile)
-@click.option("-e", "--estimator", required=True, metavar="NAME", help="the one to tune")
+@click.option("-e", "--estimator", required=True, metavar="NAME", help="filter to tune")
 @click.option(
-    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second judge"
+    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second evaluate"
 )
 @click.option(
     "--goal",
     type=click.Choice(["consistency", "rmse"]),
     default="consistency",
-    help="claims that describe the errors, or the least horizontal RMSE",
+    help="covariances that describe the errors, or the least horizontal RMSE",
 )
 @click.option(
     "--factor",
@@ -131,9 +131,9 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
     multiple=True,
     callback=lambda ctx, param, given: given or None,
     metavar="START",
-    help="one factor for all figures that begin so: imu.gyro.noise; repeat for more",
+    help="one factor for all parameters that begin with START, such as imu.gyro.noise; repeat for more",
 )
-@click.option("--runs", type=click.IntRange(min=2), default=20, metavar="N", help="draws that tune")
+@click.option("--runs", type=click.IntRange(min=2), default=20, metavar="N", help="runs used for tuning")
 @click.option(
     "--evaluations",
     type=click.IntRange(min=2),
@@ -150,9 +150,9 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
 @code_option("profile or log")
 @guard_options
 def tune(source: str, as_json: bool, **options: Any) -> int:
-    """Find factors on the noises that a filter assumes.
+    """Tune the noise that a filter assumes.
 
-    The first noise draws of PROFILE tune; as many others judge, before and after. With
+    The first runs of PROFILE tune; as many others judge, before and after. With
     --log the innovations of the first half of a recording tune, the withheld fixes of its
     second half judge. Each factor has an interval; one that the data do not tell says so.
     Writes the datasheets that the filter should assume.
@@ -174,30 +174,31 @@ def tune(source: str, as_json: bool, **options: Any) -> int:
     return DONE if found.converged else NEGATIVE
 
 
-@commands.command(epilog=STATUS)
-@click.option("-e", "--estimator", metavar="NAME", help="the one to judge")
-@click.option("--against", default="loose-full", metavar="NAME", help="the one to compare it with")
-@click.option("--label", metavar="NAME", help="what the card calls it  [default: its class or program]")
+@commands.command()
+@click.option("-e", "--estimator", metavar="NAME", help="the one to evaluate")
+@click.option("--against", default="loose-full", metavar="NAME", help="filter to compare with")
+@click.option("--label", metavar="NAME", help="label on the card  [default: class or program]")
 @click.option(
     "--option",
     "given",
     multiple=True,
     callback=parse_assignments,
     metavar="KEY=VALUE",
-    help="an option of it; repeat for more",
+    help="option of the filter; repeat for more",
 )
-@click.option("--quick", is_flag=True, help="twelve flights of 8 draws instead of eighteen of 40")
+@click.option("--quick", is_flag=True, help="twelve flights of 8 runs instead of eighteen of 40")
 @jobs_option
 @click.option("-o", "--out", type=FILE, metavar="FILE", help="write the card as JSON")
-@click.option("--html", type=FILE, metavar="FILE", help="write it as a page")
+@click.option("--html", type=FILE, metavar="FILE", help="write the card as a page")
 @click.option("--compare", "compared", type=FILE, nargs=2, metavar="A B", help="compare two cards")
-@click.option("--verify", "verified", type=FILE, metavar="FILE", help="repeat drawn runs of a card")
+@click.option("--verify", "verified", type=FILE, metavar="FILE", help="repeat random runs of a card")
 @click.option("--sensors", type=FILE, metavar="DIR", help="write the sensor data of the suite instead")
-@click.option("--require", "required", type=FILE, metavar="FILE", help="requirements that it has to keep")
+@click.option("--require", "required", type=FILE, metavar="FILE", help="requirements to check")
 @click.option("--runs", type=FILE, metavar="DIR", help="keep the runs there  [default: cards/<label>-quick]")
-@click.option("--resume", is_flag=True, help="take the runs that are there, and make those that are missing")
+@click.option("--resume", is_flag=True, help="reuse finished runs")
 @seed_option
 @json_option("the card")
+@click.option("--table", is_flag=True, help="print a sentence for each metric of each flight, too")
 @force_option("card")
 @guard_options
 @junit_option
@@ -211,21 +212,21 @@ def card(
     required: Path | None,
     **options: Any,
 ) -> int:
-    """Judge a filter over a fixed suite of flights, beside a built-in one.
+    """Score a filter on a fixed suite of flights.
 
     Accuracy is a ratio to the other filter on the same noise, with its interval. Version
     and hash of the suite stand on the card: two cards with equal hashes compare.
     --seed draws noise that no filter was tuned on; --verify repeats some runs of a card.
-    The status is 1 if a draw did not converge, the filter looks ahead, or a requirement of
+    The status is 1 if a run did not converge, the filter looks ahead, or a requirement of
     --require is not met.
-    Solutions made elsewhere are judged, too: --sensors writes a folder for each draw,
+    Solutions made elsewhere are evaluated, too: --sensors writes a folder for each run,
     and file:DIR finds solution.csv in each of them.
 
     \b
     Examples:
       bench card -e mine:Filter --quick
       bench card -e mine:Filter --option gain=2.0 --label gain-2 --require need.toml
-      bench card --sensors draws --quick && bench card -e file:draws --quick
+      bench card --sensors runs --quick && bench card -e file:runs --quick
       bench card -e 'command:./myfilter {sensors} {solution}' -o mine.json
       bench card --compare mine.json theirs.json
       bench card --verify mine.json
@@ -234,7 +235,9 @@ def card(
     from bench.io.results import to_json
 
     if [estimator, compared, sensors, verified].count(None) != 3:
-        raise click.UsageError("give one of -e NAME to judge, --compare A B, --verify FILE and --sensors DIR")
+        raise click.UsageError(
+            "give one of -e NAME to evaluate, --compare A B, --verify FILE and --sensors DIR"
+        )
     if sensors is not None:
         write_sensors(sensors, quick=options["quick"], console=new_console(stderr=as_json))
         return DONE

@@ -14,7 +14,6 @@ import click
 from bench.cli import completion
 from bench.cli.group import (
     FILE,
-    STATUS,
     FiniteRange,
     code_option,
     commands,
@@ -37,10 +36,10 @@ from bench.cli.group import (
 from bench.core.words.exceptions import DONE, NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("profile", shell_complete=completion.profile)
 @out_option("folder for the results  [default: runs/<profile>-<seed>]")
-@estimator_option("evaluate only this one, of the profile")
+@estimator_option("run only this filter: one of the profile")
 @set_option
 @seed_option
 @click.option(
@@ -49,39 +48,39 @@ from bench.core.words.exceptions import DONE, NEGATIVE
     type=click.IntRange(min=0),
     default=0,
     metavar="K",
-    help="the K-th noise draw of this seed",
+    help="number of the run with this seed",
 )
-@click.option("--bound", is_flag=True, help="hold the errors against the best linear estimator")
+@click.option("--bound", is_flag=True, help="compare the errors with the best linear filter")
 @click.option(
     "--causes/--no-causes",
     "causes",
     default=None,
-    help="run a filter whose claim is broken again without what may be to blame  [default: built-in ones]",
+    help="find the causes of an inconsistent covariance  [default: of built-in filters]",
 )
-@click.option("--view", "then_view", is_flag=True, help="open the recording when done")
-@click.option("--live", is_flag=True, help="open the viewer while it flies")
+@click.option("--view", "then_view", is_flag=True, help="open the 3D recording when done")
+@click.option("--live", is_flag=True, help="open the viewer during the flight")
 @json_option("the metrics")
 @table_option
 @results_options("profile")
 @junit_option
 @strict_option
 def run(profile: str, then_view: bool, live: bool, as_json: bool, strict: bool, **options: Any) -> int:
-    """Fly one profile and evaluate every estimator it names.
+    """Fly a profile, run the filters, evaluate them.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list).
 
     \b
     Examples:
       bench run figure-eight                   a profile that ships with bench
-      bench run figure-eight -e my_lab:Filter  an estimator of your own, my_lab.py here
+      bench run figure-eight -e my_lab:Filter  a filter of your own, my_lab.py here
       bench run figure-eight -e loose-15 -e 'command:./myfilter {sensors} {solution}'
       bench run my_flight.toml -o out/trial-3  a profile of your own
       bench run figure-eight --seed 7 --set sensors.imu=stim300
 
     \b
     Writes to DIR: result.json (metrics, seeds, versions, the profile as flown),
-    truth.parquet, sensors-*.parquet, solution-<estimator>.parquet,
-    errors-<estimator>.parquet, flight.rrd (bench view DIR) and report.html.
+    truth.parquet, sensors-*.parquet, solution-<filter>.parquet,
+    errors-<filter>.parquet, flight.rrd (bench view DIR) and report.html.
     """
     if then_view and not options["recording"]:
         raise click.UsageError("--view needs the recording that --no-rrd leaves out")
@@ -100,16 +99,16 @@ def run(profile: str, then_view: bool, live: bool, as_json: bool, strict: bool, 
     return end_flight(result, strict=strict)
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("profile", shell_complete=completion.profile)
 @set_option
 @seed_option
 def fly(profile: str, **options: Any) -> int:
-    """Fly only the truth of a profile and describe the flight.
+    """Fly a profile without filters and describe the flight.
 
     PROFILE is a .toml file, or the name of a shipped profile (bench list). The
-    truth is stored in the cache, where bench run finds it. The last line is the
-    error of an error-free strapdown against it.
+    truth is stored in the cache for bench run. The last line is its integration error:
+    an error-free strapdown against the truth.
     """
     from bench.cli.verbs.flight_verbs import fly as fly_profile
 
@@ -133,7 +132,7 @@ class _Shelf(click.Choice[str]):
         return super().convert(value, param, ctx)
 
 
-@commands.command(name="list", epilog=STATUS)
+@commands.command(name="list")
 @click.argument(
     "kind",
     required=False,
@@ -142,17 +141,15 @@ class _Shelf(click.Choice[str]):
     ),
     metavar="[KIND]",
 )
-@click.option("--json", "as_json", is_flag=True, help="print it as JSON")
-@click.option("--long", "long", is_flag=True, help="of sensors: a table of their figures, each in one unit")
+@click.option("--json", "as_json", is_flag=True, help="print JSON")
+@click.option("--long", "long", is_flag=True, help="for sensors: all datasheet values in one table")
 def list_all(kind: str | None, as_json: bool, long: bool) -> int:
-    """List the profiles, aircraft, legs, sensors, estimators, exports, studies and metrics there are.
+    """List profiles, sensors, filters and studies.
 
-    What other packages add is marked with the package, and listed again by bench list packages.
-
-    KIND is one of these words and lists only those; bench list sensors and bench list
-    aircraft also say what is known of each, where from, and what no source states,
-    bench list legs the keys of each, what they may be, and their defaults. bench list
-    sensors --long has the figures of all sensors side by side.
+    KIND is profiles, aircraft, legs, sensors, estimators, exports, studies, metrics or
+    packages. bench list sensors and bench list aircraft print sources and assumed values,
+    bench list legs all keys with limits and defaults. bench list packages shows what
+    installed packages add.
     """
     from bench.cli.verbs.show import list_catalog, print_catalog, print_sensors
 
@@ -176,10 +173,10 @@ def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("topic", required=False, metavar="[TOPIC]", shell_complete=completion.topic)
 def guide(topic: str | None) -> int:
-    """Read the guide: profiles, sensors, filters, logs, results.
+    """Read the documentation.
 
     Without TOPIC it lists the topics. A topic is shown in a pager on a terminal, and
     printed as Markdown elsewhere.
@@ -198,11 +195,11 @@ def guide(topic: str | None) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("path", required=False, type=FILE, metavar="[DIR|FILE.rrd]")
-@click.option("--web", is_flag=True, help="serve it on 127.0.0.1 for a browser instead")
+@click.option("--web", is_flag=True, help="serve it to a browser on 127.0.0.1")
 def view(path: Path | None, web: bool) -> int:
-    """Open the viewer on a recording.
+    """Open the newest result in the 3D viewer.
 
     DIR is a results folder; default the newest one below ./runs.
     """
@@ -212,17 +209,21 @@ def view(path: Path | None, web: bool) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folder", type=FILE, metavar="DIR")
 @out_option(
     "file for the page  [default: DIR/report.html or DIR/index.html], or folder for the figures", "PATH"
 )
-@click.option("--figures", type=click.Choice(["pdf", "svg", "png"]), help="draw figures for a paper instead")
-@click.option("--width-mm", type=FiniteRange(30, 500), default=88.0, metavar="MM", help="of the figures")
-@click.option("--serif", is_flag=True, help="letters with serifs in the figures")
+@click.option(
+    "--figures", type=click.Choice(["pdf", "svg", "png"]), help="draw figures for a paper instead of the page"
+)
+@click.option(
+    "--width-mm", type=FiniteRange(30, 500), default=88.0, metavar="MM", help="width of the figures"
+)
+@click.option("--serif", is_flag=True, help="use a serif font in the figures")
 @force_option("page, or folder of figures")
 def report(folder: Path, out: Path | None, figures: str | None, force: bool, **look: Any) -> int:
-    """Write the report of a results folder, a campaign or a study as one HTML page.
+    """Write the HTML report.
 
     The page needs no network and no other file: verdicts, figures with their bounds, plots,
     events, sensors, and where it all comes from. If DIR holds results folders, the page is their index.
@@ -237,7 +238,7 @@ def report(folder: Path, out: Path | None, figures: str | None, force: bool, **l
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folder", type=FILE, metavar="DIR")
 @out_option("file for the recording  [default: DIR/flight.rrd]", "FILE.rrd")
 @click.option(
@@ -245,15 +246,15 @@ def report(folder: Path, out: Path | None, figures: str | None, force: bool, **l
     "which",
     default="median,worst",
     metavar="LIST",
-    help="of a campaign: best, median, worst, numbers of runs",
+    help="for a campaign: best, median, worst, or numbers of runs",
 )
 @code_option("campaign")
 @force_option("recording")
 def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
-    """Make the recording of a results folder, or of some runs of a campaign.
+    """Write the 3D recording of a result.
 
-    For folders written without one: by --no-rrd, by bench score -o, on a machine without a viewer.
-    The runs of a campaign are flown again, and stand side by side.
+    Use it for results written with --no-rrd or by bench score -o. Runs of a campaign are
+    flown again and shown side by side.
     """
     from bench.cli.verbs import record_verbs
 
@@ -270,18 +271,18 @@ def record(folder: Path, out: Path | None, which: str, **options: Any) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folders", nargs=-1, required=True, type=FILE, metavar="DIR DIR...")
 @out_option("draw the results over each other: a folder for a report and, of runs, a recording")
-@click.option("--table", "whole", is_flag=True, help="print all key figures")
+@click.option("--table", "whole", is_flag=True, help="print all main metrics")
 @json_option("the comparison")
 @force_option()
 def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: bool, force: bool) -> int:
-    """Compare finished results: the first folder with each other one.
+    """Compare results.
 
-    DIR is a results folder, a folder with results folders in it, or that of a campaign.
-    Runs of the same seed and number on the same flight are compared in pairs, by
-    the rules of bench check; it says what else differs.
+    DIR is a results folder, a folder of results folders, or a campaign. Runs with the same
+    seed and number on the same flight are compared in pairs, by the rules of bench check.
+    Other differences are printed.
 
     \b
     Examples:
@@ -298,9 +299,9 @@ def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: b
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("profiles", nargs=-1, metavar="[PROFILE]...", shell_complete=completion.profile)
-@estimator_option("check or record only this one, of the profile, built in")
+@estimator_option("check or record only this filter: one of the profile, built in")
 @click.option(
     "--baselines",
     type=FILE,
@@ -308,13 +309,15 @@ def compare(folders: tuple[Path, ...], out: Path | None, whole: bool, as_json: b
     metavar="DIR",
     help="folder of the baselines, one <profile>.json each",
 )
-@click.option("--runs", type=click.IntRange(min=2), metavar="N", help="draws: 20 to check, 80 to record")
+@click.option("--runs", type=click.IntRange(min=2), metavar="N", help="runs: 20 to check, 80 to record")
 @jobs_option
-@click.option("--record", is_flag=True, help="write what is measured as the new baselines")
-@click.option("--reason", default="", metavar="TEXT", help="why numbers move, for CHANGES.md; with --record")
-@click.option("--cpu", is_flag=True, help="record CPU time, too; a check judges it if the baseline has it")
+@click.option("--record", is_flag=True, help="write new baselines")
+@click.option(
+    "--reason", default="", metavar="TEXT", help="reason for the change, for CHANGES.md; with --record"
+)
+@click.option("--cpu", is_flag=True, help="record CPU time, too; a check evaluates it if the baseline has it")
 @set_option
-@click.option("--strict", is_flag=True, help="status 1 if a metric is undecided, too")
+@click.option("--strict", is_flag=True, help="exit with status 1 also if a metric is undecided")
 @click.option("--junit", type=FILE, metavar="FILE", help="write the verdicts as a JUnit file")
 @json_option("the verdicts")
 @code_option("profile or baseline")
@@ -335,13 +338,13 @@ def check(
     allow_code: bool,
     guard: Any,
 ) -> int:
-    """Find out whether a change of the code made a filter worse.
+    """Detect accuracy regressions.
 
-    PROFILE is the name or the .toml file of a profile or log, or a folder of logs;
-    default all that have a baseline. A baseline holds every metric of every noise draw. The check flies the
-    same draws and compares them one by one: same, better, worse or undecided.
-    With --record it writes the baselines and a line each for CHANGES.md beside them.
-    With --set it says what another unit or figure does, in pairs of the same noise.
+    PROFILE is the name or the .toml file of a profile or log, or a folder of logs.
+    Default: all that have a baseline. A baseline contains every metric of every run. The
+    check repeats the runs with the same noise and compares each metric: same, better,
+    worse or undecided. --record writes the baselines and a line in CHANGES.md. With --set
+    it measures the effect of another sensor or parameter.
 
     \b
     Examples:
@@ -363,7 +366,7 @@ def check(
         "jobs": jobs,
     }
     if cpu and not record:
-        raise click.UsageError("--cpu goes with --record: a check judges CPU time if the baseline has it")
+        raise click.UsageError("--cpu goes with --record: a check evaluates CPU time if the baseline has it")
     if record:
         if strict or junit or as_json:
             raise click.UsageError("--record measures no change: leave --strict, --junit and --json out")
@@ -376,22 +379,21 @@ def check(
     return NEGATIVE if any(row.word in failing for row in verdicts) else DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.option("--empty", is_flag=True, help="remove all flights")
 @click.option(
     "--limit",
     type=FiniteRange(min=0),
     metavar="GB",
-    help="remove the least recently used flights until this much is left",
+    help="remove the least recently used flights down to this size",
 )
 def cache(empty: bool, limit: float | None) -> int:
-    """Show the size of the cache of flown truth, or make it smaller.
+    """Show or reduce the cache of flights.
 
-    A flight is flown once and its truth is kept for later runs. After each new flight
-    the least recently used ones are removed until the cache is within its limit: 2 GB,
-    or the number in the environment variable BENCH_CACHE_GB; so are those that nobody
-    used for 30 days. A flight that a process reads stays. The cache is in BENCH_CACHE,
-    else in bench below XDG_CACHE_HOME or ~/.cache.
+    bench flies each flight once and keeps its truth. The least recently used flights are
+    removed above the limit of 2 GB (environment variable BENCH_CACHE_GB), and after 30
+    days. A flight that a process reads stays. The cache is in BENCH_CACHE, else in bench
+    below XDG_CACHE_HOME or ~/.cache.
     """
     from bench.cli.verbs.flight_verbs import look_after_cache
 
@@ -399,14 +401,15 @@ def cache(empty: bool, limit: float | None) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("profile", required=False, metavar="[PROFILE]", shell_complete=completion.profile)
-@estimator_option("compile only this one, built in")
+@estimator_option("compile only this filter: built in")
 def warm(profile: str | None, estimators: tuple[str, ...] | None) -> int:
-    """Compile the kernels before the first run, for install scripts and cluster nodes.
+    """Compile the filters before the first run.
 
-    Without PROFILE those of all sensors and built-in estimators are compiled, half a
-    minute once for each version of bench; with it, those that the profile uses.
+    Without PROFILE all sensors and built-in filters are compiled, which takes half a
+    minute once for each version of bench. With PROFILE only what it uses is compiled. Use
+    it in install scripts and on cluster nodes.
 
     \b
     Examples:

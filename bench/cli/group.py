@@ -1,10 +1,9 @@
-"""What the verbs share: their group, the exit statuses, common options, the console."""
+"""What the verbs share: their group, common options, the console."""
 
 from __future__ import annotations
 
 import functools
 import math
-import textwrap
 import tomllib
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -16,7 +15,7 @@ import click
 from bench import __version__
 from bench.cli import completion
 from bench.core.files.installed import find_installed, find_own, import_installed
-from bench.core.words.exceptions import BUG, DONE, NEGATIVE, STATUSES, ConfigError
+from bench.core.words.exceptions import BUG, DONE, NEGATIVE, ConfigError
 from bench.core.words.wording import replace_control
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -26,8 +25,14 @@ if TYPE_CHECKING:
 
     from bench.core.records.run_result import RunResult
 
-_LIST = "; ".join(f"{number} {words}" for number, words in STATUSES.items())
-STATUS = f"\b\n{textwrap.fill(f'Exit status: {_LIST}.', 78)}\n"
+_GROUPS = {
+    "Start": ("run", "view", "list", "guide", "new"),
+    "Evaluate": ("show", "compare", "report", "campaign", "card", "check", "study", "tune"),
+    "Logs": ("navigate", "fixes", "allan"),
+    "Exchange": ("score", "export", "stream", "serve"),
+}
+"""Heading in the help -> verbs below it."""
+_MAINTAIN = ("fly", "record", "cache", "warm", "upgrade")
 
 _HELP = {"max_content_width": 100, "show_default": True}
 
@@ -78,18 +83,18 @@ set_option = click.option(
     multiple=True,
     metavar="KEY=VALUE",
     shell_complete=completion.setting,
-    help="override one value of the file, or one figure of a datasheet it names",
+    help="replace a value of the file, or a parameter of a datasheet it names",
 )
 seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensors and turbulence"
+    "--seed", type=click.IntRange(min=0), metavar="N", help="seed of sensor noise and turbulence"
 )
 _OFF: Mapping[str, Any] = {"is_flag": True, "flag_value": False, "default": True, "show_default": False}
-recording_option = click.option("--no-rrd", "recording", help="write no recording", **_OFF)
-report_option = click.option("--no-report", "report", help="write no report", **_OFF)
+recording_option = click.option("--no-rrd", "recording", help="do not write the 3D recording", **_OFF)
+report_option = click.option("--no-report", "report", help="do not write the report", **_OFF)
 rates_option = click.option(
     "--rates",
     type=click.Choice(["deg", "rad"]),
-    help="unit of the gyros in a table, where neither a name nor the motion tells it",
+    help="unit of the gyros, if neither a name nor the motion shows it",
 )
 FILE = click.Path(path_type=Path)
 
@@ -105,27 +110,30 @@ def force_option(what: str = "results folder") -> Decorator:
 
 
 jobs_option = click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="J", help="processes  [default: one a processor]"
+    "--jobs",
+    type=click.IntRange(min=1),
+    metavar="J",
+    help="number of processes  [default: one for each processor]",
 )
 
 
 def json_option(what: str) -> Decorator:
     """Return the option --json: print these figures as JSON."""
-    text = f"print {what} as JSON on stdout, the rest on stderr"
+    text = f"print {what} as JSON on stdout, everything else on stderr"
     return click.option("--json", "as_json", is_flag=True, help=text)
 
 
 strict_option = click.option(
-    "--strict", is_flag=True, help="status 1 if a filter is over- or underconfident, too"
+    "--strict", is_flag=True, help="exit with status 1 also if a filter is over- or underconfident"
 )
 table_option = click.option(
-    "--table", is_flag=True, help="print every main figure with its bounds, as bench show does"
+    "--table", is_flag=True, help="print all main metrics with their bounds, as bench show"
 )
 
 
 def code_option(file: str) -> Decorator:
     """Return the option --allow-code of a verb that reads this kind of file."""
-    text = f"let the {file} run the code it names (use = 'module:Class' or 'command:...')"
+    text = f"allow the {file} to run the code it names (use = 'module:Class' or 'command:...')"
     return click.option("--allow-code", is_flag=True, help=text)
 
 
@@ -155,13 +163,13 @@ def guard_options(function: Callable[..., Any]) -> Callable[..., Any]:
             click.echo("Classes of yours run in this process: nothing is guarded.", err=True)
         return function(guard=make_guard(given), **given)
 
-    above, a_filter = FiniteRange(min=0.0, min_open=True), "a filter that is not built in"
+    above, a_filter = FiniteRange(min=0.0, min_open=True), "your own filter"
     texts = {
-        "--output": ("MB", f"largest solution of {a_filter}  [default: 2000]"),
-        "--memory": ("GB", f"memory of {a_filter}  [default: half of the machine's]"),
-        "--timeout": ("S", f"wall time a flight of {a_filter}  [default: its duration, at least 600]"),
+        "--output": ("MB", f"limit on the solution of {a_filter}  [default: 2000]"),
+        "--memory": ("GB", f"limit on the memory of {a_filter}  [default: half of the machine]"),
+        "--timeout": ("S", f"limit on the wall time of {a_filter}  [default: flight time, at least 600]"),
     }
-    text = "run a class of yours in the process of bench, for a debugger; nothing is guarded then"
+    text = "run your class in the process of bench, for a debugger; no limits apply"
     run = click.option("--in-process", is_flag=True, help=text)(run)
     for name, (unit, text) in texts.items():
         run = click.option(name, type=above, metavar=unit, help=text)(run)
@@ -219,36 +227,37 @@ class _Verbs(click.Group):
             return None
         found = getattr(import_installed("verb", other), other.place.partition(":")[2], None)
         if not isinstance(found, click.Command):
-            raise ConfigError(f"verb {name!r} of {other.package}: {other.place} is no click.Command")
+            raise ConfigError(f"verb {name!r} of {other.package}: {other.place} is not a click.Command")
         return found
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the verbs of bench, and names and packages of others."""
-        super().format_commands(ctx, formatter)
-        if other := find_installed("verbs", self.list_commands(ctx)):
-            with formatter.section("Of other packages"):
-                formatter.write_dl([(name, f"of {one.package}") for name, one in other.items()])
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write all verbs on one screen, in groups, and names and packages of others."""
+        formatter.write("Usage: bench COMMAND [OPTIONS]   Test INS/GNSS filters against a known truth\n\n")
+        for heading, names in _GROUPS.items():
+            for k, name in enumerate(names):
+                verb = self.get_command(ctx, name)
+                words = verb.get_short_help_str(200).rstrip(".") if verb is not None else "not installed"
+                formatter.write(f"{'' if k else heading:<11} {name:<10} {words}\n")
+        formatter.write(f"{'Maintain':<11} {', '.join(_MAINTAIN)}\n")
+        for name, other in find_installed("verbs", self.list_commands(ctx)).items():
+            formatter.write(f"{'Installed':<11} {name:<10} package {other.package}\n")
+        formatter.write(
+            "\nOptions: bench COMMAND --help, bench --version. Exit statuses: bench guide results\n"
+        )
 
 
-@click.group(cls=_Verbs, context_settings=_HELP, epilog=STATUS, invoke_without_command=True)
+@click.group(cls=_Verbs, context_settings=_HELP, invoke_without_command=True)
 @click.option(
     "--version",
     is_flag=True,
     is_eager=True,
     expose_value=False,
     callback=_print_version,
-    help="Show the version, and the commit of a working copy.",
+    help="Print version and commit.",
 )
 @click.pass_context
 def commands(ctx: click.Context) -> None:
-    """Judge INS/GNSS navigation filters on realistic flights.
-
-    \b
-    Start here:
-      bench run figure-eight      fly, sense, navigate, judge, record
-      bench view                  look at the newest result
-      bench guide                 how to do everything else
-    """
+    """Test INS/GNSS navigation filters against a known truth."""
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help())
 
@@ -257,14 +266,14 @@ junit_option = click.option(
     "--junit",
     type=FILE,
     metavar="FILE",
-    help="write what is required as a JUnit file, which CI services show",
+    help="write the requirements as a JUnit file for CI",
 )
 
 
 def end_run(metrics: Mapping[str, Mapping[str, Any]], *, strict: bool = False) -> int:
-    """Print the tracebacks of estimators that raised, and return the exit status of a run.
+    """Print the tracebacks of filters that raised, and return the exit status of a run.
 
-    ``strict``: a claim that does not hold is `NEGATIVE`, too.
+    ``strict``: a covariance that does not hold is `NEGATIVE`, too.
     """
     from bench.evaluation.consistency.verdict import BROKEN
 

@@ -10,7 +10,6 @@ import click
 from bench.cli import completion
 from bench.cli.group import (
     FILE,
-    STATUS,
     commands,
     end_run,
     estimator_option,
@@ -39,30 +38,34 @@ class _LogCommand(click.Command):
         return super().parse_args(ctx, args)
 
 
-@commands.command(cls=_LogCommand, epilog=STATUS)
+@commands.command(cls=_LogCommand)
 @click.argument("log", metavar="LOG.toml|FILE")
-@estimator_option("use only this one, of the file, built in")
+@estimator_option("run only this filter: one of the file, built in")
 @click.option(
     "--outages",
     callback=lambda ctx, param, given: (
         None if given is None else parse_durations(ctx, param, "" if given == "none" else given)
     ),
     metavar="S,S,...|none",
-    help="cut out GNSS for this long and judge the drift by the fixes that were cut out  [default: 10,30,60 "
-    "where the recording is long enough; none where a reference judges]",
+    help="simulate GNSS outages of these lengths and measure the drift  [default: 10,30,60 "
+    "where the recording is long enough; none where a reference evaluates]",
 )
 @click.option(
-    "--places", type=click.IntRange(2, 1000), default=10, metavar="N", help="places where each outage is cut"
+    "--places",
+    type=click.IntRange(2, 1000),
+    default=10,
+    metavar="N",
+    help="number of simulated outages of each length",
 )
 @click.option(
     "--tune-noise",
     is_flag=True,
-    help="assume the noise of the IMU at rest if it is larger than that of its datasheet",
+    help="assume the IMU noise measured at rest, if larger than in the datasheet",
 )
 @click.option(
     "--motion-noise",
     is_flag=True,
-    help="assume the noise of the IMU while it moves if it is larger than that of its datasheet",
+    help="assume the IMU noise measured in motion, if larger than in the datasheet",
 )
 @rates_option
 @results_options("log")
@@ -72,13 +75,13 @@ class _LogCommand(click.Command):
 @table_option
 @strict_option
 def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
-    """Run estimators on a recording of real sensors.
+    """Run filters on a recorded flight.
 
     FILE is a recording: its LOG.toml is written beside it first, as bench new log does.
     LOG.toml names the files of an IMU, a GNSS receiver and a barometer, how they were
     mounted, and the datasheets the filters assume (bench guide own-log). Suspicious
-    data is reported first. Every fifth fix is withheld from the filters to judge them;
-    --outages cuts out GNSS at several places and judges the drift by the fixes there,
+    data is reported first. Every fifth fix is withheld from the filters to evaluate them;
+    --outages cuts out GNSS at several places and evaluates the drift by the fixes there,
     or by the [reference] of the log. The log of an autopilot has its own estimate, too:
     -e autopilot, or -e autopilot:1 for its second instance.
     Writes a results folder as bench run does, without truth.
@@ -97,10 +100,10 @@ def navigate(log: str, as_json: bool, strict: bool, **options: Any) -> int:
     return end_run(summary["metrics"], strict=strict)
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folder", required=False, type=FILE, metavar="[DIR]")
 def show(folder: Path | None) -> int:
-    """Print the figures of finished results as tables, with their bounds.
+    """Print all metrics of a result.
 
     DIR is the folder of a run, a log, a campaign or a study; default the newest run
     below ./runs.
@@ -111,14 +114,14 @@ def show(folder: Path | None) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("unit", required=False, metavar="[UNIT]", shell_complete=completion.imu)
-@click.option("--log", type=FILE, metavar="FILE", help="measure this log of an IMU at rest")
+@click.option("--log", type=FILE, metavar="FILE", help="measure a log of an IMU at rest")
 @out_option("the picture, .png, .svg or .pdf  [default: allan-<unit>.png]", "FILE")
 @click.option("--seed", type=click.IntRange(min=0), default=1, metavar="N", help="seed of the noise")
 @force_option("picture")
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
-    """Measure the Allan deviation of an IMU and compare it with its datasheet.
+    """Measure the Allan deviation of an IMU.
 
     UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml. Its
     model is measured at rest: averaging times below 8 s at 200 Hz, longer ones for
@@ -142,7 +145,7 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     return DONE if measure_allan(unit, log, console=new_console(), **options) else NEGATIVE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--to", "kind", required=True, metavar="FORMAT", help="csv, kf-gins ...; bench list exports")
 @out_option("folder for the files  [default: RUN-FORMAT beside RUN]")
@@ -158,7 +161,7 @@ def allan(unit: str | None, log: Path | None, **options: Any) -> int:
 )
 @force_option("export")
 def export(folder: Path, **options: Any) -> int:
-    """Export the sensor data of a run in the format of another tool.
+    """Write sensor data in the format of another tool.
 
     RUN is a results folder, FORMAT one of bench list exports. Truth and
     solutions are exported only if named.
@@ -179,7 +182,7 @@ def export(folder: Path, **options: Any) -> int:
     return DONE
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("solution", type=FILE)
 @click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--label", metavar="NAME", help="label of the solution  [default: the name of its file]")
@@ -198,7 +201,7 @@ def export(folder: Path, **options: Any) -> int:
 @force_option()
 @strict_option
 def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: Any) -> int:
-    """Judge the solution of any program on a run, beside the estimators of the bench.
+    """Evaluate the solution of another program.
 
     RUN is a results folder, SOLUTION a table (.csv, .parquet, .mat) of
     the motion of the IMU at its own times. Column names give quantity, frame and unit;
@@ -228,7 +231,7 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
     return end_run({solution.stem: measured}, strict=strict)
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("folder", type=FILE, metavar="RUN")
 @click.option("--udp", metavar="IP:PORT", help="send each message as a datagram to this address")
 @click.option(
@@ -243,7 +246,7 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
 )
 @click.option("--allow-remote", is_flag=True, help="permit an address on another machine")
 def stream(folder: Path, **options: Any) -> int:
-    """Send the sensor data of a run at the pace of its arrival, for a filter in the loop.
+    """Send sensor data in real time.
 
     RUN is a results folder of bench run. GNSS fixes are NMEA sentences, GGA and RMC;
     IMU and the other instruments are binary frames, little-endian:

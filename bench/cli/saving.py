@@ -12,7 +12,7 @@ from bench.core.words.wording import one_line
 from bench.io import results
 
 
-def save(
+def write_result(
     result: RunResult,
     folder: str | Path,
     *,
@@ -28,7 +28,7 @@ def save(
     Parameters
     ----------
     result : RunResult
-        As :func:`run`, `bench.navigate_log` or `bench.load` returns it; `bench.load` reads the folder back.
+        From :func:`run`, `bench.navigate` or `bench.read_result`, which reads the folder back.
     recording, report : bool
         Also write ``flight.rrd``, ``report.html``.
     force : bool
@@ -47,7 +47,7 @@ def save(
     """
     folder = Path(folder)
     if result.sensed is None:
-        raise ConfigError("bench.save: the result has no sensor data")
+        raise ConfigError("bench.write_result: the result has no sensor data")
     results.check_folder(folder, force=force)
     with results.make_folder(folder, force=force) as partial:
         results.save(partial, result)
@@ -55,7 +55,7 @@ def save(
     if recording:
         views.append(("recording", "record", lambda: _write_recording(folder, result, say)))
     if report:
-        views.append(("report", "report", lambda: _write_report(folder, result)))
+        views.append(("report", "report", lambda: write_report(folder, result)))
     failed = []
     for what, verb, write in views:
         try:
@@ -79,7 +79,8 @@ def _write_recording(folder: Path, result: RunResult, say: Callable[[str], objec
         results.add_to_mark(folder, results.RECORDING)
 
 
-def _write_report(folder: Path, result: RunResult) -> None:
+def write_report(folder: Path, result: RunResult) -> None:
+    """Write the page of a run into its folder."""
     from bench.views.report import page
 
     durable.write(folder / results.REPORT, page.make_page(folder.name, result))

@@ -1,21 +1,23 @@
-"""The verb new: a working example, or a file that begins with what is there."""
+"""The verbs new and upgrade: a working example, and files of an earlier format rewritten."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
-from bench.cli.group import STATUS, commands, new_console, rates_option
+from bench.cli.group import FILE, commands, new_console, rates_option
 from bench.core.words.exceptions import DONE
 
 _KINDS = "estimator", "check", "log", "aircraft", "schemas"
 
 
-@commands.command(epilog=STATUS)
+@commands.command()
 @click.argument("kind", type=click.Choice(_KINDS), metavar="KIND")
 @click.argument("name", required=False)
 @rates_option
 def new(kind: str, name: str | None, rates: str | None) -> int:
-    """Write a working example as a starting point for your own.
+    """Create a filter, a log file, an aircraft or a CI check.
 
     \b
     estimator NAME writes, in the present folder:
@@ -23,7 +25,7 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
       test_NAME.py   its test: the contract of the bench, and its accuracy
 
     \b
-    check [ESTIMATOR] flies an estimator, loose-15 or one of your own, and writes:
+    check [ESTIMATOR] flies a filter, loose-15 or one of your own, and writes:
       tests/baselines/short.toml       a flight of two minutes
       tests/baselines/short.json       its accuracy, which bench check compares with
       .github/workflows/accuracy.yml   a CI job that runs bench check
@@ -67,4 +69,22 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
         new_aircraft(name, console=new_console())
     else:
         new_estimator(name, console=new_console())
+    return DONE
+
+
+@commands.command()
+@click.argument("paths", nargs=-1, required=True, type=FILE, metavar="FILE...")
+def upgrade(paths: tuple[Path, ...]) -> int:
+    """Rewrite files of an earlier format.
+
+    FILE is a baseline, a card, a results folder or a .toml file. Names that have
+    changed are replaced; no value changes.
+
+    \b
+    Example:
+      bench upgrade tests/baselines/*.json
+    """
+    from bench.cli.upgrading import upgrade as upgrade_files
+
+    upgrade_files(paths, console=new_console())
     return DONE

@@ -8,7 +8,6 @@ from typing import Any, Literal, get_args, get_origin
 import click
 
 from bench.cli.group import (
-    STATUS,
     commands,
     force_option,
     jobs_option,
@@ -52,9 +51,9 @@ class _Studies(click.Group):
             formatter.write_dl([(name, entry.question) for name, entry in find_studies().items()])
 
 
-@commands.command(cls=_Studies, subcommand_metavar="NAME [OPTIONS]", epilog=STATUS)
+@commands.command(cls=_Studies, subcommand_metavar="NAME [OPTIONS]")
 def study() -> None:
-    """Answer a question that comes before buying sensors: table, figures and sentences.
+    """Choose sensors: requirement, drift, error budget.
 
     bench study NAME --help lists the options of one. Results state what is drawn, intervals, and the
     command that makes them again.
@@ -89,6 +88,7 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
         force_option("study"),
         report_option,
         json_option("answer and tables"),
+        click.option("--table", is_flag=True, help="print all tables and sentences"),
         out_option("folder for tables, figures, study.json and report.html"),
         jobs_option,
     ):
@@ -100,7 +100,7 @@ def _make_command(name: str, question: str, module: Any) -> click.Command:
     for key in _OF_FLIGHTS.keys() - fields.keys():
         command = _refuse_option(name, _OF_FLIGHTS[key])(command)
     text = f"{question}\n\n{module.__doc__.partition(chr(10))[2].strip()}"
-    return click.command(name, help=text, epilog=STATUS)(command)
+    return click.command(name, help=text)(command)
 
 
 def _refuse_option(study: str, flag: str) -> Callable[[Any], Any]:

@@ -49,11 +49,11 @@ def measure_solution(
     Parameters
     ----------
     solution : NavSolution
-        Of an estimator, in any run, log or file.
+        Of a filter, in any run, log or file.
     known : Trajectory, Reference, GnssFixes or None
         What it is held against; None: nothing that it has not used but its own innovations.
     data : SensorData or None
-        What the estimator got; None if that is not known, which only a truth allows.
+        What the filter got; None if that is not known, which only a truth allows.
     evaluation : EvaluationWindow
         What metrics ``x`` count; ``x_all`` are of the whole run.
     """
@@ -79,11 +79,11 @@ def judge_solution(
     counts: bool = True,
     **facts: Any,
 ) -> Judged:
-    """Judge a solution: the one way from a solution to a verdict, for runs, logs and scores.
+    """Evaluate a solution: the one way from a solution to a verdict, for runs, logs and scores.
 
-    Parameters as for :func:`measure_solution`, and the estimator's label, the ``document`` of the profile or
+    Parameters as for :func:`measure_solution`, and the filter's label, the ``document`` of the profile or
     log, which may require something, and ``more`` that stands among the metrics. ``counts`` is False where
-    the instants without an answer are those of a logger.
+    the epochs without an answer are those of a logger.
     """
     errors, values = measure_solution(solution, known, data, evaluation, **facts)
     coverage = measure_coverage(solution, data) if counts else None

@@ -1,6 +1,6 @@
 """Files of GNSS receivers: observations, ephemerides and almanacs, read by what ``bench.fixes`` adds.
 
-A module of that group has ``recognises(path) -> bool`` and
+A module of that group has ``recognizes(path) -> bool`` and
 
 - ``read_almanac(path, near, shown) -> KeplerSets``: the satellites of an almanac near a time;
 - ``read_orbits(paths) -> Orbits``: the satellites of navigation files;
@@ -54,10 +54,10 @@ def ask_reader(path: Path, what: str, kind: type[_Answer], *given: object) -> _A
     """
     (own,) = (import_module(place) for place in find_own("fixes").values())
     others = find_installed("fixes", find_own("fixes")).values() if path.is_file() else ()
-    if others and not own.recognises(path):
+    if others and not own.recognizes(path):
         for one in others:
-            module = import_installed("reader of fixes", one, "recognises")
-            if module.recognises(path):
+            module = import_installed("reader of fixes", one, "recognizes")
+            if module.recognizes(path):
                 found = getattr(import_installed("reader of fixes", one, what), what)(*given)
                 if not isinstance(found, kind):
                     wrong = f"{what} gives no {kind.__name__}, but {type(found).__name__}"

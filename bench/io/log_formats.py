@@ -3,7 +3,7 @@
 A module of that group reads the format of its entry's name: ``read(form, path, kind, topic) -> LogRows`` as
 `bench.io.logs.formats.read` says. It may have
 
-- ``ENDINGS``, those of its files, ``(".xyz",)``, and ``recognises(path) -> bool`` for files of other endings;
+- ``ENDINGS``, those of its files, ``(".xyz",)``, and ``recognizes(path) -> bool`` for files of other endings;
 - ``TOPICS = True`` if a log may say by ``topic`` what a file calls a sensor;
 - ``look(path) -> Contents`` if a file knows of itself what it holds, and then ``read_truth(path) ->
   OwnMotion`` and ``read_estimate(path, instance) -> OwnEstimate`` (`bench.io.logs.log_contents`).
@@ -29,7 +29,7 @@ class LogFormat(NamedTuple):
     topics: bool = False  # names what it holds
     knows: bool = False  # of itself what it holds, as the log of an autopilot does
     package: str = ""  # that it needs
-    recognises: Callable[[Path], bool] | None = None  # files of other endings
+    recognizes: Callable[[Path], bool] | None = None  # files of other endings
     brought_by: str = ""  # another package
 
 
@@ -76,7 +76,7 @@ def _ask(one: Installed) -> LogFormat:
         tuple(ending.lower() for ending in endings),
         bool(getattr(module, "TOPICS", False)),
         callable(getattr(module, "look", None)),
-        recognises=getattr(module, "recognises", None),
+        recognizes=getattr(module, "recognizes", None),
         brought_by=one.package,
     )
 
@@ -91,5 +91,5 @@ def guess_format(path: Path) -> str | None:
         return own
     added = {name: _ask(one) for name, one in find_installed("logs", FORMATS).items()}
     named = (name for name, one in added.items() if ending in one.endings)
-    asked = {name: one.recognises for name, one in added.items() if one.recognises and path.is_file()}
+    asked = {name: one.recognizes for name, one in added.items() if one.recognizes and path.is_file()}
     return next(named, None) or next((name for name, knows in asked.items() if knows(path)), None)

@@ -1,1 +1,1 @@
-"""Estimators: they receive SensorData and InitialState, and never the truth."""
+"""Filters: they receive SensorData and InitialState, and never the truth."""

@@ -17,7 +17,7 @@ from bench.core.words.wording import one_line
 _Kind = TypeVar("_Kind", bound=Record)
 
 LARGEST = 1e150
-"""A finite number beyond it is refused: its square is none."""
+"""A finite number beyond it is rejected: its square is none."""
 
 _PARTS: dict[str, type[Record]] = {"innovations": Innovations, "events": Events}
 _POLE = 0.5 * np.pi * (1.0 + 1e-12)  # latitude [rad]
@@ -100,7 +100,7 @@ def _check_texts(place: str, value: Any) -> tuple[str, ...]:
         try:
             text.encode()
         except UnicodeEncodeError:
-            raise ValueError(f"{place}[{k}] = {text!a} holds what is no character") from None
+            raise ValueError(f"{place}[{k}] = {text!a} contains an invalid character") from None
     return tuple(map(str, value))
 
 
@@ -117,7 +117,7 @@ def _check_size(place: str, column: FloatArray) -> None:
         if large.any() and (large := large & np.isfinite(column[rows])).any():
             value, row = column[rows][large][0], rows.start + int(np.argwhere(large)[0][0])
             raise ValueError(
-                f"{place} is {value:.3g} in row {row}; up to {LARGEST:g} can be judged, NaN is not known"
+                f"{place} is {value:.3g} in row {row}; up to {LARGEST:g} can be evaluated, NaN is not known"
             )
 
 

@@ -1,4 +1,4 @@
-"""The built-in estimators by name, and how an estimator is built from a name and its options.
+"""The built-in filters by name, and how a filter is built from a name and its options.
 
 Filter and options of a row are imported when they are asked for: listing the names loads neither numba nor
 pydantic.
@@ -125,25 +125,25 @@ def _add_plugins() -> Iterator[tuple[str, BuiltIn]]:
 
 
 BUILT_IN: Mapping[str, BuiltIn] = {**_CORE, **dict(_add_plugins())}
-"""Name of an estimator of bench, of a plug-in last -> what it is."""
+"""Name of a filter of bench, of a plug-in last -> what it is."""
 
 
 def load(use: str, options: Mapping[str, Any]) -> Estimator:
-    """Build an estimator from a built-in name or ``module:Class`` and the keywords of its constructor.
+    """Build a filter from a built-in name or ``module:Class`` and the keywords of its constructor.
 
     Raises
     ------
     EstimatorError
-        If there is no such estimator or an option is wrong, one message each. An error inside a user's
+        If there is no such filter or an option is wrong, one message each. An error inside a user's
         module on import keeps its traceback.
     """
     if use in BUILT_IN:
         row = BUILT_IN[use]
         if wrong := row.wrong(options):
-            raise EstimatorError(*(f"estimator {use!r}: {line}" for line in wrong))
+            raise EstimatorError(*(f"filter {use!r}: {line}" for line in wrong))
         return construct(use, row.import_class(), {**row.fixed, **options})
     if not is_class(use):
-        raise EstimatorError(f"no estimator {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
+        raise EstimatorError(f"no filter {use!r}; there are {', '.join(BUILT_IN)}, or 'module:Class'")
     return construct(use, _import_class(use, find_class(use, BUILT_IN)), options)
 
 
@@ -156,21 +156,19 @@ def _import_class(use: str, place: str) -> Any:
     except ModuleNotFoundError as error:
         if not f"{module_name}.".startswith(f"{error.name}."):
             raise
-        raise EstimatorError(f"estimator {use!r}: no module {error.name!r} on the Python path") from None
+        raise EstimatorError(f"filter {use!r}: no module {error.name!r} on the Python path") from None
     found = getattr(module, class_name, None)
     if not callable(getattr(found, "run", None)):
-        raise EstimatorError(
-            f"estimator {use!r}: {module_name} has no class {class_name!r} with a method run"
-        )
+        raise EstimatorError(f"filter {use!r}: {module_name} has no class {class_name!r} with a method run")
     return found
 
 
 def is_class(use: str) -> bool:
-    """Return whether an estimator is a class that is not built in: ``module:Class`` or an installed one."""
+    """Return whether a filter is a class that is not built in: ``module:Class`` or an installed one."""
     use = find_class(use, BUILT_IN)
     return ":" in use and all(part.isidentifier() for part in use.replace(":", ".", 1).split("."))
 
 
 def takes_option(use: str, name: str) -> bool:
-    """Return whether a built-in estimator has an option that a profile may set."""
+    """Return whether a built-in filter has an option that a profile may set."""
     return use in BUILT_IN and name in BUILT_IN[use].options.model_fields and name not in BUILT_IN[use].fixed

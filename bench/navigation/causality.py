@@ -1,7 +1,7 @@
-"""Does an estimator use what it cannot have yet? What arrives later is changed, and its answers are compared.
+"""Does a filter use what it cannot have yet? What arrives later is changed, and its answers are compared.
 
 An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. Where the
-values of everything that arrives after an instant are those of another draw of the noise, the answers until
+values of everything that arrives after a time are those of another run of the noise, the answers until
 then must not change by a bit.
 """
 
@@ -20,12 +20,12 @@ from bench.core.records.data import NavSolution, SensorData
 _KEPT = ("t", "t_arrival", "dt", "valid", "sat", "system", "frequency", "epoch_start", "klobuchar", "gps_t0")
 """Columns of records that stay as they are: when something was measured, and of what."""
 _ANSWERS = ("lla", "vel_n", "q_nb", "cov")
-_WHOLE = 0.9  # of the time before an instant: an estimator that uses so much uses the whole record
+_WHOLE = 0.9  # of the time before a time: a filter that uses so much uses the whole record
 
 
 @dataclass(frozen=True, slots=True)
 class LookAhead:
-    """How far an estimator looks ahead."""
+    """How far a filter looks ahead."""
 
     seconds: float  # the longest that was found [s]; 0: none
     whole: bool  # as far as to the begin of the record
@@ -48,14 +48,14 @@ def measure_look_ahead(
     instants: Iterable[float],
     first: NavSolution | None = None,
 ) -> LookAhead:
-    """Return how far an estimator looks ahead at some instants.
+    """Return how far a filter looks ahead at some epochs.
 
     Parameters
     ----------
     run : callable
-        Returns the solution of the estimator for a record; a new instance each time.
+        Returns the solution of the filter for a record; a new instance each time.
     sensors, other : SensorData
-        Two draws of the noise on the same motion.
+        Two runs of the noise on the same motion.
     instants : iterable of float
         After which the second draw takes the place of the first [s]; each is moved to the IMU sample before.
     first : NavSolution or None
@@ -64,7 +64,7 @@ def measure_look_ahead(
     Raises
     ------
     ValueError
-        If the draws are not of the same instants, or it gives no answer.
+        If the runs are not of the same epochs, or it gives no answer.
     """
     first, again = (run(sensors), run(sensors)) if first is None else (first, first)
     if not (np.isfinite(first.lla).any() or np.isfinite(first.q_nb).any()):
@@ -84,7 +84,7 @@ def measure_look_ahead(
 
 
 def change_later(sensors: SensorData, other: SensorData, after: float) -> SensorData:
-    """Return a record with the values of another draw in all that arrives after an instant [s]."""
+    """Return a record with the values of another run in all that arrives after a time [s]."""
     changed = {}
     for one in fields(sensors):
         record, source = getattr(sensors, one.name), getattr(other, one.name)
@@ -92,7 +92,7 @@ def change_later(sensors: SensorData, other: SensorData, after: float) -> Sensor
             continue
         arrival = getattr(record, "t_arrival", record.t)
         if source is None or not np.array_equal(source.t, record.t, equal_nan=True):
-            raise ValueError(f"{one.name}: the two draws are not of the same instants")
+            raise ValueError(f"{one.name}: the two runs have different epochs")
         changed[one.name] = _take_later(record, source, arrival > after + SAME_INSTANT)
     return replace(sensors, **changed)
 
@@ -108,7 +108,7 @@ def _take_later(record: Any, source: Any, later: BoolArray) -> Any:
 
 
 def _find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
-    """Return the first instant, until some instant [s], at which two solutions differ by a bit."""
+    """Return the first time, until some time [s], at which two solutions differ by a bit."""
     rows = first.t <= until + SAME_INSTANT
     differ = np.zeros(int(rows.sum()), np.bool_)
     for name in _ANSWERS:

@@ -1,4 +1,4 @@
-"""The Estimator protocol, what bench asks of any estimator, and the contract users can run on their own."""
+"""The Estimator protocol, what bench asks of any filter, and the contract users can run on their own."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Estimator(Protocol):
 
     Settings go to ``__init__`` as keywords and are checked there; ``run`` takes
     data only, keeps nothing between calls and never sees the truth. A method
-    ``unmodelled(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
-    the errors of the sensors that the estimator has no state for. An attribute ``needs: tuple[str, ...]`` is
+    ``unmodeled_errors(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
+    the errors of the sensors that the filter has no state for. An attribute ``needs: tuple[str, ...]`` is
     optional too: the records of `SensorData` it cannot work without, of :data:`RECORDS`. So is a method
-    ``refuses(specs: AssumedSpecs) -> str``: why it cannot be honest with such sensors, or "".
+    ``check_sensors(specs: AssumedSpecs) -> str``: why it cannot be consistent with such sensors, or "".
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
@@ -52,12 +52,12 @@ RECORDS: Mapping[str, str] = {
     "observations": "a gnss at measurement level, one with [sky] such as 'sky-l1'",
     **{name: row.with_article for name, row in INSTRUMENTS.items()},
 }
-"""Record of `SensorData` that an estimator may need -> the sensor that gives it."""
+"""Record of `SensorData` that a filter may need -> the sensor that gives it."""
 
 
 @contextmanager
 def catch_exit(name: str, part: str) -> Iterator[None]:
-    """Raise EstimatorFailedError if an estimator raises SystemExit or the like, which would end bench.
+    """Raise EstimatorFailedError if a filter raises SystemExit or the like, which would end bench.
 
     KeyboardInterrupt is the user's own.
     """
@@ -70,9 +70,9 @@ def catch_exit(name: str, part: str) -> Iterator[None]:
 
 
 def make_failure(name: str, part: str, error: BaseException) -> EstimatorFailedError:
-    """Return that a part of an estimator raised an error."""
+    """Return that a part of a filter raised an error."""
     what = one_line("".join(traceback.format_exception_only(error)).strip()[:_LONGEST])
-    return EstimatorFailedError(f"estimator {name!r}: {part} raised {what}")
+    return EstimatorFailedError(f"filter {name!r}: {part} raised {what}")
 
 
 _LONGEST = 500  # characters of an exception in a message
@@ -80,59 +80,59 @@ _ENDS = (0.3, 0.31, 0.8)  # of pieces, as parts of the samples
 
 
 def construct(use: str, factory: Callable[..., Estimator], options: Mapping[str, Any]) -> Estimator:
-    """Build an estimator from the keywords it takes.
+    """Build a filter from the keywords it takes.
 
     Raises
     ------
     EstimatorError
-        If it has no such option or refuses one.
+        If it has no such option or rejects one.
     """
     known = inspect.signature(factory).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in known.values())
     unknown = sorted(set(options) - set(known))
     if unknown and not open_ended:
-        what = f"estimator {use!r}: unknown option"
+        what = f"filter {use!r}: unknown option"
         raise EstimatorError(*(f"{what} {name!r}{suggest(name, known, 'options')}" for name in unknown))
     try:
         with catch_exit(use, "its constructor"):
             return factory(**options)
     except (ValueError, TypeError) as error:
-        raise EstimatorError(f"estimator {use!r}: {error}") from error
+        raise EstimatorError(f"filter {use!r}: {error}") from error
 
 
 def check_needs(
     estimator: Estimator, name: str, records: Collection[str], place: str = "[sensors]", *,
     specs: AssumedSpecs | None = None,
 ) -> None:  # fmt: skip
-    """Check before the flight that an estimator will get the records it needs, and sensors it takes.
+    """Check before the flight that a filter will get the records it needs, and sensors it takes.
 
     ``records`` are the names of those there will be; ``place`` is where messages say they come from.
 
     Raises
     ------
     EstimatorError
-        If one of its ``needs`` is missing or is not the name of a record, or if it refuses ``specs``.
+        If one of its ``needs`` is missing or is not the name of a record, or if it rejects ``specs``.
     EstimatorFailedError
-        If its ``refuses`` raises.
+        If its ``check_sensors`` raises.
     """
     if specs is not None and (said := ask_refusal(estimator, name, specs)):
-        raise EstimatorError(f"estimator {name!r}: {said}")
+        raise EstimatorError(f"filter {name!r}: {said}")
     for need in getattr(estimator, "needs", ()):
         if need not in RECORDS:
-            raise EstimatorError(f"estimator {name!r}: needs {need!r}, which is none of {', '.join(RECORDS)}")
+            raise EstimatorError(f"filter {name!r}: needs {need!r}, expected one of {', '.join(RECORDS)}")
         if need not in records:
-            raise EstimatorError(f"estimator {name!r} needs {RECORDS[need]}; there is none in {place}")
+            raise EstimatorError(f"filter {name!r} needs {RECORDS[need]}; there is none in {place}")
 
 
 def ask_refusal(estimator: Estimator, name: str, specs: AssumedSpecs) -> str:
-    """Return why an estimator refuses sensors with such datasheets, in words; "" if it takes them.
+    """Return why a filter rejects sensors with such datasheets, in words; "" if it takes them.
 
     Raises
     ------
     EstimatorFailedError
-        If its ``refuses`` raises.
+        If its ``check_sensors`` raises.
     """
-    refuse = getattr(estimator, "refuses", None)
+    refuse = getattr(estimator, "check_sensors", None)
     if refuse is None:
         return ""
     try:
@@ -140,11 +140,11 @@ def ask_refusal(estimator: Estimator, name: str, specs: AssumedSpecs) -> str:
     except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
     except BaseException as error:
-        raise make_failure(name, "refuses()", error) from error
+        raise make_failure(name, "check_sensors()", error) from error
 
 
 def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, str]:
-    """Return the label of each estimator that is the same as an earlier one on this record, and of that one.
+    """Return the label of each filter that is the same as an earlier one on this record, and of that one.
 
     Those that can tell have a method ``identity(sensors) -> Hashable``: of two with the same identity the
     solutions are the same.
@@ -158,7 +158,7 @@ def find_same(built: Mapping[str, Estimator], sensors: SensorData) -> dict[str, 
 
 
 def answer(estimator: Estimator, name: str, sensors: SensorData, initial: InitialState) -> NavSolution:
-    """Return the solution of an estimator, checked to be one at every instant of ``sensors.output_t``.
+    """Return the solution of a filter, checked to be one at every time of ``sensors.output_t``.
 
     Raises
     ------
@@ -170,23 +170,22 @@ def answer(estimator: Estimator, name: str, sensors: SensorData, initial: Initia
     try:
         solution = estimator.run(sensors, initial)
     except EstimatorError as error:  # from the initial alignment
-        raise EstimatorError(f"estimator {name!r}: {error}") from error
+        raise EstimatorError(f"filter {name!r}: {error}") from error
     except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
-    except BaseException as error:  # sys.exit() of an estimator does not end bench
+    except BaseException as error:  # sys.exit() of a filter does not end bench
         raise make_failure(name, "run()", error) from error
     solution = accept(name, solution)
     if not np.array_equal(solution.t, sensors.output_t):
         raise EstimatorFailedError(
-            f"estimator {name!r}: its t must be sensors.output_t, {len(sensors.output_t)} instants; "
-            f"got {len(solution.t)} instants"
-            + (", others" if len(solution.t) == len(sensors.output_t) else "")
+            f"filter {name!r}: its t must be sensors.output_t, {len(sensors.output_t)} epochs; "
+            f"got {len(solution.t)} epochs" + (", others" if len(solution.t) == len(sensors.output_t) else "")
         )
     return solution
 
 
 def accept(name: str, found: object) -> NavSolution:
-    """Return an answer of an estimator, as `answer_check.check_solution` does.
+    """Return an answer of a filter, as `answer_check.check_solution` does.
 
     Raises
     ------
@@ -196,18 +195,18 @@ def accept(name: str, found: object) -> NavSolution:
     try:
         return check_solution(found)
     except ValueError as error:
-        raise EstimatorFailedError(f"estimator {name!r}: {error}") from None
+        raise EstimatorFailedError(f"filter {name!r}: {error}") from None
 
 
-def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
-    """Return the sensor errors that an estimator reports to have no state for; None if it reports nothing.
+def list_unmodeled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
+    """Return the sensor errors that a filter reports to have no state for; None if it reports nothing.
 
     Raises
     ------
     EstimatorFailedError
-        If its ``unmodelled`` raises.
+        If its ``unmodeled_errors`` raises.
     """
-    list_errors = getattr(estimator, "unmodelled", None)
+    list_errors = getattr(estimator, "unmodeled_errors", None)
     if list_errors is None:
         return None
     try:
@@ -215,15 +214,15 @@ def list_unmodelled(estimator: Estimator, name: str, specs: AssumedSpecs) -> lis
     except (KeyboardInterrupt, EstimatorFailedError):  # of the user; of a filter in a process of its own
         raise
     except BaseException as error:
-        raise make_failure(name, "unmodelled()", error) from error
+        raise make_failure(name, "unmodeled_errors()", error) from error
 
 
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:
-    """Raise AssertionError where an estimator breaks the contract of the bench.
+    """Raise AssertionError where a filter breaks the contract of the bench.
 
     It must pickle, be repeatable, leave its input unchanged, answer at every ``output_t``, and give finite
     values and a covariance that is symmetric and positive definite over the blocks it estimates. A block it
-    does not estimate is NaN at every instant; before the end of an initial alignment every block is NaN. With
+    does not estimate is NaN at every time; before the end of an initial alignment every block is NaN. With
     a given initial state it must also cope with a record without output times, aiding records without rows,
     and rows that are not finite, flagged or not; one that runs in pieces must give the same bits in them.
     """
@@ -231,7 +230,7 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
     try:
         copy = pickle.loads(pickle.dumps(estimator))
     except Exception as error:
-        raise AssertionError(f"the estimator does not pickle: {error}") from error
+        raise AssertionError(f"the filter does not pickle: {error}") from error
     first = copy.run(sensors, initial)
     second = estimator.run(sensors, initial)
     third = estimator.run(sensors, initial)
@@ -251,12 +250,12 @@ def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialS
 
 
 def _check_pieces(estimator: object, sensors: SensorData, initial: InitialState, whole: NavSolution) -> None:
-    """Raise AssertionError if the answers of an estimator in pieces differ from those on the whole record.
+    """Raise AssertionError if the answers of a filter in pieces differ from those on the whole record.
 
     The start is given.
     """
     from bench.navigation.engine.piecewise import RunsInPieces
-    from bench.navigation.engine.record_cuts import longest_wait, take_head, take_piece
+    from bench.navigation.engine.record_cuts import longest_wait, slice_sensors, take_head
 
     if not isinstance(estimator, RunsInPieces):
         return
@@ -264,9 +263,9 @@ def _check_pieces(estimator: object, sensors: SensorData, initial: InitialState,
     filter_ = estimator.in_pieces(head, initial, [])
     found = []
     for begin, end in pairwise([-np.inf, *np.nanquantile(sensors.imu.t, _ENDS), np.inf]):
-        found.append(filter_.feed(take_piece(sensors, begin, end), wait, last=end == np.inf))
+        found.append(filter_.update(slice_sensors(sensors, begin, end), wait, last=end == np.inf))
         if end < np.inf:
-            filter_.copy().answer(head)
+            filter_.copy().current(head)
     for name in ("t", "lla", "vel_n", "q_nb", "cov"):
         joined = np.concatenate([getattr(one, name) for one in found])
         same = np.array_equal(joined, getattr(whole, name), equal_nan=True)
@@ -274,7 +273,7 @@ def _check_pieces(estimator: object, sensors: SensorData, initial: InitialState,
 
 
 def _hardships(sensors: SensorData) -> dict[str, SensorData]:
-    """Return damaged records that an estimator has to cope with, by the kind of damage."""
+    """Return damaged records that a filter has to cope with, by the kind of damage."""
     aiding = ({} if sensors.fixes is None else {"fixes": sensors.fixes}) | sensors.instruments
     columns = {
         name: {f.name: np.array(getattr(record, f.name)) for f in fields(record)}

@@ -17,10 +17,10 @@ from bench.navigation.engine.record_cuts import nothing_known
 def fix_steps(
     sensors: SensorData, initial: InitialState
 ) -> Iterator[tuple[float, list[tuple[FloatArray, FloatArray]]]]:
-    """Yield, for each instant of ``sensors.output_t``, the time since the one before [s] and the new fixes.
+    """Yield, for each time of ``sensors.output_t``, the time since the one before [s] and the new fixes.
 
     A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), what its
-    receiver claims. It is that of the antenna, in the order of arrival; what is flagged, not finite,
+    receiver covariances. It is that of the antenna, in the order of arrival; what is flagged, not finite,
     repeated, overtaken or without velocity is left out. The start has to be given, not found by an alignment.
     """
     now, fixes = initial.t, sensors.fixes
@@ -50,7 +50,7 @@ def track_solution(
     sensors, initial : SensorData, InitialState
         As they were given to the estimator.
     states : sequence of (x, P)
-        One for each instant of ``sensors.output_t``: x (6 or more, 1) or (6 or more,) begins with position
+        One for each time of ``sensors.output_t``: x (6 or more, 1) or (6 or more,) begins with position
         from ``initial.lla`` [m] and velocity [m/s], n, and P with their covariance.
     """
     m = len(sensors.output_t)

@@ -45,7 +45,7 @@ class PieceFilter(SessionState):
     options : mapping
         Its options, as they were given.
     estimator : object
-        The estimator, one that has `piecewise.RunsInPieces`.
+        The filter, one that has `piecewise.RunsInPieces`.
     initial : InitialState
         Start. Where its alignment is not "given", the filter waits until the pieces allow it.
     look_back : float
@@ -54,7 +54,7 @@ class PieceFilter(SessionState):
     Raises
     ------
     EstimatorError
-        If the estimator cannot run in pieces with these options.
+        If the filter cannot run in pieces with these options.
     """
 
     look_back: Kept[float]
@@ -94,14 +94,14 @@ class PieceFilter(SessionState):
             return self.passage.end
         return self.initial.t if self.waiting is None else newest_sample(self.waiting)
 
-    def feed(self, piece: SensorData) -> NavSolution:
+    def update(self, piece: SensorData) -> NavSolution:
         """Take the next piece of the record.
 
         Parameters
         ----------
         piece : SensorData
-            The IMU samples of the next stretch, all measurements that arrived during it, and in ``output_t``
-            the instants of it at which an answer is wanted. A boundary may fall anywhere. The first piece
+            The IMU samples of the next segment, all measurements that arrived during it, and in ``output_t``
+            the epochs of it at which an answer is wanted. A boundary may fall anywhere. The first piece
             says which sensors there are: one that has said nothing yet is a record without rows. A receiver
             that has gone over to another antenna gives its fixes from then on in a piece with another
             ``antenna_b``; those of earlier pieces that still wait keep theirs.
@@ -125,14 +125,14 @@ class PieceFilter(SessionState):
         return solution
 
     def advance(self, piece: SensorData) -> NavSolution:
-        """Take the next piece as :meth:`feed` does; after an error the filter is of no further use."""
+        """Take the next piece as :meth:`update` does; after an error the filter is of no further use."""
         if self.finished:
             raise EstimatorError(f"{self.use!r} is finished: open another filter, or resume a saved one")
         with self._doubt_the_file():
             self._check(piece)
             return self._take(piece, last=False)
 
-    def answer(self) -> NavSolution:
+    def current(self) -> NavSolution:
         """Return state and covariance at the last IMU sample, by all that has arrived; no bit changes.
 
         One row; NaN while the start is not known. It is the answer of the whole record, were this its end.
@@ -141,7 +141,7 @@ class PieceFilter(SessionState):
             return nothing_known(np.array([self.t]))
         assert self.head is not None
         with self._doubt_the_file():
-            return self._accept(self.passage.copy().answer(self.head))
+            return self._accept(self.passage.copy().current(self.head))
 
     def finish(self) -> NavSolution:
         """Return the answers that are left; nothing comes any more.
@@ -152,7 +152,7 @@ class PieceFilter(SessionState):
             If the record ends before the alignment that was asked for.
         """
         if self.head is None:
-            raise EstimatorError(f"{self.use!r} has been given nothing: feed a piece first")
+            raise EstimatorError(f"{self.use!r} no data yet: call update() first")
         with self._doubt_the_file():
             solution = self._take(self.head, last=True)
         self.finished = True
@@ -167,7 +167,7 @@ class PieceFilter(SessionState):
             If it has been given no piece.
         """
         if self.head is None:
-            raise EstimatorError(f"{self.use!r} has been given nothing to save: feed a piece first")
+            raise EstimatorError(f"{self.use!r} no data to save yet: call update() first")
         return super().state()
 
     @classmethod
@@ -180,7 +180,7 @@ class PieceFilter(SessionState):
         state: Mapping[str, Any],
         path: str,
     ) -> PieceFilter:
-        """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes.
+        """Return the filter of :meth:`state`, with its filter and the datasheets it assumes.
 
         Whatever it raises: the state in the file ``path`` is none of this filter.
         """
@@ -225,9 +225,9 @@ class PieceFilter(SessionState):
                 "a sensor that is silent is a record without rows"
             )
         if not (head.date == piece.date and head.ground_alt == piece.ground_alt):
-            raise EstimatorError("ground height and date must be those of the first piece")
+            raise EstimatorError("ground height and date must equal those in the first piece")
         if head.specs != without_orbits(piece.specs):
-            raise EstimatorError("the datasheets assumed must be those of the first piece")
+            raise EstimatorError("the assumed datasheets must equal those in the first piece")
         if not same_array(head.antenna_b, piece.antenna_b):
             if self.passage is None:
                 raise EstimatorError(
@@ -243,7 +243,7 @@ class PieceFilter(SessionState):
             if begun is None:
                 return nothing_known(np.empty(0))
             self.passage, piece, self.waiting = begun, self.waiting, None
-        return self._accept(self.passage.feed(piece, self.look_back, last=last))
+        return self._accept(self.passage.update(piece, self.look_back, last=last))
 
     def _accept(self, found: NavSolution) -> NavSolution:
         """Return an answer; that of a class of others is checked."""

@@ -1,4 +1,4 @@
-"""The options of the built-in estimators: each declared once, with its limits, default and a line of words.
+"""The options of the built-in filters: each declared once, with its limits, default and a line of words.
 
 A constructor and a profile are checked against the same model; an option of a profile is wrong before the
 flight. Adding an option is a field here and its use in the estimator.
@@ -32,7 +32,7 @@ class Limit:
     words: str
 
     def __call__(self, value: Any) -> Any:
-        """Return an allowed value; refuse another."""
+        """Return an allowed value; reject another."""
         if not self.allows(value):
             raise PydanticCustomError("message", "must be {words}", {"words": self.words})
         return value
@@ -58,7 +58,7 @@ Place = Annotated[tuple[float, float, float], _LIST]
 
 
 class Options(BaseModel):
-    """The options of an estimator: no unknown name, no guessed type, no NaN, no infinity."""
+    """The options of a filter: no unknown name, no guessed type, no NaN, no infinity."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
 
@@ -79,9 +79,9 @@ class GateOptions(Options):
     """Options of every filter that tests its innovations."""
 
     gate_probability: Probability = 1e-5
-    """Chance of refusing a sound measurement of a matched filter."""
+    """Chance of rejecting a sound measurement of a matched filter."""
     readmit_after_s: NotNegative = 10.0
-    """Time of nothing but refusals, at least three, after which a sensor is believed again (A-5.4.7) [s]. The
+    """Time of nothing but rejections, at least three, after which a sensor is re-admitted (A-5.4.7) [s]. The
     covariance grows for it along the states that may have made a step: position, velocity, clock of the
     receiver, bias of the barometer, radar altimeter or magnetometer, offset of a heading, scale factor of the
     odometer, wind, slip of the wheels. A sensor for which the filter has no such state stays out until it
@@ -284,7 +284,7 @@ class ClassicOptions(IntegrityOptions):
     """Phi and Q of the inertial block: exact for F and G of the step, or E + F T and G G' T (A-5.1.D)."""
     rows: Literal[7, 8] = 7
     """Measurements in the update; with 8, the published vector (A-5.4.3), S is singular and gets its
-    pseudo-inverse, and the answer is that of 7; epochs with a part missing or refused use the rest of the
+    pseudo-inverse, and the answer is that of 7; epochs with a part missing or rejected use the rest of the
     7."""
     form: Literal["joseph", "conventional", "potter", "carlson", "ud"] = "joseph"
     """Form of A-5.4.4 and A-5.4.5: Joseph's, or P - K H P as printed for the generic filter, with all rows at
@@ -339,7 +339,7 @@ class InvariantOptions(GateOptions):
     """Take the Earth as flat and at rest: no Earth rate, no change of gravity."""
 
 
-_OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of refusals in seconds"}
+_OTHERWISE = {"readmit_after": "; use 'readmit_after_s', the time of rejections in seconds"}
 """What to use for options that files of others may still hold."""
 
 _O = TypeVar("_O", bound=Options)
@@ -347,14 +347,14 @@ _T = TypeVar("_T")
 
 
 def _whole(options: _T, wrong: list[str]) -> _T:
-    """Return options whose fields are right one by one, or refuse what does not hold between them."""
+    """Return options whose fields are right one by one, or reject what does not hold between them."""
     if wrong:
         raise PydanticCustomError("whole", "{words}", {"words": "; ".join(wrong)})
     return options
 
 
 def read_options(model: type[_O], given: Mapping[str, Any]) -> _O:
-    """Return the options of an estimator, checked.
+    """Return the options of a filter, checked.
 
     Raises
     ------

@@ -62,17 +62,17 @@ def run(
     progress: Watcher | None = None,
     show: ShowFlight | None = None,
 ) -> RunResult:
-    """Fly, sense, navigate with every estimator of the profile, and judge.
+    """Fly, sense, navigate with every filter of the profile, and judge.
 
-    An estimator that raises, or cannot start where others can, has failed: its metrics say why, and the
+    A filter that raises, or cannot start where others can, has failed: its metrics say why, and the
     others go on.
 
     Parameters
     ----------
     profile : Profile
-        What to fly and evaluate, as ``bench.io.config.load_profile`` returns it.
+        What to fly and evaluate, as ``bench.io.config.read_profile`` returns it.
     run : int
-        Number of the noise draw.
+        Number of the run.
     truth : Trajectory or None
         The truth, if it has been flown already.
     steered : NavSolution or None
@@ -80,9 +80,9 @@ def run(
     bound : bool
         Hold the errors against those of the best linear estimator: ``bound`` in the metrics of each.
     causes : bool or None
-        Find out why a claim is broken: by the conventions that it may be given in (filters of others), and by
-        running the filter again without what may be to blame (`evaluation.causes`). None: again only if it is
-        built in; False: neither.
+        Find out why a covariance is broken: by the conventions that it may be given in (filters of others),
+        and by running the filter again without what may be to blame (`evaluation.causes`). None: again only
+        if it is built in; False: neither.
     progress : callable or None
         Called with what is going on (`bench.core.words.stages.Stage`), whenever that changes.
     show : callable or None
@@ -91,7 +91,7 @@ def run(
     Raises
     ------
     bench.EstimatorError
-        If no estimator can start, as well as for :func:`build_estimators`.
+        If no filter can start, as well as for :func:`build_estimators`.
     """
     stages = Stages(progress)
     with watch_compiling(stages.compile):
@@ -170,7 +170,7 @@ def _hold(
     worked: Mapping[str, estimator.Estimator],
     judged: Mapping[str, Judged],
 ) -> dict[str, Any]:
-    """Return the errors of each estimator over those of the best linear one."""
+    """Return the errors of each filter over those of the best linear one."""
     from bench.evaluation.linear import held
 
     errors = {label: judged[label].errors for label in worked}

@@ -1,7 +1,7 @@
 """The navigation filter flies: a flight whose guidance reads an estimate, and what the estimate was.
 
 The flight gives its truth piece by piece. Of each the sensors measure it, the filter takes what has arrived,
-and its answer becomes what guidance believes (`guidance.belief`). Sensors and filter are those that a
+and its answer becomes what guidance assumes (`guidance.belief`). Sensors and filter are those that a
 recorded flight has: `replay` gives the same answers from the truth that was flown, bit for bit.
 """
 
@@ -74,7 +74,7 @@ class Deliveries:
         self._waiting: dict[str, Any] = {}
 
     def take(self, measured: SensorData, until: float) -> SensorData:
-        """Return a piece as a filter takes it: samples, and all that has arrived until an instant [s]."""
+        """Return a piece as a filter takes it: samples, and all that has arrived until a time [s]."""
         come: dict[str, Any] = {}
         for name, record in aiding_records(measured).items():
             before = self._waiting.pop(name, None)
@@ -93,7 +93,7 @@ class Navigator(Protocol):
     """Who is asked where the aircraft is: a filter on board, or a client on its line."""
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Take what has arrived until an instant [s] and return the answer at it."""
+        """Take what has arrived until a time [s] and return the answer at it."""
         ...
 
     def recount(self) -> list[NavSolution]:
@@ -125,7 +125,7 @@ class _FilterOnBoard:
             self._filter = self._open(initial, self._look_back)
         self._settled.append(self._filter.advance(data))
         self._rest = []
-        found = self._filter.answer()
+        found = self._filter.current()
         self._rest = [found]
         return replace(found, innovations=no_innovations(), events=no_events())
 
@@ -213,7 +213,7 @@ def fly(
     progress: Callable[[float], None] | None = None,
     show: ShowFlight | None = None,
 ) -> ClosedFlight:
-    """Fly a profile whose guidance reads an estimate, with noise draw ``run``.
+    """Fly a profile whose guidance reads an estimate, with run ``run``.
 
     ``show`` is given each piece of the truth, and the estimate at its end.
 
@@ -277,7 +277,9 @@ def find_length(profile: Profile) -> float:
     if spec.on_ground:
         raise ConfigError(f"{profile.name}: commands fly in the air; this flight begins on the ground")
     if spec.duration is None:
-        raise ConfigError(f"{profile.name}: commands fly without legs; say how long: --set duration_s=120")
+        raise ConfigError(
+            f"{profile.name}: commands fly without legs. Set the duration: --set duration_s=120"
+        )
     return spec.duration
 
 

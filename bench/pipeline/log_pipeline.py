@@ -1,4 +1,4 @@
-"""Read and check a recording of real sensors; run filters on it; judge them by fixes or a reference."""
+"""Read and check a recording of real sensors; run filters on it; evaluate them by fixes or a reference."""
 
 from __future__ import annotations
 
@@ -61,10 +61,10 @@ _END_OF_CUT, _SHORTEST_END = 0.1, 1.0
 
 @dataclass(frozen=True, slots=True)
 class RecordedLog:
-    """A recording, the checks of its data, and the estimators to run on it.
+    """A recording, the checks of its data, and the filters to run on it.
 
     ``records`` holds ``imu``, ``fixes`` and ``baro`` in SI, frame b; t = 0 is the first row of the IMU.
-    ``reference`` judges; None: withheld fixes do.
+    ``reference`` evaluates; None: withheld fixes do.
     """
 
     spec: LogSpec
@@ -96,7 +96,7 @@ def read_log(
     allow_code : bool
         Let the log run the code it names, a class or a program.
     overrides : mapping or None
-        Values to replace, as `bench.load_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
+        Values to replace, as `bench.read_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
     tune_noise : bool
         Let the filters assume the noise of the IMU at rest, where it is larger than that of its datasheet.
     motion_noise : bool
@@ -109,7 +109,7 @@ def read_log(
     bench.ConfigError
         If a file is missing or wrong; the message names file and row.
     bench.EstimatorError
-        If an estimator cannot be built, or needs data that the log does not have.
+        If a filter cannot be built, or needs data that the log does not have.
     """
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
@@ -168,14 +168,14 @@ def _describe_accuracy(records: LogRecords) -> Check:
     return Check("fix_accuracy_m", float(median), text, True)
 
 
-def navigate_log(
+def navigate(
     log: str | Path | RecordedLog,
     *,
     outages: Sequence[float] | None = (),
     places: int = 10,
     progress: Watcher | None = None,
 ) -> RunResult:
-    """Run estimators on a recording and judge them; one that raises has failed.
+    """Run filters on a recording and evaluate them; one that raises has failed.
 
     So has one that cannot start where another can.
 
@@ -200,7 +200,7 @@ def navigate_log(
     Raises
     ------
     bench.ConfigError, bench.EstimatorError
-        As for :func:`read_log`, if the start or an outage does not fit the recording, and if no estimator can
+        As for :func:`read_log`, if the start or an outage does not fit the recording, and if no filter can
         start.
     """
     log = log if isinstance(log, RecordedLog) else read_log(log)
@@ -240,7 +240,7 @@ def _navigate(log: RecordedLog, outages: Sequence[float] | None, places: int, st
     for label, solution in answers.solutions.items():
         by_fixes = None if label in own else withheld
         known = by_fixes if log.reference is None else log.reference
-        more, counts = {"unmodelled": answers.unmodelled[label]}, label not in own
+        more, counts = {"unmodeled_errors": answers.unmodeled[label]}, label not in own
         judged[label] = judge_solution(
             label, solution, known, data, spec.evaluation, spec.document, more, counts=counts
         )
@@ -331,7 +331,7 @@ class Session:
         return take_rows(o, np.append(keep, True)[with_fix] & ~out)
 
     def make_output_times(self) -> FloatArray:
-        """Return the output instants [s], a whole number of output intervals after t = 0."""
+        """Return the output epochs [s], a whole number of output intervals after t = 0."""
         step = 1.0 / self.spec.output_rate
         return np.arange(np.ceil(self.initial.t / step), np.floor(self.last / step) + 1) * step
 
@@ -345,7 +345,7 @@ class Session:
     def make_data(
         self, keep: BoolArray, output_t: FloatArray, outage: tuple[float, float] = (np.inf, np.inf)
     ) -> SensorData:
-        """Return the data for an estimator; IMU intervals are divided to end at each fix and output.
+        """Return the data for a filter; IMU intervals are divided to end at each fix and output.
 
         ``keep`` (M,) are the fixes it gets; it gets no ranges after the begin of ``outage`` to its end [s].
         """
@@ -377,19 +377,17 @@ class Session:
         return {one: min(most, int(room // one)) for one in CUTS if 2.0 * one <= room}
 
     def check_room(self, duration: float) -> None:
-        """Raise ConfigError if an outage does not fit into the judged part of the recording."""
+        """Raise ConfigError if an outage does not fit into the evaluated part of the recording."""
         last = float(self.fixes.t[-1])
         if self.first + duration > last:
-            raise ConfigError(
-                f"--outages: {duration:g} s do not fit into the judged time, {self.first:.1f} to {last:.1f} s"
-            )
+            raise ConfigError(f"--outages: {duration:g} s do not fit into {self.first:.1f} to {last:.1f} s")
 
     def run_outages(
         self, one: estimator.Estimator, label: str, duration: float, places: int
     ) -> list[OutageDrift]:
-        """Return the drift over an outage at several places; the estimator runs once for each.
+        """Return the drift over an outage at several places; the filter runs once for each.
 
-        The fix that ends an outage judges it, or the last epoch of the reference in it.
+        The fix that ends an outage evaluates it, or the last epoch of the reference in it.
 
         Raises
         ------
@@ -431,7 +429,7 @@ class Session:
         return drifts
 
     def _list_ends(self, end: float, duration: float) -> FloatArray:
-        """Return the output instants at the end of an outage [s]; a reference has an epoch among them."""
+        """Return the output epochs at the end of an outage [s]; a reference has an epoch among them."""
         if self.reference is None:
             return np.array([end])
         count = int(max(_END_OF_CUT * duration, _SHORTEST_END) * self.spec.output_rate)

@@ -47,7 +47,7 @@ def fly(
 ) -> Trajectory:
     """Return the truth of a profile, from the cache if it was flown before.
 
-    Where an estimate flies, the truth is that of the noise draw ``run``, and it is always flown.
+    Where an estimate flies, the truth is that of the run ``run``, and it is always flown.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def find_truth_key(profile: Profile, run: int = 0) -> str:
 
 
 def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
-    """Return the sensor data of a profile for a truth, with noise draw ``run`` of the profile's seed."""
+    """Return the sensor data of a profile for a truth, with run ``run`` of the profile's seed."""
     from bench.simulation import sensors
 
     return sensors.sense(truth, profile.sensors, profile.seed, run)
@@ -184,25 +184,25 @@ def sense(profile: Profile, truth: Trajectory, run: int = 0) -> Sensed:
 
 @dataclass(frozen=True, slots=True)
 class Navigated:
-    """What the estimators of a run or a log answered, by label."""
+    """What the filters of a run or a log answered, by label."""
 
     solutions: dict[str, NavSolution] = field(default_factory=dict)
-    unmodelled: dict[str, list[str] | None] = field(default_factory=dict)
+    unmodeled: dict[str, list[str] | None] = field(default_factory=dict)
     cpu_s: dict[str, float] = field(default_factory=dict)
 
 
 def build_estimator(choice: EstimatorChoice) -> estimator.Estimator:
-    """Build an estimator; errors as for `bench.io.foreign.loading.load_estimators`."""
+    """Build a filter; errors as for `bench.io.foreign.loading.load_estimators`."""
     return load_estimators([choice])[0]
 
 
 def build_estimators(profile: Profile) -> dict[str, estimator.Estimator]:
-    """Build the estimators of a profile by label, and check that its sensors give what they need.
+    """Build the filters of a profile by label, and check that its sensors give what they need.
 
     Raises
     ------
     bench.EstimatorError, bench.ConfigError
-        As for :func:`build_estimator`, and if a record that one needs is missing or it refuses a sensor.
+        As for :func:`build_estimator`, and if a record that one needs is missing or it rejects a sensor.
     """
     chosen = profile.estimators
     built = dict(zip([one.label for one in chosen], load_estimators(chosen), strict=True))
@@ -221,12 +221,12 @@ def _list_records(profile: Profile) -> set[str]:
 
 
 def navigate(choice: EstimatorChoice, data: SensorData, initial: InitialState) -> NavSolution:
-    """Return the solution of one estimator, which gets the sensor data and never the truth.
+    """Return the solution of one filter, which gets the sensor data and never the truth.
 
     Raises
     ------
     bench.EstimatorError
-        If there is no such estimator, its options are wrong, or it does not return a valid solution.
+        If there is no such filter, its options are wrong, or it does not return a valid solution.
     bench.core.words.exceptions.EstimatorFailedError
         If its ``run`` raises an exception.
     """
@@ -241,9 +241,9 @@ def navigate_all(
     stages: Stages,
     also: Callable[[str, NavSolution], object] = lambda label, solution: None,
 ) -> Navigated:
-    """Run the estimators one after the other; one that raises, or cannot start, has failed.
+    """Run the filters one after the other; one that raises, or cannot start, has failed.
 
-    ``also`` is called with each solution, and may raise as an estimator does.
+    ``also`` is called with each solution, and may raise as a filter does.
 
     Raises
     ------
@@ -254,11 +254,11 @@ def navigate_all(
     raised: dict[str, EstimatorError | EstimatorFailedError] = {}
     for number, (label, one) in enumerate(built.items(), 1):
         stages.begin(f"filter {number} of {len(built)}: {label}")
-        answers.unmodelled[label] = None
+        answers.unmodeled[label] = None
         begun = _read_cpu_clock()
         try:
             solution = estimator.answer(one, label, data, initial)
-            answers.unmodelled[label] = estimator.list_unmodelled(one, label, specs)
+            answers.unmodeled[label] = estimator.list_unmodeled(one, label, specs)
             also(label, solution)
         except (EstimatorError, EstimatorFailedError) as error:
             raised[label] = error
@@ -311,16 +311,16 @@ def _list_facts(profile: Profile) -> dict[str, Any]:
 def evaluate(
     profile: Profile, truth: Trajectory, sensed: Sensed, answers: Navigated, steered: NavSolution | None
 ) -> tuple[dict[str, Judged], OffPath | None]:
-    """Judge all solutions by the truth; what ``steered`` is added to them, and judged by its path, too."""
+    """Evaluate all solutions by the truth; what ``steered`` is added, and evaluated by its path, too."""
     path = None
     if steered is not None:
         from bench.simulation.flight.guidance.desired_path import measure_steered
 
-        answers.solutions[IN_FLIGHT], answers.unmodelled[IN_FLIGHT] = steered, None
+        answers.solutions[IN_FLIGHT], answers.unmodeled[IN_FLIGHT] = steered, None
         path = measure_steered(profile.flight, truth, steered.t)
     judged = {}
     for label, solution in answers.solutions.items():
-        more = {"unmodelled": answers.unmodelled[label], **_describe_program(solution)}
+        more = {"unmodeled_errors": answers.unmodeled[label], **_describe_program(solution)}
         judged[label] = judge_solution(
             label,
             solution,
@@ -340,7 +340,7 @@ def evaluate(
 def find_worked(
     built: Mapping[str, estimator.Estimator], metrics: Mapping[str, dict[str, Any]], data: SensorData
 ) -> dict[str, estimator.Estimator]:
-    """Return the estimators that did not fail; the metrics of one that is another one say so."""
+    """Return the filters that did not fail; the metrics of one that is another one say so."""
     worked = {label: one for label, one in built.items() if not metrics[label].get("failed")}
     for label, other in estimator.find_same(worked, data).items():
         metrics[label]["same_as"] = other
@@ -367,7 +367,7 @@ def explain(
     causes: bool | None,
     stages: Stages,
 ) -> Judged:
-    """Find out why a claim is broken; a verdict that holds is returned as it is."""
+    """Find out why a covariance is broken; a verdict that holds is returned as it is."""
     from bench.evaluation.causes.explaining import DrawnRun, explain_run
     from bench.evaluation.consistency.verdict import BROKEN
     from bench.evaluation.conventions.convention_search import find_mistakes
@@ -386,7 +386,7 @@ def explain(
 
 
 def _is_searched(choice: EstimatorChoice, causes: bool | None) -> bool:
-    """Tell whether a filter runs again to find out why its claim is broken; one from a file cannot."""
+    """Tell whether a filter runs again to find out why its covariance is broken; one from a file cannot."""
     asked = choice.use in built_in.BUILT_IN if causes is None else causes
     return asked and not choice.use.startswith("file:")
 

@@ -1,7 +1,7 @@
 """Print how often cards hold a false word, find a loss, and hold the truth in an interval: the guide's table.
 
 ``python -m tests.campaigns.card_power`` takes 15 s of CPU. ``--trials`` is the number of simulated pairs:
-five quantities on seven flights of 8 draws, log-normal, with the scatter between the draws of two filters.
+five quantities on seven flights of 8 runs, log-normal, with the scatter between the runs of two filters.
 """
 
 import argparse
@@ -41,7 +41,7 @@ def count_words(rng: np.random.Generator, trials: int, scatter: float, factor: f
 
 
 def count_inside(rng: np.random.Generator, trials: int, spread: float, scatter: float) -> int:
-    """Return how many intervals of a ratio of two equal filters hold 1; draws differ by a spread."""
+    """Return how many intervals of a ratio of two equal filters hold 1; runs differ by a spread."""
     inside = 0
     for _ in range(trials):
         base = np.exp(rng.normal(0.0, spread, DRAWS))
@@ -64,7 +64,7 @@ def main() -> None:
         print(f"{factor - 1:.0%} worse everywhere, 20 % scatter: found in {found} of {trials}")
     for spread, scatter in ((0.3, 0.05), (0.6, 0.5)):
         inside = count_inside(rng, 5 * trials, spread, scatter)
-        print(f"95 % interval of a ratio, 8 draws, {scatter:.0%} scatter: right in {inside / 5 / trials:.1%}")
+        print(f"95 % interval of a ratio, 8 runs, {scatter:.0%} scatter: right in {inside / 5 / trials:.1%}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Print who cheats, and what the card says: the table of the guide.
 
 ``python -m tests.campaigns.cheat_table`` takes two minutes of CPU: each cheat on the flight of the
-quick suite that shows it, with the eight draws of the suite, beside `loose-15`.
+quick suite that shows it, with the eight runs of the suite, beside `loose-15`.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ CHEATS = (
     Cheat("stays where it starts, without a covariance", "Frozen"),
     Cheat("answers where its sigma is smallest", "AnswersWhereItIsSure", ("coverage",)),
     Cheat("no attitude where its heading is doubtful", "LosesItsHeading", ("coverage",)),
-    Cheat("claims an accuracy only where it is sure", "ClaimsWhereItIsSure"),
-    Cheat("claims to be exact", "ClaimsToBeExact"),
+    Cheat("reports a covariance only where it is sure", "ClaimsWhereItIsSure"),
+    Cheat("covariances to be exact", "ClaimsToBeExact"),
     Cheat("stamps its answers with times of its own", "StampsItsOwnTimes"),
     Cheat("an alarm every second", "AlwaysAlarms", ("faults", "alarms"), "gnss-faults"),
     Cheat("an alarm every other second", "AlarmsInTurns", ("alarms",), "gnss-faults"),
-    Cheat("claims 100 times its sigma", "Gain", ("honesty",), options={"gain": 100.0}),
-    Cheat("too narrow and too wide a claim in turns", "Swings", ("honesty",)),
+    Cheat("reports 100 times its sigma", "Gain", ("honesty",), options={"gain": 100.0}),
+    Cheat("too narrow and too wide a covariance in turns", "Swings", ("honesty",)),
     Cheat("0.1 s late", "IsLate", ("conventions",)),
     Cheat("velocities east, north, up", "SpeaksEnu", ("conventions",)),
     Cheat("takes fixes before they arrive", "TakesFixesEarly", ("causality",), LATE),
@@ -55,7 +55,7 @@ CHEATS = (
     Cheat("remembers the records of other runs", "Remembers", ("causality",), LATE, own_process=True),
     Cheat("answers otherwise in another process", "Throws", ("causality",), LATE, own_process=True),
     Cheat(
-        "knows the truth, and is a decimetre off",
+        "knows the truth, and is a decimeter off",
         "KnowsTheTruth",
         ("accuracy",),
         options={"profile": "s-turns"},
@@ -68,7 +68,7 @@ def make_rows() -> Iterator[tuple[str, str]]:
     for one in CHEATS:
         members = tuple(replace(member, without="") for member in QUICK.members if member.name == one.flight)
         use = f"tests.campaigns.cheats:{one.name}" if one.name[0].isupper() else one.name
-        here = patch.object(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        here = patch.object(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         with here, patch.object(card_making, "QUICK", replace(QUICK, members=members)):
             found = bench.make_card(
                 use,

@@ -73,7 +73,7 @@ class SpeaksEnu(Wrong):
 
 
 class Frozen(Wrong):
-    """Stays 20 km from where it starts, and claims nothing."""
+    """Stays 20 km from where it starts, and covariances nothing."""
 
     def spoil(self, found):
         still = np.broadcast_to(found.lla[:1] + np.array([0.003, 0.0, 0.0]), found.lla.shape)
@@ -84,7 +84,7 @@ class Frozen(Wrong):
 
 
 def is_sure(found: NavSolution, share: float) -> np.ndarray:
-    """Return the rows of the smallest claims."""
+    """Return the rows of the smallest covariances."""
     size = np.trace(found.cov[:, :2, :2], axis1=1, axis2=2)
     return size <= np.quantile(size, share)
 
@@ -105,7 +105,7 @@ class LosesItsHeading(Wrong):
 
 
 class ClaimsWhereItIsSure(Wrong):
-    """Answers always, and claims an accuracy only where it is best."""
+    """Answers always, and covariances an accuracy only where it is best."""
 
     def spoil(self, found):
         doubtful = ~is_sure(found, 0.3) & (found.t > 6.0)
@@ -119,11 +119,11 @@ class SpeaksLate(Wrong):
         return silence(found, found.t < QUIET_S)
 
 
-# --- claims -----------------------------------------------------------------------------------------------
+# --- covariances --------------------------------------------------------------------------------------------
 
 
 class Gain(Wrong):
-    """Has an option, and claims so much more."""
+    """Has an option, and covariances so much more."""
 
     def __init__(self, *, gain: float = 1.0) -> None:
         self.gain = gain
@@ -200,7 +200,7 @@ class Remembers:
 
 
 class SmoothsOnTime:
-    """Honest where fixes come late, and smooths elsewhere."""
+    """Consistent where fixes come late, and smooths elsewhere."""
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         late = np.median(sensors.fixes.t_arrival - sensors.fixes.t) > 0.3
@@ -216,7 +216,7 @@ class Throws:
 
 
 class KnowsTheTruth(Wrong):
-    """Takes the truth from the cache, and stays a decimetre away from it."""
+    """Takes the truth from the cache, and stays a decimeter away from it."""
 
     def __init__(self, *, profile: str = "short.toml") -> None:
         self.profile = profile

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from bench.experiments.campaigns.batches import BATCH, Lost, _Pace, compute
+from bench.experiments.campaigns.batches import BATCH, Lost, Pace, compute
 from bench.experiments.campaigns.pools import THREADS, ProcessPool
 
 
@@ -129,7 +129,7 @@ def test_batches_last_a_few_seconds_and_the_last_ones_are_small():
     assert max(pool.sizes) == BATCH / 0.5
     assert pool.sizes[:4] == [1, 1, 1, 1]
     assert pool.sizes[-1] == 1
-    assert _Pace().choose_size(100, 2) == 1
+    assert Pace().choose_size(100, 2) == 1
 
 
 STOPPED_WHILE_IT_BEGINS = """
@@ -141,7 +141,7 @@ class Thread:
     def start(self): os.kill(os.getpid(), signal.SIGTERM)
 
 pools.threading.Thread = Thread
-pools._prepare(sys.path)
+pools.prepare_worker(sys.path)
 """
 
 

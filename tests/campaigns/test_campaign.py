@@ -38,7 +38,7 @@ from bench.experiments.campaigns import running
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.journal import NAME, Journal
 from bench.experiments.campaigns.merging import merge_campaigns
-from bench.experiments.campaigns.outcome import Outcome, Pair, _pool_nis, compare
+from bench.experiments.campaigns.outcome import Outcome, Pair, compare, pool_nis
 from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.views import recording
@@ -136,7 +136,7 @@ def test_each_run_is_repeated_by_the_command_in_its_row(here):
             elif name in metrics:
                 assert metrics[name] == value, name
         assert sum(name in row for name in metrics) > 100
-        errors = bench.load("alone").errors[row["estimator"]]
+        errors = bench.read_result("alone").errors[row["estimator"]]
         late = errors.t >= 5.0
         assert np.sqrt(np.mean(errors.pos_n[late, 2] ** 2)) == pytest.approx(row["pos_rmse_d_m"])
 
@@ -150,7 +150,7 @@ def test_runs_differ_and_columns_have_units(here):
 
 
 def list_channels(result: Any, at: int) -> list[float]:
-    """What is kept of loose-22 at an instant, in the order of `CHANNELS`."""
+    """What is kept of loose-22 at a time, in the order of `CHANNELS`."""
     one, solution = result.errors["loose-22"], result.solutions["loose-22"]
     k = int(np.argmin(np.abs(solution.t - one.t[at])))
     variance, claimed = (
@@ -165,7 +165,7 @@ def list_channels(result: Any, at: int) -> list[float]:
 def test_epochs_hold_the_statistics_of_the_runs(here):
     table = pq.read_table(here / "two" / EPOCHS)
     rows = [row for row in table.to_pylist() if row["estimator"] == "loose-22"]
-    results = [bench.run(bench.load_profile("short.toml", **OPTIONS), run=k) for k in range(4)]
+    results = [bench.run(bench.read_profile("short.toml", **OPTIONS), run=k) for k in range(4)]
     errors = [one.errors["loose-22"] for one in results]
     for row in (rows[0], rows[-1]):
         at = int(np.argmin(np.abs(errors[0].t - row["t_s"])))
@@ -213,7 +213,7 @@ def test_an_interrupted_verb_says_how_to_continue(here, monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Journal, "append", interrupt)
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+    monkeypatch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     assert main(["campaign", "short.toml", "--runs", "3", "--jobs", "1", "-o", "cut"]) == INTERRUPTED
     assert "--resume" in capsys.readouterr().out
     assert pq.read_table("cut/runs.parquet").num_rows == 2
@@ -232,7 +232,7 @@ def test_the_summary_has_figures_and_sentences(here):
 def test_the_report_shows_what_the_tables_hold(here, capsys):
     assert main(["report", "two"]) == 0
     text = (here / "two" / "report.html").read_text()
-    read = bench.load_campaign("two")
+    read = bench.read_campaign("two")
     assert read.outcomes == bench.campaign("short.toml", 4, **OPTIONS, out="two", resume=True).outcomes
     words = html.unescape(text)
     assert all(one.sentence in words for one in read.comparisons)
@@ -260,7 +260,7 @@ def test_the_report_shows_what_the_tables_hold(here, capsys):
     for content in ("[]", "{}", '{"outcomes": [1]}', "{"):
         (here / "damaged" / "campaign.json").write_text(content)
         with pytest.raises(ConfigError, match=r"campaign\.json"):
-            bench.load_campaign("damaged")
+            bench.read_campaign("damaged")
 
 
 @pytest.mark.parametrize(
@@ -292,7 +292,7 @@ def test_a_folder_of_a_stranger_is_a_line_and_the_others_stand(here, tmp_path, c
 
 
 def test_a_swept_number_is_the_axis_of_a_plot(here):
-    read = bench.load_campaign("two")
+    read = bench.read_campaign("two")
     (only,) = read.conditions
     conditions = [{**only, "values": {"sensors.imu.gyro.noise_deg_sqrt_h": x}} for x in (2.0, 0.5)]
     outcomes = [
@@ -302,11 +302,11 @@ def test_a_swept_number_is_the_axis_of_a_plot(here):
         for errors in [{"tilt_rmse_deg": Estimate(size, size - 1.0, size + 1.0)}]
     ]
     swept = replace(read, conditions=tuple(conditions), outcomes=tuple(outcomes))
-    (plot,) = campaign_page._plot_sweep(swept, {"loose-22": (0, 0, 0)})
+    (plot,) = campaign_page.plot_sweep(swept, {"loose-22": (0, 0, 0)})
     assert plot.title == "tilt error (roll and pitch), rms [deg] by sensors.imu.gyro.noise_deg_sqrt_h"
     assert plot.series[0].t.tolist() == [0.5, 2.0]
     assert plot.series[0].values.tolist() == [[3.0, 2.0, 4.0], [10.0, 9.0, 11.0]]
-    assert list(campaign_page._plot_sweep(read, {"loose-22": (0, 0, 0)})) == []
+    assert list(campaign_page.plot_sweep(read, {"loose-22": (0, 0, 0)})) == []
 
 
 def test_two_campaigns_are_drawn_over_each_other(here, capsys):
@@ -322,7 +322,7 @@ def test_two_campaigns_are_drawn_over_each_other(here, capsys):
     plots = re.findall(r'aria-label="([^"]+)"', words)
     tilt = next(text for text in plots if text.startswith("tilt error [deg]: loose-15, two"))
     for name in ("two", "better"):
-        rows = bench.load_campaign(name).epochs.to_pylist()
+        rows = bench.read_campaign(name).epochs.to_pylist()
         mine = [row for row in rows if row["estimator"] == "loose-15" and row["t_s"] >= 5.0]
         values = [row["tilt_deg_p50"] for row in mine]
         assert f"loose-15, {name} {min(values):.3g} to {max(values):.3g}" in tilt
@@ -335,7 +335,7 @@ def test_two_campaigns_are_drawn_over_each_other(here, capsys):
 
 
 def test_campaigns_are_merged_by_their_conditions(here):
-    read = bench.load_campaign("two")
+    read = bench.read_campaign("two")
     (only,) = read.conditions
 
     def sweep(*values: float) -> Any:
@@ -477,7 +477,7 @@ def test_a_full_disk_keeps_what_is_finished(here, monkeypatch, capsys):
 
     with monkeypatch.context() as patch:
         patch.setattr(os, "pwrite", write)
-        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        patch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         arguments = [f"--set={key}={value}" for key, value in OPTIONS["overrides"].items()]
         assert (
             main(["campaign", "short.toml", "--runs", "4", "--seed=8", "-o", "full", *arguments]) == MACHINE
@@ -534,7 +534,7 @@ def test_a_run_that_ends_its_worker_is_a_row_with_its_reason(here, monkeypatch):
             return "its worker process was ended by SIGSEGV", True
 
     with monkeypatch.context() as patch:
-        patch.setattr(running, "_open_pool", lambda *_: Mortal(SerialExecutor(), 1))
+        patch.setattr(running, "choose_pool", lambda *_: Mortal(SerialExecutor(), 1))
         result = campaign("mortal")
     rows = pq.read_table("mortal/runs.parquet").to_pylist()
     assert [row["failed"] for row in rows] == [False] * 4 + [True] * 2 + [False] * 2
@@ -550,7 +550,7 @@ def test_a_campaign_has_the_processes_that_are_asked_for(here, monkeypatch, jobs
     def stop(plan: Any, count: int, executor: Any, scheduler: Any) -> Any:
         raise ConfigError(f"{count} processes")
 
-    monkeypatch.setattr(running, "_open_pool", stop)
+    monkeypatch.setattr(running, "choose_pool", stop)
     with pytest.raises(ConfigError, match=f"^{jobs or running.count_processors()} processes"):
         bench.campaign("short.toml", 1, jobs=jobs)
 
@@ -562,7 +562,7 @@ def test_what_filters_print_is_kept_with_the_command_of_the_run(here, monkeypatc
     )
     first = campaign("printed", 1)
     campaign("printed", 2, resume=True)
-    commands = bench.load_campaign("printed").runs["command"].to_pylist()[::2]
+    commands = bench.read_campaign("printed").runs["command"].to_pylist()[::2]
     told = [f"--- loose-22: {command}\nof {k}\n" for k, command in enumerate(commands)]
     assert (here / "printed" / running.PRINTED).read_text() == "".join(told)
     assert not (here / "two" / running.PRINTED).exists()
@@ -612,7 +612,7 @@ def test_the_nis_of_the_runs_that_converged_is_weighted_by_their_updates():
         nis_dof=[{"baro": row[2]} if row else {} for row in rows],
         metrics=[{"nis_mean_baro": row[0], "updates_baro": row[1]} if row else {} for row in rows],
     )
-    ((sensor, found),) = _pool_nis(group).items()
+    ((sensor, found),) = pool_nis(group).items()
     assert sensor == "baro"
     assert (found.mean, found.updates) == (pytest.approx(0.75), 40)
     tail = 0.5 * (1.0 - NIS_PROBABILITY)
@@ -620,7 +620,7 @@ def test_the_nis_of_the_runs_that_converged_is_weighted_by_their_updates():
 
 
 def test_a_campaign_shows_its_figures_in_a_notebook_as_a_plot_and_as_a_frame(here):
-    loaded = bench.load_campaign("two")
+    loaded = bench.read_campaign("two")
     shown = loaded._repr_html_()
     assert all(f"<p>{sentence}" in shown for sentence in loaded.sentences if "<" not in sentence)
     assert "<th>pos_rmse_h_m</th>" in shown

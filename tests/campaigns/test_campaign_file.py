@@ -76,7 +76,7 @@ def test_its_rows_are_repeated_and_its_tables_name_the_values(here, monkeypatch)
         firsts.extend([list(first)] if function is running.measure else [])
         return real(function, items, pool, first)
 
-    monkeypatch.setattr(running, "_WAVE", 3)
+    monkeypatch.setattr(running, "WAVE", 3)
     monkeypatch.setattr(running, "compute", compute)
     result = bench.campaign("files/units.toml", executor=SerialExecutor(), out="done")
     assert firsts == [[0], [], []]
@@ -130,7 +130,7 @@ def test_percentiles_of_very_many_runs_come_from_bins(here, monkeypatch):
     )
     for name in ("pos_err_n_m_mean", "nees_mean", "heading_err_deg_mean"):
         np.testing.assert_allclose(binned.epochs[name], exact.epochs[name], rtol=1e-5)
-    np.testing.assert_allclose(found[0].kept_t, found[0].t[2::3])  # of five runs each third instant
+    np.testing.assert_allclose(found[0].kept_t, found[0].t[2::3])  # of five runs each third time
     assert binned.epochs["pos_sd_h_m_p50"] != exact.epochs["pos_sd_h_m_p50"]
     np.testing.assert_allclose(binned.epochs["pos_sd_h_m_p50"], exact.epochs["pos_sd_h_m_p50"], rtol=0.013)
 
@@ -159,7 +159,7 @@ def test_binned_percentiles_are_those_of_the_values():
         (("runs = 1", "run = 1"), "unknown key 'run'"),
         (('"loose-15"', '"own:Filter"'), "--allow-code permits it"),
         (("start.alt_m", 'sensors.imu = "stim300"\nstart.alt_m'), "sensors.imu is given twice"),
-        (('"loose-15"', '"file:x.csv"'), "belongs to one noise draw"),
+        (('"loose-15"', '"file:x.csv"'), "belongs to one run"),
         (("start.alt_m = 1002.5", 'wind.turbulence = "none"'), "has no turbulence"),
         (("[1.5, 3]", "[1.5, -3]"), "pos_h_white_sd_m"),
     ],
@@ -185,4 +185,4 @@ def test_percentiles_over_runs_of_which_some_have_no_value():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         wanted = np.nanpercentile(values, groups.PERCENTILES, axis=0)
-    np.testing.assert_array_equal(groups._find_percentiles(values), wanted)
+    np.testing.assert_array_equal(groups.find_percentiles(values), wanted)

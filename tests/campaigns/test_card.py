@@ -23,7 +23,7 @@ from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.card import card_comparison, card_lines, card_making
 from bench.experiments.card.card_comparison import list_differences
 from bench.experiments.card.card_suite import FULL, QUICK, Suite, SuiteFlight, move_events
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.foreign.solution_folder import name_draw
 from bench.views.report.card_page import write_card
 from tests.campaigns import card_power
@@ -62,7 +62,7 @@ def made(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         patch.setattr(card_making, "QUICK", make_suite())
-        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        patch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         assert main(["card", *BOTH, "-o", "a.json", "--html", "a.html"]) == 0
         assert main(["card", *BOTH, "-o", "again.json"]) == 0
         assert main(["card", "-e", "loose-22", "--against", "loose-22", "--quick", "-o", "b.json"]) == 0
@@ -100,12 +100,12 @@ def test_a_card_says_what_the_runs_say(made):
     assert find(found, "short", "convergence").value == 1.0
     for line in (*found.lines, found.speed):
         assert (line.low or -math.inf) <= (line.value or 0.0) <= (line.high or math.inf), line
-    assert found.summary.startswith("loose-15 answers all instants, converged in 9 of 9 draws, is ")
-    assert found.lines[0].sentence == "short: answers at all instants."
+    assert found.summary.startswith("loose-15 has a solution at all epochs, converged in 9 of 9 runs, is ")
+    assert found.lines[0].sentence == "short: answers at all epochs."
     assert found.lines[1].sentence == "short: first answer after 0 s at most."
     assert (found.good, found.lost, found.options) == (True, (), {})
     assert find(found, "short", "accuracy").sentence.endswith(
-        "times the bound; the bound is that of sensors without faults."
+        "times the bound; the bound holds for sensors without faults."
     )
 
 
@@ -113,7 +113,7 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
     found = bench.read_card(made / "a.json")
     [values] = [one.values for one in make_suite().members if one.name == "gap"]
     gap = [
-        bench.run(load_profile("short.toml", values, estimators=["loose-15"]), run=k) for k in range(DRAWS)
+        bench.run(read_profile("short.toml", values, estimators=["loose-15"]), run=k) for k in range(DRAWS)
     ]
     errors = [one.metrics["loose-15"]["pos_rmse_h_m"] for one in gap]
     line, plain = find(found, "gap", "robustness"), find(found, "short", "accuracy").by_draw
@@ -123,7 +123,7 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
     )
     assert not [one for one in found.lines if (one.flight, one.topic) == ("gap", "faults")]
     _, times = (line for line in found.lines if (line.flight, line.topic) == ("heading", "convergence"))
-    profile = load_profile("short.toml", {**HEADING, "fault": []}, estimators=["loose-15"])
+    profile = read_profile("short.toml", {**HEADING, "fault": []}, estimators=["loose-15"])
     settled = [bench.run(profile, run=k).metrics["loose-15"]["heading_right_s_all"] for k in range(DRAWS)]
     assert list(times.by_draw) == settled
     assert times.value == sorted(settled)[1]
@@ -132,9 +132,9 @@ def test_gaps_and_a_wrong_heading_have_lines_of_their_own(made):
 def test_an_estimator_without_attitude_has_no_line_of_heading():
     flight = SuiteFlight("heading", "short.toml", HEADING)
     rows = [{"converged": True, "heading_rmse_deg": 1.0, "heading_right_s_all": None}] * 3
-    (line,) = card_lines._judge_heading(flight, rows)
+    (line,) = card_lines.judge_heading(flight, rows)
     assert line.value is None
-    assert card_lines._judge_heading(flight, [{"converged": True}] * 3) == []
+    assert card_lines.judge_heading(flight, [{"converged": True}] * 3) == []
 
 
 def test_equal_inputs_give_equal_lines_and_another_suite_another_hash(made, monkeypatch):
@@ -159,12 +159,12 @@ def test_two_cards_compare_draw_by_draw(made, capsys):
     pair = (find(one, "short", "honesty").value for one in (first, second))
     assert values["honesty", "short"] == tuple(pair)
     assert found[-1].sentence.startswith("speed: loose-22 takes ")
-    assert re.fullmatch(r"\d+ figures are the same in every draw.", found[-2].sentence)
+    assert re.fullmatch(r"\d+ figures are the same in every run.", found[-2].sentence)
     [whole, _] = bench.compare_cards(first, first, names=("x", "y"))
     judged = [line for line in first.lines if line.topic != "robustness"]
-    assert whole.sentence == f"{len(judged)} figures are the same in every draw."
+    assert whole.sentence == f"{len(judged)} figures are the same in every run."
     other = second.model_copy(update={"suite_hash": "0", "versions": {"bench": "0"}})
-    with pytest.raises(ConfigError, match="the cards are not of the same suite: b has 3, quick"):
+    with pytest.raises(ConfigError, match="the cards are from different suites: b has 3, quick"):
         bench.compare_cards(first, other, names=("b", "a"))
     assert list_differences(first, second) == []
     assert f"bench {first.versions['bench']} and 0" in list_differences(first, other)
@@ -196,7 +196,7 @@ def test_a_filter_beside_itself_is_not_better_and_one_that_is_worse_is_found():
 
 
 def test_flights_that_share_their_noise_are_no_further_draws(made):
-    """Seven times the same 8 draws prove no more than one time."""
+    """Seven times the same 8 runs prove no more than one time."""
     line = find(bench.read_card(made / "a.json"), "short", "accuracy")
     base = bench.read_card(made / "a.json")
 
@@ -220,8 +220,8 @@ def test_flights_that_share_their_noise_are_no_further_draws(made):
     ("text", "message"),
     [
         ("{", "x.json: not valid JSON"),
-        ("[]", "x.json: must hold one JSON object"),
-        ("{}", "x.json: estimator is missing"),
+        ("[]", "x.json: must contain one JSON object"),
+        ("{}", "x.json: format 1, expected format 2"),
         (None, "x.json: no such file"),
     ],
 )
@@ -270,9 +270,9 @@ def test_a_filter_that_loses_its_worst_draws_is_not_better(made):
     picky = make([0.8, 0.9, 0.7, 0.8, 1.0, 0.7, 0.8, None])
     [found] = bench.compare_cards(picky, whole, names=("x", "y"))
     assert found.better is None
-    assert "x is better in the draws that both have, but lost 2 that y kept" in found.sentence
+    assert "x is better in the runs that both have, but lost 2 that y kept" in found.sentence
     [found, *_] = bench.compare_cards(whole, picky, names=("y", "x"))
-    assert "x is better in the draws that both have, but lost 2 that y kept" in found.sentence
+    assert "x is better in the runs that both have, but lost 2 that y kept" in found.sentence
 
 
 def test_what_is_no_error_is_compared_in_words(made):
@@ -289,13 +289,13 @@ def test_what_is_no_error_is_compared_in_words(made):
 
     told = [line.sentence for line in bench.compare_cards(having(value=0.5), having(value=None), ("x", "y"))]
     assert "short: look-ahead: 0.5 s and not proven." in told
-    assert "short: answers at 50 and 0 % of the instants." in told
+    assert "short: answers at 50 and 0 % of the epochs." in told
 
 
 def test_a_time_to_the_heading_is_compared_in_words(made):
     base = find(bench.read_card(made / "a.json"), "short", "convergence")
     line = base.model_copy(update={"figure": "median time to the heading [s]", "value": 12.5})
-    told = card_comparison._tell_values(line, line.model_copy(update={"value": None}))
+    told = card_comparison.tell_values(line, line.model_copy(update={"value": None}))
     assert told == "heading found after 12.5 s and never"
 
 
@@ -310,7 +310,7 @@ def test_a_time_to_the_heading_is_compared_in_words(made):
     ],
 )
 def test_a_value_of_a_card_is_the_same_but_for_the_processor(one, other, same):
-    assert card_making._same_value(one, other) == same
+    assert card_making.is_same_value(one, other) == same
 
 
 def test_the_ratio_that_would_be_found_is_that_of_students_t():
@@ -318,19 +318,19 @@ def test_the_ratio_that_would_be_found_is_that_of_students_t():
     change = average_changes(np.array([0.1, -0.2, 0.15, 0.05, -0.1, 0.02, 0.3, -0.12]))
     t = scipy.stats.t(7)
     ratio = np.exp((t.ppf(0.99) + t.ppf(0.8)) * change.standard_error)
-    assert card_comparison._find_power(change, 0.02) == f"a ratio of {card_lines.write_figure(ratio)}"
+    assert card_comparison.find_power(change, 0.02) == f"a ratio of {card_lines.write_figure(ratio)}"
 
 
 def test_what_is_not_estimated_is_said():
     flight = SuiteFlight("short", "short.toml")
-    rows = [{"converged": True, "answered_pos": share} for share in (1.0, 0.5, 1.0)]
-    line = card_lines._judge_coverage(flight, rows)
+    rows = [{"converged": True, "availability_pos": share} for share in (1.0, 0.5, 1.0)]
+    line = card_lines.judge_coverage(flight, rows)
     assert line.sentence == (
-        "short: answers position at 50 % of the instants, each in the draw with the fewest; "
+        "short: answers position at 50 % of the epochs, each in the run with the fewest; "
         "no velocity, no attitude."
     )
     assert (line.value, line.by_draw) == (0.5, (1.0, 0.5, 1.0))
-    nothing = card_lines._judge_coverage(flight, [{"converged": False, "failed": True}] * 3)
+    nothing = card_lines.judge_coverage(flight, [{"converged": False, "failed": True}] * 3)
     assert (nothing.value, nothing.sentence) == (0.0, "short: answers nothing.")
 
 
@@ -341,7 +341,7 @@ def test_a_card_is_verified_by_runs_that_nobody_knows_before(made, monkeypatch, 
     monkeypatch.chdir(made)
     make_suite()
     assert main(["card", "--verify", "a.json"]) == 0
-    assert "the repeated runs are those of the card" in capsys.readouterr().out
+    assert "the repeated runs equal the card" in capsys.readouterr().out
     edited = json.loads((made / "a.json").read_text())
     for line in edited["lines"]:
         if line["topic"] == "accuracy":
@@ -350,12 +350,12 @@ def test_a_card_is_verified_by_runs_that_nobody_knows_before(made, monkeypatch, 
     (made / "edited.json").write_text(json.dumps(edited))
     assert main(["card", "--verify", "edited.json"]) == 1
     told = capsys.readouterr().out
-    assert re.search(r"short, draw \d: horizontal error: card and repetition \d", told)
-    assert re.search(r"gap, draw \d: horizontal error: card and repetition - and \d", told)
+    assert re.search(r"short, run \d: horizontal error: card and repetition \d", told)
+    assert re.search(r"gap, run \d: horizontal error: card and repetition - and \d", told)
     other = bench.read_card(made / "a.json").model_copy(update={"use": "loose-22"})
     assert any("is not the program that the card names" in text for text in card_making.verify_card(other))
     for change, message in (
-        ({"use": ""}, "which estimator it ran"),
+        ({"use": ""}, "does not name its filter"),
         ({"suite_hash": "0"}, "the card is of suite 0"),
     ):
         with pytest.raises(ConfigError, match=message):
@@ -418,7 +418,7 @@ def test_the_suite_names_flights_that_load():
     names = [one.name for one in FULL.members]
     assert len(set(names)) == len(names)
     for one in FULL.members:
-        profile = load_profile(one.profile, one.values, estimators=["loose-15"])
+        profile = read_profile(one.profile, one.values, estimators=["loose-15"])
         assert one.without in ("", *names)
         assert bool(profile.sensors.faults) >= bool(one.without)
 
@@ -428,14 +428,14 @@ def test_with_a_seed_what_breaks_comes_at_other_times_in_the_same_order():
     assert moved["gnss-faults"][1] == move_events(moved["gnss-faults"][0], 5)
     for name in ("gnss-faults", "imu-gaps", "figure-eight"):
         one, rows = moved[name]
-        before = load_profile(one.profile, one.values).document
+        before = read_profile(one.profile, one.values).document
         (key,) = rows
         pairs = list(zip(before[key], rows[key], strict=True))
         assert any(a["start_s"] != b["start_s"] for a, b in pairs)
         assert [{**a, "start_s": 0} for a, _ in pairs] == [{**b, "start_s": 0} for _, b in pairs]
         ends = [b["start_s"] + b["duration_s"] for _, b in pairs]
         assert all(end < b["start_s"] for end, (_, b) in zip(ends, pairs[1:], strict=False))
-        load_profile(one.profile, {**one.values, **rows})
+        read_profile(one.profile, {**one.values, **rows})
         assert rows != move_events(one, 6)
     assert moved["late-fixes"][1]["fault"][0]["start_s"] == 0.0  # from the start to the end
     assert moved["survey"][1] == {}
@@ -445,13 +445,13 @@ def test_with_a_seed_what_breaks_comes_at_other_times_in_the_same_order():
 def test_a_card_is_made_or_compared(arguments, capsys):
     assert main(["card", *arguments]) == 2
     assert (
-        "give one of -e NAME to judge, --compare A B, --verify FILE and --sensors DIR"
+        "give one of -e NAME to evaluate, --compare A B, --verify FILE and --sensors DIR"
         in capsys.readouterr().err
     )
 
 
 def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys):
-    """Those of loose-15, written by hand, have its errors; a draw without one is told."""
+    """Those of loose-15, written by hand, have its errors; a run without one is told."""
     monkeypatch.chdir(made)
     assert main(["card", "--sensors", "draws", "--quick"]) == 0
     assert "Next: solution.csv into each, then bench card -e file:draws --quick" in capsys.readouterr().out
@@ -463,9 +463,9 @@ def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys
         assert sorted(path.name for path in place.iterdir()) == ["sensors"]
         assert not list((place / "sensors").glob("*truth*"))
         flight = flights[row["flight"]]
-        profile = load_profile(flight.profile, flight.values)
+        profile = read_profile(flight.profile, flight.values)
         sensed = bench.sense(profile, bench.fly(profile), row["draw"])
-        found = bench.navigate("loose-15", sensed.data, sensed.initial)
+        found = bench.run_filter("loose-15", sensed.data, sensed.initial)
         euler = np.degrees(np.column_stack(rotation.to_euler(found.q_nb)))
         table = np.column_stack([found.t, np.degrees(found.lla[:, :2]), found.lla[:, 2], found.vel_n, euler])
         names = "t_s,lat_deg,lon_deg,alt_m,vel_n_mps,vel_e_mps,vel_d_mps,roll_deg,pitch_deg,heading_deg"
@@ -486,9 +486,9 @@ def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys
 
 
 def test_the_name_of_a_draw_is_that_of_another_processor(made, monkeypatch):
-    """Round-off leaves it, another draw and another start do not."""
+    """Round-off leaves it, another run and another start do not."""
     monkeypatch.chdir(made)
-    profile = load_profile("short.toml")
+    profile = read_profile("short.toml")
     truth = bench.fly(profile)
     one, other = (bench.sense(profile, truth, run) for run in range(2))
     name = name_draw(one.data, one.initial)

@@ -1,4 +1,4 @@
-"""The judges of a card, without flights: causality, conventions, comparison, the times of what breaks."""
+"""The evaluates of a card, without flights: causality, conventions, comparison, the times of what breaks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from bench.experiments.card.card_causality import hash_all_answers, judge_causal
 from bench.experiments.card.card_comparison import compare_cards, name_cards
 from bench.experiments.card.card_lines import SAME, SHARE, Line, write_figure
 from bench.experiments.card.card_suite import FULL, LATE, QUICK, VERSION, Suite, SuiteFlight, move_events
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.causality import LookAhead
 from tests.campaigns.test_campaign import PROFILE
 from tests.campaigns.test_card_lines import make_card, make_line
@@ -72,7 +72,7 @@ def test_the_worst_of_the_flights_that_are_drawn_is_told(monkeypatch, count, fou
             raise EstimatorFailedError(found[profile.number])
         return found[profile.number]
 
-    monkeypatch.setattr(card_causality, "_measure", measure)
+    monkeypatch.setattr(card_causality, "measure", measure)
     plan, suite = make_plan(count, EstimatorChoice("own:X", "x"))
     line = judge_causality(plan, suite, "x", [[{"answers": "a"}]] * count)
     late = 1 if count > 1 else 0
@@ -91,7 +91,7 @@ def test_the_worst_of_the_flights_that_are_drawn_is_told(monkeypatch, count, fou
 
 def test_which_flights_prove_causality_follows_from_all_answers(monkeypatch):
     asked: list[int] = []
-    monkeypatch.setattr(card_causality, "_measure", lambda profile, *_: asked.append(profile.number) or NO)
+    monkeypatch.setattr(card_causality, "measure", lambda profile, *_: asked.append(profile.number) or NO)
     plan, suite = make_plan(4, EstimatorChoice("own:X", "x"))
     drawn = set()
     for k in range(12):
@@ -125,13 +125,13 @@ def test_the_future_is_changed_a_sample_before_fixes_of_a_run_that_converged(mon
     choice, rng = EstimatorChoice("own:X", "x"), np.random.default_rng(1)
     own = [{"converged": k == 2, "answers": "x 1"} for k in range(4)]
     for _ in range(100):
-        assert card_causality._measure(None, choice, own, 3, rng) is SOME
+        assert card_causality.measure(None, choice, own, 3, rng) is SOME
     assert sensed == [2, 4] * 100
     assert set(seen) == set(fixes.t_arrival[8:] - 0.5)
     assert all(np.diff(np.reshape(seen, (100, 3))).ravel() > 0.0)
     lost = [{"converged": False, "answers": "other"}] * 4
     for _ in range(20):
-        assert card_causality._measure(None, choice, lost, 3, rng) == DICE
+        assert card_causality.measure(None, choice, lost, 3, rng) == DICE
     assert {0, 1, 2, 3, 4} == set(sensed)
 
 
@@ -160,11 +160,11 @@ def test_a_convention_is_searched_in_three_broken_draws_of_a_flight_on_which_not
     good, bad, wide = {"verdict": "consistent"}, {"verdict": "overconfident"}, {"verdict": "diverged"}
     own = [[bad] * 4, [good, bad, bad, good], [bad, good, wide, bad, bad]]
     (line,) = card_conventions.judge_conventions(plan, suite, "x", own)
-    assert line.sentence == "two: looks like north, with the same constants in 3 draws."
+    assert line.sentence == "two: looks like north, with the same constants in 3 runs."
     assert (line.flight, line.figure, flown) == ("two", "north and time", [0, 2, 3])
     assert searched == [(2, [0, 2, 3], [2], 5.0)]
     (faulty,) = card_conventions.judge_conventions(plan, suite, "x", [[bad] * 2, [good, bad], [good] * 2])
-    assert faulty.sentence == "zero: looks like north, with the same constants in 2 draws."
+    assert faulty.sentence == "zero: looks like north, with the same constants in 2 runs."
     assert card_conventions.judge_conventions(plan, suite, "x", [[good, bad]] * 3) == []
     answer.clear()
     assert card_conventions.judge_conventions(plan, suite, "x", own) == []
@@ -176,7 +176,7 @@ def test_a_convention_is_searched_in_three_broken_draws_of_a_flight_on_which_not
 
 
 def test_what_breaks_moves_by_less_than_half_of_its_gaps_and_20_s(monkeypatch):
-    """Of gaps of 10, 20, 20, 265 and 80 s to begin, neighbours and end 0.4, at most 20 s."""
+    """Of gaps of 10, 20, 20, 265 and 80 s to begin, neighbors and end 0.4, at most 20 s."""
     starts, lasts = (0.0, 60.0, 100.0, 130.0, 300.0), (1.0, 10.0, 10.0, 5.0, 20.0)
     document: dict[str, Any] = {
         "fault": [
@@ -186,7 +186,7 @@ def test_what_breaks_moves_by_less_than_half_of_its_gaps_and_20_s(monkeypatch):
         "duration_s": 400.0,
     }
     profile = SimpleNamespace(document=document, evaluation=SimpleNamespace(begin=50.0))
-    monkeypatch.setattr(card_suite, "load_profile", lambda *_, **__: profile)
+    monkeypatch.setattr(card_suite, "read_profile", lambda *_, **__: profile)
 
     def shifts(count: int) -> np.ndarray:
         moved = [move_events(SuiteFlight("f", "p"), seed) for seed in range(count)]
@@ -235,13 +235,13 @@ def short(tmp_path, monkeypatch):
     ],
 )
 def test_where_there_is_no_bound_the_reason_is_told(short, values, why):
-    found, told = bound_errors_of(load_profile("short.toml", values, estimators=["loose-15"]))
+    found, told = bound_errors_of(read_profile("short.toml", values, estimators=["loose-15"]))
     assert found == {}
     assert told.startswith(why)
 
 
 def test_who_stands_still_has_no_bound():
-    profile = load_profile("static", {"leg.1.duration_s": 70.0}, estimators=["loose-15"])
+    profile = read_profile("static", {"leg.1.duration_s": 70.0}, estimators=["loose-15"])
     assert bound_errors_of(profile) == ({}, "no bound: it stands still, and a filter may know that")
 
 
@@ -252,7 +252,7 @@ DROPPED = [{"kind": "dropped", "sensor": "imu", "start_s": 9.0, "duration_s": 1.
     ("values", "of"),
     [
         ({"fault": DROPPED}, "sensors without faults"),
-        ({"alignment.kind": "course", "evaluation.from_s": 12.0}, "a told start and a known attitude"),
+        ({"alignment.kind": "course", "evaluation.from_s": 12.0}, "a given start and a known attitude"),
         ({"sensors.mag": "rm3100"}, "a known attitude"),
         ({"initial_error_sd.heading_deg": 11.0}, "a known attitude"),
         ({"sensors.mag": "rm3100", "fault": DROPPED}, "sensors without faults and a known attitude"),
@@ -262,19 +262,19 @@ def test_what_the_linear_model_lacks_counts_as_known(short, values, of):
     """So the bound is no larger than that of the plain flight; where the attitude is known it has none."""
     plain, found = (
         bound_errors_of(
-            load_profile("short.toml", {"evaluation.from_s": 12.0, **one}, estimators=["loose-15"])
+            read_profile("short.toml", {"evaluation.from_s": 12.0, **one}, estimators=["loose-15"])
         )
         for one in ({}, values)
     )
-    assert (plain[1], found[1]) == ("", f"the bound is that of {of}")
+    assert (plain[1], found[1]) == ("", f"the bound holds for {of}")
     assert set(plain[0]) - set(found[0]) == ({"tilt", "heading"} if "attitude" in of else set())
     for topic, least in found[0].items():
         assert least <= plain[0][topic] * (1.0 + 1e-9), topic
 
 
 def test_the_bound_of_a_topic_is_that_of_a_run(short):
-    """The run is held against it at the same instants; of velocity it counts the horizontal part alone."""
-    profile = load_profile("short.toml", {"sensors.gnss": "matched-white"}, estimators=["loose-15"])
+    """The run is held against it at the same epochs; of velocity it counts the horizontal part alone."""
+    profile = read_profile("short.toml", {"sensors.gnss": "matched-white"}, estimators=["loose-15"])
     found, why = bound_errors_of(profile)
     rows = {
         row["quantity"]: row["bound"] for row in bench.run(profile, bound=True).metrics["loose-15"]["bound"]
@@ -294,22 +294,22 @@ def test_the_bound_of_a_topic_is_that_of_a_run(short):
     [
         ("convergence", "median time [s]", 12.5, None, "heading found after 12.5 s and never"),
         ("coverage", "longest time [s]", None, 2.0, "first answer after never and 2 s"),
-        ("coverage", SHARE, 0.25, None, "answers at 25 and 0 % of the instants"),
+        ("coverage", SHARE, 0.25, None, "answers at 25 and 0 % of the epochs"),
         ("causality", "look-ahead [s]", None, 0.5, "look-ahead: not proven and 0.5 s"),
         ("accuracy", "horizontal error", 1.0, 2.0, None),
     ],
 )
 def test_values_without_a_test_are_told(topic, figure, one, other, told):
     pair = (make_line(topic, value, figure=figure) for value in (one, other))
-    assert card_comparison._tell_values(*pair) == told
+    assert card_comparison.tell_values(*pair) == told
 
 
 def test_counts_are_told_without_a_test():
     pair = (
-        make_line("faults", 0.5, figure="faults noticed", word="count", by_draw=x)
+        make_line("faults", 0.5, figure="faults detected", word="count", by_draw=x)
         for x in ((1.0, 0.0, None), (1.0, 1.0, 1.0))
     )
-    assert card_comparison._tell_values(*pair) == "faults noticed: 1 and 3 of 3"
+    assert card_comparison.tell_values(*pair) == "faults detected: 1 and 3 of 3"
 
 
 @pytest.mark.parametrize(
@@ -320,14 +320,14 @@ def test_counts_are_told_without_a_test():
         ("honesty", "NEES", "f", True, "f: NEES is 1.20 and 2.00 times its expectation: a is nearer."),
         (
             "honesty", "NEES", "all flights", True,
-            "all flights: NEES of a in a draw off by 0.500 times the factor of b (0.500 to 0.500): "
+            "all flights: NEES of a in a run off by 0.500 times the factor of b (0.500 to 0.500): "
             "a is nearer.",
         ),
     ],
 )  # fmt: skip
 def test_a_change_is_told(topic, figure, flight, differs, told):
     pair = (make_line(topic, value, figure=figure) for value in (1.2, 2.0))
-    found = card_comparison._tell_change(
+    found = card_comparison.tell_change(
         ("a", "b"), *pair, flight, Change(np.log(0.5), 0.0, 7.0, 8), 0.05, differs
     )
     assert found.sentence == told
@@ -338,7 +338,7 @@ def test_a_change_is_told(topic, figure, flight, differs, told):
 def test_what_is_not_proven_says_what_would_be_found():
     pair = (make_line("tilt", value) for value in (1.2, 2.0))
     change, t = Change(0.1, 0.1, 7.0, 8), scipy.stats.t(7)
-    found = card_comparison._tell_change(("a", "b"), *pair, "f", change, 0.05, differs=False)
+    found = card_comparison.tell_change(("a", "b"), *pair, "f", change, 0.05, differs=False)
     low, high, ratio = np.exp(
         [0.1 - 0.1 * t.ppf(0.975), 0.1 + 0.1 * t.ppf(0.975), 0.1 * (t.ppf(0.975) + t.ppf(0.8))]
     )
@@ -347,46 +347,46 @@ def test_what_is_not_proven_says_what_would_be_found():
         found.sentence
         == f"{told}: not proven to differ; a ratio of {write_figure(ratio)} would be found in 80%."
     )
-    other = card_comparison._tell_change(
+    other = card_comparison.tell_change(
         ("a", "b"), *[make_line("tilt", 1.0)] * 2, "f", change, 0.05, differs=True
     )
     assert other.better == "b"
 
 
 def test_draws_are_compared_by_the_logs_of_their_ratios():
-    """Of NEES by those of the factors between each draw and its expectation."""
+    """Of NEES by those of the factors between each run and its expectation."""
     x, y = (2.0, 4.0, None, 0.0, 0.5), (1.0, 0.25, 1.0, 1.0, 2.0)
     pair = [make_line("tilt", by_draw=one) for one in (x, y)]
     log2, nan = np.log(2.0), np.nan
-    assert card_comparison._list_changes(*pair) == pytest.approx(
+    assert card_comparison.list_changes(*pair) == pytest.approx(
         [log2, 4 * log2, nan, nan, -2 * log2], nan_ok=True
     )
     pair = [make_line("honesty", by_draw=one) for one in (x, y)]
-    assert card_comparison._list_changes(*pair) == pytest.approx([log2, 0.0, nan, nan, 0.0], nan_ok=True)
+    assert card_comparison.list_changes(*pair) == pytest.approx([log2, 0.0, nan, nan, 0.0], nan_ok=True)
     few = [make_line("tilt", by_draw=one) for one in ((1.0, None), (2.0, 2.0))]
-    assert card_comparison._list_changes(*few) is None
-    assert card_comparison._list_changes(few[1], few[1]).tolist() == [0.0, 0.0]
+    assert card_comparison.list_changes(*few) is None
+    assert card_comparison.list_changes(few[1], few[1]).tolist() == [0.0, 0.0]
 
 
 def test_a_draw_counts_once_on_however_many_flights():
     changes = np.array([[0.1, 0.4, -0.2, np.nan], [0.3, np.nan, 0.5, np.nan]])
     means = [0.1, 0.4]
     by_draw = [(0.0 - 0.1) / 2, 0.3, (-0.3 + 0.1) / 2]
-    found = card_comparison._pool_flights(changes)
+    found = card_comparison.pool_flights(changes)
     assert found.estimate == pytest.approx(np.mean(means))
     assert (found.standard_error, found.dof) == (pytest.approx(scipy.stats.sem(by_draw)), 2)
 
 
 def make_pair(topic: str, flight: str, x: list[float | None], y: list[float | None]) -> Any:
     one, other = (make_line(topic, flight=flight, by_draw=tuple(each)) for each in (x, y))
-    return one, other, card_comparison._list_changes(one, other)
+    return one, other, card_comparison.list_changes(one, other)
 
 
 def test_flights_are_tested_on_the_share_of_their_quantity(monkeypatch):
     """Holm: of two quantities 2.5 % and 5 %; of the two flights of one half of its 2.5 %, and all of it."""
     seen = []
     monkeypatch.setattr(
-        card_comparison, "_tell_change",
+        card_comparison, "tell_change",
         lambda names, one, other, flight, change, *rest: seen.append((one.topic, flight, *rest)),
     )  # fmt: skip
     ones = [1.0, 1.1, 0.9, 1.05, 0.95]
@@ -397,7 +397,7 @@ def test_flights_are_tested_on_the_share_of_their_quantity(monkeypatch):
         [make_pair("height", "f", ones, same), make_pair("height", "g", ones, same)],
         [make_pair("heading", "f", ones, clear)],
     ]
-    card_comparison._judge_quantities(("a", "b"), quantities)
+    card_comparison.judge_quantities(("a", "b"), quantities)
     by = {(topic, flight): (level, differs) for topic, flight, level, differs in seen}
     assert by["tilt", "all flights"][1] is by["heading", "f"][1] is True
     assert sorted(by[key][0] for key in (("tilt", "all flights"), ("heading", "f"))) == pytest.approx(
@@ -412,23 +412,23 @@ def test_flights_are_tested_on_the_share_of_their_quantity(monkeypatch):
 
 def test_lost_draws_matter_where_a_filter_is_proven_better_alone():
     ones, doubles = [1.0, 1.1, 0.9, 1.05, None], [2.0, 2.1, 1.9, 2.0, 2.0]
-    (found,) = card_comparison._judge_quantities(("a", "b"), [[make_pair("tilt", "f", ones, doubles)]])
-    told = "a is better in the draws that both have, but lost 1 that b kept: not proven to differ"
+    (found,) = card_comparison.judge_quantities(("a", "b"), [[make_pair("tilt", "f", ones, doubles)]])
+    told = "a is better in the runs that both have, but lost 1 that b kept: not proven to differ"
     assert (found.sentence, found.better, found.flight) == (
         f"all flights: tilt: {told}.",
         None,
         "all flights",
     )
-    (found,) = card_comparison._judge_quantities(("a", "b"), [[make_pair("tilt", "f", doubles, ones)]])
+    (found,) = card_comparison.judge_quantities(("a", "b"), [[make_pair("tilt", "f", doubles, ones)]])
     assert found.sentence.startswith(
-        "all flights: tilt: b is better in the draws that both have, but lost 1 that a "
+        "all flights: tilt: b is better in the runs that both have, but lost 1 that a "
     )
-    (found,) = card_comparison._judge_quantities(
+    (found,) = card_comparison.judge_quantities(
         ("a", "b"), [[make_pair("tilt", "f", doubles, [*ones[:4], 1.0])]]
     )
     assert found.better == "b"
     near = [1.1, 1.0, 1.0, 1.0, 1.0]
-    (found,) = card_comparison._judge_quantities(("a", "b"), [[make_pair("tilt", "f", ones, near)]])
+    (found,) = card_comparison.judge_quantities(("a", "b"), [[make_pair("tilt", "f", ones, near)]])
     assert "f: tilt of a " in found.sentence
 
 
@@ -438,8 +438,8 @@ def test_lost_draws_matter_where_a_filter_is_proven_better_alone():
 def test_values_that_differ_by_the_processor_are_the_same(factor, same):
     assert SAME == 1e-6
     one, other = (make_line("tilt", by_draw=(1.0, x, None)) for x in (2.0 * factor, 2.0))
-    assert card_comparison._are_same(one, other) == same
-    assert not card_comparison._are_same(one, make_line("tilt", by_draw=(1.0, 2.0)))
+    assert card_comparison.are_same(one, other) == same
+    assert not card_comparison.are_same(one, make_line("tilt", by_draw=(1.0, 2.0)))
 
 
 @pytest.mark.parametrize("topic", ["robustness", "requirements", "conventions"])
@@ -466,4 +466,4 @@ def test_speeds_are_compared_if_both_have_one_and_names_are_those_of_files_if_ne
 def test_lines_of_one_card_alone_are_left_out():
     lines: list[Line] = [make_line("tilt", flight=name, by_draw=(1.0, 2.0)) for name in "fg"]
     (line,) = compare_cards(make_card(*lines), make_card(lines[0]), ("a", "b"))
-    assert line.sentence == "1 figures are the same in every draw."
+    assert line.sentence == "1 figures are the same in every run."

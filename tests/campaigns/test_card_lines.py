@@ -21,7 +21,7 @@ TURNED = SuiteFlight("h", "p", {"initial_error_sd.heading_deg": 10.0})
 
 
 def rows(lost: tuple[int, ...] = (), **columns: Any) -> list[dict[str, Any]]:
-    """Return a row for each draw; ``lost`` did not converge."""
+    """Return a row for each run; ``lost`` did not converge."""
     count = len(next(iter(columns.values())))
     each = {name: list(values) for name, values in columns.items()}
     return [
@@ -30,47 +30,49 @@ def rows(lost: tuple[int, ...] = (), **columns: Any) -> list[dict[str, Any]]:
     ]
 
 
-# --- how many draws ---------------------------------------------------------------------------------------
+# --- how many runs ---------------------------------------------------------------------------------------
 
 
 def test_the_draws_that_converged_are_counted():
     own = rows(lost=(1, 2), reason=["", "bad\nnews", "worse"])
-    line = lines._judge_convergence(FLIGHT, own)
-    assert line.sentence == "f: converged in 1 of 3 draws; draw 1: bad news."
+    line = lines.judge_convergence(FLIGHT, own)
+    assert line.sentence == "f: converged in 1 of 3 runs; run 1: bad news."
     assert (line.by_draw, line.word) == ((1.0, 0.0, 0.0), "count")
     exact = scipy.stats.binomtest(1, 3).proportion_ci(0.95, "exact")
     assert [line.value, line.low, line.high] == pytest.approx([1 / 3, exact.low, exact.high])
-    long = lines._judge_convergence(FLIGHT, rows(lost=(0,), reason=["x" * 300]))
-    assert long.sentence == f"f: converged in 0 of 1 draws; draw 0: {'x' * 200}."
+    long = lines.judge_convergence(FLIGHT, rows(lost=(0,), reason=["x" * 300]))
+    assert long.sentence == f"f: converged in 0 of 1 runs; run 0: {'x' * 200}."
 
 
 @pytest.mark.parametrize(
     ("pos", "vel", "phi", "told", "by_draw"),
     [
-        ([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], "answers at all instants", (1.0, 1.0)),
-        ([1.0, 1.0], [1.0, 1.0], [None, None], "answers at all instants; no attitude", (1.0, 1.0)),
+        ([1.0, 1.0], [1.0, 1.0], [1.0, 1.0], "answers at all epochs", (1.0, 1.0)),
+        ([1.0, 1.0], [1.0, 1.0], [None, None], "answers at all epochs; no attitude", (1.0, 1.0)),
         (
             [0.75, 0.25], [1.0, 1.0], [0.5, None],
-            "answers position at 25 %, velocity at 100 %, attitude at 0 % of the instants, "
-            "each in the draw with the fewest",
+            "answers position at 25 %, velocity at 100 %, attitude at 0 % of the epochs, "
+            "each in the run with the fewest",
             (0.5, 0.0),
         ),
         ([None, None], [None, None], [None, None], "answers nothing", (0.0, 0.0)),
     ],
 )  # fmt: skip
 def test_what_is_answered_is_told_by_block(pos, vel, phi, told, by_draw):
-    line = lines._judge_coverage(FLIGHT, rows(answered_pos=pos, answered_vel=vel, answered_phi=phi))
+    line = lines.judge_coverage(
+        FLIGHT, rows(availability_pos=pos, availability_vel=vel, availability_phi=phi)
+    )
     assert line.sentence == f"f: {told}."
     assert (line.value, line.low, line.high) == (min(by_draw), min(by_draw), max(by_draw))
     assert line.by_draw == by_draw
 
 
 def test_the_longest_time_to_an_answer_is_that_of_all_draws():
-    line = lines._judge_start(FLIGHT, rows(answered_vel_all=[1.0, 0.5], first_answer_s_all=[2.5, 4.0]))
+    line = lines.judge_start(FLIGHT, rows(availability_vel_all=[1.0, 0.5], first_answer_s_all=[2.5, 4.0]))
     assert line.sentence == "f: first answer after 4 s at most."
     assert (line.value, line.low, line.high, line.by_draw) == (4.0, 2.5, 4.0, (2.5, 4.0))
-    one = lines._judge_start(FLIGHT, rows(answered_vel_all=[1.0, None], first_answer_s_all=[2.5, 4.0]))
-    assert one.sentence == "f: never answers in some draw."
+    one = lines.judge_start(FLIGHT, rows(availability_vel_all=[1.0, None], first_answer_s_all=[2.5, 4.0]))
+    assert one.sentence == "f: never answers in some run."
     assert (one.value, one.low, one.high, one.by_draw) == (None, 2.5, None, (2.5, None))
 
 
@@ -92,7 +94,7 @@ def test_the_longest_time_to_an_answer_is_that_of_all_draws():
         ([0.95, 0.95], None, ({"accuracy": 1.0}, ""), "", "0.950 (0.950 to 0.950) times the bound"),
         (
             [4.0, None, 4.0], [2.0, 1.0, 2.0], ({}, "no bound: why"), "",
-            "2.00 (2.00 to 2.00) times that of y, in the 2 of 3 draws that converged; no bound: why",
+            "2.00 (2.00 to 2.00) times that of y, in the 2 of 3 runs that converged; no bound: why",
         ),
         (
             [4.0, 4.0], [1.0, 1.0], ({"accuracy": 2.0}, "it is of this"), "",
@@ -103,7 +105,7 @@ def test_the_longest_time_to_an_answer_is_that_of_all_draws():
 def test_an_error_is_told_beside_another_and_the_bound(own, other, bound, word, told):
     mine = rows(pos_rmse_h_m=own)
     theirs = [] if other is None else rows(pos_rmse_h_m=other)
-    (line,) = lines._compare_errors(FLIGHT, mine, theirs, "y", bound)
+    (line,) = lines.compare_errors(FLIGHT, mine, theirs, "y", bound)
     assert line.sentence == f"f: horizontal error {told}."
     assert (line.topic, line.word, line.by_draw) == ("accuracy", word, tuple(own))
     least = bound[0].get("accuracy")
@@ -116,14 +118,14 @@ def test_only_the_first_line_says_why_there_is_no_bound_and_faults_are_of_flight
     own = rows(**dict(zip(names, ([2.0] * 2, [2.0] * 2, [3.0] * 2, [3.0] * 2, [4.0] * 2), strict=True)))
     other = rows(**{name: [1.0] * 2 for name in names})
     for flight, topics in ((FLIGHT, ["accuracy", "height", "outages", "faults"]), (HURT, None)):
-        found = lines._compare_errors(flight, own, other, "y", ({}, "no bound: why"))
+        found = lines.compare_errors(flight, own, other, "y", ({}, "no bound: why"))
         assert [line.topic for line in found] == (topics or ["accuracy", "height", "outages"])
         assert ["why" in line.sentence for line in found] == [True] + [False] * (len(found) - 1)
         assert found[2].by_draw == pytest.approx([math.sqrt(12.5)] * 2)
 
 
 def test_a_filter_is_below_the_bound_where_the_spread_of_its_draws_leaves_no_doubt():
-    """The limit is that of a chi-square with the freedom of the draws; the interval that of the jackknife."""
+    """The limit is that of a chi-square with the freedom of the runs; the interval that of the jackknife."""
     values = np.array([0.5, 0.8, 0.7, 0.6, 0.75, 0.55])
     n, squares = len(values), values**2
     left = 0.5 * np.log((squares.sum() - squares) / (n - 1))
@@ -143,7 +145,7 @@ def test_a_filter_is_below_the_bound_where_the_spread_of_its_draws_leaves_no_dou
 
 @pytest.mark.parametrize("freedom", [1, 4])
 def test_eight_draws_at_the_bound_itself_are_never_below_it(freedom):
-    """Of 2000 cards of one error with few independent ones in a draw, which is what wanders slowly."""
+    """Of 2000 cards of one error with few independent ones in a run, which is what wanders slowly."""
     drawn = np.sqrt(np.random.default_rng(3).chisquare(freedom, (2000, 8)) / freedom)
     assert not any(lines.compare_bound(own.tolist(), 1.0)[1] for own in drawn)
     assert all(lines.compare_bound((0.02 * own).tolist(), 1.0)[1] for own in drawn[:200])
@@ -153,11 +155,11 @@ def test_metrics_are_found_by_their_ends_and_pooled_by_draw():
     one = [
         {"outage_1_growth_h_m": 1.0, "outage_1_h_m": 1.0, "x_growth_h_m": 1.0, "outage_2_growth_h_m": None}
     ]
-    assert lines._find_names(one, "outage_", "_growth_h_m") == ["outage_1_growth_h_m"]
-    assert lines._find_names([{"pos": 1.0, "pos_all": 1.0}], "pos", "") == ["pos"]
+    assert lines.find_names(one, "outage_", "_growth_h_m") == ["outage_1_growth_h_m"]
+    assert lines.find_names([{"pos": 1.0, "pos_all": 1.0}], "pos", "") == ["pos"]
     own = rows(lost=(1,), a=[3.0, 3.0, 1.0], b=[4.0, 4.0, None])
-    assert lines._pool_names(own, ["a", "b"]) == (pytest.approx(math.sqrt(12.5)), None, None)
-    assert lines._pool_names(own, []) == (None, None, None)
+    assert lines.pool_names(own, ["a", "b"]) == (pytest.approx(math.sqrt(12.5)), None, None)
+    assert lines.pool_names(own, []) == (None, None, None)
     row = {"converged": True, "pos_rmse_h_m": 3.0, "nees_mean": 18.0, "nees_states": 9}
     assert {k: v for k, v in lines.list_values(row).items() if v} == {"accuracy": 3.0, "honesty": 2.0}
     assert lines.list_values({**row, "converged": False})["honesty"] is None
@@ -165,13 +167,13 @@ def test_metrics_are_found_by_their_ends_and_pooled_by_draw():
 
 def test_an_error_without_events_is_held_against_the_same_flight():
     own, without = rows(pos_rmse_h_m=[4.0, 6.0]), rows(pos_rmse_h_m=[2.0, 3.0])
-    (line,) = lines._judge_robustness(HURT, own, without)
+    (line,) = lines.judge_robustness(HURT, own, without)
     told = "g: horizontal error 2.00 (2.00 to 2.00) times its own on the same flight without them."
     assert (line.sentence, line.by_draw) == (told, (4.0, 6.0))
-    assert lines._judge_robustness(HURT, own[:1], without[:1]) == []
+    assert lines.judge_robustness(HURT, own[:1], without[:1]) == []
 
 
-# --- claims and alarms ------------------------------------------------------------------------------------
+# --- covariances and alarms ---------------------------------------------------------------------------------
 
 WAVES = [-0.2, 0.2] * 4
 
@@ -195,7 +197,7 @@ def test_a_claim_has_its_word(ratios, inside, word):
         nees_inside_95=[inside] * len(ratios),
     )
     lost = {"converged": False, "nees_mean": 900.0, "nees_states": 9}
-    (line,) = lines._judge_honesty(FLIGHT, [*own, lost])
+    (line,) = lines.judge_honesty(FLIGHT, [*own, lost])
     assert line.word == word
     assert line.value == pytest.approx(np.mean(ratios))
     assert line.by_draw == (*(pytest.approx(one) for one in ratios), None)
@@ -207,7 +209,7 @@ def test_a_claim_has_its_word(ratios, inside, word):
             "% of the time: uneven."
         )
         assert line.sentence == (uneven if word == "uneven" else even)
-    assert lines._judge_honesty(FLIGHT, [*own[:1], lost]) == []
+    assert lines.judge_honesty(FLIGHT, [*own[:1], lost]) == []
 
 
 def test_alarms_are_counted_where_faults_are_and_where_none_is():
@@ -216,17 +218,17 @@ def test_alarms_are_counted_where_faults_are_and_where_none_is():
         false_alarm_share=[0.2, 0.3, None],
         false_alarm_rate_per_h=[1.0, 3.0, None],
     )
-    noticed, alarm = lines._judge_alarms(FLIGHT, own)
-    assert noticed.sentence == "f: noticed 1 of 2 faults."
+    noticed, alarm = lines.judge_alarms(FLIGHT, own)
+    assert noticed.sentence == "f: detected 1 of 2 faults."
     assert (noticed.value, noticed.word, noticed.by_draw) == (0.5, "count", (1.0, 0.0))
     high = 0.25 + scipy.stats.t.ppf(0.975, 1) * 0.05
     told = f"25.0 (0.00 to {100.0 * high:.1f}) % of the time outside faults, 2 false alarms an hour"
     assert alarm.sentence == f"f: in alarm for {told}."
     assert (alarm.low, alarm.high) == (0.0, pytest.approx(high))
     assert alarm.by_draw == (0.2, 0.3, None)
-    assert lines._judge_alarms(HURT, own) == []
-    assert [line.topic for line in lines._judge_alarms(FLIGHT, own[:1])] == ["faults"]
-    most = lines._estimate_share(np.array([0.2, 0.9]))
+    assert lines.judge_alarms(HURT, own) == []
+    assert [line.topic for line in lines.judge_alarms(FLIGHT, own[:1])] == ["faults"]
+    most = lines.estimate_share(np.array([0.2, 0.9]))
     assert (most.value, most.low, most.high) == (pytest.approx(0.55), 0.0, 1.0)
 
 
@@ -248,14 +250,14 @@ def test_the_median_time_to_the_heading_counts_who_never_finds_it(times, ends, t
         heading_rmse_deg=[1.0 for _ in times],
         heading_right_s_all=[None if x is None else float(x) for x in times],
     )
-    (line,) = lines._judge_heading(TURNED, own)
-    text = "most draws never find the heading"
-    text = text if told is None else f"half of the draws have the heading within 3 deg of the truth {told}"
+    (line,) = lines.judge_heading(TURNED, own)
+    text = "most runs never find the heading"
+    text = text if told is None else f"half of the runs have the heading within 3 deg of the truth {told}"
     assert line.sentence == f"h: {text}."
     assert (line.value, line.low, line.high) == ends
-    assert lines._judge_heading(FLIGHT, own) == []
+    assert lines.judge_heading(FLIGHT, own) == []
     lost = [{**row, "converged": False} for row in own]
-    assert lines._judge_heading(TURNED, lost)[0].value is None
+    assert lines.judge_heading(TURNED, lost)[0].value is None
 
 
 def test_speed_is_the_median_over_the_same_runs():
@@ -293,8 +295,8 @@ LOST = LostDraw(flight="f", draw=0, reason="why", command="bench run")
 @pytest.mark.parametrize(
     ("of", "told"),
     [
-        ([COUNTED], "x converged in 3 of 3 draws."),
-        ([COUNTED, ALL, HONEST], "x answers all instants and converged in 3 of 3 draws."),
+        ([COUNTED], "x converged in 3 of 3 runs."),
+        ([COUNTED, ALL, HONEST], "x has a solution at all epochs and converged in 3 of 3 runs."),
         (
             [
                 ALL, make_line("coverage", 0.5, figure=lines.SHARE), make_line("coverage", 0.1),
@@ -305,7 +307,8 @@ LOST = LostDraw(flight="f", draw=0, reason="why", command="bench run")
                 make_line("accuracy"), make_line("causality", 0.4, sentence="f: uses the future: 0.4 s."),
                 *(make_line("requirements", word=word) for word in ("met", "missed", "met")),
             ],
-            "x answers at least 50 % of the instants, converged in 4 of 5 draws, is fair on 2, wide on 1 of "
+            "x has a solution at 50 % or more of the epochs, converged in 4 of 5 runs, is fair on 2, wide "
+            "on 1 of "
             "3 flights, has 0.500 to 2.00 times the horizontal error of y, uses the future: 0.4 s, is below "
             "the bound of causal filters in 1 figures and meets 2 of 3 requirements.",
         ),

@@ -32,7 +32,7 @@ def test_a_filter_in_cpp_gets_the_card_of_the_same_filter_in_python(tmp_path, mo
     """And the hash of what ran is that of the program and of what a wrapper calls."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+    monkeypatch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     Path("short.toml").write_text(PROFILE)
     flight = SuiteFlight("plain", "short.toml", {})
     monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
@@ -53,7 +53,7 @@ def test_a_filter_in_cpp_gets_the_card_of_the_same_filter_in_python(tmp_path, mo
     assert [line.sentence for line in own.lines if line.topic == "causality"] == [
         "plain: uses the future: no."
     ]
-    assert own.lines[0].sentence == "plain: answers at all instants; no attitude."
+    assert own.lines[0].sentence == "plain: answers at all epochs; no attitude."
     assert own.good
     assert judge("carry_fix:Carry", options={"acceleration": 8.0}).answers != same.answers
     with Path("carry").open("ab") as file:

@@ -1,4 +1,4 @@
-"""Each way to cheat, and each honest mistake, is on the card of a small filter that commits it."""
+"""Each way to cheat, and each consistent mistake, is on the card of a small filter that commits it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.experiments.card import card_causality, card_making
 from bench.experiments.card.card_causality import judge_causality
 from bench.experiments.card.card_lines import CONVENTIONS, UNPROVEN, Line, Rows
 from bench.experiments.card.card_suite import LATE, Suite, SuiteFlight
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from tests.campaigns.cheat_table import CHEATS
 from tests.campaigns.test_campaign import PROFILE
 
@@ -42,9 +42,9 @@ def place(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def here(place, monkeypatch):
-    """Cards of three draws of this flight, made in this process."""
+    """Cards of three runs of this flight, made in this process."""
     monkeypatch.chdir(place)
-    monkeypatch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+    monkeypatch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
     use_flights(monkeypatch, PLAIN)
 
 
@@ -69,7 +69,7 @@ def find(found: card_making.Card, topic: str, flight: str = "plain") -> Line:
         ("SinksOnPaper", "velocity error is 2"),
         ("HeadsWrong", "heading error is 9"),
         ("Frozen", "horizontal error is 19"),
-        ("AnswersWhereItIsSure", "draw 0: answers 60"),
+        ("AnswersWhereItIsSure", "run 0: answers 60"),
         ("LosesItsHeading", "attitude is not finite"),
         ("SpeaksLate", "no solution before t = 14 s"),
         ("ClaimsWhereItIsSure", "covariance is not finite"),
@@ -82,9 +82,9 @@ def test_no_draw_of_it_converges(name, reason):
     found = judge(name)
     line = find(found, "convergence")
     assert line.value == 0.0
-    assert f"converged in 0 of {DRAWS} draws; draw 0: " in line.sentence
+    assert f"converged in 0 of {DRAWS} runs; run 0: " in line.sentence
     assert reason in line.sentence
-    assert f"converged in 0 of {DRAWS} draws" in found.summary
+    assert f"converged in 0 of {DRAWS} runs" in found.summary
     assert [one.draw for one in found.lost] == list(range(DRAWS))
     assert not found.good
     share = find(found, "coverage").value
@@ -101,7 +101,7 @@ def test_alarms_outside_faults_are_counted(monkeypatch):
     assert find(always, "alarms", "spoofed").value > 0.99
     assert "in alarm for 100" in find(always, "alarms", "spoofed").sentence
     noticed = [one for one in always.lines if one.topic == "faults"][-1]
-    assert noticed.sentence == f"spoofed: noticed {DRAWS} of {DRAWS} faults."
+    assert noticed.sentence == f"spoofed: detected {DRAWS} of {DRAWS} faults."
     use_flights(monkeypatch, PLAIN)
     assert find(judge("AlwaysAlarms"), "alarms").value > 0.99
     assert find(judge("AlarmsInTurns"), "alarms").value == pytest.approx(0.5, abs=0.05)
@@ -109,7 +109,7 @@ def test_alarms_outside_faults_are_counted(monkeypatch):
 
 
 def test_a_claim_that_is_right_in_the_mean_alone_is_uneven():
-    """Too narrow at half of the instants, too wide at the others: the mean NEES is right."""
+    """Too narrow at half of the epochs, too wide at the others: the mean NEES is right."""
     honest, swings = (find(judge(name), "honesty") for name in ("Wrong", "Swings"))
     assert swings.value == pytest.approx(honest.value, rel=0.05)
     assert (honest.word != "uneven", swings.word) == (True, "uneven")
@@ -124,7 +124,7 @@ def test_who_knows_the_truth_is_below_the_bound_and_an_honest_filter_is_not():
     assert line.sentence.endswith("times the bound: no causal filter can; it has the future, or the truth.")
     assert not cheat.good
     assert "below the bound of causal filters in 2 figures" in cheat.summary
-    profile = load_profile("short.toml", PLAIN.values, estimators=["loose-15"])
+    profile = read_profile("short.toml", PLAIN.values, estimators=["loose-15"])
     least = bench.run(profile, bound=True).metrics["loose-15"]["bound"]
     by_name = {row["quantity"]: row["bound"] for row in least}
     assert line.over_bound[0] == pytest.approx(0.1 / by_name["horizontal position"], rel=0.05)
@@ -157,13 +157,13 @@ def test_who_looks_ahead_on_other_flights_only_is_found(monkeypatch):
 
 def test_what_a_filter_remembers_of_other_runs_tells_it_no_future(monkeypatch):
     """Each run of the proof has a process of its own."""
-    monkeypatch.setattr(card_causality, "_INSTANTS", 1)
+    monkeypatch.setattr(card_causality, "INSTANTS", 1)
     use_flights(monkeypatch, PLAIN, runs=2)
     assert find(judge("Remembers", guard=Guard()), "causality").value > 1.0
 
 
 def test_what_is_proven_are_the_answers_of_the_card(monkeypatch):
-    """Other answers in another process: the proof would be of another filter than the one that is judged."""
+    """Other answers in another process: the proof would be of another filter."""
     use_flights(monkeypatch, PLAIN, runs=2)
     found = judge("Throws", guard=Guard())
     line = find(found, "causality")
@@ -174,7 +174,7 @@ def test_what_is_proven_are_the_answers_of_the_card(monkeypatch):
 
 
 def list_rows(label: str) -> list[Rows]:
-    profile = load_profile("short.toml", PLAIN.values, estimators=[label])
+    profile = read_profile("short.toml", PLAIN.values, estimators=[label])
     results = [bench.run(profile, run=k) for k in range(2)]
     hashes = [hash_answers(one.solutions[label]) for one in results]
     return [[{"converged": True, "answers": text} for text in hashes]]
@@ -183,7 +183,7 @@ def list_rows(label: str) -> list[Rows]:
 def test_a_smoother_is_marked_and_files_prove_nothing(monkeypatch):
     use_flights(monkeypatch, PLAIN, runs=2)
     Path("answers").mkdir(exist_ok=True)
-    plan, labels = card_making._plan(card_making.QUICK, "smoother", "file:answers", HERE)
+    plan, labels = card_making.plan_card(card_making.QUICK, "smoother", "file:answers", HERE)
     told = [
         judge_causality(plan, card_making.QUICK, label, list_rows(label))
         for label in labels
@@ -208,7 +208,7 @@ def test_a_filter_that_looks_like_a_wrong_convention_is_told_so_with_one_constan
     )
     assert "time offset" in late[0].figure
     assert "looks like answers that are 0.1" in late[0].sentence
-    assert late[0].sentence.endswith(f"with the same constants in {DRAWS} draws.")
+    assert late[0].sentence.endswith(f"with the same constants in {DRAWS} runs.")
     assert enu[0].figure == "velocities east, north, up"
     assert (honest, high) == ([], [])
 
@@ -258,13 +258,13 @@ def test_options_a_label_and_what_is_required_are_on_the_card(capsys):
     ],
 )
 def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels):
-    plan, found = card_making._plan(card_making.QUICK, *uses, HERE, label, options)
+    plan, found = card_making.plan_card(card_making.QUICK, *uses, HERE, label, options)
     assert found == (*labels, "free-inertial")
     assert set(found) == set(plan.cells[0].profile.labels)
-    said = "^the card has 'loose-15' already: give the one to judge another name with --label$"
+    said = "^the card has 'loose-15' already: give the one to evaluate another name with --label$"
     for own, name in (("loose-22", "loose-15"), ("loose-15", None)):
         with pytest.raises(ConfigError, match=said):
-            card_making._plan(card_making.QUICK, own, "loose-15", HERE, name, {"baro": False})
+            card_making.plan_card(card_making.QUICK, own, "loose-15", HERE, name, {"baro": False})
 
 
 def test_the_guide_has_a_row_for_each_cheat_of_its_table():

@@ -68,7 +68,7 @@ def start(place: Path, count: int) -> Iterator[tuple[str, list[subprocess.Popen[
 
 
 def test_a_cluster_that_loses_a_worker_gives_every_result(tmp_path, monkeypatch):
-    """The estimator is shipped; workers with other versions are refused."""
+    """The filter is shipped; workers with other versions are rejected."""
     (tmp_path / "short.toml").write_text(PROFILE)
     (tmp_path / "shipped.py").write_text(OWN)
     (tmp_path / "elsewhere").mkdir()
@@ -104,7 +104,9 @@ def test_a_scheduler_that_ends_costs_nothing_that_is_finished(tmp_path, monkeypa
             if progress.new == 2:
                 processes[0].kill()
 
-        with pytest.raises(WorkersLostError, match=r"the Dask scheduler is gone: .*--resume continues$"):
+        with pytest.raises(
+            WorkersLostError, match=r"the Dask scheduler does not respond: .*--resume continues$"
+        ):
             bench.campaign("short.toml", 40, scheduler=address, out="spread", progress=lose)
     done = len((tmp_path / "spread" / NAME).read_bytes().splitlines())
     assert 2 <= done < 40
@@ -112,21 +114,18 @@ def test_a_scheduler_that_ends_costs_nothing_that_is_finished(tmp_path, monkeypa
     assert (result.finished, result.failed) == (40, {})
 
 
-def test_the_end_of_the_scheduler_is_told_wherever_it_shows():
+def test_the_end_of_the_scheduler_is_told_wherever_it_shows(monkeypatch):
     closed = distributed.comm.CommClosedError
 
     def fail(*_: Any, **__: Any) -> None:
         raise closed("ConnectionPool closing.")
 
-    pool = object.__new__(cluster.ClusterPool)
-    pool._address, pool._gone, pool._seen, pool._software = (
-        "tcp://x:1",
-        (closed,),
-        0.0,
-        {},
-    )
-    pool._client = SimpleNamespace(nthreads=fail, run=fail, status="running")
-    pool._executor = SimpleNamespace(submit=fail)
+    executor = SimpleNamespace(submit=fail)
+    client = SimpleNamespace(nthreads=fail, status="running", get_executor=lambda **_: executor)
+    client.run = lambda _: {"w": cluster.describe_software()}
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: client)
+    pool = cluster.ClusterPool("tcp://x:1", [])
+    client.run = fail
     for ask in (
         lambda: pool.workers,
         pool.check,
@@ -137,14 +136,14 @@ def test_the_end_of_the_scheduler_is_told_wherever_it_shows():
         with pytest.raises(WorkersLostError) as caught:
             ask()
         assert str(caught.value) == (
-            "tcp://x:1: the Dask scheduler is gone: ConnectionPool closing.; "
+            "tcp://x:1: the Dask scheduler does not respond: ConnectionPool closing.; "
             "what is finished is kept, --resume continues"
         )
 
     def raise_own(*_: Any) -> None:
         raise ValueError("no scheduler's fault")
 
-    pool._executor = SimpleNamespace(submit=raise_own)
+    executor.submit = raise_own
     with pytest.raises(ValueError, match="fault"):
         pool.submit(int)
 
@@ -208,28 +207,29 @@ def test_a_package_is_sent_whole_and_workers_that_differ_or_are_gone_are_told(tm
     sent: list[list[str]] = []
     client = SimpleNamespace(
         upload_file=lambda path, load: sent.append(sorted(zipfile.ZipFile(path).namelist())),
-        nthreads=lambda: threads,
-    )
-    pool = object.__new__(cluster.ClusterPool)
-    pool._client, threads = client, {"a": 2}
-    pool._send_module(EstimatorChoice("own_filters.one:Own", "own"))
+        nthreads=lambda: threads, get_executor=lambda **_: None,
+        run=lambda _: {"w": cluster.describe_software()},
+    )  # fmt: skip
+    monkeypatch.setattr(distributed, "Client", lambda *_, **__: client)
+    monkeypatch.setattr(cluster, "time", SimpleNamespace(monotonic=lambda: now))
+    now, threads = 0.0, {"a": 2}
+    pool = cluster.ClusterPool("tcp", [EstimatorChoice("own_filters.one:Own", "own")])
     assert sent == [[f"own_filters/{name}" for name in ("__init__.py", "deep/two.py", "one.py")]]
 
-    pool._seen = time.monotonic() - 1000.0
+    now = 1000.0
     pool.check()
-    assert time.monotonic() - pool._seen < 100.0
-    threads = {}
+    now, threads = 1119.0, {}
     pool.check()
-    pool._seen -= 1000.0
+    now = 1121.0
     with pytest.raises(WorkersLostError, match="no worker for 120 s"):
         pool.check()
-    with pytest.raises(ConfigError, match="its versions are not those of the driver"):
-        cluster._call({"bench": "another"}, int)
+    with pytest.raises(ConfigError, match="its versions differ from the driver"):
+        cluster.call({"bench": "another"}, int)
 
 
 def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
     (tmp_path / "short.toml").write_text(PROFILE)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cluster, "_CONNECT", 0.2)
+    monkeypatch.setattr(cluster, "CONNECT_TIME", 0.2)
     with pytest.raises(ConfigError, match="no Dask scheduler answers"):
         bench.campaign("short.toml", 2, scheduler="tcp://127.0.0.1:9")

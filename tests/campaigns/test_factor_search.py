@@ -11,14 +11,14 @@ from scipy.stats import binom, sem, t, ttest_1samp
 
 from bench.experiments.tuning.factor_search import (
     REACH,
-    _find_ends,
-    _SpentError,
-    _step_to_valley,
-    _student,
-    _t_value,
-    _Tried,
-    _walk,
+    SpentError,
+    Tried,
+    find_edge,
+    find_ends,
     search_factors,
+    step_to_valley,
+    t_value,
+    walk,
 )
 
 TRUE = np.log([0.2, 3.0])  # right factors of the two noises that show
@@ -57,7 +57,7 @@ def test_a_case_with_a_solution_by_hand():
     assert found.agreed == found.starts == 3
     mean = squares.mean()
     assert np.exp(2 * found.x[0]) == pytest.approx(mean, rel=0.01)
-    # the slope of a draw is 1 - square / factor^2: its mean is zero within t of its standard error
+    # the slope of a run is 1 - square / factor^2: its mean is zero within t of its standard error
     reach = 2.3646 * squares.std(ddof=1) / np.sqrt(len(squares))
     assert np.exp(2 * found.low[0]) == pytest.approx(mean - reach, rel=0.02)
     assert np.exp(2 * found.high[0]) == pytest.approx(mean + reach, rel=0.02)
@@ -107,13 +107,13 @@ def test_a_step_goes_to_the_bottom_of_a_quadratic_and_no_further_than_its_reach(
         return np.full(2, 0.5 * (x - bottom) @ A @ (x - bottom) - 1e-3 * x @ x)  # less the pull
 
     start = bottom + off
-    found, hessian = _step_to_valley(_Tried(costs, 100), start)
+    found, hessian = step_to_valley(Tried(costs, 100), start)
     assert hessian == pytest.approx(A, abs=1e-9)
     assert found == pytest.approx(start - np.clip(off, -0.05, 0.05), abs=1e-9)
 
 
 def test_the_ends_of_a_quadratic_are_where_students_t_is_at_its_edge():
-    """The slope of a draw is linear in the factor, and the others follow: so is t, and the ends are exact."""
+    """The slope of a run is linear in the factor, and the others follow: so is t, and the ends are exact."""
     A = np.array([[3.0, 1.0, -0.5], [1.0, 2.0, 0.7], [-0.5, 0.7, 4.0]])
     right = np.random.default_rng(2).normal(scale=[0.1, 0.5, 0.02], size=(8, 3))
     right -= right.mean(axis=0)
@@ -123,18 +123,18 @@ def test_the_ends_of_a_quadratic_are_where_students_t_is_at_its_edge():
         return 0.5 * np.einsum("di,ij,dj->d", off, A, off)
 
     edge = t.ppf(0.975, 7)
-    assert _student(8) == pytest.approx(edge)
-    low, high = _find_ends(_Tried(costs, 0), np.zeros(3), A, edge)
+    assert find_edge(8) == pytest.approx(edge)
+    low, high = find_ends(Tried(costs, 0), np.zeros(3), A, edge)
     assert high == pytest.approx(edge * sem(right, axis=0), rel=1e-9)
     assert low == pytest.approx(-high, rel=1e-9)
 
 
 def test_second_derivatives_are_of_a_tenth():
     """Of x^4 at 0: 2 h^2, and twice the pull."""
-    _, hessian = _step_to_valley(_Tried(lambda x: np.full(2, x[0] ** 4), 9), np.zeros(1))
+    _, hessian = step_to_valley(Tried(lambda x: np.full(2, x[0] ** 4), 9), np.zeros(1))
     assert hessian[0, 0] == pytest.approx(2 * 0.1**2 + 2e-3)
     for curved in (0.0, -1.0):  # never less than the pull: a step leads down
-        _, hessian = _step_to_valley(_Tried(lambda x, c=curved: np.full(2, c * x[0] ** 2), 9), np.zeros(1))
+        _, hessian = step_to_valley(Tried(lambda x, c=curved: np.full(2, c * x[0] ** 2), 9), np.zeros(1))
         assert hessian[0, 0] == pytest.approx(2e-3)
 
 
@@ -156,24 +156,24 @@ def test_the_search_begins_at_1_and_at_5_and_a_fifth_of_each(monkeypatch):
 
 
 def test_the_way_to_an_end_grows_by_half_until_the_largest_factor():
-    """From 0.05 on; a factor without effect has no end, one that all draws tell alike ends at once."""
-    tried = _Tried(lambda x: np.zeros(3), 0)
+    """From 0.05 on; a factor without effect has no end, one that all runs tell alike ends at once."""
+    tried = Tried(lambda x: np.zeros(3), 0)
     for side in (1.0, -1.0):
-        assert _walk(tried, np.zeros(1), np.array([side]), 0, 4.3) == side * np.inf
+        assert walk(tried, np.zeros(1), np.array([side]), 0, 4.3) == side * np.inf
     places = 0.05 * np.cumsum(1.5 ** np.arange(9))  # the next is beyond log 100
     assert sorted(abs(x) for (x,) in tried.rows) == pytest.approx([0.0, *np.repeat(places, 2)])
     assert places[-1] < np.log(100.0) < places[-1] + 0.05 * 1.5**9
-    further = _Tried(lambda x: np.zeros(3), 0)
-    assert _walk(further, np.array([2.0]), np.array([1.0]), 0, 4.3) == np.inf
+    further = Tried(lambda x: np.zeros(3), 0)
+    assert walk(further, np.array([2.0]), np.array([1.0]), 0, 4.3) == np.inf
     assert max(further.rows) == pytest.approx((2.0 + places[7],))
-    steep = _Tried(lambda x: np.full(3, x[0] ** 2), 0)
-    assert _walk(steep, np.array([0.2]), np.array([1.0]), 0, 4.3) == pytest.approx(0.2 + 0.025)
+    steep = Tried(lambda x: np.full(3, x[0] ** 2), 0)
+    assert walk(steep, np.array([0.2]), np.array([1.0]), 0, 4.3) == pytest.approx(0.2 + 0.025)
 
 
 def test_t_is_that_of_student_and_of_equal_draws_infinite():
     values = np.array([0.3, -0.1, 0.4, 0.2])
-    assert _t_value(values) == pytest.approx(ttest_1samp(values, 0.0).statistic)
-    assert [_t_value(np.full(3, x)) for x in (0.0, 2.0, -2.0)] == [0.0, np.inf, -np.inf]
+    assert t_value(values) == pytest.approx(ttest_1samp(values, 0.0).statistic)
+    assert [t_value(np.full(3, x)) for x in (0.0, 2.0, -2.0)] == [0.0, np.inf, -np.inf]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -183,9 +183,9 @@ def test_a_factor_that_ought_to_be_larger_than_any_is_at_the_bound(side):
 
 
 def test_the_pull_to_1_is_a_thousandth_of_the_square_and_sets_are_counted():
-    tried = _Tried(lambda x: np.array([1.0, 3.0]), 2)
+    tried = Tried(lambda x: np.array([1.0, 3.0]), 2)
     assert tried.mean(np.array([3.0, 4.0])) == pytest.approx(2.0 + 1e-3 * 25.0)
     tried.search(np.array([0.5, 0.0]))
-    with pytest.raises(_SpentError):
+    with pytest.raises(SpentError):
         tried.search(np.array([0.0, 0.0]))
     assert tried.best().tolist() == [0.5, 0.0]

@@ -1,4 +1,4 @@
-"""A draw that is lost is a row with its reason; what a filter leaves out is not drawn."""
+"""A run that is lost is a row with its reason; what a filter leaves out is not drawn."""
 
 from __future__ import annotations
 
@@ -92,12 +92,12 @@ def test_what_cannot_be_kept_of_a_draw_is_its_reason(here, monkeypatch):
     def fail_once(*arguments):
         calls.append(1)
         if len(calls) == 1:
-            raise ZeroDivisionError("of the second estimator")
+            raise ZeroDivisionError("of the second filter")
         return real(*arguments)
 
     monkeypatch.setattr(bench.experiments.campaigns.worker, "nis_by_sensor", fail_once)
     found = bench.campaign("short.toml", 2, estimators=["loose-15"], executor=SerialExecutor())
-    assert list(found.failed.values()) == ["ZeroDivisionError('of the second estimator')"]
+    assert list(found.failed.values()) == ["ZeroDivisionError('of the second filter')"]
     assert [row["converged"] for row in found.runs.to_pylist()] == [False, True]
 
 

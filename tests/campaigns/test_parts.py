@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import platform
@@ -46,7 +47,7 @@ from bench.experiments.campaigns.campaign_file import (
 from bench.experiments.campaigns.groups import Group
 from bench.experiments.campaigns.journal import Journal
 from bench.experiments.campaigns.plan import Condition
-from bench.experiments.campaigns.running import Campaign, _Counter
+from bench.experiments.campaigns.running import Campaign, RunCounter
 from bench.experiments.campaigns.worker import CHANNELS, choose_step, decode, encode
 
 # --- batches and pools ------------------------------------------------------------------------------------
@@ -120,7 +121,7 @@ class Slow(Fragile):
 
 def test_workers_never_wait_and_what_ends_with_a_worker_runs_again(monkeypatch):
     """Two batches for each of the two workers, and a new one as soon as one has finished."""
-    monkeypatch.setattr(batches, "_LOOK", 0.001)
+    monkeypatch.setattr(batches, "LOOK", 0.001)
     pool = Slow(-1)
     assert len(dict(compute(double, range(30), pool))) == 30
     assert pool.before == [0, 1, 2, *[3] * (len(pool.given) - 3)]
@@ -142,10 +143,10 @@ def test_what_is_to_be_first_is_alone():
 
 
 def test_the_pace_is_the_mean_duration_of_an_item():
-    ((value, seconds),) = batches._apply(lambda x: time.sleep(x), [0.02])
+    ((value, seconds),) = batches.apply(lambda x: time.sleep(x), [0.02])
     assert value is None
     assert 0.02 <= seconds < 10.0
-    pace = batches._Pace()
+    pace = batches.Pace()
     pace.add(0.0)
     assert pace.choose_size(100, 2) == 1
     pace.add(1.0)  # 0.5 s each: 8 take four seconds
@@ -176,7 +177,7 @@ def test_a_worker_that_does_not_end_is_not_waited_for(monkeypatch):
     pool = pools.ProcessPool(2)
     pool._own = {1: SimpleNamespace(exitcode=None)}  # type: ignore[dict-item]
     monkeypatch.setattr(pool, "_end", lambda at_once: None)
-    monkeypatch.setattr(pools, "_PATIENCE", 0.02)
+    monkeypatch.setattr(pools, "PATIENCE", 0.02)
     assert pool.recover() == ("its worker process ended", True)
 
 
@@ -203,7 +204,7 @@ def test_one_job_is_this_process_and_several_are_processes(monkeypatch):
     several = pools.open_pool(2)
     assert (type(several), several.workers) == (pools.ProcessPool, 2)
     with pytest.raises(SystemExit) as stopped:
-        pools._stop(signal.SIGTERM, None)
+        pools.exit_on_signal(signal.SIGTERM, None)
     assert stopped.value.code == 143
     if sys.platform == "linux":
         assert pools.count_processors() == len(os.sched_getaffinity(0))
@@ -256,7 +257,7 @@ def test_the_most_conditions_are_taken(tmp_path):
 def test_a_value_is_written_as_toml(value):
     assert tomllib.loads(f"x = {format_value(value)}")["x"] == value
     assert "\n" not in format_value(value)
-    assert campaign_file._flatten({"a": {"b": value}} if isinstance(value, int) else {"a.b": 1}).keys() == {
+    assert campaign_file.flatten({"a": {"b": value}} if isinstance(value, int) else {"a.b": 1}).keys() == {
         "a.b"
     }
 
@@ -274,7 +275,7 @@ def test_a_value_is_written_as_toml(value):
     ],
 )
 def test_limits_are_named_as_the_command_line_has_them(guard, words):
-    assert plan._name_limits(guard) == words
+    assert plan.name_limits(guard) == words
 
 
 def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
@@ -293,19 +294,19 @@ def test_the_files_that_a_wrapper_names_are_found_from_file_to_file(tmp_path):
     (tmp_path / "inner.sh").write_text("program " + " " * (1 << 20))  # too large to be a wrapper
     assert plan.find_named_files([tmp_path / "wrapper.sh"]) == [tmp_path / "inner.sh"]
     choice = EstimatorChoice("command:./wrapper.sh {here}/data.bin {sensors}", "x", beside=tmp_path)
-    found = plan._find_sources(choice)
+    found = plan.find_sources(choice)
     assert found == [tmp_path / "./wrapper.sh", tmp_path / "data.bin", tmp_path / "inner.sh"]
-    shell = plan._find_sources(EstimatorChoice("command:sh wrapper.sh", "x", beside=tmp_path))
+    shell = plan.find_sources(EstimatorChoice("command:sh wrapper.sh", "x", beside=tmp_path))
     assert [path.name for path in shell] == ["sh", "wrapper.sh", "inner.sh"]
     for use in ("command:", "command:'"):
-        assert plan._find_sources(EstimatorChoice(use, "x", beside=tmp_path)) == []
+        assert plan.find_sources(EstimatorChoice(use, "x", beside=tmp_path)) == []
     (tmp_path / "many.sh").write_text(" ".join(f"a{k}" for k in range(250)))
     for k in range(250):
         (tmp_path / f"a{k}").write_text("data.bin")
     assert len(plan.find_named_files([tmp_path / "many.sh"])) == 250  # what these name is too much
     for path in (*tmp_path.glob("a*"), tmp_path / "many.sh"):
         path.unlink()
-    everything = plan._find_sources(EstimatorChoice("file:.", "x", beside=tmp_path))
+    everything = plan.find_sources(EstimatorChoice("file:.", "x", beside=tmp_path))
     assert [path.name for path in everything] == sorted(texts)
 
 
@@ -387,7 +388,7 @@ def test_runs_of_other_estimators_are_forgotten(tmp_path):
         found.keep_runs_of(["x"])
         assert [key in found for key in ("lost", "a", "b", "c")] == [True, True, False, True]
         assert found.damaged == 1
-    assert journal._sum(b"text") == b"982d9e3eb996f559"
+    assert journal.sum_text(b"text") == b"982d9e3eb996f559"
 
 
 # --- groups and their statistics --------------------------------------------------------------------------
@@ -395,7 +396,7 @@ def test_runs_of_other_estimators_are_forgotten(tmp_path):
 
 def make_group(kept: np.ndarray, converged: list[bool], label: str = "x", **more: Any) -> Group:
     """A group of runs (R, K, C) at 1, 2, ... s whose figures count from 2 s on."""
-    mean, percentiles = groups._describe(kept, np.array(converged))
+    mean, percentiles = groups.describe(kept, np.array(converged))
     t = np.arange(1.0, kept.shape[1] + 1.0)
     metrics = tuple(
         {"converged": good, "reason": None if good else "late", "pos_rmse_h_m": 1.0 + k}
@@ -419,7 +420,7 @@ def make_group(kept: np.ndarray, converged: list[bool], label: str = "x", **more
 
 
 def test_runs_of_a_condition_are_gathered_and_very_many_are_thinned(monkeypatch):
-    """Of three runs, of which one is lost, with at most two exact: every second instant is kept."""
+    """Of three runs, of which one is lost, with at most two exact: every second time is kept."""
     rng = np.random.default_rng(3)
     runs = [rng.uniform(1.0, 2.0, (6, len(CHANNELS))) for _ in range(3)]
     cell = SimpleNamespace(profile=SimpleNamespace(labels=("x",), seed=4, evaluation=EvaluationWindow()))
@@ -441,7 +442,7 @@ def test_runs_of_a_condition_are_gathered_and_very_many_are_thinned(monkeypatch)
             key: {**row, "estimators": {"x": dict(row["estimators"]["x"])}} for key, row in rows.items()
         } | lost
         listed = ["lost", *keys]
-        return list(groups._gather_condition(SimpleNamespace(**conditions), 0, [cell], listed, fresh))  # type: ignore[arg-type]
+        return list(groups.gather_condition(SimpleNamespace(**conditions), 0, [cell], listed, fresh))  # type: ignore[arg-type]
 
     (exact,), (few,) = gather("012", 4), gather("012", 2)
     assert gather("", 2) == []
@@ -477,7 +478,7 @@ def test_figures_are_of_the_runs_that_converged_after_the_alignment():
         assert outcome.summarize(less).consistency is None
     few = outcome.summarize(make_group(kept[:3], [True, False, False]))
     assert (few.errors, few.converged.value, few.lost) == ({}, pytest.approx(1 / 3), "late")
-    assert stored._make_outcome(stored._StoredOutcome.model_validate(asdict(few))).lost == "late"
+    assert stored.make_outcome(stored.StoredOutcome.model_validate(asdict(few))).lost == "late"
 
 
 def test_an_outcome_is_read_back_as_it_was_written():
@@ -489,7 +490,7 @@ def test_an_outcome_is_read_back_as_it_was_written():
     )
     row = json.loads(json.dumps(asdict(found), default=lambda array: array.tolist()))
     row["errors"]["cep50_m"]["low"] = None
-    back = stored._make_outcome(stored._StoredOutcome.model_validate(row))
+    back = stored.make_outcome(stored.StoredOutcome.model_validate(row))
     assert np.isnan(back.errors["cep50_m"].low)
     assert back.errors["cep95_m"] == found.errors["cep95_m"]
     assert (back.converged, back.condition, back.label, back.runs) == (found.converged, "p, a = 1", "x", 50)
@@ -497,7 +498,7 @@ def test_an_outcome_is_read_back_as_it_was_written():
     assert back.consistency.nis == found.consistency.nis
     assert back.consistency.nis["baro"].updates == 500
     assert (
-        stored._make_outcome(stored._StoredOutcome.model_validate({**row, "consistency": None})).consistency
+        stored.make_outcome(stored.StoredOutcome.model_validate({**row, "consistency": None})).consistency
         is None
     )
 
@@ -530,9 +531,9 @@ def test_the_band_of_nees_is_told_where_there_are_states_and_runs(states, conver
 
 
 def test_columns_of_a_table_have_one_type():
-    assert campaign_tables._unite([None, "a", 1]) == [None, "a", "1"]
-    assert campaign_tables._unite([None, 2, 1.5]) == [None, 2, 1.5]
-    values = campaign_tables._describe_condition(3, Condition("p", {"a": 1.5, "b": True, "c": [1, 2]}))
+    assert campaign_tables.unite([None, "a", 1]) == [None, "a", "1"]
+    assert campaign_tables.unite([None, 2, 1.5]) == [None, 2, 1.5]
+    values = campaign_tables.describe_condition(3, Condition("p", {"a": 1.5, "b": True, "c": [1, 2]}))
     assert values == {"condition": 3, "profile": "p", "a": 1.5, "b": True, "c": "[1, 2]"}
 
 
@@ -563,12 +564,12 @@ def test_the_step_of_the_instants_that_are_kept(duration, rate, step):
 
 
 def test_what_a_worker_keeps_of_a_run_is_short():
-    text = worker._shorten("a" * 6000 + "b" * 6000)
+    text = worker.shorten("a" * 6000 + "b" * 6000)
     assert text == f"{'a' * 5000}\n[2000 bytes left out]\n{'b' * 5000}"
     assert worker.describe_error(ConfigError("what\nelse")) == "what else"
     assert worker.describe_error(ValueError("x" * 600)) == f"ValueError('{'x' * 488}"
     kinds = (1.0, 2, True, None, "a", np.inf, np.nan, [1], {})
-    assert [worker._is_plain(one) for one in kinds] == [True] * 5 + [False] * 4
+    assert [worker.is_plain(one) for one in kinds] == [True] * 5 + [False] * 4
     values = np.arange(24.0).reshape(2, 12)
     assert np.array_equal(decode(encode(values)), values)
 
@@ -621,7 +622,7 @@ def test_the_counter_counts_runs_and_flight_time(monkeypatch):
     monkeypatch.setattr(
         "bench.experiments.campaigns.running.time", SimpleNamespace(perf_counter=lambda: next(now))
     )
-    counter = _Counter(5, 2, seen.append)
+    counter = RunCounter(5, 2, seen.append)
     counter.count(20.0, failed=True)
     counter.count(30.0, failed=False)
     assert [(one.runs, one.done, one.failed, one.new, one.elapsed, one.flown) for one in seen] == [
@@ -672,21 +673,25 @@ def test_runs_are_chosen_by_rank_or_number():
 def test_the_columns_of_a_stored_table_are_checked(name, columns, message):
     table, wanted = pa.table(columns), {"run": "int64"}
     if message is None:
-        stored._check_columns(Path(name), table, wanted)
+        stored.check_columns(Path(name), table, wanted)
     else:
         with pytest.raises(ConfigError, match=f"{name}: damaged: {message}"):
-            stored._check_columns(Path(name), table, wanted)
+            stored.check_columns(Path(name), table, wanted)
 
 
 # --- the cluster, without one -----------------------------------------------------------------------------
+
+
+VERSIONS = {"bench": "1", "numpy": "2"}
 
 
 class FakeClient:
     """The client of a scheduler with two machines of which one has no truth."""
 
     def __init__(self) -> None:
-        self.found: dict[str, Any] = {}
+        self.found: dict[str, Any] = {"w": VERSIONS}
         self.sent: list[Any] = []
+        self.get_executor = self.close = lambda **_: None
 
     def run(self, function: Any, *arguments: Any, workers: Any = None) -> Any:
         if workers is not None:
@@ -702,30 +707,30 @@ class FakeClient:
 
 @pytest.fixture
 def cluster(monkeypatch):
-    """The module and a pool with a client that is not one."""
+    """The module, and the client of its pools, which is not one."""
     pytest.importorskip("distributed", reason="pip install 'ins-gnss-bench[cluster]'")
     from bench.experiments.campaigns import cluster
 
-    pool = object.__new__(cluster.ClusterPool)
-    pool._client = FakeClient()
-    pool._software = {"bench": "1", "numpy": "2"}
-    return cluster, pool
+    client = FakeClient()
+    monkeypatch.setattr("distributed.Client", lambda *_, **__: client)
+    monkeypatch.setattr(cluster, "describe_software", lambda: VERSIONS)
+    return cluster, client
 
 
 def test_a_truth_is_written_once_on_each_machine_without_it(cluster, monkeypatch):
-    module, pool = cluster
-    truths = {"k": "truth", "gone": None}
+    module, client = cluster
+    pool, truths = module.ClusterPool("tcp", []), {"k": "truth", "gone": None}
     monkeypatch.setattr(module.results, "read_truth", truths.get)
-    pool._client.found = {"w1": ("one", True), "w2": ("two", False), "w3": ("two", False)}
+    client.found = {"w1": ("one", True), "w2": ("two", False), "w3": ("two", False)}
     pool.share(["k", "gone"])
-    assert pool._client.sent == [(module.results.write_truth, ("k", "truth"), ["w3"])]
+    assert client.sent == [(module.results.write_truth, ("k", "truth"), ["w3"])]
     assert pool.workers == 3
-    pool._client.sent.clear()
-    pool._client.found = {"w1": ("one", True)}
+    client.sent.clear()
+    client.found = {"w1": ("one", True)}
     pool.share(["k"])
-    assert pool._client.sent == []
-    assert [module._find_truth(key) for key in truths] == [(platform.node(), True), (platform.node(), False)]
-    pool._client.found = {}
+    assert client.sent == []
+    assert [module.find_truth(key) for key in truths] == [(platform.node(), True), (platform.node(), False)]
+    client.found = {}
     assert pool.workers == 1
 
 
@@ -739,44 +744,40 @@ def test_a_truth_is_written_once_on_each_machine_without_it(cluster, monkeypatch
     ],
 )
 def test_workers_have_the_software_of_the_driver(cluster, found, message):
-    _, pool = cluster
-    pool._client.found = found
-    if message is None:
-        pool._check_software("tcp")
-    else:
-        with pytest.raises(ConfigError, match=message):
-            pool._check_software("tcp")
+    module, client = cluster
+    client.found = found
+    with contextlib.nullcontext() if message is None else pytest.raises(ConfigError, match=message):
+        module.ClusterPool("tcp", [])
 
 
 def test_a_worker_that_cannot_import_is_told(cluster, monkeypatch):
-    _, pool = cluster
+    module, client = cluster
 
     def fail(function: Any) -> None:
         raise ImportError("none")
 
-    monkeypatch.setattr(pool._client, "run", fail)
+    monkeypatch.setattr(client, "run", fail)
     with pytest.raises(ConfigError, match=r"tcp: a worker cannot import this bench: ImportError\('none'\)"):
-        pool._check_software("tcp")
+        module.ClusterPool("tcp", [])
 
 
 def test_a_module_is_sent_as_it_is_and_a_package_packed(cluster, monkeypatch, tmp_path):
-    _, pool = cluster
+    module, client = cluster
     (tmp_path / "own_small").mkdir()
     for name in ("own_single.py", "own_small/__init__.py"):
         (tmp_path / name).write_text("")
     monkeypatch.syspath_prepend(tmp_path)
-    for use in ("own_single:X", "own_small:X", "loose-15"):
-        pool._send_module(EstimatorChoice(use, "x"))
-    assert pool._client.sent == [("own_single.py", False), ("own_small.zip", False)]
+    uses = ("own_single:X", "own_small:X", "loose-15")
+    module.ClusterPool("tcp", [EstimatorChoice(use, "x") for use in uses])
+    assert client.sent == [("own_single.py", False), ("own_small.zip", False)]
 
 
 def test_packages_that_were_sent_are_on_the_import_path_once(cluster, monkeypatch, tmp_path):
     module, _ = cluster
-    software = module.describe_software()
     for name in ("b.zip", "a.zip", "c.py"):
         (tmp_path / name).write_text("")
     monkeypatch.setattr("distributed.get_worker", lambda: SimpleNamespace(local_directory=str(tmp_path)))
     monkeypatch.setattr(sys, "path", ["first"])
     for _ in range(2):
-        assert module._call(software, double, 3) == 6
+        assert module.call(VERSIONS, double, 3) == 6
     assert sys.path == ["first", str(tmp_path / "a.zip"), str(tmp_path / "b.zip")]

@@ -1,4 +1,4 @@
-"""Tuning finds the noise that is there, from draws or from withheld fixes, and judges it on other data."""
+"""Tuning finds the noise that is there, from runs or from withheld fixes, and evaluates it on other data."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, SerialE
 from bench.experiments.campaigns.worker import RunTask
 from bench.experiments.tuning import noise_factors, trials
 from bench.experiments.tuning.trials import HeldOutScore, LogTrial, ProfileTrial, measure_costs
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.results import truth_key
 from tests.campaigns import tune_power
 from tests.campaigns.test_campaign import PROFILE
@@ -66,7 +66,7 @@ def test_the_noise_of_the_receiver_is_found_and_written(here, capsys):
     for name in names:
         low, high = found["intervals"][name]
         assert (low or 0.0) < 1 / WRONG < high < 1.0
-    sensors = load_profile("short.toml", {"sensors.assumed.gnss": "tuned/gnss-tuned.toml"}).sensors
+    sensors = read_profile("short.toml", {"sensors.assumed.gnss": "tuned/gnss-tuned.toml"}).sensors
     for name, key in zip(names, ("pos_h_white_sd", "vel_white_sd"), strict=True):
         ratio = getattr(sensors.assumed.gnss, key) / getattr(sensors.gnss, key)
         assert ratio == pytest.approx(WRONG * found["factors"][name], rel=1e-4)
@@ -86,7 +86,7 @@ def test_before_and_after_are_on_other_draws(here):
     assert not found.converged
     assert found.intervals == {"gnss.gnss.": (None, None)}
     assert "NOT converged" in found.sentences[0]
-    assert found.before.nees_ratio.value < found.after.nees_ratio.value  # it claimed too little
+    assert found.before.nees_ratio.value < found.after.nees_ratio.value  # it reported too little
     results = [bench.run("short.toml", run=k, estimators=["loose-15"]) for k in (3, 4, 5)]
     mean = sum(one.metrics["loose-15"]["pos_rmse_h_m"] ** 2 for one in results) / 3
     assert found.before.rmse_h_m.value == pytest.approx(math.sqrt(mean))
@@ -113,9 +113,9 @@ def test_a_state_that_is_missing_is_told_by_innovations_that_repeat(here):
         (100.0, (50.0, None), "the bound"),
         (0.0101, (None, 0.02), "the bound"),
         (60.0, (40.0, 90.0), "60 times the datasheet (40 to 90)"),
-        (1.0, (None, 2.0), "cannot tell: at most 2 times"),
-        (1.0, (0.5, None), "cannot tell: at least 0.5 times"),
-        (1.0, (None, None), "cannot tell: any factor does"),
+        (1.0, (None, 2.0), "do not bound it: at most 2 times"),
+        (1.0, (0.5, None), "do not bound it: at least 0.5 times"),
+        (1.0, (None, None), "do not bound it: any factor does"),
         (90.0, (40.0, 95.0), "90 times the datasheet (40 to 95)"),  # 0.977 of the log of the bound
         (92.0, (40.0, 95.0), "92 times the datasheet: the bound"),
     ],
@@ -130,16 +130,14 @@ def test_what_is_known_of_a_factor_is_told(factor, ends, told):
 
 
 def test_draws_that_are_lost_are_told(here):
-    """A filter that converges in fewer draws is no better for those that it keeps."""
+    """A filter that converges in fewer runs is no better for those that it keeps."""
     one = Estimate(1.0, 0.9, 1.1)
     kept, lost = HeldOutScore(one, one, {}), HeldOutScore(one, one, {}, lost=3)
     ends = {"imu.gyro.noise": (0.9, 1.1)}
     found = noise_factors.Tuning(
         "x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, lost, 9, {}
     )
-    assert (
-        found.sentences[-1] == "draws that did not converge, which are in neither figure: 0 before, 3 after"
-    )
+    assert found.sentences[-1] == "runs that did not converge, which are in neither figure: 0 before, 3 after"
     whole = noise_factors.Tuning(
         "x", "consistency", {"imu.gyro.noise": 1.0}, ends, True, 3, 3, kept, kept, 9, {}
     )
@@ -161,13 +159,13 @@ def test_the_draws_that_judge_count_those_they_lose(here, monkeypatch):
     assert (found.lost, asked) == (2, [range(6, 12)])
     assert (found.rmse_h_m.value, found.nees_ratio.value) == pytest.approx((3.0, 0.5))
     monkeypatch.setattr(trial, "_compute", lambda *_: [{"estimators": {"x": row}} for row in rows[:2]])
-    with pytest.raises(ConfigError, match="too few draws converged"):
+    with pytest.raises(ConfigError, match="too few runs converged"):
         trial.judge({})
 
 
 def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
     """By another library, epoch by epoch."""
-    profile = load_profile("short.toml", estimators=["loose-15"])
+    profile = read_profile("short.toml", estimators=["loose-15"])
     truth = bench.fly(profile)
     sensed = pipeline.sense(profile, truth, 2)
     solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
@@ -186,12 +184,12 @@ def test_the_cost_of_a_draw_is_the_log_score_of_its_errors(here):
 
 
 def test_a_filter_that_claims_nothing_cannot_be_tuned(here):
-    with pytest.raises(ConfigError, match="claims no accuracy"):
+    with pytest.raises(ConfigError, match="reports no accuracy"):
         bench.tune("short.toml", "tests.campaigns.test_lost_draws:PositionsOnly", runs=2)
 
 
 def test_a_log_is_tuned_on_its_first_half_and_judged_on_the_second(monkeypatch):
-    """Ten stretches of each half, from the begin of the evaluation: their sums by hand."""
+    """Ten segments of each half, from the begin of the evaluation: their sums by hand."""
     rng, t = np.random.default_rng(9), np.arange(211.0)
     pos_n, nees, z = rng.normal(size=(211, 3)), rng.chisquare(9, 211), rng.normal(size=211)
     none = np.zeros((211, 3))
@@ -209,8 +207,8 @@ def test_a_log_is_tuned_on_its_first_half_and_judged_on_the_second(monkeypatch):
     monkeypatch.setattr(
         trials.log_pipeline, "read_log", lambda source, **more: given.append((source, more)) or log
     )
-    monkeypatch.setattr(trials.log_pipeline, "navigate_log", lambda _: result)
-    monkeypatch.setattr(trials, "_list_assumed", lambda _: {})
+    monkeypatch.setattr(trials.log_pipeline, "navigate", lambda _: result)
+    monkeypatch.setattr(trials, "list_assumed", lambda _: {})
     trial = LogTrial("log.toml", "x", {"a": 1, "b": 2}, allow_code=True, guard=DEFAULT_GUARD)
 
     square = np.square(pos_n[:, :2]).sum(axis=1)
@@ -235,7 +233,7 @@ def test_a_log_is_tuned_on_its_first_half_and_judged_on_the_second(monkeypatch):
 
 
 def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
-    """The search begins at 1, whatever the metres of the flight are."""
+    """The search begins at 1, whatever the meters of the flight are."""
     judged, seen = HeldOutScore(Estimate(1.0, 0.9, 1.1), Estimate(1.0, 0.9, 1.1), {}), list[float]()
 
     class Fake:
@@ -283,7 +281,7 @@ def test_draws_cost_the_same_in_processes_of_their_own(here, monkeypatch):
 
 @pytest.mark.slow
 def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
-    """Eight draws whose filter is right but for four noises; they hardly show that of the accelerometers."""
+    """Eight runs whose filter is right but for four noises; they hardly show that of the accelerometers."""
     monkeypatch.setattr(noise_factors, "ProcessPool", HerePool)
     wrong = tune_power.WRONG
     given = {**tune_power.FLIGHT, **tune_power.write_wrong(tmp_path)}
@@ -295,7 +293,7 @@ def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
         low, high = found.intervals[name]
         if start == "accel":
             assert low is None  # none at all would do
-            assert "cannot tell: at most" in " ".join(found.sentences)
+            assert "do not bound it: at most" in " ".join(found.sentences)
             assert high is not None
             assert 1.0 < high * factor < 6.0
         else:
@@ -308,7 +306,7 @@ def test_four_wrong_values_are_found_again(tmp_path, monkeypatch):
 
 @pytest.mark.long
 def test_intervals_hold_the_right_noises_on_flights():
-    """100 tunings, each on draws of its own; the accelerometers' noise does not show.
+    """100 tunings, each on runs of its own; the accelerometers' noise does not show.
 
     95 % of the intervals are to hold: 88 to 99 of 100 are its band of 99.2 %. Noises that show are found
     nearer than the one that does not, whose interval mostly has no lower end.
@@ -320,7 +318,7 @@ def test_intervals_hold_the_right_noises_on_flights():
     assert all(counts[noise][1] > counts["accel"][1] for noise in ("gyro", "pos", "vel"))
     assert counts["accel"][2] > len(rows) / 2
     told = [" ".join(row.sentences) for row in rows if row.intervals["accel"][0] is None]
-    assert all("imu.accel.noise" in text and "these data cannot tell: at most" in text for text in told)
+    assert all("imu.accel.noise" in text and "these data do not bound it: at most" in text for text in told)
 
 
 @pytest.mark.parametrize(
@@ -343,7 +341,7 @@ def test_a_wrong_request_is_refused(here, options, message):
     [(2.5, 2.5), (-3.0, -3.0), (0.9e6, 0.9e6), (1.5e6, 1e6), (np.nan, 1e6), (np.inf, 1e6), (-np.inf, 1e6)],
 )
 def test_what_is_lost_costs_most(value, cost):
-    assert trials._limit_cost(value) == cost
+    assert trials.limit_cost(value) == cost
 
 
 def make_tuning(**changes: Any) -> noise_factors.Tuning:
@@ -370,7 +368,7 @@ def test_a_search_and_what_it_changes_are_told():
     )
     lost = make_tuning()
     lost = make_tuning(before=HeldOutScore(lost.before.rmse_h_m, lost.before.nees_ratio, {}, lost=2))
-    assert lost.sentences[-1] == "draws that did not converge, which are in neither figure: 2 before, 0 after"
+    assert lost.sentences[-1] == "runs that did not converge, which are in neither figure: 2 before, 0 after"
 
 
 @pytest.mark.parametrize(
@@ -391,22 +389,22 @@ def test_figures_are_grouped_by_how_they_begin():
         "gnss.gnss.pos_h_white_sd": 3.0,
         "baro.baro.noise": 4.0,
     }
-    found = noise_factors._group_figures(known, None)
+    found = noise_factors.group_figures(known, None)
     assert found == {
         "imu.gyro.noise": ["imu.gyro.noise_x"],
         "imu.accel.noise": ["imu.accel.noise_x"],
         "gnss.gnss.pos_h_white,gnss.gnss.pos_v_white": ["gnss.gnss.pos_h_white_sd"],
     }
-    two = noise_factors._group_figures(known, ["imu.gyro,baro"])
+    two = noise_factors.group_figures(known, ["imu.gyro,baro"])
     assert two == {"imu.gyro,baro": ["imu.gyro.noise_x", "baro.baro.noise"]}
-    assert noise_factors._scale(two, known, np.array([3.0])) == {
+    assert noise_factors.scale(two, known, np.array([3.0])) == {
         "imu.gyro.noise_x": 3.0,
         "baro.baro.noise": 12.0,
     }
     with pytest.raises(ConfigError, match=r"no assumed figure begins with 'imu\.gyra'"):
-        noise_factors._group_figures(known, ["imu.gyro", "imu.gyra"])
+        noise_factors.group_figures(known, ["imu.gyro", "imu.gyra"])
     with pytest.raises(ConfigError, match="have no figure to tune"):
-        noise_factors._group_figures({"baro.baro.noise": 4.0}, None)
+        noise_factors.group_figures({"baro.baro.noise": 4.0}, None)
 
 
 def test_figures_above_zero_of_the_assumed_datasheets_are_known(tmp_path):
@@ -414,8 +412,8 @@ def test_figures_above_zero_of_the_assumed_datasheets_are_known(tmp_path):
         "name = 'x'\nlevel = 3.0\n[gnss]\na = 2\nb = 0.0\nc = -1.0\nd = 'text'\n"
     )
     trial: Any = SimpleNamespace(assumed={"gnss": "own.toml"}, beside=tmp_path, label="x")
-    assert noise_factors._read_figures(trial) == {"gnss.gnss.a": 2.0}
-    texts = noise_factors._write_datasheets(trial, {"gnss.gnss.a": 2.5})
+    assert noise_factors.read_figures(trial) == {"gnss.gnss.a": 2.0}
+    texts = noise_factors.write_datasheets(trial, {"gnss.gnss.a": 2.5})
     assert texts["gnss"].splitlines() == [
         "# own.toml, its noise tuned for x by bench tune.", "name = 'x'", "level = 3.0", "[gnss]", "a = 2.5",
         "b = 0.0", "c = -1.0", "d = 'text'",

@@ -1,7 +1,7 @@
 """Print how often tuning finds four wrong noises, and how often its intervals hold the right ones.
 
 ``python -m tests.campaigns.tune_power`` takes two hours of CPU: 100 tunings of `loose-15`, whose model is
-right but for the sizes of four noises, each on 8 draws of its own of a short flight.
+right but for the sizes of four noises, each on 8 runs of its own of a short flight.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def write_wrong(folder: Path) -> dict[str, str]:
 
 
 def repeat(count: int, runs: int = 8, first: int = 31_000) -> Iterator[Repetition]:
-    """Yield so many tunings, each with the draws of a seed of its own."""
+    """Yield so many tunings, each with the runs of a seed of its own."""
     with tempfile.TemporaryDirectory() as folder:
         given = {**FLIGHT, **write_wrong(Path(folder))}
         for seed in range(first, first + count):

@@ -1,8 +1,8 @@
 """Runs whose causes were put there: a matched filter and twelve sources, of which one or two are large.
 
-All twelve are on board in every run, so that each is a candidate. Small they break no claim; one or two are
-made so large that they do. What a run should name does not come from the search: a source counts if the run
-with it alone made large is not honest.
+All twelve are on board in every run, so that each is a candidate. Small they break no covariance; one or two
+are made so large that they do. What a run should name does not come from the search: a source counts if the
+run with it alone made large is not consistent.
 
     python -m tests.causes.planted --runs 240        # a line for each wrong answer, and the shares
 """
@@ -84,19 +84,19 @@ class Answer:
     run: int
     honest: bool
     named: frozenset[str]
-    right: frozenset[str]  # of the large ones those that break a claim by themselves
+    right: frozenset[str]  # of the large ones those that break a covariance by themselves
     causes: Causes | None
 
     @property
     def good(self) -> bool:
-        """Whether every source that breaks a claim is named, and none that is not large."""
+        """Whether every source that breaks a covariance is named, and none that is not large."""
         return self.right <= self.named <= frozenset(self.large)
 
 
 @cache
 def fly() -> tuple[Profile, Trajectory]:
     """Return the flight, two minutes of turns to both sides."""
-    profile = config.load_profile("s-turns", _OVERRIDES, estimators=[USE])
+    profile = config.read_profile("s-turns", _OVERRIDES, estimators=[USE])
     return profile, pipeline.fly(profile)
 
 
@@ -132,8 +132,8 @@ def ask(large: Collection[str], run: int) -> Answer:
     spec = plant(profile.sensors, large)
     own = measure(spec)
     on_board = AssumedSpecs(imu=spec.imu, gnss=spec.gnss, baro=spec.baro)
-    unmodelled = estimator.list_unmodelled(one, USE, on_board) or []
-    candidates = list_candidates(spec, unmodelled)
+    unmodeled = estimator.list_unmodeled(one, USE, on_board) or []
+    candidates = list_candidates(spec, unmodeled)
     assert {candidate.words for candidate in candidates} == set(SOURCES)
     causes = find_causes(spec, candidates, own, measure)
     right = {name for name in large if find_broken_block(measure(plant(profile.sensors, [name])))}
@@ -142,7 +142,7 @@ def ask(large: Collection[str], run: int) -> Answer:
 
 
 def ask_many(count: int, seed: int = 31) -> Iterator[Answer]:
-    """Yield the answers of so many runs that are not honest, with one or two large sources each in turn."""
+    """Yield the answers of so many inconsistent runs, with one or two large sources each in turn."""
     rng, found, run = np.random.default_rng(seed), 0, 0
     while found < count:
         large = rng.choice(len(SOURCES), 1 + run % 2, replace=False)

@@ -1,4 +1,4 @@
-"""Why a run is not honest: what was put there is named, and nothing else."""
+"""Why a run is not consistent: what was put there is named, and nothing else."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ LOOSE = EstimatorChoice("loose-15", "loose-15")
 
 @cache
 def flight(name: str) -> Profile:
-    return bench.load_profile(name, estimators=["loose-15"])
+    return bench.read_profile(name, estimators=["loose-15"])
 
 
 def why(name: str, run: int, use: str = "loose-15", **options: object) -> dict[str, object]:
-    """The metrics of a filter in a draw of a shipped profile."""
-    profile = bench.load_profile(name, estimators=[use], allow_code=True)
+    """The metrics of a filter in a run of a shipped profile."""
+    profile = bench.read_profile(name, estimators=[use], allow_code=True)
     result = pipeline.run(profile, run, truth=pipeline.fly(profile), **{"causes": None, **options})
     (values,) = result.metrics.values()
     return dict(values)
@@ -54,7 +54,7 @@ def check_spoofed(run):
     assert [row["cause"] for row in values["causes"] if row["step"] == 1] == ["fault 4 (spoofing)"]
     assert first["nees"] > 1000 > 100 > first["nees_without"]
     assert "Why: fault 4 (spoofing): without it the NEES of the position is" in values["verdict_text"]
-    assert "misalignment not modelled" not in values["verdict_text"]
+    assert "misalignment not modeled" not in values["verdict_text"]
 
 
 def test_a_fault_that_is_not_to_blame_is_not_blamed():
@@ -68,7 +68,7 @@ def test_a_fault_that_is_not_to_blame_is_not_blamed():
 
 
 def test_the_filter_that_is_advised_is_honest():
-    """No false stop: on the draw whose causes were named the filter with states for them keeps its claim."""
+    """No false stop: on the run whose causes were named the filter with states for them is consistent."""
     values = why("figure-eight", 0)
     assert "loose-full has states for all of them." in values["why_text"]
     assert why("figure-eight", 0, "loose-full")["verdict"] == "consistent"
@@ -109,7 +109,7 @@ def large(spec: object) -> dict[str, float]:
 def everything() -> SensorsSpec:
     """Sensors that have every error there is."""
     units = {"baro": "bmp388-physical", "gnss": "l1-code", "radar": "lr-d1", "odometer": "matched-wheel"}
-    spec = bench.load_profile(
+    spec = bench.read_profile(
         "all-sensors", {f"sensors.{kind}": unit for kind, unit in units.items()}
     ).sensors
     triads = {part: TriadSpec(**large(TriadSpec())) for part in ("gyro", "accel")}
@@ -126,7 +126,7 @@ def everything() -> SensorsSpec:
 def test_every_error_that_a_filter_may_leave_out_can_be_taken_away():
     """The words come from the filters; without a candidate for one of them its runs would have no cause."""
     spec = everything()
-    sky = bench.load_profile("gnss-jammed").sensors
+    sky = bench.read_profile("gnss-jammed").sensors
     words = [error for error, size in imu_errors(spec.imu) if size]
     for sensor in AIDING:
         own = getattr(sky if sensor.record == "observations" else spec, sensor.spec)
@@ -138,7 +138,7 @@ def test_every_error_that_a_filter_may_leave_out_can_be_taken_away():
 
 
 def test_what_is_taken_away_leaves_all_other_noise_and_what_is_assumed():
-    profile = bench.load_profile("figure-eight")
+    profile = bench.read_profile("figure-eight")
     truth = pipeline.fly(profile)
     spec = profile.sensors
     candidates = {one.words: one for one in list_candidates(spec, ["gyro misalignment"])}
@@ -153,7 +153,7 @@ def test_what_is_taken_away_leaves_all_other_noise_and_what_is_assumed():
 
 
 def test_a_figure_that_is_assumed_otherwise_is_a_candidate():
-    profile = bench.load_profile("figure-eight", {"sensors.assumed.gnss": "zed-f9p"})
+    profile = bench.read_profile("figure-eight", {"sensors.assumed.gnss": "zed-f9p"})
     candidates = {one.words: one for one in list_candidates(profile.sensors, ())}
     one = candidates["GNSS position noise other than assumed"]
     assert one.assumed
@@ -227,7 +227,7 @@ def test_a_cause_takes_a_third_of_the_excess_and_the_rest_is_searched_again():
     assert steps(search({"a": 4.0, "b": 4.0, "c": 4.0})) == [
         ["a", "b", "c"]
     ]  # of the excess, not of the mean
-    assert steps(search({"a": 100.0, "b": 1.0})) == [["a"]]  # what is left is honest
+    assert steps(search({"a": 100.0, "b": 1.0})) == [["a"]]  # what is left is consistent
     assert search({"a": 1.0, "b": 0.5}) is None
 
 
@@ -257,7 +257,7 @@ def test_many_small_causes_of_a_sensor_are_named_together():
 
 
 def test_the_least_filter_that_has_states_for_all_is_advised():
-    spec = bench.load_profile("figure-eight").sensors
+    spec = bench.read_profile("figure-eight").sensors
     gyro = replace(spec.imu.gyro, scale_factor_sd=1e-3)
     on_board = AssumedSpecs(imu=replace(spec.imu, gyro=gyro), gnss=spec.gnss, baro=spec.baro)
 
@@ -272,7 +272,7 @@ def test_the_least_filter_that_has_states_for_all_is_advised():
     assert say() == ""
     shaken = replace(on_board.imu, vibration=replace(on_board.imu.vibration, engine_gyro=1.0))
     on_board = replace(on_board, imu=shaken)
-    assert say("vibration") == "No built-in estimator has states for vibration."
+    assert say("vibration") == "No built-in filter has states for vibration."
 
 
 # --- planted ----------------------------------------------------------------------------------------------

@@ -55,7 +55,10 @@ from_s = 10.0
 use = "loose-15"
 """
 
-HEAD = "Half a minute\nseed 5, run 0, figures from 10 s on\n\n"
+HEAD = (
+    "short: Half a minute\naircraft {}; sensors: IMU matched-mems, GNSS matched-white\n"
+    "seed 5, run 0; errors from {} s on\n\n"
+)
 """What a run says before it flies."""
 
 LOST = """
@@ -104,10 +107,10 @@ def test_run_writes_its_folder_and_says_what_comes_next(here, capsys):
     names = {path.name for path in folder.iterdir()}
     assert {"result.json", "truth.parquet", "sensors-imu.parquet", "sensors-gnss.parquet"} <= names
     assert {"solution-loose-15.parquet", "errors-loose-15.parquet", "flight.rrd"} <= names
-    assert "✓ loose-15: consistent; horizontal error" in out
-    assert out.endswith("Next: bench view runs/short-5\n")
+    assert "✓ consistent" in out
+    assert "Next     bench view runs/short-5 " in out
     assert left(here / "runs") == ["short-5"]
-    result = results.load(folder)
+    result = results.read_result(folder)
     assert result.profile["sensors"]["assumed"]["imu"] == "matched-mems"
     assert result.metrics["loose-15"]["converged"] is True
 
@@ -135,7 +138,7 @@ def test_five_estimators_stand_in_two_tables_of_80_columns(here, capsys):
     rows = [k for k, line in enumerate(out.splitlines()) if line.strip().startswith("NIS barometer, mean")]
     below = [out.splitlines()[row + 1] for row in rows]
     assert len(re.findall(r"\d\.\d\d to \d\.\d\d", " ".join(below))) == 4
-    assert "loose-15, loose-22: not modelled: " in out.replace("\n", " ")
+    assert "loose-15, loose-22: not modeled: " in out.replace("\n", " ")
 
 
 def test_json_is_all_there_is_on_stdout(here, capsys):
@@ -143,8 +146,8 @@ def test_json_is_all_there_is_on_stdout(here, capsys):
     assert status == 0
     metrics = json.loads(out)
     assert metrics["loose-15"]["pos_rmse_h_m"] > 0
-    assert "Wrote a/b" in err
-    assert results.load("a/b").seed == 8
+    assert "Results  a/b" in err
+    assert results.read_result("a/b").seed == 8
 
 
 def test_every_option_has_an_effect(here, capsys):
@@ -176,8 +179,8 @@ def test_fly_sums_the_flight_up_and_run_finds_it_in_the_cache(here, capsys, monk
 
 
 def test_list_names_everything_there_is(capsys):
-    status, out, _ = say(capsys, "list")
-    assert status == 0
+    assert say(capsys, "list")[0] == 0
+    out = "".join(say(capsys, "list", kind)[1] for kind in ("profiles", "aircraft", "sensors", "estimators"))
     for name in ("figure-eight", "aerosonde", "adis16475", "l1-code", "bmp388", "loose-15", "free-inertial"):
         assert name in out
 
@@ -259,7 +262,7 @@ def test_check_finds_a_loss_in_a_filter_of_the_present_folder(here, capsys, monk
     assert "its baseline names 'mylab:Mine', which runs code on this machine; --allow-code permits it" in err
     status, out, _ = say(capsys, "check", "--baselines", "b", "--allow-code", "--jobs", "2")
     assert status == 0
-    assert re.fullmatch(r"short, Mine: \d+ same \(20 draws\)\n", out)
+    assert re.fullmatch(r"short, Mine: \d+ same \(20 runs\)\n", out)
     baseline = json.loads((here / "b/short.json").read_text())["estimators"]["Mine"]
     rmse = np.sqrt(np.mean(np.square(baseline["metrics"]["pos_rmse_d_m"])))
     write_filter(rmse)
@@ -298,7 +301,7 @@ WRONG = [
         "error: short.toml: [[leg]] 1 (turn): bank_deg = nan",
     ),
     (["run", "short.toml", "--set", "aircraft=kite"], "error: short.toml: aircraft = 'kite' is not found"),
-    (["run", "short.toml", "-e", "x"], "error: short.toml: no estimator 'x' in this profile"),
+    (["run", "short.toml", "-e", "x"], "error: short.toml: no filter 'x' in this profile"),
     (
         ["run", "short.toml", "--set", "estimator.1.use=x"],
         "error: short.toml: [[estimator]] 1: use = 'x' is no",
@@ -349,7 +352,7 @@ def test_an_aircraft_that_does_not_load_is_status_3(here, capsys, text):
     (own / "aircraft.toml").write_text(toml.read_text())
     (own / "kite.xml").write_text(text)
     status, out, err = say(capsys, "run", "short.toml", "--set", "aircraft=kite")
-    assert (status, out) == (3, HEAD)
+    assert (status, out) == (3, HEAD.format("kite", 10))
     assert re.fullmatch(r"error: .*kite.*\n", err)
     assert left(here) == ["aircraft"]
 
@@ -378,8 +381,8 @@ def test_a_filter_that_diverges_is_a_result_and_status_1(here, capsys, monkeypat
     monkeypatch.setattr(sys, "path", list(sys.path))
     status, out, _ = say(capsys, "run", "short.toml", "-o", "a", "-e", "loose-15", "-e", "my_lab:Lost")
     assert status == 1
-    assert "Lost: diverged; " in out
-    metrics = results.load("a").metrics
+    assert "✗ Lost  " in out
+    metrics = results.read_result("a").metrics
     assert (metrics["loose-15"]["converged"], metrics["Lost"]["converged"]) == (True, False)
     assert metrics["Lost"]["pos_rmse_h_m"] is None
 
@@ -417,12 +420,12 @@ def test_a_recording_or_report_that_fails_is_status_5_and_loses_nothing(
         patched.setattr(*place, fail)
         status, out, err = say(capsys, "run", "short.toml", "-o", "a")
     assert status == 5
-    assert "✓ loose-15: consistent; horizontal error" in out
+    assert "✓ consistent" in out
     reason = f"the {view} failed, {type(error).__name__}: {error}"
     verb = {"recording": "record", "report": "report"}[view]
     assert err == f"error: a: the results are written, but {reason}; bench {verb} a makes it again\n"
     made = {"recording": "flight.rrd", "report": "report.html"}
-    assert results.load("a").metrics["loose-15"]["converged"]
+    assert results.read_result("a").metrics["loose-15"]["converged"]
     assert [name for name in made.values() if (here / "a" / name).is_file()] == [
         name for one, name in made.items() if one != view
     ]
@@ -439,7 +442,7 @@ def test_an_interrupted_run_is_status_130(here, capsys, monkeypatch, step):
     part = pipeline.estimator if step == "answer" else pipeline if step == "navigate_all" else pipeline.steps
     monkeypatch.setattr(part, step, interrupt)
     status, out, err = say(capsys, "run", "short.toml")
-    assert (status, out, err.strip()) == (130, HEAD, "error: interrupted")
+    assert (status, out, err.strip()) == (130, HEAD.format("aerosonde", 10), "error: interrupted")
     assert left(here) == []
 
 
@@ -501,7 +504,7 @@ class Rude(Exception):
         raise ValueError("a bug in a bug")
 
 class Confused(Loose):
-    def unmodelled(self, specs):
+    def unmodeled_errors(self, specs):
         raise Rude
 """
 
@@ -514,45 +517,45 @@ def test_a_failed_estimator_is_a_result_beside_the_others(here, capsys):
     assert got == 70
     texts = " ".join(out.split())
     for why in (
-        "Raises: failed; run() raised PermissionError: [Errno 13] no right to it: 'model.bin' ",
-        "Nothing: failed; run() must return a NavSolution; got NoneType ",
-        "Short: failed; its t must be sensors.output_t, 301 instants; got 298 instants ",
-        "Eventless: failed; events must be Events; got list ",
-        "Leaves: failed; run() raised SystemExit: 0 ",
-        "Confused: failed; unmodelled() raised lab.Rude: <exception str() failed> ",
+        "✗ Raises run() raised PermissionError: [Errno 13] no right to it: 'model.bin'",
+        "✗ Nothing run() must return a NavSolution; got NoneType",
+        "✗ Short its t must be sensors.output_t, 301 epochs; got 298 epochs",
+        "✗ Eventless events must be Events; got list",
+        "✗ Leaves run() raised SystemExit: 0",
+        "✗ Confused unmodeled_errors() raised lab.Rude: <exception str() failed>",
     ):
         assert why in texts
     assert err.count("Traceback") == len(names)
     assert 'lab.py", line 7, in run' in err
-    read = bench.load(here / "runs/short-5")
+    read = bench.read_result(here / "runs/short-5")
     assert read.metrics["Raises"]["traceback"].endswith("no right to it: 'model.bin'\n")
     assert [name for name, values in read.metrics.items() if values.get("failed")] == list(names)
     assert say(capsys, "run", "short.toml", "--no-rrd", "--force")[0] == 0
-    alone = bench.load(here / "runs/short-5")
+    alone = bench.read_result(here / "runs/short-5")
     assert "traceback" not in alone.metrics["loose-15"]
     assert alone.metrics["loose-15"] == read.metrics["loose-15"]
 
 
 def test_an_estimator_that_cannot_start_has_failed_where_another_can(here, capsys):
-    """Levelling in flight: gnss-only needs no attitude. If none can start, the profile is wrong."""
+    """Leveling in flight: gnss-only needs no attitude. If none can start, the profile is wrong."""
     run = ("run", "short.toml", "--no-rrd", "--set=alignment={kind='level',duration_s=5}")
     why = "alignment level needs a standstill of 5 s at the start; at 0 s GNSS reports 25 m/s"
     got, out, err = say(capsys, *run, "-e", "loose-15", "-e", "gnss-only")
     assert (got, err) == (1, "")
-    assert f"loose-15: failed; {why}" in " ".join(out.split())
-    read = bench.load(here / "runs/short-5")
+    assert f"✗ loose-15 {why}" in " ".join(out.split())
+    read = bench.read_result(here / "runs/short-5")
     assert {name: values.get("failed", False) for name, values in read.metrics.items()} == {
         "loose-15": True,
         "gnss-only": False,
     }
     got, out, err = say(capsys, *run, "-e", "loose-15", "-e", "ukf", "--force")
-    assert (got, err) == (2, f"error: estimator 'loose-15': {why}\nerror: estimator 'ukf': {why}\n")
+    assert (got, err) == (2, f"error: filter 'loose-15': {why}\nerror: filter 'ukf': {why}\n")
 
 
 def test_two_estimators_of_one_label_are_refused(here, capsys):
     status, _, err = say(capsys, "run", "short.toml", "-e", "loose-15", "-e", "loose-15")
     assert status == 2
-    assert "two of the requested estimators have the label 'loose-15'" in err
+    assert "two of the requested filters have the label 'loose-15'" in err
 
 
 def test_an_outage_after_a_flight_of_open_length_is_refused(here, capsys):
@@ -580,7 +583,7 @@ def test_a_sensor_that_an_estimator_needs_is_missed_before_the_flight(here, caps
     (here / "blind.toml").write_text("\n".join(lines))
     status, _, err = say(capsys, "run", "blind.toml", "-e", "loose-15")
     assert status == 2
-    assert err.strip() == "error: estimator 'loose-15' needs a gnss; there is none in [sensors]"
+    assert err.strip() == "error: filter 'loose-15' needs a gnss; there is none in [sensors]"
     assert not (here / "runs").exists()
 
 
@@ -639,7 +642,7 @@ def test_a_terminated_run_ends_like_an_interrupted_one(here):
         "pipeline.steps.fly = fly; sys.exit(main(['run', 'short.toml']))"
     )
     process = python(code, cwd=here)
-    assert "flying\n" in (process.stdout.readline() for _ in range(4))
+    assert "flying\n" in (process.stdout.readline() for _ in range(5))
     process.send_signal(signal.SIGTERM)
     _, err = process.communicate(timeout=30)
     assert (process.returncode, err.strip()) == (130, "error: interrupted")
@@ -651,7 +654,7 @@ def test_a_terminated_run_ends_like_an_interrupted_one(here):
 
 def write_summary(folder: Path) -> None:
     profile = {"title": "x", "evaluation": {"from_s": 0.0, "output_hz": 10.0}}
-    summary = {"profile": profile, "seed": 1, "run": 0, "metrics": {}, "provenance": {}}
+    summary = {"format": 2, "profile": profile, "seed": 1, "run": 0, "metrics": {}, "provenance": {}}
     (folder / "result.json").write_text(json.dumps(summary))
 
 
@@ -686,13 +689,13 @@ def test_view_takes_the_newest_recording(here):
 @pytest.mark.parametrize(
     ("name", "content", "line"),
     [
-        ("a.rrd", b"RIFF", "a.rrd: is no recording of rerun; give a .rrd file or a results folder"),
-        ("a.rrd", b"", "a.rrd: is no recording of rerun; give a .rrd file or a results folder"),
+        ("a.rrd", b"RIFF", "a.rrd: is not a rerun recording. Give a .rrd file or a results folder"),
+        ("a.rrd", b"", "a.rrd: is not a rerun recording. Give a .rrd file or a results folder"),
         ("b.rrd", None, "b.rrd: no such file or folder"),
     ],
 )
 def test_view_takes_a_recording_by_its_file(here, capsys, monkeypatch, name, content, line):
-    """A file that is none is refused in one line; a recording need not be in a results folder."""
+    """A file that is none is rejected in one line; a recording need not be in a results folder."""
     if content is not None:
         (here / name).write_bytes(content)
     status, _, err = say(capsys, "view", name)
@@ -727,7 +730,7 @@ def test_a_viewer_that_fails_is_status_4(here, capsys, monkeypatch):
     (here / "runs/a").mkdir(parents=True)
     write_summary(here / "runs/a")
     (here / "runs/a/flight.rrd").touch()
-    monkeypatch.setattr(viewer, "_find_viewer", lambda: Path("/bin/false"))
+    monkeypatch.setattr(viewer, "find_viewer", lambda: Path("/bin/false"))
     status, _, err = say(capsys, "view", "runs/a", "--web")
     assert status == 4
     assert re.match(r"error: the viewer ended with status 1: /bin/false http://127.0.0.1:\d+/", err)
@@ -745,7 +748,7 @@ def test_the_viewer_ends_with_its_children(here):
         "print(child.pid, flush=True); child.wait()"
     )
     code = (
-        "import sys; from bench.cli.verbs import viewer; viewer._PATIENCE = 0.2\n"
+        "import sys; from bench.cli.verbs import viewer; viewer.PATIENCE = 0.2\n"
         f"viewer.wait_for([sys.executable, '-c', {viewer!r}])"
     )
     process = python(code, cwd=here)

@@ -29,7 +29,7 @@ def test_a_run_prints_its_bounds_in_any_encoding(tmp_path, encoding, shown):
     done = run("run", "short.toml", "--table", "--no-rrd", "--no-report", encoding=encoding, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, b"")
     said = done.stdout.decode(encoding)
-    assert said.startswith(f"{shown}\nseed 5")
+    assert said.startswith(f"short: {shown}\n")
     assert ">=" in said
 
 

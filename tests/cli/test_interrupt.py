@@ -1,4 +1,4 @@
-"""An interruption at any instant ends a run with status 130 and one line, and leaves nothing behind."""
+"""An interruption at any time ends a run with status 130 and one line, and leaves nothing behind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ten hours at 100 Hz, flown and as a log: navigated, judged, stored, drawn and reported below 700 MB."""
+"""Ten hours at 100 Hz, flown and as a log: navigated, evaluated, stored, drawn and reported below 700 MB."""
 
 from __future__ import annotations
 

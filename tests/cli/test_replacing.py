@@ -41,7 +41,7 @@ def test_every_verb_that_writes_where_it_is_told_has_force():
     ],
 )
 def test_a_file_is_replaced_only_with_force(tmp_path, monkeypatch, capsys, arguments, name):
-    """It is refused before the work, which here cannot be done; with --force the work is tried."""
+    """It is rejected before the work, which here cannot be done; with --force the work is tried."""
     monkeypatch.chdir(tmp_path)
     place = tmp_path / name
     place.write_text('<meta name="generator" content="bench">')
@@ -68,8 +68,8 @@ def test_pages_recordings_and_figures_elsewhere_are_replaced_only_with_force(tmp
     """Those in the folder itself are made again: they show nothing but what is in it."""
     monkeypatch.chdir(tmp_path)
     outage = {**SHORT, "gnss_outage": [{"start_s": 10.0, "duration_s": 5.0}]}
-    result = bench.run(bench.load_profile("figure-eight", outage, estimators=["free-inertial"]))
-    bench.save(result, "flight", recording=False)
+    result = bench.run(bench.read_profile("figure-eight", outage, estimators=["free-inertial"]))
+    bench.write_result(result, "flight", recording=False)
     for arguments in (
         ["report", "flight", "-o", "page.html"],
         ["record", "flight", "-o", "flight.rrd"],

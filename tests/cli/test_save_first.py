@@ -39,8 +39,8 @@ TESTS = Path(__file__).parents[1]
 _FILES = [TESTS / "data" / "gnss" / f"SEPT_2021078_1200_15M_{name}.rnx.gz" for name in ("30S_MO", "MN")]
 RECEIVER = " ".join(map(str, _FILES))
 REQUIRED = '\n[[requirement]]\nmetric = "pos_rmse_h_m"\nmost = 50.0\nshare = 0.1\n'
-FIRST = HEAD.replace("10", "2")
-LOGGED = "copter: .* files\n"
+FIRST = HEAD.format("aerosonde", 2)
+LOGGED = "copter, .* files\n"
 
 VERBS = {
     "run": (
@@ -99,14 +99,14 @@ def place(tmp_path_factory) -> Iterator[Path]:
         )
         flights = (SuiteFlight("plain", "short.toml"),)
         patch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=flights))
-        patch.setattr(running, "_open_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
+        patch.setattr(running, "choose_pool", lambda *_: ExecutorPool(SerialExecutor(), 1))
         for owner, name in (
             (log_pipeline, "read_log"),
-            (log_pipeline, "navigate_log"),
+            (log_pipeline, "navigate"),
             (campaign_verb, "make_card"),
             (sensor_requirements, "run"),
-            (checking._Measured, "measure"),
-            (checking._Measured, "find_unjudged"),
+            (checking.MeasuredRuns, "measure"),
+            (checking.MeasuredRuns, "find_unjudged"),
             (checking, "check"),
             (fixes_verb, "solve_rinex"),
         ):
@@ -115,7 +115,7 @@ def place(tmp_path_factory) -> Iterator[Path]:
         found = {"imu.gyro.noise": 2.0}, {"imu.gyro.noise": (1.5, 2.5)}
         tuned = Tuning("loose-15", "consistency", *found, True, 1, 1, score, score, 9, {"imu": "tuned"})
         patch.setattr(tune_verb, "tune", lambda *_, **__: tuned)
-        patch.setattr(allan_picture, "_draw_curve", lambda *_: None)  # what takes long
+        patch.setattr(allan_picture, "draw_curve", lambda *_: None)  # what takes long
         served = serving.ServedRun(bench.run("short.toml"), 12.0, "", 0.0)
         patch.setattr(serving, "serve", lambda *_, **__: served)
         for made in (

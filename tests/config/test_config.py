@@ -76,7 +76,7 @@ def write(folder: Path, text: str = PROFILE, name: str = "own.toml") -> str:
 def errors(name: str, **keywords) -> list[str]:
     """The messages of a profile that is wrong, without the folder of its file."""
     with pytest.raises(ConfigError) as caught:
-        config.load_profile(name, **keywords)
+        config.read_profile(name, **keywords)
     return [message.replace(f"{Path(name).parent}/", "") for message in caught.value.messages]
 
 
@@ -99,7 +99,7 @@ def test_a_file_of_another_kind_says_what_takes_it(tmp_path):
 
 
 def test_a_profile_becomes_si(tmp_path):
-    profile = config.load_profile(write(tmp_path))
+    profile = config.read_profile(write(tmp_path))
     flight = profile.flight
     assert (profile.name, flight.rate, flight.speed, flight.alt) == ("own", 200.0, 25.0, 1000.0)
     assert flight.lat == pytest.approx(math.pi / 4, rel=1e-15)
@@ -120,18 +120,18 @@ def test_a_profile_becomes_si(tmp_path):
 
 
 def test_antenna_and_static_port_are_handed_on_relative_to_the_imu(tmp_path):
-    """aircraft.toml has all of them relative to the centre of gravity."""
-    folder = config.load_profile(write(tmp_path)).flight.aircraft.folder
+    """aircraft.toml has all of them relative to the center of gravity."""
+    folder = config.read_profile(write(tmp_path)).flight.aircraft.folder
     own = tmp_path / "aircraft" / "kite"
     shutil.copytree(folder, own)
     (own / "aerosonde.xml").rename(own / "kite.xml")
     shipped = (own / "aircraft.toml").read_text()
     profile = write(tmp_path, PROFILE.replace('"aerosonde"', '"kite"'))
-    at_cg = config.load_profile(profile)
+    at_cg = config.read_profile(profile)
     assert at_cg.flight.aircraft.imu_b == (0.0, 0.0, 0.0)
     imu = "\n[imu]\nforward_m = 0.5\nright_m = -0.25\ndown_m = 0.125\n"
     (own / "aircraft.toml").write_text(shipped + imu)
-    off_cg = config.load_profile(profile)
+    off_cg = config.read_profile(profile)
     assert off_cg.flight.aircraft.imu_b == (0.5, -0.25, 0.125)
     moved = [a - b for a, b in zip(at_cg.sensors.antenna_b, off_cg.sensors.antenna_b, strict=True)]
     assert moved == pytest.approx([0.5, -0.25, 0.125], abs=1e-15)
@@ -263,7 +263,7 @@ def test_gnss_decay_is_the_inverse_of_its_length(tmp_path):
     pos_decay_time_s = 2000
     """
     write(tmp_path, text, "rx.toml")
-    spec = config.load_profile(write(tmp_path), {"sensors.gnss": "rx.toml"}).sensors.gnss
+    spec = config.read_profile(write(tmp_path), {"sensors.gnss": "rx.toml"}).sensors.gnss
     assert spec.pos_decay_distance == pytest.approx(4e-6)
     assert spec.pos_decay_time == pytest.approx(5e-4)
     assert (spec.name, spec.rate, spec.vel_decay_time) == ("rx", 1.0, 0.0)
@@ -273,7 +273,7 @@ def test_gnss_decay_is_the_inverse_of_its_length(tmp_path):
     ("word", "severity"), [("none", 0), ("light", 3), ("moderate", 4), ("severe", 6), (5, 5)]
 )
 def test_turbulence_by_name_and_by_number(tmp_path, word, severity):
-    profile = config.load_profile(write(tmp_path), {"wind.turbulence": word})
+    profile = config.read_profile(write(tmp_path), {"wind.turbulence": word})
     assert profile.flight.severity == severity
 
 
@@ -282,41 +282,41 @@ def test_turbulence_by_name_and_by_number(tmp_path, word, severity):
 
 def test_overrides_win_over_the_file_and_the_file_over_the_defaults(tmp_path):
     name = write(tmp_path, "seed = 3\nturbulence_seed = 4\n" + PROFILE)
-    plain = config.load_profile(name)
+    plain = config.read_profile(name)
     assert (plain.seed, plain.flight.turbulence_seed, plain.evaluation.begin) == (3, 4, 60.0)
-    seeded = config.load_profile(name, seed=9)
+    seeded = config.read_profile(name, seed=9)
     assert (seeded.seed, seeded.flight.turbulence_seed) == (9, 9)
-    typed = config.load_profile(name, {"seed": 5, "leg.1.duration_s": 12, "evaluation.from_s": 20.0})
+    typed = config.read_profile(name, {"seed": 5, "leg.1.duration_s": 12, "evaluation.from_s": 20.0})
     assert (typed.seed, typed.flight.turbulence_seed) == (5, 4)
-    both = config.load_profile(name, {"seed": 5}, seed=9)
+    both = config.read_profile(name, {"seed": 5}, seed=9)
     assert (both.seed, both.flight.turbulence_seed) == (5, 5)
-    told = config.load_profile(name, {"seed": 5, "turbulence_seed": 6}, seed=9)
+    told = config.read_profile(name, {"seed": 5, "turbulence_seed": 6}, seed=9)
     assert (told.seed, told.flight.turbulence_seed) == (5, 6)
     assert typed.flight.legs[0] == Straight(12.0)
     assert typed.evaluation.begin == 20.0
-    assert config.load_profile(write(tmp_path), seed=None).flight.turbulence_seed == 0
+    assert config.read_profile(write(tmp_path), seed=None).flight.turbulence_seed == 0
 
 
 def test_the_assumed_units_are_those_on_board_unless_the_file_says_otherwise(tmp_path):
     name = write(tmp_path)
-    swapped = config.load_profile(name, {"sensors.imu": "stim300"}).sensors
+    swapped = config.read_profile(name, {"sensors.imu": "stim300"}).sensors
     assert (swapped.imu.name, swapped.assumed.imu.name) == ("stim300", "stim300")
-    told = config.load_profile(name, {"sensors.assumed.imu": "stim300"}).sensors
+    told = config.read_profile(name, {"sensors.assumed.imu": "stim300"}).sensors
     assert (told.imu.name, told.assumed.imu.name, told.assumed.gnss) == ("matched-mems", "stim300", told.gnss)
 
 
 def test_estimators_are_chosen_by_label(tmp_path):
     more = '[[estimator]]\nuse = "my.lab:Huber"\noptions = { k = 1.5 }\n'
     name = write(tmp_path, PROFILE + more)
-    assert [c.label for c in config.load_profile(name, allow_code=True).estimators] == ["loose-15", "Huber"]
-    (kept,) = config.load_profile(name, estimators=["Huber"], allow_code=True).estimators
+    assert [c.label for c in config.read_profile(name, allow_code=True).estimators] == ["loose-15", "Huber"]
+    (kept,) = config.read_profile(name, estimators=["Huber"], allow_code=True).estimators
     assert (kept.use, kept.options) == ("my.lab:Huber", {"k": 1.5})
     assert errors(name, estimators=["loos-15"]) == [
-        "own.toml: no estimator 'loos-15' in this profile. Did you mean 'loose-15'?\n"
-        f"  known estimators: {', '.join(sorted([*BUILT_IN, 'Huber']))}, 'module:Class', 'file:SOLUTION', "
+        "own.toml: no filter 'loos-15' in this profile. Did you mean 'loose-15'?\n"
+        f"  known filters: {', '.join(sorted([*BUILT_IN, 'Huber']))}, 'module:Class', 'file:SOLUTION', "
         "'command:PROGRAM ...'"
     ]
-    others = config.load_profile(name, estimators=["free-inertial", "your.lab:Own"])
+    others = config.read_profile(name, estimators=["free-inertial", "your.lab:Own"])
     assert [(c.use, c.label) for c in others.estimators] == [
         ("free-inertial", "free-inertial"),
         ("your.lab:Own", "Own"),
@@ -327,11 +327,11 @@ def test_estimators_are_chosen_by_label(tmp_path):
 @pytest.mark.parametrize("name", SHIPPED)
 def test_the_document_is_the_profile_as_flown(tmp_path, name):
     """Written as JSON, read back and flown again, it gives the same profile."""
-    profile = config.load_profile(name, {"sensors.imu": "stim300"}, seed=7)
+    profile = config.read_profile(name, {"sensors.imu": "stim300"}, seed=7)
     document = json.loads(json.dumps(profile.document))
     assert document["seed"] == document["turbulence_seed"] == 7
     assert document["sensors"]["assumed"]["imu"] == "stim300"
-    again = config.load_profile(write(tmp_path), document)
+    again = config.read_profile(write(tmp_path), document)
     assert (again.flight, again.sensors, again.estimators) == (
         profile.flight,
         profile.sensors,
@@ -341,7 +341,7 @@ def test_the_document_is_the_profile_as_flown(tmp_path, name):
 
 def test_the_matched_profile_is_the_same_flight_with_other_sensors():
     documents = [
-        dict(config.load_profile(name).document) for name in ("figure-eight", "figure-eight-matched")
+        dict(config.read_profile(name).document) for name in ("figure-eight", "figure-eight-matched")
     ]
     sensors = [document.pop("sensors") for document in documents]
     for document in documents:
@@ -425,11 +425,11 @@ ONE_THING_WRONG = [
     ),
     (
         {"estimator.1": {"use": "my.lab:Huber", "options": {"k": INF}}},
-        "[[estimator]] 1: options = { ... } must hold only finite numbers,",
+        "[[estimator]] 1: options = { ... } must contain only finite numbers,",
     ),
     (
         {"estimator.1.use": "los-15"},
-        "[[estimator]] 1: use = 'los-15' is not a built-in estimator. Did you mean",
+        "[[estimator]] 1: use = 'los-15' is not a built-in filter. Did you mean",
     ),
     ({"estimator.1.label": "a/b"}, "[[estimator]] 1: label = 'a/b' must be a name of letters, digits,"),
     ({"estimator.1.label": "l" * 101}, f"[[estimator]] 1: label = '{'l' * 101}' must be a name of letters,"),
@@ -455,7 +455,7 @@ def test_outages(tmp_path):
         return {"gnss_outage": [{"start_s": start, "duration_s": duration} for start, duration in pairs]}
 
     name = write(tmp_path)
-    taken = config.load_profile(name, {**rows((50, 10), (20, 30)), "duration_s": 70})
+    taken = config.read_profile(name, {**rows((50, 10), (20, 30)), "duration_s": 70})
     assert taken.sensors.gnss_outages == ((20.0, 50.0), (50.0, 60.0))
     assert errors(name, overrides=rows((20, 30), (40, 30))) == [
         "own.toml: [[gnss_outage]] 2: start_s = 40 s overlaps [[gnss_outage]] 1 (20 to 50 s)"
@@ -470,7 +470,7 @@ def test_an_aircraft_beside_a_relative_profile_has_a_whole_path(tmp_path, monkey
     shutil.copytree(PACKAGE.parent / "aircraft", tmp_path / "aircraft")
     shutil.copy(PACKAGE / "profiles" / "figure-eight.toml", tmp_path / "own.toml")
     monkeypatch.chdir(tmp_path)
-    aircraft = config.load_profile("own.toml").flight.aircraft
+    aircraft = config.read_profile("own.toml").flight.aircraft
     assert aircraft.folder == tmp_path / "aircraft" / "aerosonde"
     assert aircraft.systems.is_absolute()
 
@@ -485,10 +485,10 @@ def test_a_path_in_an_override_is_relative_to_the_present_folder(tmp_path, monke
     (here / "my.toml").write_text(sheet)
     (here / "sub" / "my.toml").write_text(sheet)
     monkeypatch.chdir(here)
-    shipped = config.load_profile(profile, {"sensors.imu": "stim300"}).sensors.imu
+    shipped = config.read_profile(profile, {"sensors.imu": "stim300"}).sensors.imu
     for name in ("my.toml", "sub/my.toml", "../here/my.toml", str(here / "my.toml")):
         for overrides in ({"sensors.imu": name}, {"sensors.assumed": {"imu": name}}):
-            read = config.load_profile(profile, overrides)
+            read = config.read_profile(profile, overrides)
             unit = read.sensors.imu if "sensors.imu" in overrides else read.sensors.assumed.imu
             assert dataclasses.replace(unit, name=shipped.name) == shipped
     assert errors(profile, overrides={"sensors.imu": "none.toml"}) == [
@@ -524,7 +524,7 @@ def test_an_estimator_on_the_command_line_is_in_the_present_folder(tmp_path, mon
     (tmp_path / "own.toml").write_text(f"{shipped}\n[[estimator]]\nuse = 'file:beside.csv'\n")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    own = config.load_profile("../own.toml").estimators
+    own = config.read_profile("../own.toml").estimators
     k = len(own)
     assert own[-1].beside == Path("..")
     for overrides in (
@@ -532,9 +532,9 @@ def test_an_estimator_on_the_command_line_is_in_the_present_folder(tmp_path, mon
         {f"estimator.{k}": {"use": "file:mine.csv"}},
         {"estimator": [{"use": "loose-15"}, {"use": "file:mine.csv"}]},
     ):
-        changed = config.load_profile("../own.toml", overrides, allow_code=True).estimators[-1]
+        changed = config.read_profile("../own.toml", overrides, allow_code=True).estimators[-1]
         assert changed.beside == Path()
-    kept = config.load_profile("../own.toml", {f"estimator.{k}.label": "mine"}).estimators[-1]
+    kept = config.read_profile("../own.toml", {f"estimator.{k}.label": "mine"}).estimators[-1]
     assert kept.beside == Path("..")
 
 
@@ -544,7 +544,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
     assert message.endswith(f"searched: aircraft, {PACKAGE.parent / 'aircraft'}, {PACKAGE / 'aircraft'}")
     own = tmp_path / "aircraft" / "kite"
     own.mkdir(parents=True)
-    shipped = config.load_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
+    shipped = config.read_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
     (own / "aircraft.toml").write_text(shipped.read_text().replace("min_speed_mps", "min_sped_mps"))
     found = errors(write(tmp_path), overrides={"aircraft": "kite"})
     assert found == [
@@ -560,7 +560,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         ("speed_mps = 28.0", "speed_mps = 30.0", "[[trim]] 3: speed_mps = 30 m/s is outside [limits]"),
         ('"runway", "g', '"runwey", "g', "assumed names 'runwey', which is not a table of this file"),
         ('"runway", "g', '"imu", "g', "assumed names 'imu', which is not a table of this file"),
-        ("[rough_air]", "[rough_air]\nroll = 1.0", "[rough_air] 'roll' is no gain of [guidance]"),
+        ("[rough_air]", "[rough_air]\nroll = 1.0", "[rough_air] 'roll' is not a gain of [guidance]"),
         (
             "[rough_flare]",
             "[approach]\npitch-gain = 4.0\n\n[rough_flare]",
@@ -570,7 +570,7 @@ def test_an_aircraft_that_is_not_there_is_searched_beside_the_profile_too(tmp_pa
         (own / "aircraft.toml").write_text(shipped.read_text().replace(good, bad))
         assert errors(write(tmp_path), overrides={"aircraft": "kite"}) == [f"kite/aircraft.toml: {message}"]
     (own / "aircraft.toml").write_text(shipped.read_text())
-    assert config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.folder == own
+    assert config.read_profile(write(tmp_path), {"aircraft": "kite"}).flight.aircraft.folder == own
 
 
 def test_every_class_has_a_shape_and_limits(tmp_path):
@@ -580,21 +580,21 @@ def test_every_class_has_a_shape_and_limits(tmp_path):
 
     own = tmp_path / "aircraft" / "kite"
     own.mkdir(parents=True)
-    shipped = config.load_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
+    shipped = config.read_profile(write(tmp_path)).flight.aircraft.folder / "aircraft.toml"
     (own / "kite.xml").write_text("<fdm_config/>")
     shapes = {}
     for category in get_args(Category):
         (own / "aircraft.toml").write_text(shipped.read_text().replace('"uav"', f'"{category}"'))
-        shapes[category] = config.load_profile(write(tmp_path), {"aircraft": "kite"}).flight.mesh
+        shapes[category] = config.read_profile(write(tmp_path), {"aircraft": "kite"}).flight.mesh
     assert shapes.keys() == LIMITS.keys()
     assert set(shapes.values()) == MESHES.keys()
 
 
 def test_a_start_without_airspeed_is_the_trim_nearest_in_altitude(tmp_path):
     bare = PROFILE.replace("speed_mps = 25\n", "", 1)
-    rows = config.load_profile("figure-eight").flight.aircraft.trims
+    rows = config.read_profile("figure-eight").flight.aircraft.trims
     for alt, speed in rows:
-        profile = config.load_profile(
+        profile = config.read_profile(
             write(tmp_path, bare), {"start.alt_m": alt + 10, "leg.2.to_alt_m": 1300}
         )
         assert profile.flight.speed == profile.document["start"]["speed_mps"] == speed
@@ -699,7 +699,7 @@ def test_twenty_errors_are_printed_and_the_rest_is_counted(tmp_path):
     path = tmp_path / "x.toml"
     path.write_text("".join(f"key_{k} = 1\n" for k in range(500)))
     with pytest.raises(ConfigError) as caught:
-        config.load_profile(str(path))
+        config.read_profile(str(path))
     lines = str(caught.value).splitlines()
     assert sum(line.startswith(str(path)) for line in lines) == 20
     assert lines[-1] == f"and {len(caught.value.messages) - 20} more errors"
@@ -719,7 +719,7 @@ def test_an_override_that_leads_nowhere(tmp_path, key, message):
 
 def figures_of(**overrides):
     """The IMU on board and the one assumed of figure-eight, and its document."""
-    profile = config.load_profile("figure-eight", {k.replace("__", "."): v for k, v in overrides.items()})
+    profile = config.read_profile("figure-eight", {k.replace("__", "."): v for k, v in overrides.items()})
     return profile.sensors.imu, profile.sensors.assumed.imu, profile.document
 
 
@@ -732,7 +732,7 @@ def test_a_figure_of_a_datasheet_is_replaced_on_board_and_for_the_filters():
     assert on_board.name == f"{plain.name}, modified"
     assert document["sensors"]["imu"] == document["sensors"]["assumed"]["imu"] == on_board.name
     assert document["sensors.imu.gyro.noise_deg_sqrt_h"] == 0.3
-    assert config.load_profile("figure-eight", document).sensors.assumed.imu == assumed
+    assert config.read_profile("figure-eight", document).sensors.assumed.imu == assumed
     assert document["sensors"]["gnss"] == "l1-code"
 
 
@@ -748,26 +748,26 @@ def test_a_figure_may_be_replaced_for_the_filters_alone():
         "sensors.assumed.imu.gyro.noise_deg_sqrt_h": 0.6,
         "sensors.baro.white_sd_m": 2.0,
     }
-    sensors = config.load_profile("figure-eight", both).sensors
+    sensors = config.read_profile("figure-eight", both).sensors
     assert sensors.assumed.imu.gyro.random_walk == pytest.approx(2 * sensors.imu.gyro.random_walk)
     assert sensors.baro.white_sd == sensors.assumed.baro.white_sd == 2.0
 
 
 def test_what_filters_assume_is_what_was_typed_last():
     figure, name = {"sensors.imu.gyro.noise_deg_sqrt_h": 5.0}, {"sensors.assumed.imu": "adis16495"}
-    plain = config.load_profile("figure-eight", name)
+    plain = config.read_profile("figure-eight", name)
     for overrides in (figure | name, {"sensors.imu.gyro.noise_deg_s_sqrt_hz": 1.0} | figure | name):
-        named_last = config.load_profile("figure-eight", overrides)
-        for profile in (named_last, config.load_profile("figure-eight", named_last.document)):
+        named_last = config.read_profile("figure-eight", overrides)
+        for profile in (named_last, config.read_profile("figure-eight", named_last.document)):
             assert profile.sensors.imu.gyro.random_walk == pytest.approx(math.radians(5.0) / 60)
             assert profile.sensors.assumed.imu == plain.sensors.assumed.imu
             assert profile.document["sensors"]["assumed"]["imu"] == "adis16495"
-    figure_last = config.load_profile("figure-eight", name | figure)
+    figure_last = config.read_profile("figure-eight", name | figure)
     assert figure_last.sensors.assumed.imu.name == "adis16495, modified"
     assert figure_last.sensors.assumed.imu.gyro.random_walk == figure_last.sensors.imu.gyro.random_walk
     own = {"sensors.assumed.imu.gyro.noise_deg_sqrt_h": 0.6}
     for overrides, assumed in ((figure | own, 0.6), (own | figure, 5.0), (figure | own | name, 0.6)):
-        sensors = config.load_profile("figure-eight", overrides).sensors
+        sensors = config.read_profile("figure-eight", overrides).sensors
         assert sensors.assumed.imu.gyro.random_walk == pytest.approx(math.radians(assumed) / 60)
 
 
@@ -781,7 +781,7 @@ def test_a_figure_may_differ_by_axis(tmp_path):
     assert on_board.gyro.random_walk == pytest.approx(max(x, usual))
     assert assumed == on_board
     assert on_board.name == f"{plain.name}, modified"
-    assert config.load_profile("figure-eight", document).sensors.imu == on_board
+    assert config.read_profile("figure-eight", document).sensors.imu == on_board
     other = {f"{key}.x": 0.6, "sensors.assumed.imu.gyro.noise_deg_s_sqrt_hz.z": 0.02}
     on_board, assumed, _ = figures_of(**other)
     assert on_board.gyro.by_axis("random_walk") == pytest.approx([x, usual, usual])
@@ -804,7 +804,7 @@ def test_a_figure_may_differ_by_axis(tmp_path):
             "unknown key 'nois_deg_sqrt_h'. Did you mean 'noise_deg_sqrt_h'?",
         ),
         ("sensors.imu.gyro.noise_deg_sqrt_h.w", "'w' is not a key of a table"),
-        ("sensors.imu.gyro.range_deg_s.x", "[gyro] range_deg_s is no figure that may differ by axis"),
+        ("sensors.imu.gyro.range_deg_s.x", "[gyro] range_deg_s cannot differ by axis"),
         (
             "sensors.radar.white_sd_m",
             "figure-eight.toml: --set sensors.radar.white_sd_m: no radar is on board",
@@ -814,7 +814,7 @@ def test_a_figure_may_differ_by_axis(tmp_path):
 )
 def test_a_figure_that_is_none_is_refused(key, message):
     with pytest.raises(ConfigError) as raised:
-        config.load_profile("figure-eight", {key: 1.0})
+        config.read_profile("figure-eight", {key: 1.0})
     assert message in "\n".join(raised.value.messages)
 
 
@@ -823,4 +823,4 @@ def test_shipped_files_parse_and_have_titles():
     assert all(row.name and row.title for row in shelves)
     for path in PACKAGE.glob("profiles/*.toml"):
         assert tomllib.loads(path.read_text())
-        config.load_profile(path.stem)
+        config.read_profile(path.stem)

@@ -46,7 +46,7 @@ def write(folder: Path, text: str, name: str) -> Path:
 
 def wrong(path: Path, **keywords) -> list[str]:
     with pytest.raises(ConfigError) as caught:
-        config.load_profile(str(path), **keywords)
+        config.read_profile(str(path), **keywords)
     return [message.replace(f"{path.parent}/", "") for message in caught.value.messages]
 
 
@@ -144,10 +144,10 @@ def test_a_datasheet_that_is_wrong_says_so_in_one_line(tmp_path, monkeypatch, ca
 
 def test_a_profile_names_them_and_what_filters_assume_of_them(tmp_path):
     path = write(tmp_path, PROFILE, "own.toml")
-    sensors = config.load_profile(str(path)).sensors
+    sensors = config.read_profile(str(path)).sensors
     assert (sensors.mag.name, sensors.airspeed.name) == ("rm3100", "tfpitot01")
     assert (sensors.assumed.mag, sensors.assumed.airspeed) == (sensors.mag, sensors.airspeed)
-    told = config.load_profile(
+    told = config.read_profile(
         str(path), {"sensors.assumed.mag": "lis3mdl", "sensors.assumed.airspeed": "ms4525do"}
     ).sensors
     assert (told.assumed.mag.name, told.assumed.airspeed.name) == ("lis3mdl", "ms4525do")
@@ -157,24 +157,24 @@ def test_a_profile_names_them_and_what_filters_assume_of_them(tmp_path):
 def test_one_day_for_the_sky_and_the_magnetic_field(tmp_path):
     """That of the profile, else that of the receiver's sky, else 1 January 2026."""
     path = str(write(tmp_path, PROFILE, "own.toml"))
-    usual = config.load_profile(path)
+    usual = config.read_profile(path)
     assert (usual.sensors.date, usual.document["date"]) == (2026.0, "2026-01-01")
-    typed = config.load_profile(path, {"date": "2024-07-02"})
+    typed = config.read_profile(path, {"date": "2024-07-02"})
     assert (typed.sensors.date, typed.document["date"]) == (2024.5, "2024-07-02")
-    sky = config.load_profile(path, {"sensors.gnss": "sky-l1"})
+    sky = config.read_profile(path, {"sensors.gnss": "sky-l1"})
     assert sky.document["date"] == "2022-02-17"
     assert sky.sensors.date == pytest.approx(2022 + 47 / 365)
-    assert config.load_profile(path, {"sensors.gnss": "sky-l1", "date": "2022-02-17"}).sensors == sky.sensors
+    assert config.read_profile(path, {"sensors.gnss": "sky-l1", "date": "2022-02-17"}).sensors == sky.sensors
 
 
 def test_the_setting_and_the_port_of_the_barometer_reach_it(tmp_path):
     path = str(write(tmp_path, PROFILE, "own.toml"))
-    assert config.load_profile(path).sensors.qnh == 101325.0
-    assert config.load_profile(path, {"sensors.qnh_hpa": 1003.0}).sensors.qnh == pytest.approx(100300.0)
-    sensors = config.load_profile("circuit-navion", {"sensors.baro": "bmp388-physical"}).sensors
+    assert config.read_profile(path).sensors.qnh == 101325.0
+    assert config.read_profile(path, {"sensors.qnh_hpa": 1003.0}).sensors.qnh == pytest.approx(100300.0)
+    sensors = config.read_profile("circuit-navion", {"sensors.baro": "bmp388-physical"}).sensors
     assert sensors.static_port_b == pytest.approx(
         (-2.2, 0.0, -0.2)
-    )  # of its file: from the centre of gravity
+    )  # of its file: from the center of gravity
 
 
 @pytest.mark.parametrize(
@@ -224,9 +224,9 @@ def test_what_feels_the_air_is_refused_on_a_table_that_says_nothing_of_it(tmp_pa
     rows = "\n".join(f"{k / 10},45.0,-90.0,1000.0,0.0,0.0,90.0" for k in range(200))
     write(tmp_path, f"t_s,lat_deg,lon_deg,alt_m,roll_deg,pitch_deg,heading_deg\n{rows}\n", "made.csv")
     path = write(tmp_path, 'trajectory = "made.csv"\n[evaluation]\nfrom_s = 5.0\n', "own.toml")
-    assert config.load_profile(str(path)).sensors.baro.name == "bmp388"
+    assert config.read_profile(str(path)).sensors.baro.name == "bmp388"
     for imu in CONSUMER:
-        assert config.load_profile(str(path), {"sensors.imu": imu}).sensors.imu.name == imu
+        assert config.read_profile(str(path), {"sensors.imu": imu}).sensors.imu.name == imu
     sensors = {"sensors.imu": "matched-mems", f"sensors.{kind}": name, **figure}
     assert wrong(path, overrides=sensors) == [
         f"own.toml: [sensors] {kind} = {name!r} needs air data, which a trajectory table does not have"
@@ -246,14 +246,14 @@ def test_what_filters_assume_of_the_physical_barometer_follows_from_its_parts():
     path = PACKAGE / "catalog" / "baro" / "bmp388-physical.toml"
     spec = SENSORS["baro"](path, path.name)
     unit = spec.physical
-    metre = 288.15 * 287.05287 / (9.80665 * 101325.0)
-    assert spec.white_sd == pytest.approx(unit.pressure_white_sd * metre, rel=0.02)
+    meter = 288.15 * 287.05287 / (9.80665 * 101325.0)
+    assert spec.white_sd == pytest.approx(unit.pressure_white_sd * meter, rel=0.02)
     day = 1000.0 * unit.isa_deviation_sd / 288.15
     assert spec.bias_sd == pytest.approx(
-        math.hypot(unit.pressure_bias_sd * metre, unit.qnh_sd * metre, day), rel=0.03
+        math.hypot(unit.pressure_bias_sd * meter, unit.qnh_sd * meter, day), rel=0.03
     )
     climbing = 100.0 * unit.isa_deviation_sd / 288.15 / math.sqrt(60.0)
-    drift = unit.qnh_walk * metre
+    drift = unit.qnh_walk * meter
     assert spec.bias_walk == pytest.approx(math.hypot(climbing, drift), rel=0.15)
 
 
@@ -262,5 +262,5 @@ def test_a_filter_says_that_it_has_no_state_for_what_a_physical_barometer_feels(
     loose = load("loose-15", {})
     said = "barometer errors with height, airspeed and incidence"
     for unit in ("bmp388", "bmp388-physical"):
-        specs = config.load_profile(path, {"sensors.baro": unit}).sensors.assumed
-        assert (said in loose.unmodelled(specs)) == (unit == "bmp388-physical")
+        specs = config.read_profile(path, {"sensors.baro": unit}).sensors.assumed
+        assert (said in loose.unmodeled_errors(specs)) == (unit == "bmp388-physical")

@@ -20,7 +20,7 @@ ON_GROUND = {"lat_deg": 47.0, "lon_deg": 11.0, "alt_m": 600.0, "heading_deg": 90
 
 
 def test_a_start_on_the_ground_makes_the_runway(tmp_path):
-    flight = config.load_profile(write(tmp_path), {"start": ON_GROUND, "leg": RUNWAY_LEGS}).flight
+    flight = config.read_profile(write(tmp_path), {"start": ON_GROUND, "leg": RUNWAY_LEGS}).flight
     assert flight.on_ground
     assert flight.runway == Runway(flight.lat, flight.lon, 600.0, flight.heading)
     assert flight.speed == 24.0
@@ -33,10 +33,10 @@ def test_a_start_on_the_ground_makes_the_runway(tmp_path):
     ]
 
 
-def test_local_waypoints_are_metres_from_the_start(tmp_path):
+def test_local_waypoints_are_meters_from_the_start(tmp_path):
     points = [{"north_m": 3000.0, "east_m": -4000.0}, {"lat_deg": 47.0, "lon_deg": 11.0, "alt_m": 900.0}]
     leg = {"kind": "waypoints", "points": points, "bank_deg": 20.0}
-    flight = config.load_profile(write(tmp_path), {"leg": [leg]}).flight
+    flight = config.read_profile(write(tmp_path), {"leg": [leg]}).flight
     here, there = flight.legs[0].points
     start = flight.lat, flight.lon, flight.alt
     ned = earth.local_ned([*here.place(start), flight.alt], start)

@@ -1,6 +1,7 @@
 """Correct solutions given in another convention by mistake, ten of them, and the search for it.
 
-    python -m tests.evaluation.mistaken --runs 3 --honest 200     # what is said of each, and of honest ones
+    python -m tests.evaluation.mistaken --runs 3 --honest 200     # what is said of each, and of consistent
+    ones
 
 Attitudes are turned by scipy, not by bench.
 """
@@ -110,7 +111,7 @@ MISTAKES: Mapping[str, tuple[Callable[[NavSolution, Any], NavSolution], str]] = 
 @cache
 def fly(name: str = "s-turns") -> tuple[Profile, Trajectory]:
     """Return a flight with sensors that have no error but those that the filter models."""
-    profile = config.load_profile(name, MATCHED, estimators=[USE])
+    profile = config.read_profile(name, MATCHED, estimators=[USE])
     return profile, pipeline.fly(profile)
 
 
@@ -121,7 +122,7 @@ def sense(name: str, run: int) -> Sensed:
 
 
 def give(mistake: str, run: int, name: str = "s-turns") -> tuple[NavSolution, Sensed]:
-    """Return a correct solution of a draw, given by mistake in another convention; "" for none."""
+    """Return a correct solution of a run, given by mistake in another convention; "" for none."""
     sensed = sense(name, run)
     data = sensed.data
     if mistake == "0.1 s late":  # what the filter answers for t - 0.1 s is said to be of t
@@ -133,7 +134,7 @@ def give(mistake: str, run: int, name: str = "s-turns") -> tuple[NavSolution, Se
 
 
 def ask(mistake: str, run: int, name: str = "s-turns") -> dict[str, Any]:
-    """Return the verdict of such a solution, and what it looks like if its claim is broken."""
+    """Return the verdict of such a solution, and what it looks like if its covariance is broken."""
     profile, truth = fly(name)
     solution, sensed = give(mistake, run, name)
     _, values = pipeline.measure(profile, truth, solution, sensed.truth)
@@ -144,7 +145,7 @@ def ask(mistake: str, run: int, name: str = "s-turns") -> dict[str, Any]:
 
 
 def main() -> None:
-    """Print what is said of each mistake, and of how many honest solutions anything."""
+    """Print what is said of each mistake, and of how many consistent solutions anything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--runs", type=int, default=1)
     parser.add_argument("--honest", type=int, default=0)
@@ -158,7 +159,7 @@ def main() -> None:
             print(f"{mark}{mistake} {run}: {found['verdict']}: {found.get('why_text', '-')}", flush=True)
     said = [ask("", 1000 + run, given.profile) for run in range(given.honest)]
     if said:
-        print(f"honest: {sum('looks_like' in one for one in said)} of {len(said)} look like anything,")
+        print(f"consistent: {sum('looks_like' in one for one in said)} of {len(said)} look like anything,")
         print(f"{sum(one['verdict'] in BROKEN for one in said)} are said to be broken")
 
 

@@ -26,7 +26,7 @@ FACTORS = (
 
 
 def draw_rmse(rng, checks, loss, scatter, spread):
-    """RMSE (checks, 80) before and after: log-normal over the draws, a loss with a scatter per draw."""
+    """RMSE (checks, 80) before and after: log-normal over the runs, a loss with a scatter per run."""
     old = np.exp(rng.normal(0.0, spread, (checks, LOOKS[-1])))
     return old, old * (1 + loss) * np.exp(rng.normal(0.0, scatter, old.shape))
 
@@ -99,13 +99,13 @@ def main():
     parser.add_argument("--cases", type=int, default=1000)
     cases = parser.parse_args().cases
     rng = np.random.default_rng(1)
-    print("| loss | scatter | found in 20 draws | in 40 | in 80 |\n|---|---|---|---|---|")
+    print("| loss | scatter | found in 20 runs | in 40 | in 80 |\n|---|---|---|---|---|")
     for loss, scatter in LOSSES:
         shares = [f"{100 * x:.0f} %" for x in find_losses(rng, cases, loss, scatter).mean(axis=0)]
         print(f"| {100 * loss:.0f} % | {100 * scatter:.0f} % | {' | '.join(shares)} |", flush=True)
     print("\n| what changed | checks with a false alarm |\n|---|---|")
     for scatter, spread in SCATTERS:
-        text = f"every draw by {100 * scatter:.0f} %, draws that differ by {100 * spread:.0f} %"
+        text = f"every run by {100 * scatter:.0f} %, runs that differ by {100 * spread:.0f} %"
         print(f"| {text} | {write_percent(count_alarms(rng, cases, scatter, spread), cases)} |", flush=True)
     print("\n| P | rejected, 40 runs | 80 | 200 | most often, 40 runs | 200 |\n|---|---|---|---|---|---|")
     for text, factor in FACTORS:

@@ -1,4 +1,4 @@
-"""A truth of known motion and solutions that are wrong by known errors, made by hand for the judgement."""
+"""A truth of known motion and solutions that are wrong by known errors, made by hand for the judgment."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def wrong_solution(
 
 
 def without(solution: NavSolution, *blocks: str) -> NavSolution:
-    """The solution of an estimator that does not estimate some blocks: NaN in values and covariance."""
+    """The solution of a filter that does not estimate some blocks: NaN in values and covariance."""
     rows = {"pos": slice(0, 3), "vel": slice(3, 6), "phi": slice(6, 9)}
     names = {"pos": "lla", "vel": "vel_n", "phi": "q_nb"}
     cov = solution.cov.copy()

@@ -1,4 +1,4 @@
-"""Bands of one run: honest filters are rarely outside, whatever lasts; a wrong covariance is."""
+"""Bands of one run: consistent filters are rarely outside, whatever lasts; a wrong covariance is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.core.mathematics.units import split_unit
 from bench.core.records.data import SensorTruth
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.verdict import is_outside
-from bench.evaluation.metrics.claims import _least_inside, count_independent
+from bench.evaluation.metrics.claims import count_independent, find_least_inside
 from bench.evaluation.metrics.run_metrics import measure
 from tests.evaluation.solutions import COV, weaving_truth, wrong_solution
 
@@ -33,7 +33,7 @@ def truth():
 
 
 def measured(truth, tau, claim=1.0, runs=RUNS):
-    """Metrics of runs whose errors last tau [s]; the covariance claims so many times the true variance."""
+    """Metrics of runs whose errors last tau [s]; the covariance holds so many times the true variance."""
     found = []
     for k in range(runs):
         errors = lasting(np.random.default_rng(k), tau, 601, 9) * np.sqrt(np.diag(COV))
@@ -138,5 +138,5 @@ def test_an_honest_bias_state_stays_in_its_band_and_one_with_half_its_sigma_does
 @pytest.mark.parametrize("count", [1, 40, 1000])
 def test_the_least_share_inside_is_that_of_a_binomial_and_half_a_value(count):
     allowed = binom.ppf(0.995, count, 0.0027)
-    assert _least_inside(count + 0.9) == pytest.approx(max(0.0, 1.0 - (allowed + 0.5) / count))
-    assert _least_inside(0.9) is None
+    assert find_least_inside(count + 0.9) == pytest.approx(max(0.0, 1.0 - (allowed + 0.5) / count))
+    assert find_least_inside(0.9) is None

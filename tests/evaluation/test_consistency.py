@@ -36,7 +36,7 @@ def test_nis_of_a_sub_vector_counts_once():
         (1.0, 0, 0, 5.0, True),
         (1.0, 0, 1, 5.0, False),
         (1.0, 0, 2, 5.0, True),
-        (1.0, 1, 0, 7.0, True),  # the same instant, another sensor
+        (1.0, 1, 0, 7.0, True),  # the same time, another sensor
         (1.0, 1, 1, 7.0, True),
         (1.5, 2, 2, 0.5, True),
         (2.0, 0, 0, 6.0, True),
@@ -45,7 +45,7 @@ def test_nis_of_a_sub_vector_counts_once():
         (2.0, 0, 0, 8.0, True),  # a fix that came twice is two updates
         (2.0, 0, 1, 8.0, True),
         (2.0, 0, 2, 8.0, True),
-        (3.0, 0, 0, 1.0, True),  # horizontal only, then another sensor's down at the same instant
+        (3.0, 0, 0, 1.0, True),  # horizontal only, then another sensor's down at the same time
         (3.0, 0, 1, 1.0, True),
         (3.0, 2, 2, 2.0, True),
         (4.0, 2, 2, 3.0, True),

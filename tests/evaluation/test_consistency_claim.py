@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from bench import pipeline
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.models.loose_tight import Loose
 from tests.builders import ensemble
 
@@ -20,11 +20,11 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def profile():
-    return load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
+    return read_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
 
 
 def claims(profile, truth, assumed, **options):
-    """Return the verdict on the three claims over 40 draws."""
+    """Return the verdict on the three covariances over 40 runs."""
     return ensemble(
         Loose(**options),
         truth,
@@ -63,4 +63,4 @@ def test_R_a_fifth_too_small_is_found_in_nees_and_in_every_sensor(profile, five_
 
 def test_both_profiles_fly_the_same_flight(profile):
     """figure-eight-matched differs in its sensors only, so one truth serves both."""
-    assert load_profile("figure-eight").flight == profile.flight
+    assert read_profile("figure-eight").flight == profile.flight

@@ -1,4 +1,4 @@
-"""Correct solutions given in another convention: each is named, and nothing is said of honest ones."""
+"""Correct solutions given in another convention: each is named, and nothing is said of consistent ones."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def test_nothing_is_said_of_honest_solutions(draws):
 
 
 def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
-    """Its claims are broken by a wandering error, by a spoof, by a drift: no constant undoes them."""
+    """Its covariances are broken by a wandering error, by a spoof, by a drift: no constant undoes them."""
     for name, use in (
         ("figure-eight", "loose-15"),
         ("gnss-faults", "loose-15"),
         ("figure-eight", "gnss-only"),
     ):
-        profile = bench.load_profile(name, estimators=[use])
+        profile = bench.read_profile(name, estimators=[use])
         truth = pipeline.fly(profile)
         sensed = pipeline.sense(profile, truth, 1)
         solution = pipeline.navigate(profile.estimators[0], sensed.data, sensed.initial)
@@ -91,7 +91,7 @@ def test_nothing_is_said_of_a_filter_that_is_wrong_in_another_way():
 
 
 def test_what_a_straight_flight_does_not_tell_is_named_together(monkeypatch):
-    profile = bench.load_profile("s-turns", STRAIGHT, estimators=["loose-15"])
+    profile = bench.read_profile("s-turns", STRAIGHT, estimators=["loose-15"])
     truth = pipeline.fly(profile)
     monkeypatch.setattr(mistaken, "fly", lambda name: (profile, truth))
     late = mistaken.ask("0.1 s late", 0, "straight")
@@ -100,7 +100,7 @@ def test_what_a_straight_flight_does_not_tell_is_named_together(monkeypatch):
     speed = np.linalg.norm(truth.vel_n[-1])
     assert time[0] * speed == pytest.approx(-arm[0], abs=0.1)
     assert np.linalg.norm(offset) == pytest.approx(-arm[0], abs=0.1)
-    assert "(this flight does not tell which)" in late["why_text"]
+    assert "(this flight does not show which)" in late["why_text"]
     turned = conventions(mistaken.ask("turned by 2 deg", 0, "straight"))
     assert turned == ["rotation of the body", "rotation of the level"]
 
@@ -242,7 +242,7 @@ EXCHANGED = {
 
 
 def made(**given: np.ndarray) -> tuple[Answers, TrueMotion]:
-    """Right answers but for what is given, and the motion; a third instant is outside the truth."""
+    """Right answers but for what is given, and the motion; a third time is outside the truth."""
     nothing, inside = np.full((1, 3), np.nan), np.array([True, True, False])
     right = {"lla": LLA, "vel_n": VEL_N, "q_nb": in_quaternions(ATTITUDE)} | given
     columns = (np.vstack([right[name], nothing]) for name in ("lla", "vel_n"))
@@ -353,7 +353,7 @@ class Late:
 
 def test_a_run_says_it_of_a_filter_of_others_and_not_of_a_built_in_one():
     use = "tests.evaluation.test_conventions:Late"
-    profile = bench.load_profile("s-turns", mistaken.MATCHED, estimators=[use, "loose-15"], allow_code=True)
+    profile = bench.read_profile("s-turns", mistaken.MATCHED, estimators=[use, "loose-15"], allow_code=True)
     own, built_in = bench.run(profile).metrics.values()
     assert conventions(own) == ["time offset"]
     assert "Looks like answers that are 0.1" in own["verdict_text"]
@@ -361,8 +361,8 @@ def test_a_run_says_it_of_a_filter_of_others_and_not_of_a_built_in_one():
 
 
 def test_score_says_it_of_a_solution_in_a_file(tmp_path):
-    profile = bench.load_profile("s-turns", mistaken.MATCHED, estimators=["loose-15"])
-    bench.save(bench.run(profile), tmp_path / "run", recording=False, report=False)
+    profile = bench.read_profile("s-turns", mistaken.MATCHED, estimators=["loose-15"])
+    bench.write_result(bench.run(profile), tmp_path / "run", recording=False, report=False)
     solution, _ = mistaken.give("velocities ENU", 0)
     lat, lon, alt = solution.lla.T
     sd = np.sqrt(np.einsum("kii->ki", solution.cov))
@@ -387,21 +387,21 @@ def test_a_constant_of_half_a_flight_is_the_same_within_half_of_it(monkeypatch, 
     def solve(*args):
         return np.array([next(steps, 0.0)]), (np.array([half]), np.array([-0.1]))
 
-    monkeypatch.setattr(convention_search, "_solve", solve)
+    monkeypatch.setattr(convention_search, "solve", solve)
     made = SimpleNamespace(constants=1, starts=(0.0,))
-    constants, found = convention_search._fit(None, None, made, ["position"])
+    constants, found = convention_search.fit(None, None, made, ["position"])
     assert (constants.tolist(), found) == ([2.0], same)
 
 
 def test_what_is_told_of_a_constant_is_in_its_unit():
     turn, offset = np.deg2rad([1.0, -2.0, 0.5]), np.array([3.0, -4.0])
-    told = known_conventions._tell_turn("x, y, z", turn)
+    told = known_conventions.tell_turn("x, y, z", turn)
     assert told == "an attitude turned by a constant 1.00, -2.00, 0.50 deg about x, y, z"
-    assert known_conventions._tell_time(np.array([0.25])) == "answers that are 0.250 s too late"
-    assert known_conventions._tell_time(np.array([-0.1])) == "answers that are 0.100 s too early"
-    assert known_conventions._tell_height(np.array([-30.0])).endswith("30.0 m too high")
+    assert known_conventions.tell_time(np.array([0.25])) == "answers that are 0.250 s too late"
+    assert known_conventions.tell_time(np.array([-0.1])) == "answers that are 0.100 s too early"
+    assert known_conventions.tell_height(np.array([-30.0])).endswith("30.0 m too high")
     arm = np.array([1.0, 0.5, -0.25])
     for whose, antenna in (("the antenna", arm + 0.05), ("a point", np.array([0.0, 0.0, -1.0]))):
-        told = known_conventions._tell_arm(antenna, arm)
+        told = known_conventions.tell_arm(antenna, arm)
         assert told == f"the motion of {whose} 1.00, 0.50, -0.25 m (forward, right, down) from the IMU"
-    assert known_conventions._tell_offset(offset) == "an offset of 3.00 m north, -4.00 m east"
+    assert known_conventions.tell_offset(offset) == "an offset of 3.00 m north, -4.00 m east"

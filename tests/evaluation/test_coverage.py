@@ -34,7 +34,7 @@ def silence(solution: NavSolution, rows: np.ndarray, names: tuple[str, ...] = CO
 
 
 class Silent:
-    """A filter that gives no answer between two instants, nor before its first."""
+    """A filter that gives no answer between two epochs, nor before its first."""
 
     def __init__(self, begin: float = 10.0, end: float = 15.0, first: float = 0.0) -> None:
         self._begin, self._end, self._first = begin, end, first
@@ -49,9 +49,9 @@ def flown(tmp_path_factory):
     """The sensors of 20 s, and an answer to all of them."""
     path = tmp_path_factory.mktemp("coverage") / "short.toml"
     path.write_text(PROFILE)
-    profile = bench.load_profile(path)
+    profile = bench.read_profile(path)
     sensed = bench.sense(profile, bench.fly(profile))
-    return sensed.data, bench.navigate("loose-15", sensed.data, sensed.initial), path
+    return sensed.data, bench.run_filter("loose-15", sensed.data, sensed.initial), path
 
 
 def without_imu(data: SensorData, begin: float, end: float) -> SensorData:
@@ -64,7 +64,7 @@ def test_the_share_counts_from_the_first_answer_on(flown):
     assert measure_coverage(whole, data).share == 1.0
     half = measure_coverage(silence(whole, t > 10.0), data)
     assert half.share == pytest.approx(np.mean(t <= 10.0))
-    assert half.text == "answers 50.2 % of the instants asked for, with the longest silence from 10.1 to 20 s"
+    assert half.text == "answers 50.2 % of the epochs asked for, with the longest silence from 10.1 to 20 s"
     late = measure_coverage(silence(whole, (t < 4.0) | ((t > 10.0) & (t < 12.05))), data)
     assert (late.first, late.longest) == (4.0, (10.1, 12.0))
     assert late.share == pytest.approx(1.0 - 20 / np.sum(t >= 4.0))
@@ -112,7 +112,7 @@ def test_what_else_is_wrong_is_said_first():
     lost = {"converged": False, "reason": "it diverged", "pos_rmse_h_m": 3.0}
     found = add_verdict("mine", lost, Coverage({"pos": 0.5}, 30.0, 30.0, (50.0, 90.0)))
     assert found["verdict"] == "diverged"
-    assert found["reason"].startswith("it diverged; it answers 50 % of the instants")
+    assert found["reason"].startswith("it diverged; it answers 50 % of the epochs")
     assert found["verdict_text"].endswith(" Its first answer is at t = 30 s.")
     raised = {"converged": False, "reason": "raised", "failed": True}
     failed = add_verdict("mine", raised, Coverage({}, 0.0, None, (0.0, 9.0)))
@@ -126,8 +126,8 @@ def test_a_filter_that_answers_a_part_has_its_verdict_and_status_1(flown, tmp_pa
     use = "tests.evaluation.test_coverage:Silent"
     assert main(["run", str(path), "-e", use, "-e", "loose-15", "--no-rrd", "--no-report", "-o", "part"]) == 1
     said = " ".join(capsys.readouterr().out.split())
-    assert "answers 75.6 % of the instants asked for, with the longest silence from 10.1 to 14.9 s" in said
-    result = bench.load("part")
+    assert "answers 75.6 % of the epochs asked for, with the longest silence from 10.1 to 14.9 s" in said
+    result = bench.read_result("part")
     found = result.metrics["Silent"]
     assert (found["verdict"], found["converged"]) == ("incomplete", False)
     silent = (whole.t > 10.0) & (whole.t < 15.0)
@@ -145,8 +145,8 @@ def test_a_filter_that_answers_a_part_has_its_verdict_and_status_1(flown, tmp_pa
     assert found["nees_mean"] == pytest.approx(
         np.mean(result.errors["loose-15"].nees[(whole.t >= 5.0) & ~silent])
     )
-    assert found["answered_pos"] == pytest.approx(1 - np.mean(silent))
-    assert (found["first_answer_s"], result.metrics["loose-15"]["answered_phi"]) == (0.0, 1.0)
+    assert found["availability_pos"] == pytest.approx(1 - np.mean(silent))
+    assert (found["first_answer_s"], result.metrics["loose-15"]["availability_phi"]) == (0.0, 1.0)
     assert result.metrics["loose-15"]["converged"]
     assert main(["run", str(path), "-e", "loose-15", "--no-rrd", "--no-report", "-o", "alone"]) == 0
 
@@ -177,19 +177,19 @@ def test_an_answer_carried_on_in_a_turn_leaves_it_along_the_tangent():
 
 
 def test_silences_are_infinite_in_the_95_percent_error_but_those_that_the_data_excuse(flown):
-    """Six of 151 instants without an answer are among the twentieth that it may leave out, nine are not."""
+    """Six of 151 epochs without an answer are among the twentieth that it may leave out, nine are not."""
     data, whole, path = flown
-    profile, truth = bench.load_profile(path), bench.fly(path)
+    profile, truth = bench.read_profile(path), bench.fly(path)
     late = np.flatnonzero(whole.t >= 5.0)
     for count, known in ((6, True), (9, False)):
         quiet = silence(whole, np.isin(np.arange(len(whole)), late[40 : 40 + count]))
-        judged = bench.judge(profile, truth, quiet)[1]
+        judged = bench.evaluate(profile, truth, quiet)[1]
         assert (judged["cep95_m"] is not None, judged["pos_95_v_m"] is not None) == (known, known)
     begin, end = whole.t[late[40]] - 0.1, whole.t[late[48]]
     excusing = replace(bench.sense(profile, truth), data=without_imu(data, begin, end))
-    excused = bench.judge(profile, truth, quiet, excusing)[1]
+    excused = bench.evaluate(profile, truth, quiet, excusing)[1]
     assert excused["cep95_m"] is not None
-    assert excused["answered_pos"] == 1.0
+    assert excused["availability_pos"] == 1.0
 
 
 def test_each_block_that_a_filter_declares_counts(flown):
@@ -218,22 +218,22 @@ def test_a_sensor_is_silent_for_more_than_one_and_a_half_of_its_intervals():
         np.array([-1.0, 0.5, 2.7, 4.4, 5.0, 6.0, 6.5, 8.0]),
     )
     expected = [True, False, False, False, True, True, False, True]
-    assert coverage._is_silent(t, reports).tolist() == expected
-    assert coverage._is_silent(t, reports[:1]).all()
+    assert coverage.is_silent(t, reports).tolist() == expected
+    assert coverage.is_silent(t, reports[:1]).all()
 
 
 @pytest.mark.parametrize(("share", "text", "enough"), [(0.9899, "98.9 %", False), (0.9909, "99 %", True)])
 def test_shares_are_rounded_down_and_the_least_counts(share, text, enough):
     found = Coverage({"pos": 1.0, "vel": share}, 0.0, 30.0, (2.5, 4.0))
     assert found.text == (
-        f"answers position at 100 %, velocity at {text} of the instants asked for from its first answer on, "
+        f"answers position at 100 %, velocity at {text} of the epochs asked for from its first answer on, "
         "with the longest silence from 2.5 to 4 s"
     )
     assert (found.share, found.enough) == (share, enough)
-    assert Coverage({"pos": 1.0}, 0.0, None, (0.0, 0.0)).text == "answers 100 % of the instants asked for"
+    assert Coverage({"pos": 1.0}, 0.0, None, (0.0, 0.0)).text == "answers 100 % of the epochs asked for"
 
 
 def test_the_longest_run_is_that_of_the_longest_time():
     t = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 9.0, 10.0])
-    assert coverage._find_longest(t, np.array([0, 1, 2, 4, 5])) == (4.0, 9.0)
-    assert coverage._find_longest(t, np.array([], int)) == (0.0, 0.0)
+    assert coverage.find_longest(t, np.array([0, 1, 2, 4, 5])) == (4.0, 9.0)
+    assert coverage.find_longest(t, np.array([], int)) == (0.0, 0.0)

@@ -1,6 +1,6 @@
-"""Detection against the script: what was refused in the interval of a fault, how soon, and what else was.
+"""Detection against the script: what was rejected in the interval of a fault, how soon, and what else was.
 
-The filter is loose-15 on a flight whose sensors it models exactly; its gate refuses a sound fix with 1e-5.
+The filter is loose-15 on a flight whose sensors it models exactly; its gate rejects a sound fix with 1e-5.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def judged(flight, *faults, run=0, estimator=None):
 
 
 def test_a_step_of_100_m_is_refused_at_the_first_epoch(flight):
-    """The first fix of the interval is at its first instant; nothing is refused without cause."""
+    """The first fix of the interval is at its first time; nothing is rejected without cause."""
     found, solution = judged(flight, STEP)
     assert found["fault_1_detected"] == 1.0
     assert found["fault_1_delay_s"] == pytest.approx(0.0, abs=1e-6)
@@ -75,7 +75,7 @@ def test_a_step_between_epochs_is_noticed_at_the_next(flight):
 def test_a_ramp_of_1_mps_is_reported_with_its_delay(flight):
     """Five runs: after the fix is gone by several sigma (1.5 m and the filter's own), before it is by 30.
 
-    It is noticed at the first of two refusals in a row, which once is not the first of all."""
+    It is detected at the first of two rejections in a row, which once is not the first of all."""
     for run in range(5):
         found, solution = judged(flight, RAMP, run=run)
         assert found["fault_1_detected"] == 1.0
@@ -112,7 +112,7 @@ def test_without_faults_there_is_nothing_to_score(flight):
 
 
 def by_hand(refused, events=()):
-    """A solution that refused positions and velocities of GNSS and heights at given times."""
+    """A solution that rejected positions and velocities of GNSS and heights at given times."""
     t, names = np.arange(1.0, 101.0), ("gnss_position", "gnss_velocity", "baro")
     code = np.repeat(np.arange(len(names)), len(t))
     accepted = np.concatenate([~np.isin(t, list(refused.get(name, ()))) for name in names])
@@ -151,7 +151,7 @@ def told_of(solution, fault, *, end=100.0):
 
 
 def test_a_filter_that_refuses_one_fix_by_chance_and_follows_has_not_noticed():
-    """One refusal now and then is what a gate does; two in a row are an alarm. Of 40 s three are refused."""
+    """One rejection now and then is what a gate does; two in a row are an alarm. Three of 40 s are."""
     ramp = Fault("spoofing", "gnss", 20.0, 60.0, "")
     assert told_of(by_hand({"gnss_position": [25.0, 31.0, 50.0]}), ramp) == (None, 3 / 40)
     assert told_of(by_hand({"gnss_position": [25.0, 31.0, 32.0]}), ramp) == (11.0, 3 / 40)
@@ -164,7 +164,7 @@ def test_a_filter_that_refuses_one_fix_by_chance_and_follows_has_not_noticed():
 
 
 def test_a_fault_whose_positions_are_followed_is_not_refused_for_all_of_its_time():
-    """Ten fixes a second: positions refused for the first 24 of 40 s, velocities all along."""
+    """Ten fixes a second: positions rejected for the first 24 of 40 s, velocities all along."""
     ramp = Fault("spoofing", "gnss", 20.0, 60.0, "")
     always, first = range(20, 60), range(20, 44)
     found = by_hand({"gnss_position": first, "gnss_velocity": always})
@@ -175,9 +175,9 @@ def test_a_fault_whose_positions_are_followed_is_not_refused_for_all_of_its_time
 
 
 def test_an_event_is_an_alarm_as_long_as_it_stands():
-    """From 30 to 50 s of a fault of 20 to 60 s: 21 whole seconds of 40; refused updates in it add nothing."""
+    """From 30 to 50 s of a fault of 20 to 60 s: 21 seconds of 40; rejected updates in it add nothing."""
     ramp = Fault("spoofing", "gnss", 20.0, 60.0, "")
-    event = (30.0, 50.0, "integrity", "20 fixes refused", "gnss_position")
+    event = (30.0, 50.0, "integrity", "20 fixes rejected", "gnss_position")
     assert told_of(by_hand({}, [event]), ramp) == (10.0, 21 / 40)
     assert told_of(by_hand({"gnss_position": [40.0]}, [event]), ramp) == (10.0, 21 / 40)
     assert told_of(by_hand({}, [(10.0, *event[1:])]), ramp) == (None, 31 / 40)  # it stood before
@@ -195,7 +195,7 @@ def test_false_alarms_per_hour_are_those_of_the_seconds_without_a_fault():
 
 
 def test_the_longest_refusal_counts_by_its_time_and_a_scripted_fault_does_not():
-    """Refused for 0, 9 and 4 s, and for 30 s of a fault of its own."""
+    """Rejected for 0, 9 and 4 s, and for 30 s of a fault of its own."""
     refused = [5.0, *range(20, 30), *range(40, 45), *range(60, 91)]
     fault = Fault("spoofing", "gnss", 60.0, 91.0, "")
     nis = nis_by_sensor(by_hand({"gnss_position": refused, "baro": [1.0, 3.0]}).innovations)
@@ -206,7 +206,7 @@ def test_the_longest_refusal_counts_by_its_time_and_a_scripted_fault_does_not():
 
 
 def test_position_fixes_refused_for_more_than_a_minute_are_lost_aiding():
-    """From 10 to 70 s is a minute; velocities may be refused for as long as there are."""
+    """From 10 to 70 s is a minute; velocities may be rejected for as long as there are."""
     for last, lost in ((70, False), (71, True)):
         nis = nis_by_sensor(
             by_hand({"gnss_position": range(10, last + 1), "baro": range(1, 101)}).innovations
@@ -214,7 +214,7 @@ def test_position_fixes_refused_for_more_than_a_minute_are_lost_aiding():
         told = find_lost_aiding(SimpleNamespace(nis=nis, scripted=()))
         assert (told is not None) == lost
         if lost:
-            assert told == "gnss_position was refused from t = 10 to 71 s, 61 s without a pause"
+            assert told == "gnss_position was rejected from t = 10 to 71 s, 61 s without a pause"
 
 
 def test_false_alarms_count_from_the_instant_on_whatever_its_last_digits():
@@ -240,7 +240,7 @@ def test_the_largest_error_of_a_fault_is_horizontal_and_inside_of_it():
 def test_an_integrity_event_is_an_alarm_of_the_sensor_it_names():
     rows = [
         (25.0, 25.0, "integrity", "barometer and GNSS height differ by 5 sigma", "gnss_position baro"),
-        (50.0, 55.0, "integrity", "refused by nis", "baro"),
+        (50.0, 55.0, "integrity", "rejected by nis", "baro"),
         (45.0, 45.0, "integrity", "not a word of the baro"),
         (5.0, 5.0, "timeline", "gnss", "gnss"),
     ]
@@ -268,7 +268,7 @@ NOTICED = {("baro-step", "baro"), ("noise-burst", "gnss"), ("noise-burst", "baro
 
 @pytest.mark.parametrize("fault", EVERY, ids=lambda f: f"{f.kind}-{f.sensor}")
 def test_a_filter_lives_with_every_fault_and_the_timeline_counts_its_rows(flight, fault):
-    """Five seconds of anything: a solution at every instant, and what came twice or late is reported."""
+    """Five seconds of anything: a solution at every time, and what came twice or late is reported."""
     found, solution = judged(flight, fault)
     assert np.isfinite(solution.lla).all()
     if fault is STEP or (fault.kind, fault.sensor) in NOTICED:

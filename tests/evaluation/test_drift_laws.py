@@ -104,14 +104,14 @@ def case(T=60.0, nis=(), cov=None, sd=400.0, assumed=True):
 
 def test_headings_are_taken_once_a_second():
     one = case()
-    assert_allclose(drift_laws._headings(one, 4, 16), 0.01 * np.arange(2.0, 8.5))
-    assert_allclose(drift_laws._headings(one, 4, 5), 0.01 * np.array([2.0, 2.5]))
+    assert_allclose(drift_laws.headings(one, 4, 16), 0.01 * np.arange(2.0, 8.5))
+    assert_allclose(drift_laws.headings(one, 4, 5), 0.01 * np.array([2.0, 2.5]))
     one.solution.q_nb[10] = np.nan
-    assert drift_laws._headings(one, 4, 16) is None
+    assert drift_laws.headings(one, 4, 16) is None
 
 
 def test_the_law_of_an_outage_is_that_of_a_calibrated_imu_and_the_wander_of_the_receiver():
-    """From the first instant in it to the last, 29.5 s; of two axes, rms and the 95 % radius."""
+    """From the first time in it to the last, 29.5 s; of two axes, rms and the 95 % radius."""
     sd = drift_sd(29.5, IMU, heading=0.01 * np.linspace(10.0, 39.5, 31), velocity=0.3)
     fixed = case(nis=("gnss_position",))
     assert drift_laws.outage_law("rms", fixed) == {"1": pytest.approx(np.sqrt(2.0) * sd, rel=1e-4)}
@@ -127,7 +127,7 @@ def test_the_law_of_an_outage_is_that_of_a_calibrated_imu_and_the_wander_of_the_
 
 
 def test_the_law_of_a_run_without_fixes_begins_with_what_is_claimed():
-    """Of two axes each the root of the mean square; a claim of less than a fifth of the law is aided."""
+    """Of two axes each the root of the mean square; a covariance of less than a fifth of the law is aided."""
     cov = np.square([3.0, 4.0, 9.0, 0.1, 0.3, 9.0, 0.01, 0.03, 9.0])
     start = [float(np.sqrt(np.mean(cov[k : k + 2]))) for k in (0, 3, 6)]
     heading = 0.01 * np.linspace(0.0, 60.0, 61)
@@ -142,7 +142,7 @@ def test_the_law_of_a_run_without_fixes_begins_with_what_is_claimed():
     assert drift_laws.inertial_law(case())["rms"] == pytest.approx(np.sqrt(2.0) * unknown)
     for share, there in ((0.19, False), (0.21, True)):
         one = case(cov=cov, sd=share * sd / np.sqrt(2.0))
-        one.sd[:-1] = 0.0  # what is claimed at the end counts
+        one.sd[:-1] = 0.0  # what is reported at the end counts
         assert bool(drift_laws.inertial_law(one)) == there
         assert drift_laws.inertial_end(one) == ({"": pytest.approx(50.0)} if there else {})
     assert drift_laws.inertial_law(case(nis=("gnss_velocity",))) == {}
@@ -184,8 +184,8 @@ def test_a_row_of_drifts_has_the_quantiles_of_a_vector_of_two_axes():
     drifts = [OutageDrift(0.0, 60.0, drift, 1.0, 2.0) for drift in (3.0, 4.0, 5.0)]
     row = make_drift_row("x", 60.0, drifts, IMU)
     expected = drift_sd(60.0, IMU)
-    assert row["closed_form_median_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
-    assert row["closed_form_p95_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(20.0)), rel=1e-4)
-    assert row["claimed_median_h_m"] == pytest.approx(2.0 * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
+    assert row["predicted_median_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
+    assert row["predicted_p95_h_m"] == pytest.approx(expected * np.sqrt(2.0 * np.log(20.0)), rel=1e-4)
+    assert row["reported_median_h_m"] == pytest.approx(2.0 * np.sqrt(2.0 * np.log(2.0)), rel=1e-4)
     assert (row["places"], row["median_h_m"]) == (3, 4.0)
     assert row["rms_h_m"] == pytest.approx(np.sqrt(50.0 / 3.0))

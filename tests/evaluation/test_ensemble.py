@@ -93,7 +93,7 @@ def test_growth_of_a_random_walk_of_velocity_is_its_closed_form():
         assert row.rms.low <= np.sqrt(2) * 0.5 * T <= row.rms.high
         assert row.median.low <= 0.5 * T * np.sqrt(2 * np.log(2)) <= row.median.high
         assert row.p95.low <= 0.5 * T * np.sqrt(-2 * np.log(0.05)) <= row.p95.high
-    with pytest.raises(ValueError, match="no instant within 10 s of the outage at -20 s"):
+    with pytest.raises(ValueError, match="no time within 10 s of the outage at -20 s"):
         ensemble.measure_growth(t, begin + speed * t[:, None], -20.0, [10.0])
 
 
@@ -141,7 +141,7 @@ def test_a_rate_has_the_interval_of_clopper_and_pearson(count, n):
     assert binom.cdf(count, n, found.high) == pytest.approx(0.025)
 
 
-def test_white_innovations_pass_and_coloured_ones_do_not():
+def test_white_innovations_pass_and_colored_ones_do_not():
     """p-values of white series are uniform: 5 % of 1000 below 0.05. A correlation of 0.1 is found."""
     rng = np.random.default_rng(9)
     low = 0
@@ -278,11 +278,11 @@ def test_the_better_of_two_is_named_by_the_sign_of_the_difference():
         assert ensemble.Comparison("a", "b", "m", estimate, 7, 20.0).sentence == told
 
 
-# --- two estimators --------------------------------------------------------------------------------------
+# --- two filters --------------------------------------------------------------------------------------
 
 
 def test_two_estimators_are_compared_on_the_same_draws():
-    """The difference of 2 m is far below the spread of the draws, 5 m, and yet held by a narrow interval."""
+    """The difference of 2 m is far below the spread of the runs, 5 m, and yet held by a narrow interval."""
     rng = np.random.default_rng(10)
     common = np.exp(rng.normal(0.0, 0.4, 40))
     loose_15, loose_22 = 14.0 * common, 12.0 * common * np.exp(rng.normal(0.0, 0.03, 40))

@@ -70,7 +70,7 @@ def test_undecided_says_how_many_runs_would_decide():
     averages = STATES * (1.2 + 0.25 * np.where(np.arange(40) % 2, 1.0, -1.0))
     result = check_consistency(np.tile(averages[:, None], (1, 3)), STATES, {})
     assert result.word == "undecided"
-    assert "about 228 runs would tell whether that fits" in result.sentence  # 40 (0.119 / 0.05)^2
+    assert "about 228 runs would decide" in result.sentence  # 40 (0.119 / 0.05)^2
     more = STATES * (1.2 + 0.25 * np.where(np.arange(228) % 2, 1.0, -1.0))
     assert check_consistency(np.tile(more[:, None], (1, 3)), STATES, {}).word == "consistent"
 
@@ -81,7 +81,7 @@ def test_errors_of_p_that_cancel_over_the_run_are_found_at_the_instants():
     averages = 9.0 + 0.1 * np.where(np.arange(50) % 2, 1.0, -1.0)
     result = check_consistency(averages[:, None] + swing - swing.mean(), STATES, {})
     (reason,) = result.reasons
-    assert reason.startswith("NEES over 50 runs is outside 7.13 to 11.14 at 6 of 6 instants: 6.27")
+    assert reason.startswith("NEES over 50 runs is outside 7.13 to 11.14 at 6 of 6 epochs: 6.27")
 
 
 def test_one_bad_sensor_among_good_ones_is_named():

@@ -24,7 +24,7 @@ SHORT = {
 
 @pytest.fixture(scope="module")
 def results():
-    profile = bench.load_profile("figure-eight", SHORT, seed=3, estimators=["loose-15", "gnss-only"])
+    profile = bench.read_profile("figure-eight", SHORT, seed=3, estimators=["loose-15", "gnss-only"])
     truth = bench.fly(profile)
     return [bench.pipeline.run(profile, run=k, truth=truth) for k in range(6)]
 

@@ -1,7 +1,7 @@
 """Errors are estimate minus truth in n at the solution's times; NEES is e' P^-1 e of the estimated blocks.
 
 The laws: a known error put in comes out, with its sign; NEES of errors drawn from their
-own covariance is chi-square; a solution that cannot be judged is recognised, with the reason.
+own covariance is chi-square; a solution that cannot be evaluated is recognized, with the reason.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ def truth():
 
 
 def draws(rng, n):
-    """Errors (n, 9) and the full covariance (9, 9) they are drawn from, metres beside microradians."""
+    """Errors (n, 9) and the full covariance (9, 9) they are drawn from, meters beside microradians."""
     scale = np.array([5.0, 3.0, 8.0, 0.1, 0.2, 0.05, 1e-5, 2e-5, 1e-3])
     factor = scale[:, None] * (np.eye(9) + 0.5 * rng.normal(size=(9, 9)))
     return rng.normal(size=(n, 9)) @ factor.T, factor @ factor.T
@@ -90,7 +90,7 @@ def test_heading_error_wraps_at_north(true_deg, est_deg, error_deg):
     assert_allclose(errors.phi_n[:, 2], errors.heading, atol=1e-12)  # level: heading turns about down
 
 
-# --- which instant of the truth -----------------------------------------------------------------------
+# --- which time of the truth -----------------------------------------------------------------------
 
 
 def test_a_sample_instant_takes_its_own_row_even_with_rounding(truth):
@@ -241,7 +241,7 @@ def test_heading_sd_is_the_slope_of_heading_along_phi():
     assert np.ptp(heading_sd(solution)) > 0.005  # tilt does matter in this test
 
 
-# --- what cannot be judged ----------------------------------------------------------------------------
+# --- what cannot be evaluated ----------------------------------------------------------------------------
 
 
 def spoiled(solution, field, row, value):
@@ -326,7 +326,7 @@ def test_diverged_means_beyond_10_sigma_and_beyond_1_km(truth, distance, sigma, 
     ],
 )
 def test_every_block_that_is_far_off_has_not_converged(truth, wrong, reason):
-    """Held against the claim, or against the limit alone where nothing is claimed."""
+    """Held against the covariance, or against the limit alone where nothing is reported."""
     solution = wrong_solution(truth, **wrong)
     for cov, end in (
         (solution.cov, "more than 10 sigma of "),
@@ -354,7 +354,7 @@ def test_sizes_that_tell_a_divergence_are_in_their_units(monkeypatch):
     monkeypatch.setattr(error_series_file, "heading_sd", lambda solution: sd[8:])
     found = {
         what: (unit, float(size[0]), float(sigma[0]))
-        for what, unit, _, size, sigma in error_series_file._list_sizes(errors, None, ("pos", "vel", "phi"))
+        for what, unit, _, size, sigma in error_series_file.list_sizes(errors, None, ("pos", "vel", "phi"))
     }
     assert found == {
         "horizontal error": ("m", 5.0, pytest.approx(np.sqrt(5.0))),

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.core.words.wording import format_number
-from bench.evaluation.metrics.key_figures import _format_bound, explain_rows, list_key_figures
+from bench.evaluation.metrics.key_figures import explain_rows, format_bound, list_key_figures
 from bench.evaluation.metrics.metric_words import find_words, format_metric, group_metrics, list_wordless
 from bench.evaluation.metrics.run_metrics import METRICS
 
@@ -30,7 +30,7 @@ def test_every_metric_has_words_of_its_own():
         ("phi_rmse_n_deg", 0.054, "tilt about north error, rms 0.054 deg"),
         ("outage_2_drift_h_m", 7.666, "outage 2: error at its end 7.666 m"),
         ("nis_mean_gnss_position", 2.9, "NIS GNSS position, mean 2.9"),
-        ("fault_1_detected", 1.0, "fault 1: noticed yes"),
+        ("fault_1_detected", 1.0, "fault 1: detected yes"),
         ("rpe_10s_m_all", 1.85, "relative error over 10 s, whole run 1.85 m"),
         ("false_alarm_rate_per_h", None, "false alarms - 1/h"),
     ],
@@ -55,7 +55,7 @@ def test_numbers_have_no_power_of_ten_below_ten_million():
 
 
 def test_bounds_have_two_decimals_below_ten_and_three_digits_from_there_on():
-    assert [_format_bound(value) for value in (0.5, 1.048, 9.999, 28.96, 161.4)] == [
+    assert [format_bound(value) for value in (0.5, 1.048, 9.999, 28.96, 161.4)] == [
         "0.50",
         "1.05",
         "10.00",

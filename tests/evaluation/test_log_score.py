@@ -13,7 +13,7 @@ from tests.evaluation.solutions import weaving_truth, without, wrong_solution
 
 
 def test_a_claim_scores_as_its_normal_density():
-    """Of all nine states, and of the six that are left without attitude; nothing claimed has no score."""
+    """Of all nine states, and of the six that are left without attitude; nothing reported has no score."""
     random = np.random.default_rng(3)
     truth, A = weaving_truth(1.0), random.standard_normal((9, 9))
     e = random.standard_normal((11, 9))

@@ -32,7 +32,7 @@ def metrics_of(truth, solution, begin=0.0, outages=(), faults=()):
 
 
 def some_innovations():
-    """gnss_position (3 components) at 1..19 s, baro at 0.5, 1.5, ...; NIS 1, 2, 3, ...; one is refused."""
+    """gnss_position (3 components) at 1..19 s, baro at 0.5, 1.5, ...; NIS 1, 2, 3, ...; one is rejected."""
     rows = []
     for k in range(1, 20):
         rows += [(float(k), 0, axis, float(k), k != 4 or axis != 1) for axis in range(3)]
@@ -134,7 +134,7 @@ def test_doubling_every_error_doubles_every_metric_of_accuracy(truth):
         name
         for name in once
         if (row := find_metric(name)) and row.unit in ("m", "m/s", "deg")
-        if not name.startswith(("pos_claimed", "ape", "rpe"))
+        if not name.startswith(("pos_sigma", "ape", "rpe"))
     ]
     assert len(linear) >= 2 * 20
     for name in linear:
@@ -406,12 +406,12 @@ def test_a_run_that_did_not_converge_says_why_and_keeps_what_is_finite(truth, va
 
 
 def test_a_dead_reckoner_that_claims_5_m_keeps_its_table(truth):
-    """12 km off with 5 m claimed is a verdict beside the figures, which are those without a claim."""
+    """12 km off with 5 m reported is a verdict beside the figures, which are those without a covariance."""
     claimed = wrong_solution(truth, pos_n=[12e3, 0.0, 0.0], cov=np.diag([25.0, 25.0, 25.0, *[1.0] * 6]))
     found = metrics_of(truth, claimed)
     assert found["converged"] is False
     assert found["pos_rmse_h_m"] == pytest.approx(12e3, rel=1e-3)
-    assert found["pos_claimed_h_m"] == pytest.approx(math.sqrt(50.0))
+    assert found["pos_sigma_h_m"] == pytest.approx(math.sqrt(50.0))
     silent = metrics_of(truth, replace(claimed, cov=np.full_like(claimed.cov, np.nan)))
     assert silent["converged"] is False
     assert silent["pos_rmse_h_m"] == found["pos_rmse_h_m"]
@@ -432,7 +432,7 @@ def test_an_empty_solution_is_an_error(truth):
     solution = wrong_solution(truth)
     columns = ("t", "lla", "vel_n", "q_nb", "gyro_bias_b", "accel_bias_b", "cov", "extra", "extra_sd")
     empty = replace(solution, **{name: getattr(solution, name)[:0] for name in columns})
-    with pytest.raises(ValueError, match=r"NavSolution\.t must hold at least one instant"):
+    with pytest.raises(ValueError, match=r"NavSolution\.t must hold at least one time"):
         metrics_of(truth, empty)
 
 

@@ -54,8 +54,8 @@ def stretches():
 
 
 def solve(stretches, values, weights):
-    """One step of the fit: with a turn and a velocity of each stretch as unknowns like the others."""
-    H, pull, scores = np.diag(motion_fit._PRIOR_SD**-2), -values / motion_fit._PRIOR_SD**2, []
+    """One step of the fit: with a turn and a velocity of each segment as unknowns like the others."""
+    H, pull, scores = np.diag(motion_fit.PRIOR_SD**-2), -values / motion_fit.PRIOR_SD**2, []
     rms, C_nb, heading_sd = [], [], []
     for weight, a, b in zip(weights, BEGIN[:-1], BEGIN[1:], strict=True):
         at = stretches.fix_t[a:b] - values[11]
@@ -92,7 +92,7 @@ def solve(stretches, values, weights):
         across = np.linalg.norm(np.cross(stretches.C_in[a][:, 2], turned))
         heading_sd.append(np.hypot(rms[-1], 0.05) / across)
     inverse, S = np.linalg.inv(H), np.array(scores)
-    cov = inverse @ (1.5 * S.T @ S + np.diag(motion_fit._PRIOR_SD**-2)) @ inverse
+    cov = inverse @ (1.5 * S.T @ S + np.diag(motion_fit.PRIOR_SD**-2)) @ inverse
     np.fill_diagonal(cov, np.maximum(np.diag(cov), np.diag(inverse)))
     return values + inverse @ pull, np.array(rms), cov, np.vstack(C_nb), np.array(heading_sd)
 
@@ -117,7 +117,7 @@ def test_the_integral_is_that_of_plain_steps(stretches):
     """Also where all parameters are used, and where samples hardly turn (2 mrad) or turn by 0.2 rad."""
     values = np.array([0.02, -0.01, 0.03, 0.1, 0.2, -0.3, 0.1, -0.05, 0.2, -0.1, 0.3, 0.017, 0.1, 0.2, 0.3])
     for size in (1.0, 40.0):
-        u, _, C_sb, rate, u_dot = motion_fit._integrate(stretches, T, size * GYRO, ACCEL, values)
+        u, _, C_sb, rate, u_dot = motion_fit.integrate(stretches, T, size * GYRO, ACCEL, values)
         w, f = corrected(values)
         w = size * (w + values[:3]) - values[:3]
         for a, b in pairwise(BEGIN):
@@ -132,7 +132,7 @@ def test_the_integral_is_that_of_plain_steps(stretches):
 
 def test_fixes_closer_than_the_step_of_the_derivative_shorten_it(stretches):
     close = replace(stretches, fix_t=2.003 + 0.04 * np.arange(29))
-    u_dot = motion_fit._integrate(close, T, 0.0 * GYRO, ACCEL, np.zeros(15))[4]
+    u_dot = motion_fit.integrate(close, T, 0.0 * GYRO, ACCEL, np.zeros(15))[4]
     row = np.searchsorted(T, close.fix_t[:, None] + [-0.01, 0.0, 0.01])
     assert_allclose(u_dot, ACCEL[row].mean(axis=1), atol=0.02)
 
@@ -140,13 +140,13 @@ def test_fixes_closer_than_the_step_of_the_derivative_shorten_it(stretches):
 def test_a_gain_far_from_one_is_where_the_fit_starts():
     for factor, start in ((0.51, 0.0), (1.99, 0.0), (0.0, 0.0), (0.1, np.log(0.1)), (9.8, np.log(9.8))):
         force = factor * 9.80665 * np.tile([0.6, 0.0, -0.8], (5, 1))
-        assert motion_fit._guess_gain(force) == pytest.approx(start)
+        assert motion_fit.guess_gain(force) == pytest.approx(start)
 
 
 def test_steps_are_no_longer_than_twice_what_is_known_before(stretches):
     """Rates a hundred times too large, and clocks 1.4 s apart where the record leaves 0.95 s."""
     step = fit_motion(stretches, T, 100.0 * GYRO, ACCEL, ARM, iterations=1).values
-    assert (np.abs(step) <= 2.0 * motion_fit._PRIOR_SD + 1e-12).all()
+    assert (np.abs(step) <= 2.0 * motion_fit.PRIOR_SD + 1e-12).all()
     assert np.abs(step).max() == pytest.approx(2.0)
     for sign in (1.0, -1.0):
         moved = replace(stretches, fix_t=stretches.fix_t + sign * 1.4)
@@ -193,7 +193,7 @@ def test_gained_velocity_is_that_of_space_less_gravitation():
 
 
 def test_a_stretch_lasts_20_s_or_twelve_fixes_and_holds_no_gap():
-    """Fixes every 2 s: stretches of 24 s; a second at each end of the IMU does not count."""
+    """Fixes every 2 s: segments of 24 s; a second at each end of the IMU does not count."""
     t = 10.0 + 2.0 * np.arange(40)
     lla, vel_n = np.tile([0.7, 0.4, 100.0], (40, 1)), np.random.default_rng(1).standard_normal((40, 3))
     every = np.arange(9.0, 90.0, 0.1)

@@ -1,4 +1,4 @@
-"""The noise of an IMU in motion: found as it is, and what a filter claims that is told of it."""
+"""The noise of an IMU in motion: found as it is, and what a filter reports that is told of it."""
 
 from __future__ import annotations
 
@@ -57,18 +57,18 @@ def test_the_density_of_shaking_is_found_beside_the_motion_and_a_line(truth):
 def test_standstills_gaps_and_slow_samples_do_not_count(truth):
     imu = sensors.sense(truth, units(), 3, 0).data.imu
     assert measure_motion_noise(imu, [(0.0, LENGTH - 0.9 * LEAST)]) is None
-    kept = imu.t % 3.0 > 0.5  # no whole stretch is left
+    kept = imu.t % 3.0 > 0.5  # no whole segment is left
     gappy = take(imu, kept)
     assert measure_motion_noise(gappy, []) is None
     slow = replace(imu, dt=imu.dt * (RATE / (1.9 * BANDS[0][1])))
     assert measure_motion_noise(slow, []) is None
     spec, line = assume_motion_noise(IMU, gappy, [])
     assert spec is IMU
-    assert "the noise assumed is that of weaving-mems" in line.text
+    assert "the assumed noise is from weaving-mems" in line.text
 
 
 def ratios(truth, duration, told):
-    """Return the squared horizontal error over its covariance at the end of cuts, of twelve draws."""
+    """Return the squared horizontal error over its covariance at the end of cuts, of twelve runs."""
     found = []
     for run in range(12):
         cuts = tuple((start, start + duration) for start in CUTS)
@@ -88,7 +88,7 @@ def ratios(truth, duration, told):
 
 @pytest.mark.parametrize("duration", [10.0, 30.0, 60.0])
 def test_shaking_that_the_datasheet_leaves_out_is_claimed_in_cuts(truth, duration):
-    """36 cuts: 2 is right, 1.3 to 3 is asked for; told the datasheet alone a filter claims far too much."""
+    """36 cuts: 2 is right, 1.3 to 3 is asked for; told the datasheet alone a filter reports far too much."""
     assert 1.3 < ratios(truth, duration, told=True).mean() < 3.0
     assert ratios(truth, duration, told=False).mean() > 5.0
 
@@ -109,6 +109,6 @@ def test_a_level_and_a_trend_are_no_noise():
     rng, window = np.random.default_rng(1), np.hanning(201)[:200, None]
     scatter = rng.standard_normal((200, 6))
     leaning = scatter + 50.0 + 30.0 * np.linspace(-1.0, 1.0, 200)[:, None]
-    plain, found = (motion_noise._spectrum(one, window, 0.01) for one in (scatter, leaning))
+    plain, found = (motion_noise.spectrum(one, window, 0.01) for one in (scatter, leaning))
     np.testing.assert_allclose(found, plain, rtol=1e-8, atol=1e-12)
     assert plain[5:].mean() == pytest.approx(0.01, rel=0.2)  # white, two-sided: variance times the step

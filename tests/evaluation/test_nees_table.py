@@ -48,13 +48,13 @@ def test_the_interval_holds_the_mean_as_often_as_it_says():
 
 
 def test_the_mark_follows_from_a_wider_interval_than_is_shown():
-    """11.25 is the most that is honest; of 50 draws the interval of 99 % is 1.334 times that of 95 %."""
+    """11.25 is the most that is consistent; of 50 draws the interval of 99 % is 1.334 times that of 95 %."""
     words = [nees_table.Row("p", "f", 9, 50, 0, 11.25 - reach, 1.0).word for reach in (1.32, 1.35)]
     assert words == ["undecided", "consistent"]
 
 
 def test_faults_and_runs_that_were_lost_do_not_count():
-    profile = replace(bench.load_profile("gnss-faults"), evaluation=EvaluationWindow(60.0))
+    profile = replace(bench.read_profile("gnss-faults"), evaluation=EvaluationWindow(60.0))
     t = np.arange(1.0, 261.0)
     kept = np.full((4, len(t), len(CHANNELS)), 9.0)
     kept[:, (t >= 80.0), :] = 1e6  # from the first fault on
@@ -78,10 +78,10 @@ def test_the_campaign_files_hold_every_estimator_on_every_profile():
     assert len(flown) == len(set(flown))
     names, equal = {entry.name for entry in list_profiles()}, {"classic-22", "error-ekf"}
     names -= nees_table.LEFT_OUT
-    names -= {name for name in names if bench.load_profile(name).guidance is not None}  # flown by an estimate
+    names -= {name for name in names if bench.read_profile(name).guidance is not None}  # flown by an estimate
     used = set(built_in.BUILT_IN) - equal
     assert used == {name for labels in nees_table.TABLES for name in labels}
-    receivers = {name: bench.load_profile(name).sensors.gnss for name in names}
+    receivers = {name: bench.read_profile(name).sensors.gnss for name in names}
     sky = {name for name, receiver in receivers.items() if receiver is not None and receiver.sky is not None}
     white = {"figure-eight-matched", "gnss-faults"}
     places = {"tight": sky, "graph-smoother": white}

@@ -92,8 +92,8 @@ def test_a_record_is_compared_with_its_datasheet_or_with_itself():
         assert one.measured[0] == pytest.approx(np.sqrt(np.mean(np.diff(white, axis=0) ** 2) / 2.0))
         means = white[:4096].reshape(-1, 256, 3).mean(axis=1)
         assert one.measured[-1] == pytest.approx(np.sqrt(np.mean(np.diff(means, axis=0) ** 2) / 2.0), rel=0.3)
-        centre = 0.3 / np.sqrt(one.tau) if sheet else one.measured
-        assert_allclose(one.high, centre * np.sqrt(chi2.ppf(0.9995, one.edf) / one.edf), rtol=1e-6)
+        center = 0.3 / np.sqrt(one.tau) if sheet else one.measured
+        assert_allclose(one.high, center * np.sqrt(chi2.ppf(0.9995, one.edf) / one.edf), rtol=1e-6)
         assert np.isnan(one.expected).all() == (sheet is None)
     skewed = replace(spec, gyro=replace(spec.gyro, axes=(AxisFigures("random_walk", 0.1, 0.2, 0.3),)))
     (alone,) = measure_record(t, {"gyro": white}, skewed)
@@ -101,7 +101,7 @@ def test_a_record_is_compared_with_its_datasheet_or_with_itself():
 
 
 def test_the_model_rests_with_one_g_at_25_degrees():
-    truth = noise_curves._make_resting_truth(200.0, 3.0)
+    truth = noise_curves.make_resting_truth(200.0, 3.0)
     assert_allclose(truth.t, np.arange(601) / 200.0)
     assert_allclose(truth.dvel_b, np.tile([0.0, 0.0, -9.80665 / 200.0], (600, 1)))
     assert_allclose(truth.q_nb, np.tile([1.0, 0.0, 0.0, 0.0], (601, 1)))

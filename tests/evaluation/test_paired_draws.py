@@ -1,4 +1,4 @@
-"""Two compared on the same draws: the ratio, the word, and how many draws would tell."""
+"""Two compared on the same runs: the ratio, the word, and how many runs would tell."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def test_the_ratio_is_that_of_root_mean_squares_and_not_of_means():
 
 
 def draw(rng, n, size, correlation=0.9):
-    """Return the horizontal errors (n,) of two, the second of a size, whose draws are correlated."""
+    """Return the horizontal errors (n,) of two, the second of a size, whose runs are correlated."""
     x, y = rng.standard_normal((2, n, 2))
     other = correlation * x + np.sqrt(1.0 - correlation**2) * y
     return np.hypot(*x.T), size * np.hypot(*other.T)
 
 
 def test_of_two_that_are_the_same_a_wrong_word_is_as_rare_as_asked_for():
-    """Never above the 99.9 % edge of 5 % in 600 pairs of 12 draws."""
+    """Never above the 99.9 % edge of 5 % in 600 pairs of 12 runs."""
     rng = np.random.default_rng(5)
     words = [compare_draws_of(NAMES, *draw(rng, 12, 1.0)).word for _ in range(600)]
     wrong = sum(word in ("better", "worse") for word in words)
@@ -65,7 +65,7 @@ def find_deciding(half, clear):
 
 
 def test_the_draws_that_would_decide_decide_in_about_half_of_the_cases():
-    """The interval then just reaches the nearer edge; a quarter of the draws decides seldom."""
+    """The interval then just reaches the nearer edge; a quarter of the runs decides seldom."""
     rng = np.random.default_rng(11)
     first, second = draw(rng, 30, 1.15)
     pair = compare_draws_of(NAMES, first, second)
@@ -73,7 +73,7 @@ def test_the_draws_that_would_decide_decide_in_about_half_of_the_cases():
         first, second = draw(rng, 30, 1.15)
         pair = compare_draws_of(NAMES, first, second)
     assert pair.deciding is not None
-    assert f"undecided in 30 draws, about {pair.deciding - 30} more would tell" in pair.sentence
+    assert f"undecided in 30 runs, about {pair.deciding - 30} more would decide" in pair.sentence
     half = np.log(pair.ratio.high / pair.ratio.value)
     off = abs(np.log(pair.ratio.value))
     assert pair.deciding == pytest.approx(find_deciding(half, max(off, np.log1p(SAME) - off)), abs=2)

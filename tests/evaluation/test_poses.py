@@ -49,7 +49,7 @@ def test_relative_errors_are_those_of_two_displacements_and_turns(poses):
 def test_pieces_begin_once_a_second_and_end_where_they_are_long_enough(poses):
     """Samples every 0.3 s, so the first at or after each second; 3 s of time are ten of them."""
     begins = [int(np.ceil(second / 0.3 - 1e-9)) for second in range(12)]
-    for along, step in ((poses.t, 3.0), (poses.travelled, 9.0)):
+    for along, step in ((poses.t, 3.0), (poses.traveled, 9.0)):
         ((first, last),) = poses.pairs(along, [step])
         expected = [
             (k, next(j for j in range(M) if along[j] >= along[k] + step - 1e-6))
@@ -63,9 +63,9 @@ def test_the_best_turn_is_that_of_scipy_and_never_a_mirror(poses):
     target = poses.truth_e * [1.0, 1.0, -1.0]
     for reference in (poses.truth_e, target):
         found = align(poses.estimate_e, reference)
-        centred = poses.estimate_e - poses.estimate_e.mean(axis=0)
-        turn, _ = Rotation.align_vectors(reference - reference.mean(axis=0), centred)
-        assert_allclose(found, turn.apply(centred) + reference.mean(axis=0), atol=1e-9)
+        centerd = poses.estimate_e - poses.estimate_e.mean(axis=0)
+        turn, _ = Rotation.align_vectors(reference - reference.mean(axis=0), centerd)
+        assert_allclose(found, turn.apply(centerd) + reference.mean(axis=0), atol=1e-9)
 
 
 def test_poses_are_the_places_and_axes_of_estimate_and_truth():
@@ -80,7 +80,7 @@ def test_poses_are_the_places_and_axes_of_estimate_and_truth():
     for q_en_b, q_nb in ((found.q_estimate, solution.q_nb), (found.q_truth, truth.q_nb[rows])):
         assert_allclose(scipy(q_en_b).as_matrix(), C_en @ rotation.matrix(q_nb), atol=1e-6)
     steps = np.linalg.norm(np.diff(earth.to_ecef(truth.lla[rows]), axis=0), axis=1)
-    assert_allclose(found.travelled, np.concatenate([[0.0], np.cumsum(steps)]), atol=1e-3)
+    assert_allclose(found.traveled, np.concatenate([[0.0], np.cumsum(steps)]), atol=1e-3)
     bare = without(solution, "phi")
     plain = Poses.from_errors(bare, find_errors(truth, bare))
     assert_allclose(plain.q_truth, np.tile([1.0, 0.0, 0.0, 0.0], (len(rows), 1)))
@@ -146,4 +146,4 @@ def test_independent_values_are_counted_by_the_sum_of_the_autocorrelation(count)
     assert chi_square.count_independent(np.append(positive, np.nan)) == 0.0
     assert chi_square.count_independent(np.zeros(3)) == 0.0
     lengths = {1: 2, 2: 2, 3: 4, 7: 8, 9: 10, 11: 12, 13: 16, 17: 20}
-    assert {least: chi_square._fast_length(least) for least in lengths} == lengths
+    assert {least: chi_square.fast_length(least) for least in lengths} == lengths

@@ -181,7 +181,7 @@ def test_a_share_of_time_that_always_holds_needs_59_flights():
 
 
 def test_a_share_counts_flights_and_not_instants():
-    """Five of ten flights are bad throughout: 500 instants do not show that it is less than 0.7."""
+    """Five of ten flights are bad throughout: 500 epochs do not show that it is less than 0.7."""
     half = np.zeros((10, 50), bool)
     half[:5] = True
     found = judge_share(half, 0.7, 5.0)

@@ -75,14 +75,14 @@ def test_a_vehicle_moves_if_five_fixes_agree():
     assert not moving(np.full((4, 3), 9.0)).moves
 
 
-def test_standstills_last_two_seconds_of_fixes_below_a_fifth_of_a_metre_per_second():
+def test_standstills_last_two_seconds_of_fixes_below_a_fifth_of_a_meter_per_second():
     speed = np.array([0.0, 0.19, 0.19, 0.21, 0.0, 0.1, 0.3, 0.0, 0.0, 0.0, 0.1])
     vel_n = np.column_stack([0.6 * speed, 0.8 * speed, 5.0 + 0.0 * speed])
     assert moving(vel_n).find_standstills() == [(0.0, 2.0), (7.0, 10.0)]
 
 
 def test_without_velocities_in_half_of_the_fixes_those_between_positions_count():
-    """Ten metres north and twenty east a second; a pause of three seconds is no step."""
+    """Ten meters north and twenty east a second; a pause of three seconds is no step."""
     t = np.array([0.0, 1.0, 2.0, 3.0, 6.0, 7.0])
     lla = earth.displace(np.tile([0.7, 0.3, 50.0], (6, 1)), np.outer(t, [10.0, 20.0, -1.0]))
     vel_n = np.tile([10.0, 20.0, -1.0], (6, 1))
@@ -121,7 +121,7 @@ def test_noise_at_rest_is_the_median_of_second_differences_over_a_second():
     assert measure_rest_noise(imu, [(2.0, 12.9)]) is None
 
 
-def test_noise_of_neighbours_is_the_90_percent_quantile_of_its_seconds():
+def test_noise_of_neighbors_is_the_90_percent_quantile_of_its_seconds():
     imu = white(12.5, 40.0)
     for found, increments in zip(measure_vibration(imu), (imu.dtheta_b, imu.dvel_b), strict=True):
         rate = increments * 40.0

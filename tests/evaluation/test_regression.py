@@ -58,7 +58,7 @@ def test_counts_are_mcnemars_and_fishers_exact_tests():
 
 
 def test_changes_without_spread_or_with_one_sign_by_draw():
-    """Means of 2 and 4 without spread; t is no larger than that of the draws, whose sign must be the same."""
+    """Means of 2 and 4 without spread; t is no larger than that of the runs, whose sign must be the same."""
     old, new = np.full(5, 2.0), np.full(8, 4.0)
     assert regression.estimate_change(old, new, identity, paired=False).dof == 4.0
     assert regression.estimate_change(old, new, identity, paired=False).p_value == 0.0
@@ -74,7 +74,7 @@ def test_changes_without_spread_or_with_one_sign_by_draw():
     assert sure.standard_error == pytest.approx(own.standard_error)
     turned = regression.estimate_change(old, new, identity, paired=True, by_draw=-by_draw)
     assert (turned.standard_error, turned.p_value) == (np.inf, 1.0)
-    with pytest.raises(ValueError, match="at least 2 draws; got 4 and 1"):
+    with pytest.raises(ValueError, match="at least 2 runs; got 4 and 1"):
         regression.estimate_change(old, new[:1], identity, paired=False)
 
 
@@ -101,7 +101,7 @@ def test_holm_stops_at_the_first_p_value_that_is_too_large():
 
 @pytest.mark.parametrize("fewer", [0, 1])
 def test_too_few_draws_are_an_error(fewer):
-    with pytest.raises(ValueError, match="at least 2 draws"):
+    with pytest.raises(ValueError, match="at least 2 runs"):
         regression.estimate_change(np.ones(fewer), np.ones(fewer), identity, paired=True)
 
 
@@ -109,7 +109,7 @@ def test_too_few_draws_are_an_error(fewer):
 
 
 def test_a_loss_of_10_percent_with_5_percent_scatter_is_found():
-    """At least 90 % of 300 checks find it after 20, 40 or 80 draws, by the 99.9 % band of 90 %."""
+    """At least 90 % of 300 checks find it after 20, 40 or 80 runs, by the 99.9 % band of 90 %."""
     old, new = draw_rmse(np.random.default_rng(4), 300, 0.10, 0.05, spread=0.4)
     found = sum(any(is_proven(a[:n], b[:n]) for n in LOOKS) for a, b in zip(old, new, strict=True))
     assert found >= binom.ppf(0.001, 300, 0.9)
@@ -118,7 +118,7 @@ def test_a_loss_of_10_percent_with_5_percent_scatter_is_found():
 def test_scatter_without_a_loss_raises_no_alarm():
     """Draws that differ by e^2 and move by 20 %: less than 1 % of 50 checks of 100 rows at their first look.
 
-    Without the test of the single draws about 7 rows raise an alarm: the largest draws decide the pooled
+    Without the test of the single runs about 7 rows raise an alarm: the largest runs decide the pooled
     value, and the jackknife does not know how few they are.
     """
     old, new = draw_rmse(np.random.default_rng(5), 50 * ROWS, 0.0, 0.20, spread=0.6)

@@ -89,7 +89,7 @@ def test_the_strapdown_takes_a_record_in_pieces(short_truth):
         start = found[-1, :3], found[-1, 3:6], found[-1, 6:]
 
 
-def test_the_figure_of_the_figure_eight_is_below_a_millimetre(figure_eight_truth):
+def test_the_figure_of_the_figure_eight_is_below_a_millimeter(figure_eight_truth):
     replay = replayed(figure_eight_truth)
     assert 1e-5 < replay.position < 1e-3
     assert 1e-11 < replay.attitude < 1e-6

@@ -152,7 +152,7 @@ def test_junit_without_a_requirement_is_refused(tmp_path, capsys, monkeypatch):
 
 
 def test_a_wrong_requirement_is_named(tmp_path):
-    from bench.io.config import load_profile
+    from bench.io.config import read_profile
 
     rows = (
         '[[requirement]]\nmetric = "pos_rms"\nmost = 1.0\n'
@@ -162,11 +162,11 @@ def test_a_wrong_requirement_is_named(tmp_path):
     path = tmp_path / "short.toml"
     path.write_text(PROFILE.format(rows))
     with pytest.raises(ConfigError) as error:
-        load_profile(str(path))
+        read_profile(str(path))
     assert tuple(text.removeprefix(f"{tmp_path}/") for text in error.value.messages) == (
         "short.toml: [[requirement]] 1: no metric 'pos_rms': bench list metrics",
         "short.toml: [[requirement]] 2: give most or least, one of them",
-        "short.toml: [[requirement]] 3: no estimator 'other'; there are loose-15, loose-full",
+        "short.toml: [[requirement]] 3: no filter 'other'; there are loose-15, loose-full",
     )
 
 

@@ -35,7 +35,7 @@ def test_the_noise_is_that_of_the_drive_whatever_the_datasheet_says(quiet):
 
 
 def test_a_filter_told_so_is_no_longer_overconfident(quiet):
-    plain, tuned = (bench.navigate_log(bench.read_log(quiet, tune_noise=on)) for on in (False, True))
+    plain, tuned = (bench.navigate(bench.read_log(quiet, tune_noise=on)) for on in (False, True))
     nees = [one.metrics["loose-15"]["nees_mean"] for one in (plain, tuned)]
     assert nees[0] > 2.0 * nees[1]
     assert tuned.metrics["loose-15"]["verdict"] == "consistent"

@@ -24,8 +24,8 @@ from bench.simulation.flight.guidance.desired_path import measure_off_path
 
 @pytest.fixture(scope="module")
 def approach():
-    """A flight down to a runway, and beliefs that are wrong by up to tens of metres."""
-    profile = config.load_profile("approach")
+    """A flight down to a runway, and beliefs that are wrong by up to tens of meters."""
+    profile = config.read_profile("approach")
     truth = pipeline.fly(profile)
     rows = np.arange(200, len(truth.t), 40)
     error_n = np.random.default_rng(4).normal(scale=[20.0, 20.0, 10.0], size=(len(rows), 3))
@@ -41,7 +41,7 @@ def believe(truth, rows, error_n):
 
 
 def test_the_belief_is_off_the_path_by_the_sum_of_both(approach):
-    """FTE by resolving the believed positions themselves against the runway: equal within 1 mm."""
+    """FTE by resolving the assumed positions themselves against the runway: equal within 1 mm."""
     spec, truth, rows, error_n = approach
     path = measure_off_path(spec, truth, rows)
     solution = believe(truth, rows, error_n)
@@ -75,7 +75,7 @@ def test_the_path_that_is_drawn_is_on_the_path(approach):
 
 
 def test_where_the_truth_is_off_its_path_is_seen(approach):
-    """The autopilot stays within metres of the path; a truth that is moved north and up is off by that."""
+    """The autopilot stays within meters of the path; a truth that is moved north and up is off by that."""
     spec, truth, rows, _ = approach
     path = measure_off_path(spec, truth, rows)
     late = truth.t[rows] > 150.0

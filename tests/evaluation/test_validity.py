@@ -17,24 +17,24 @@ def test_times_that_go_back_and_gaps_are_counted_by_rows():
     t = np.array([10.0, 10.5, 11.0, 11.5, 11.5, 11.0, 11.5, 12.0, 13.5, 14.0, 16.0, 16.5, 20.5, 21.0])
     valid = np.ones(14, np.bool_)
     valid[[3, 7]] = False
-    rate, back, gaps, bad = validity._check_times("imu", t, valid)
+    rate, back, gaps, bad = validity.check_times("imu", t, valid)
     assert (rate.value, rate.text) == (2.0, "imu: 14 rows, 10.00 to 21.00 s, 2 Hz")
     assert (back.value, back.good) == (3.0, False)  # the third repeats the newest time, not that before it
     assert back.text == "imu: 3 of 14 rows repeat a time or go back and are left out, first row 5"
     assert (gaps.value, gaps.text) == (2.0, "imu: 2 gaps, the longest 4 s before row 13, at 16.50 s")
     assert (bad.value, bad.good) == (2.0, False)
     assert bad.text == "imu: 2 rows are flagged or hold no finite number, the first is row 4"
-    (gap,) = validity._check_times("gnss", t[9:], valid[9:])[1:]
+    (gap,) = validity.check_times("gnss", t[9:], valid[9:])[1:]
     assert gap.text == "gnss: 1 gap, of 4 s before row 4, at 16.50 s"
-    (flagged,) = validity._check_times("gnss", t[:4], valid[:4])[1:]
+    (flagged,) = validity.check_times("gnss", t[:4], valid[:4])[1:]
     assert "1 rows are flagged, lie at latitude 0, longitude 0 or hold no finite number" in flagged.text
 
 
-def test_the_variance_of_a_sum_counts_four_neighbours():
+def test_the_variance_of_a_sum_counts_four_neighbors():
     """1 to 6: 91 + 2 (70 + 50 + 32 + 17); by turns 1 and -1 the sum is 0, and a hundredth is left."""
-    assert validity._variance_of_sum(np.arange(1.0, 7.0)) == 429.0
-    assert validity._variance_of_sum(np.array([1.0, 2.0])) == 9.0
-    assert validity._variance_of_sum(np.array([1.0, -1.0] * 2)) == pytest.approx(0.04)
+    assert validity.variance_of_sum(np.arange(1.0, 7.0)) == 429.0
+    assert validity.variance_of_sum(np.array([1.0, 2.0])) == 9.0
+    assert validity.variance_of_sum(np.array([1.0, -1.0] * 2)) == pytest.approx(0.04)
 
 
 def test_a_ratio_and_its_deviation_by_hand():
@@ -42,14 +42,14 @@ def test_a_ratio_and_its_deviation_by_hand():
     x, y = np.array([1.0, 2.0, 3.0]), np.array([2.0, 4.0, 9.0])
     pulls = x * (y - 37.0 / 14.0 * x)
     expected = np.sqrt(0.01 * pulls @ pulls) / 14.0
-    assert validity._fit_ratio(x, y) == pytest.approx((37.0 / 14.0, expected))
-    assert validity._fit_ratio(np.zeros(3), y) == (1.0, np.inf)
+    assert validity.fit_ratio(x, y) == pytest.approx((37.0 / 14.0, expected))
+    assert validity.fit_ratio(np.zeros(3), y) == (1.0, np.inf)
 
 
 def test_mean_rates_between_instants_are_told_from_their_average():
-    """Of t^2 it is the sum of both instants, of 3 t always 3."""
+    """Of t^2 it is the sum of both epochs, of 3 t always 3."""
     t = np.arange(11.0)
-    rates = validity._mean_rate(
+    rates = validity.mean_rate(
         t, np.column_stack([t**2, 3.0 * t]), np.array([1.0, 2.0, 4.0]), np.array([3.0, 3.0, 8.0])
     )
     assert_allclose(rates, np.column_stack([[4.0 - 7.0, 5.0 - 7.0, 12.0 - 7.0], np.zeros(3)]), atol=1e-12)
@@ -74,9 +74,9 @@ def test_a_shift_and_its_deviation_are_those_of_a_linear_fit(shift):
         return found - found.mean(axis=0)
 
     clean = 1.3 * rate(shift)
-    found, _ = validity._fit_shift(t, wave(t)[0], early, late, clean + 5.0)
+    found, _ = validity.fit_shift(t, wave(t)[0], early, late, clean + 5.0)
     assert found == pytest.approx(shift, abs=2e-4)
-    found, sd = validity._fit_shift(t, wave(t)[0], early, late, clean + errors)
+    found, sd = validity.fit_shift(t, wave(t)[0], early, late, clean + errors)
     seen = clean + errors - errors.mean(axis=0)
     slope = (wave(late - found)[1] - wave(early - found)[1]) / 2.0
     slope -= slope.mean(axis=0)
@@ -91,7 +91,7 @@ def test_a_shift_and_its_deviation_are_those_of_a_linear_fit(shift):
 @pytest.mark.parametrize(("end", "enough"), [(24.0, True), (23.0, False)])
 def test_a_shift_needs_twenty_references_a_second_within_the_record(end, enough):
     t, early = np.arange(0.0, end, 0.01), np.arange(0.1, 40.0, 1.0)
-    found, sd = validity._fit_shift(t, wave(t)[0], early, early + 2.0, wave(early + 0.8)[1])
+    found, sd = validity.fit_shift(t, wave(t)[0], early, early + 2.0, wave(early + 0.8)[1])
     assert np.isfinite([found, sd]).all() == enough
     if enough:
         assert found == pytest.approx(0.2, abs=0.02)
@@ -114,7 +114,7 @@ def drive(late=0.0, factors=(1.0, 1.0, 1.0), down=3.0, noise=0.0, t=None):
 
 @pytest.mark.parametrize(("late", "good"), [(0.0, True), (0.1, False), (-0.3, False), (0.015, True)])
 def test_velocities_that_are_late_are_told_by_how_much(late, good):
-    (found,) = validity._check_velocity(drive(late))
+    (found,) = validity.check_velocity(drive(late))
     assert (found.value, found.good) == (pytest.approx(-late, abs=2e-3), good)
     assert (f"add {-late:+.3f} to [gnss] velocity_offset_s" in found.text) == (not good)
 
@@ -131,7 +131,7 @@ def test_velocities_in_another_unit_are_named_by_axis(factor, told):
     for k, axis in enumerate(("north", "east", "down")):
         factors = [1.0, 1.0, 1.0]
         factors[k] = factor
-        found = [one for one in validity._check_velocity(drive(0.0, factors)) if "ratio" in one.name]
+        found = [one for one in validity.check_velocity(drive(0.0, factors)) if "ratio" in one.name]
         assert [one.name for one in found] == ([f"velocity_ratio_{axis}"] if told else [])
         for one in found:
             assert told in one.text
@@ -142,9 +142,9 @@ def test_velocities_in_another_unit_are_named_by_axis(factor, told):
     ("down", "noise", "compared"),
     [(0.8, 0.0, True), (0.6, 0.0, False), (3.0, 0.8, True), (3.0, 1.3, False)],
 )
-def test_an_axis_is_compared_if_it_moves_at_half_a_metre_and_eight_times_its_noise(down, noise, compared):
+def test_an_axis_is_compared_if_it_moves_at_half_a_meter_and_eight_times_its_noise(down, noise, compared):
     """The rms of a sine is 0.71 of its size; a quarter of white noise counts as jitter."""
-    names = [one.name for one in validity._check_velocity(drive(0.0, (1.0, 1.0, -1.0), down, noise))]
+    names = [one.name for one in validity.check_velocity(drive(0.0, (1.0, 1.0, -1.0), down, noise))]
     assert ("velocity_ratio_down" in names) == compared
 
 
@@ -152,16 +152,16 @@ def test_without_enough_velocities_in_a_row_nothing_is_compared():
     said = {}
     for count in (21, 22):
         one = drive(t=50.0 + np.arange(float(count)))
-        said[count] = validity._check_velocity(one)[0].text
+        said[count] = validity.check_velocity(one)[0].text
     assert "no velocity; its positions alone" in said[21]
     assert "whether its velocities are on time" in said[22]
     half = drive()
     half.vel_n[:149] = np.nan
-    assert "fits its positions" in validity._check_velocity(half)[0].text
+    assert "fits its positions" in validity.check_velocity(half)[0].text
     half.vel_n[:151] = np.nan
-    assert "no velocity" in validity._check_velocity(half)[0].text
+    assert "no velocity" in validity.check_velocity(half)[0].text
     steps = np.tile([1.0, 1.6], 30)[:-1]
-    (found,) = validity._check_velocity(drive(t=50.0 + np.concatenate([[0.0], np.cumsum(steps)])))
+    (found,) = validity.check_velocity(drive(t=50.0 + np.concatenate([[0.0], np.cumsum(steps)])))
     assert "too few velocities in a row" in found.text
 
 
@@ -178,7 +178,7 @@ def test_heights_of_a_short_climb(climb, ratio, told):
     lla[40, 2] = 9e3
     none = np.empty((0, 3))
     motion = RecordedMotion(np.empty(0), none, none, t, lla, np.full((41, 3), np.nan), 0.0)
-    found = validity._check_heights("baro", motion, baro)
+    found = validity.check_heights("baro", motion, baro)
     assert len(found) == (told is not None)
     for one in found:
         assert one.value == pytest.approx(ratio)

@@ -85,7 +85,7 @@ INSIDE: Mapping[str, Wrong] = {
     "R/100": partial(divide_noise, 100.0),
     "heading swings 5 deg": partial(swing_heading, 5.0),
 }
-"""The first four fit the claim of another convention, or angles in another unit, nearly as well."""
+"""The first four fit the covariance of another convention, or angles in another unit, nearly as well."""
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ RUNS = []  # of all instances in this process
 
 
 def stay(output_t, initial, extra=()):
-    """The start, at every instant, with further values as states."""
+    """The start, at every time, with further values as states."""
     m = len(output_t)
 
     def rows(value):
@@ -195,7 +195,7 @@ class Walks(Stays):
 
     def run(self, sensors, initial):
         whole = self.in_pieces(sensors, initial, [])
-        return whole.feed(sensors, 0.0, last=True)
+        return whole.update(sensors, 0.0, last=True)
 
     def in_pieces(self, first, initial, events):
         return _Walk(initial, initial.t, np.zeros(2))
@@ -205,7 +205,7 @@ class _Walk:
     def __init__(self, initial, end, count):
         self.initial, self.end, self.count = initial, end, count
 
-    def feed(self, piece, look_back, *, last):
+    def update(self, piece, look_back, *, last):
         if look_back > 100.0:
             raise ArithmeticError("too far")
         rows = 0 if piece.fixes is None else len(piece.fixes)
@@ -213,7 +213,7 @@ class _Walk:
         self.end = float(piece.imu.t.max(initial=self.end))
         return stay(piece.output_t, self.initial, self.count)
 
-    def answer(self, head):
+    def current(self, head):
         self.count = self.count + 1000  # the caller asks a copy, and drops it
         return stay(np.array([self.end]), self.initial, self.count)
 
@@ -229,12 +229,12 @@ class _Walk:
 
 
 class RefusesMems(Stays):
-    """Says before the flight which sensors it cannot be honest with."""
+    """Says before the flight which sensors it cannot be consistent with."""
 
     def __init__(self, *, least: float = 1.0):
         self.least = least
 
-    def refuses(self, specs):
+    def check_sensors(self, specs):
         if self.least < 0.0:
             raise ArithmeticError("no root")
         return f"no {specs.imu.name} for me" if specs.imu.gyro.random_walk < self.least else ""

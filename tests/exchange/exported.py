@@ -23,12 +23,12 @@ ERROR = {"pos_n": [3.0, -2.0, 1.0], "vel_n": [0.1, 0.2, -0.1], "phi_n": [0.01, -
 
 
 def make_run(folder: Path, duration: float = 20.0, rate: float = 100.0) -> tuple[Trajectory, Sensed]:
-    """Write the folder; no fixes from 12 to 14 s, an invalid one at 5 s; "made" has 202 instants."""
+    """Write the folder; no fixes from 12 to 14 s, an invalid one at 5 s; "made" has 202 epochs."""
     overrides = {
         "gnss_outage": [{"start_s": LOST[0], "duration_s": LOST[1] - LOST[0]}],
         "evaluation.from_s": 5.0,
     }
-    profile = config.load_profile("figure-eight", overrides)
+    profile = config.read_profile("figure-eight", overrides)
     truth = turning(duration, rate)
     sensed = sensors.sense(truth, profile.sensors, 4, 0)
     valid = sensed.data.fixes.valid.copy()

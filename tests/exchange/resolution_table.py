@@ -51,7 +51,7 @@ def places(way: FloatArray) -> FloatArray:
 
 
 def find_off(name: str, rate: float, noise: float | None, seed: int = 1) -> float:
-    """Rms of the curve off the flight, each axis [m]; ConfigError where it is refused."""
+    """Rms of the curve off the flight, each axis [m]; ConfigError where it is rejected."""
     way = make_flight(name)
     rows = np.arange(0, len(way), round(1 / (_STEP * rate)))
     fixes = way[rows] + np.random.default_rng(seed).standard_normal((len(rows), 2))

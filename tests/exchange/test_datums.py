@@ -36,7 +36,7 @@ def test_sk42_equals_proj(given, expected):
 def test_the_sign_of_the_rotation():
     """The whole shift at 50 N 30 E is 156.3 m; with the rotations reversed the point is 29.8 m elsewhere."""
     pos = earth.to_ecef(KYIV, earth.KRASOVSKY_1940)
-    A, b = earth._compute_helmert(earth.DATUMS["SK-42"])
+    A, b = earth.compute_helmert(earth.DATUMS["SK-42"])
     right = A @ pos + b
     assert abs(np.linalg.norm(right - pos) - 156.3) < 0.1
     assert abs(np.linalg.norm(A.T @ pos + b - right) - 29.8) < 0.1

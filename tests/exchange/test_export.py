@@ -349,11 +349,11 @@ def test_python_ins_runs_on_what_its_readme_says(run, export, monkeypatch):
     found: dict = {}
     exec(code, found)
     result = found["result"]
-    used = sensed.data.fixes.valid & (sensed.data.fixes.t < truth.t[-1])  # it takes none at the last instant
+    used = sensed.data.fixes.valid & (sensed.data.fixes.t < truth.t[-1])  # it takes none at the last time
     assert len(result.innovations["Position"]) == used.sum() == 16
     end = result.trajectory.iloc[-1]
     lla = np.array([np.deg2rad(end["lat"]), np.deg2rad(end["lon"]), end["alt"]])
-    # a receiver that wanders by metres and 20 s of it: a wrong unit, sign or frame is off by far more
+    # a receiver that wanders by meters and 20 s of it: a wrong unit, sign or frame is off by far more
     assert np.linalg.norm(earth.difference_n(lla, truth.lla[-1])) < 30
     assert abs(end["roll"] - np.rad2deg(0.65)) < 2
     frame = found["read"]("truth")
@@ -464,7 +464,7 @@ def test_instants_without_a_pose_are_left_out_of_texts_of_numbers(run, tmp_path,
     out = replace(whole, tracks={"late": replace(track, lla=lla)})
     write(tmp_path, kind, out, "circle")
     assert len(text_rows(tmp_path / f"late.{ending}")) == 197
-    assert "5 instants without" in " ".join((tmp_path / "README.md").read_text().split())
+    assert "5 epochs without" in " ".join((tmp_path / "README.md").read_text().split())
     nothing = replace(whole, tracks={"none": replace(track, lla=np.full((202, 3), np.nan))})
     with pytest.raises(ExportError, match=f"none has no position with .*, which {kind} needs"):
         write(tmp_path, kind, nothing, "circle")
@@ -568,7 +568,7 @@ def test_an_export_is_replaced_only_when_told_and_nothing_else_ever(run, tmp_pat
     assert err == f"error: {where}: not replaced, bench did not write it (no .bench.json of bench in it)\n"
     err = complaint(capsys, *to, "-o", str(run[0]), "--force")
     assert "not replaced" in err
-    assert results.load(run[0]).seed == 4
+    assert results.read_result(run[0]).seed == 4
 
 
 def test_the_default_folder_stands_beside_the_run(run, capsys):
@@ -585,7 +585,7 @@ def test_the_present_folder_is_a_run_like_another(run, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--to", "tum"), "tum holds poses, not sensors: add --with truth or --with solution:NAME"),
+        (("--to", "tum"), "tum contains poses, not sensors: add --with truth or --with solution:NAME"),
         (
             ("--to", "csv", "--with", "solution:../made"),
             "--with solution:../made: no such solution; there are made",

@@ -1,4 +1,4 @@
-"""Damaged files of every format are read, or refused by one line; `tests.fuzz` makes them."""
+"""Damaged files of every format are read, or rejected by one line; `tests.fuzz` makes them."""
 
 import json
 import re
@@ -38,7 +38,7 @@ def test_a_damaged_file_is_read_or_refused_by_one_line(tmp_path, name):
 @pytest.mark.long
 @pytest.mark.parametrize("name", fuzz.FORMATS)
 def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, name):
-    """Logs are also navigated, receivers' files solved, and solutions judged on damaged results.
+    """Logs are also navigated, receivers' files solved, and solutions evaluated on damaged results.
 
     Of a filter 2,000 wrong answers are each a row of the result.
     """
@@ -51,23 +51,23 @@ def test_ten_thousand_damaged_files_are_read_or_refused_by_one_line(tmp_path, na
     [
         ("sp3", 1, 209),  # a power that is a digit and no number
         ("log-navego", 2, 7260),  # an IMU gap before the first fix
-        ("views", 1, 26),  # a solution without the instants of its errors
+        ("views", 1, 26),  # a solution without the epochs of its errors
         ("views", 1, 65),  # an instrument without rows
         ("views", 1, 73),  # numbers in the place of words
         ("views", 1, 133),  # a table in the place of a number
-        ("views", 1, 203),  # a sensor without instants
+        ("views", 1, 203),  # a sensor without epochs
         ("study", 1, 43),  # a drawing without its scale
-        ("study", 1, 69),  # 1e400 draws
+        ("study", 1, 69),  # 1e400 runs
         ("card", 1, 63),  # a card without its first line
         ("campaign", 1, 10),  # a profile without its evaluation
         ("campaign", 1, 17),  # words in the place of numbers
         ("campaign", 1, 51),  # a metric that is not finite
         ("campaign", 1, 63),  # a column that is not there
-        ("campaign", 5, 161),  # instants that are no numbers
+        ("campaign", 5, 161),  # epochs that are no numbers
         ("campaign", 5, 195),  # words that are no text
         ("journal", 1, 56),  # a list in the place of seconds
-        ("journal", 1, 78),  # runs of another estimator
-        ("journal", 1, 89),  # half a row of instants
+        ("journal", 1, 78),  # runs of another filter
+        ("journal", 1, 89),  # half a row of epochs
         ("journal", 1, 185),  # an interval of 1e30 s
     ],
 )
@@ -87,7 +87,7 @@ def test_the_fuzz_sees_what_is_no_bench_error(tmp_path):
 
 
 def refused(capsys, *arguments):
-    """Run a verb that must refuse its files; return the message."""
+    """Run a verb that must reject its files; return the message."""
     status = main([str(argument) for argument in arguments])
     said = capsys.readouterr().err
     assert status == 2, said
@@ -133,7 +133,7 @@ def test_a_time_far_off_is_named_before_the_memory_is_full(drive, capsys):
     lines[20] = "1e15" + lines[20][lines[20].index(",") :]
     (drive / "imu.csv").write_text("\n".join(lines) + "\n")
     said = refused(capsys, "navigate", drive / "drive.toml")
-    assert "more than 400000 instants; the longest interval, 1e+15 s, ends at row 20" in said
+    assert "more than 400000 epochs; the longest interval, 1e+15 s, ends at row 20" in said
 
 
 def test_a_yuma_almanac_with_control_characters_or_a_week_that_cannot_be(tmp_path):
@@ -163,7 +163,7 @@ def results(tmp_path_factory):
         (("metrics", "made", "pos_rmse_h_m"), "much", "metrics.made.pos_rmse_h_m must be a number"),
         (("metrics", "made", "converged"), "yes", "metrics.made.converged must be true or false"),
         (("metrics", "other"), {"converged": True}, "metrics of 'other', but no solution-other.parquet"),
-        (("metrics",), [], "metrics must be a table for each estimator"),
+        (("metrics",), [], "metrics must be a table for each filter"),
         (("profile", "title"), 5, "profile.title must be a text"),
         (("profile", "evaluation"), {"from_s": "5", "output_hz": 10.0}, "from_s must be a number"),
         (("profile", "gnss_outage"), [{"start_s": 5.0}], "'duration_s' is missing"),
@@ -185,7 +185,7 @@ def test_an_entry_of_a_result_that_is_of_another_kind(results, capsys, entry, va
 
 
 def read_all(folder):
-    run = bench.load(folder)
+    run = bench.read_result(folder)
     return run.truth, run.sensed
 
 

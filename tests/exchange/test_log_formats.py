@@ -482,7 +482,7 @@ def test_a_chunk_that_unpacks_to_more_than_the_limit_is_one_line(tmp_path, monke
     assert path.stat().st_size < 100_000
     before = resource.getrlimit(resource.RLIMIT_AS)
     assert "cannot be read: Expecting value" in refused(tmp_path, "x.mcap")
-    monkeypatch.setattr(bags, "_MOST_UNPACKED", 30_000_000)
+    monkeypatch.setattr(bags, "MOST_UNPACKED", 30_000_000)
     said = "x.mcap: unpacks to more than the 30 MB it may take in memory"
     assert refused(tmp_path, "x.mcap") == said
     assert resource.getrlimit(resource.RLIMIT_AS) == before
@@ -595,17 +595,17 @@ def test_covariances_of_messages_are_east_north_up_and_stamps_within_a_milliseco
 
     fixes, twists = [], []
     for t, kind, status, late in ((7.25, 2, 0, -0.0008), (8.25, 0, 1, 0.0015), (9.25, 1, -1, 0.0008)):
-        fixes.append(bags._read_fix(SimpleNamespace(
+        fixes.append(bags.read_fix(SimpleNamespace(
             header=stamp(t), latitude=47.0, longitude=-8.0, altitude=500.0,
             position_covariance=[4.0, 0.1, 0.2, 0.3, 9.0, 0.4, 0.5, 0.6, 25.0],
             position_covariance_type=kind, status=SimpleNamespace(status=status),
         )))  # fmt: skip
         covariance = np.diag([0.04, 0.09, 0.16, 7.0, 8.0, 9.0]).ravel()
         moving = SimpleNamespace(linear=xyz(3.0, 2.0, 1.0))
-        twists.append(bags._read_twist(SimpleNamespace(
+        twists.append(bags.read_twist(SimpleNamespace(
             header=stamp(t + late), twist=SimpleNamespace(twist=moving, covariance=covariance)
         )))  # fmt: skip
-    rows = bags._make_fixes(np.array(fixes), np.array(twists[::-1]))
+    rows = bags.make_fixes(np.array(fixes), np.array(twists[::-1]))
     assert_allclose(rows.t, [7.25, 8.25, 9.25])
     assert_allclose(rows.values["lla"][:2], [[np.deg2rad(47.0), np.deg2rad(-8.0), 500.0]] * 2)
     assert np.isnan(rows.values["lla"][2]).all()

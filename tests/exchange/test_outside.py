@@ -1,4 +1,4 @@
-"""A filter outside Python runs on the sensors alone, is judged like the others, and cannot end the bench."""
+"""A filter outside Python runs on the sensors alone, is evaluated like the others, cannot end bench."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_a_program_stands_in_a_comparison_beside_a_built_in_filter(tmp_path, hol
     assert main(["run", "short.toml", "--table", *options[:2]]) in (0, 1)
     said = capsys.readouterr().out
     assert ": exit status 0; stderr ends: " in said
-    result = results.load(tmp_path / "runs" / "short-5")
+    result = results.read_result(tmp_path / "runs" / "short-5")
     label = next(iter(result.metrics))
     assert label in ("hold", "awk")
     assert list(result.metrics) == [label, "loose-15"]
@@ -297,7 +297,7 @@ def test_wrong_options_are_refused(tmp_path, options):
 def test_it_pickles(tmp_path):
     """A campaign sends it to other processes."""
     built = CommandEstimator(f"{sys.executable} {{sensors}} {{solution}}", tmp_path)
-    assert pickle.loads(pickle.dumps(built))._arguments == built._arguments
+    assert vars(pickle.loads(pickle.dumps(built))) == vars(built)
 
 
 # --- profiles -----------------------------------------------------------------------------------------
@@ -317,8 +317,8 @@ def test_a_profile_runs_no_class_unless_told(tmp_path, monkeypatch, capsys):
             capsys.readouterr().err,
         )
     assert not (tmp_path / "ran").exists()
-    assert config.load_profile("his.toml", allow_code=True).estimators[1].use == "his:Filter"
-    assert config.load_profile("his.toml", estimators=["his:Filter"]).estimators[0].use == "his:Filter"
+    assert config.read_profile("his.toml", allow_code=True).estimators[1].use == "his:Filter"
+    assert config.read_profile("his.toml", estimators=["his:Filter"]).estimators[0].use == "his:Filter"
 
 
 def test_a_class_that_ends_the_interpreter_is_a_failed_estimator(tmp_path, monkeypatch, capsys):
@@ -326,14 +326,14 @@ def test_a_class_that_ends_the_interpreter_is_a_failed_estimator(tmp_path, monke
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "leaves_at_import.py").write_text("raise SystemExit(0)\n")
     assert main(["run", "static", "-e", "leaves_at_import:Filter"]) == 70
-    said = "estimator 'leaves_at_import:Filter': its module raised SystemExit: 0"
+    said = "filter 'leaves_at_import:Filter': its module raised SystemExit: 0"
     assert said in capsys.readouterr().err
 
     class Leaves:
         def run(self, sensors, initial):
             sys.exit()
 
-    with pytest.raises(EstimatorFailedError, match=r"^estimator 'x': run\(\) raised SystemExit$"):
+    with pytest.raises(EstimatorFailedError, match=r"^filter 'x': run\(\) raised SystemExit$"):
         estimator.answer(Leaves(), "x", None, None)
 
 
@@ -348,10 +348,10 @@ def test_a_profile_starts_no_program_unless_told(tmp_path, monkeypatch, capsys):
     )
     assert main(["run", "his.toml", "-e", "sh"]) == 2  # its label does not make it yours
     assert "--allow-code" in capsys.readouterr().err
-    assert [c.label for c in config.load_profile("his.toml", estimators=["loose-15"]).estimators] == [
+    assert [c.label for c in config.read_profile("his.toml", estimators=["loose-15"]).estimators] == [
         "loose-15"
     ]
-    assert config.load_profile("his.toml", allow_code=True).estimators[1].label == "sh"
+    assert config.read_profile("his.toml", allow_code=True).estimators[1].label == "sh"
 
 
 def test_relative_paths_begin_at_the_profile_or_for_e_where_one_stands(tmp_path, monkeypatch):
@@ -359,9 +359,9 @@ def test_relative_paths_begin_at_the_profile_or_for_e_where_one_stands(tmp_path,
     text = PROFILE + "[[estimator]]\nuse = 'file:sub/his.csv'\n"
     (tmp_path / "there" / "p.toml").write_text(text)
     monkeypatch.chdir(tmp_path)
-    profile = config.load_profile("there/p.toml")
+    profile = config.read_profile("there/p.toml")
     assert (profile.estimators[1].label, profile.estimators[1].beside) == ("his", Path("there"))
-    mine = config.load_profile("there/p.toml", estimators=["file:his.csv", "file:other/his.csv"])
+    mine = config.read_profile("there/p.toml", estimators=["file:his.csv", "file:other/his.csv"])
     assert [(c.label, c.beside) for c in mine.estimators] == [("his", Path()), ("his-2", Path())]
     with pytest.raises(ConfigError, match=r"his\.csv: No such file"):
         pipeline.build_estimator(mine.estimators[0])

@@ -32,7 +32,7 @@ from bench.core.words.exceptions import (
     EstimatorStoppedError,
 )
 from bench.experiments.campaigns.plan import plan_runs
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.foreign import filter_process, filter_server
 from bench.io.foreign.record_messages import RecordMessage, read_message
 from bench.simulation import sensors
@@ -104,14 +104,14 @@ def test_sensors_are_refused_before_the_flight(place, monkeypatch, in_process):
     monkeypatch.setattr(pipeline.steps, "fly", None)  # it fails before anything flies
     guard = Guard(in_process=in_process)
     for least, error, why in (
-        (1.0, EstimatorError, r"^estimator 'RefusesMems': no matched-mems for me$"),
+        (1.0, EstimatorError, r"^filter 'RefusesMems': no matched-mems for me$"),
         (
             -1.0,
             EstimatorFailedError,
-            r"^estimator 'RefusesMems': refuses\(\) raised ArithmeticError: no root$",
+            r"^filter 'RefusesMems': check_sensors\(\) raised ArithmeticError: no root$",
         ),
     ):
-        profile = load_profile("short.toml", estimators=["attacks:RefusesMems"], guard=guard)
+        profile = read_profile("short.toml", estimators=["attacks:RefusesMems"], guard=guard)
         choice = replace(profile.estimators[0], options={"least": least})
         with pytest.raises(error, match=why):
             pipeline.run(replace(profile, estimators=(choice,)))
@@ -134,7 +134,7 @@ def test_each_attack_is_a_row_beside_the_others(place, ran):
         assert re.fullmatch(f"failed: {why}", metrics[name]["reason"]), metrics[name]["reason"]
         assert "traceback" not in metrics[name]
     assert metrics["gnss-only"]["converged"]
-    loaded = bench.load(place / "all")  # and not where a filter has moved to
+    loaded = bench.read_result(place / "all")  # and not where a filter has moved to
     assert set(loaded.solutions) == {*HARMLESS, *STOPPED, "gnss-only"}
 
 
@@ -146,7 +146,7 @@ def test_what_they_leave_behind_has_ended(place, ran):
 
 def test_another_filter_gets_what_it_gets_alone(place, ran):
     alone = bench.run("short.toml", estimators=["gnss-only"])
-    after = bench.load(place / "all")
+    after = bench.read_result(place / "all")
     assert_same_solution(after.solutions["gnss-only"], alone.solutions["gnss-only"])
     assert after.metrics["gnss-only"]["pos_rmse_h_m"] == alone.metrics["gnss-only"]["pos_rmse_h_m"]
 
@@ -162,7 +162,7 @@ def test_what_they_print_is_in_a_file_of_the_results(place, ran):
     for name, line in (("Hangs", "time.sleep"), ("Crashes", "string_at")):  # where it was
         assert "in act" in (place / f"all/printed-{name}.txt").read_text(), line
     assert not (place / "all/printed-Stays.txt").exists()
-    assert bench.load(place / "all").records["printed"]["Prints"] == printed
+    assert bench.read_result(place / "all").records["printed"]["Prints"] == printed
 
 
 def test_what_raises_keeps_its_traceback(place):
@@ -201,7 +201,7 @@ def test_in_process_is_for_a_debugger_and_says_that_nothing_is_guarded(place):
     arguments = ["run", "short.toml", "-e", "attacks:Stays", "--in-process", "--no-rrd", "-o", "here"]
     ran = run_bench(*arguments)
     assert ran.stderr.splitlines()[0] == "Classes of yours run in this process: nothing is guarded."
-    (extra,) = {tuple(row) for row in bench.load(place / "here").solutions["Stays"].extra}
+    (extra,) = {tuple(row) for row in bench.read_result(place / "here").solutions["Stays"].extra}
     assert not is_running(int(extra[0]))
     choice = EstimatorChoice("attacks:Stays", "Stays", guard=Guard(in_process=True))
     assert type(pipeline.build_estimator(choice)).__name__ == "Stays"
@@ -232,12 +232,12 @@ def test_it_ends_with_bench_however_that_ends(place, name, number):
 @pytest.fixture(scope="module")
 def sensed(place) -> Any:
     """Three minutes of sensors: more than goes by a socket."""
-    profile = load_profile("figure-eight")
+    profile = read_profile("figure-eight")
     return sensors.sense(turning(180.0, 100.0), profile.sensors, 4, 0)
 
 
 def navigate(sensed, name: str, options: Any = None, guard: Guard | None = None) -> Any:
-    return bench.navigate(f"attacks:{name}", sensed.data, sensed.initial, options, guard or Guard())
+    return bench.run_filter(f"attacks:{name}", sensed.data, sensed.initial, options, guard or Guard())
 
 
 def test_a_process_is_kept_and_every_run_gets_a_new_instance(sensed):
@@ -250,11 +250,11 @@ def test_a_process_is_kept_and_every_run_gets_a_new_instance(sensed):
 
 
 def test_it_is_started_again_after_a_limit_and_after_a_change(place, sensed):
-    with pytest.raises(EstimatorStoppedError, match=r"^estimator 'attacks:Exits': its process ended with"):
+    with pytest.raises(EstimatorStoppedError, match=r"^filter 'attacks:Exits': its process ended with"):
         navigate(sensed, "Exits")
     one = pipeline.build_estimator(EstimatorChoice("attacks:Crashes", "x"))
     for _ in range(2):
-        with pytest.raises(EstimatorStoppedError, match=r"^estimator 'x': its process ended by signal"):
+        with pytest.raises(EstimatorStoppedError, match=r"^filter 'x': its process ended by signal"):
             one.run(sensed.data, sensed.initial)
     (place / "changing.py").write_text("from attacks import Stays\nclass Mine(Stays):\n    pass\n")
     choice = EstimatorChoice("changing:Mine", "Mine")
@@ -273,7 +273,7 @@ def test_a_record_is_a_map_that_only_can_be_read(sensed):
 
 
 def test_processes_that_nobody_waits_for_end(sensed, monkeypatch):
-    monkeypatch.setattr(filter_process, "_MOST_KEPT", 2)
+    monkeypatch.setattr(filter_process, "MOST_KEPT", 2)
     pids = [int(navigate(sensed, "Stays", {"shift": float(k)}).extra[0, 0]) for k in range(3)]
     assert [is_running(pid) for pid in pids] == [False, True, True]
 
@@ -300,7 +300,7 @@ def test_a_profile_may_set_the_time_limit_and_the_command_line_wins(place):
     (place / "limited.toml").write_text(PROFILE + table)
 
     def read(guard: Guard = Guard(), **options: Any) -> Any:  # noqa: B008
-        return load_profile("limited.toml", allow_code=True, guard=guard, **options)
+        return read_profile("limited.toml", allow_code=True, guard=guard, **options)
 
     built_in, own = read().estimators
     assert built_in.guard == Guard()
@@ -312,7 +312,7 @@ def test_a_profile_may_set_the_time_limit_and_the_command_line_wins(place):
 
 
 def test_an_object_is_no_name():
-    with pytest.raises(ConfigError, match=r"estimator <object .*> is no name; give 'module:Class'"):
+    with pytest.raises(ConfigError, match=r"filter <object .*> is no name; give 'module:Class'"):
         bench.run("figure-eight", estimators=[object()])  # type: ignore[list-item]
 
 
@@ -340,12 +340,12 @@ def feed_all(sensed, guard: Guard, tmp_path: Path) -> list[Any]:
     """What a filter answers in pieces, between them, after a stop, and at its end."""
     data = sensed.data
     filter_ = bench.open_filter("attacks:Walks", sensed.initial, guard=guard)
-    found = [filter_.feed(bench.take_piece(data, -np.inf, 1.0)), filter_.answer()]
+    found = [filter_.update(bench.slice_sensors(data, -np.inf, 1.0)), filter_.current()]
     early = filter_.copy()
-    found += [filter_.feed(bench.take_piece(data, 1.0, 1.01)), filter_.answer(), filter_.answer()]
-    found.append(early.feed(bench.take_piece(data, 1.0, 90.0)))  # which knows nothing of that
-    filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "stopped.npz"), allow_code=True)
-    found.append(filter_.feed(bench.take_piece(data, 1.01, np.inf)))
+    found += [filter_.update(bench.slice_sensors(data, 1.0, 1.01)), filter_.current(), filter_.current()]
+    found.append(early.update(bench.slice_sensors(data, 1.0, 90.0)))  # which knows nothing of that
+    filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / "stopped.npz"), allow_code=True)
+    found.append(filter_.update(bench.slice_sensors(data, 1.01, np.inf)))
     return [*found, filter_.finish()]
 
 
@@ -359,10 +359,10 @@ def test_in_pieces_it_says_what_it_says_here(sensed, tmp_path):
 
 def test_what_raises_in_a_piece_leaves_the_filter_as_it_was(sensed):
     filter_ = bench.open_filter("attacks:Walks", sensed.initial, look_back=101.0)
-    with pytest.raises(EstimatorFailedError, match=r"feed\(\) raised ArithmeticError: too far"):
-        filter_.feed(bench.take_piece(sensed.data, -np.inf, 1.0))
+    with pytest.raises(EstimatorFailedError, match=r"update\(\) raised ArithmeticError: too far"):
+        filter_.update(bench.slice_sensors(sensed.data, -np.inf, 1.0))
     filter_.look_back = 1.0
-    assert filter_.feed(bench.take_piece(sensed.data, -np.inf, 1.0)).extra[-1, 0] == 100.0
+    assert filter_.update(bench.slice_sensors(sensed.data, -np.inf, 1.0)).extra[-1, 0] == 100.0
 
 
 # --- what goes between --------------------------------------------------------------------------------
@@ -370,14 +370,14 @@ def test_what_raises_in_a_piece_leaves_the_filter_as_it_was(sensed):
 
 def test_records_arrive_as_they_were(sensed):
     """Those of every instrument, with rows and without, in columns of any width."""
-    spec = load_profile(
+    spec = read_profile(
         "figure-eight",
         {f"sensors.{kind}": name for kind, name in (("gnss", "sky-l1"), ("mag", "rm3100"))},
     ).sensors
     drawn = sensors.sense(turning(5.0, 100.0), spec, 4, 0)
     assert drawn.data.observations is not None
     unknown = replace(drawn.initial, alignment="level", q_nb=np.full(4, np.nan))
-    empty = bench.take_piece(drawn.data, -2.0, -1.0)
+    empty = bench.slice_sensors(drawn.data, -2.0, -1.0)
     words = ["ü", None, True, 1.5, np.inf, 2**70, {"a": (1, 2)}]
     sent = {"records": [drawn.data, empty, unknown], "words": words}
     message = RecordMessage(sent)

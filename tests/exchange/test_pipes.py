@@ -1,4 +1,4 @@
-"""A pipe in the place of a file is refused by every reader: it would wait for ever."""
+"""A pipe in the place of a file is rejected by every reader: it would wait for ever."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ READERS = {
     "x.mat": read_mat,
     "x.ulg": lambda path: ulog.read("ulog", path, "imu", None),
     "x.bag": lambda path: bags.read("rosbag", path, "imu", None),
-    "x.pos": lambda path: list(text._read_lines(path)),
+    "x.pos": lambda path: list(text.read_lines(path)),
     "x.obs": open_rinex,
     "x.igc": read_track,
     "x.gpx": read_track,
@@ -43,7 +43,7 @@ READERS = {
     "x.hgt": lambda path: describe_terrain(path, path.name, 0.0, None),
     "x.json": read_baseline,
     "solution.csv": read_solution,
-    "result.json": lambda path: results.load(path.parent),
+    "result.json": lambda path: results.read_result(path.parent),
 }
 
 

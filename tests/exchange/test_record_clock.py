@@ -50,7 +50,7 @@ def test_seconds_of_a_week_go_on_where_it_ends(drive, capsys, monkeypatch):
     def stop(*_, **__):
         raise ConfigError("that is enough")
 
-    monkeypatch.setattr(log_pipeline, "navigate_log", stop)
+    monkeypatch.setattr(log_pipeline, "navigate", stop)
     assert main(["navigate", str(path), "-o", str(path.parent / "out")]) == 2
     said = " ".join(capsys.readouterr().out.split())
     assert "t = 0 is 604770.01 s on the clock of the files, seconds of a week that ends in them" in said

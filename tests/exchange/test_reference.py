@@ -1,4 +1,4 @@
-"""A reference judges a log like a truth: in its own units, axes and clock, and no filter sees it."""
+"""A reference evaluates a log like a truth: in its own units, axes and clock, and no filter sees it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.core.records.data import GnssFixes, Reference
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.error_series import select_epochs
 from bench.io.logs.log_start import find_start
-from bench.io.logs.reference import _make_covariance, check_reference
+from bench.io.logs.reference import check_reference, make_covariance
 from bench.pipeline.log_pipeline import Session
 from tests.builders import assert_same_solution
 from tests.evaluation.solutions import wrong_solution
@@ -58,7 +58,7 @@ def navigate(folder, columns, text=REFERENCE, **how):
     """Navigate the drive with a reference of these columns."""
     drives.write_csv(folder / "other.csv", columns)
     path = drives.write_log(folder, drives.LOG + text.format(file="other.csv"), **how)
-    return bench.navigate_log(path)
+    return bench.navigate(path)
 
 
 def test_the_errors_are_those_to_the_truth_whatever_the_point_the_axes_and_the_clock(tmp_path):
@@ -130,7 +130,7 @@ def test_a_solution_of_rtklib_and_one_of_kf_gins_are_references(tmp_path):
             file.write("0 {:.3f} {:.10f} {:.10f} {:.5f} 1 12 0.02 0.02 0.02\n".format(t, *row))
     for file, states in (("other.nav", 9), ("other.pos", 3)):
         text = REFERENCE.replace(f"time_offset_s = {LATE}", "").format(file=file)
-        result = bench.navigate_log(drives.write_log(tmp_path, drives.LOG + text))
+        result = bench.navigate(drives.write_log(tmp_path, drives.LOG + text))
         assert result.metrics["loose-15"]["nees_states"] == states
         assert result.metrics["loose-15"]["verdict"] == "consistent"
 
@@ -140,9 +140,9 @@ def test_a_solution_of_rtklib_and_one_of_kf_gins_are_references(tmp_path):
     [
         ("file = 'none.csv'", {}, "no such file beside the log"),
         ("file = 'other.csv'\nquality = [1]", {}, "quality is set, but the file has no column quality"),
-        ("file = 'other.csv'\ntime_offset_s = 1e6", {}, "do not overlap those of the IMU"),
+        ("file = 'other.csv'\ntime_offset_s = 1e6", {}, "do not overlap with the IMU"),
         ("file = 'other.csv'", {"lat_deg": None}, "no columns for position"),
-        ("file = 'other.csv'", {"valid": 0.0}, "0 of 750 rows can judge; at least 3 are needed"),
+        ("file = 'other.csv'", {"valid": 0.0}, "0 of 750 rows can evaluate; at least 3 are needed"),
         (
             "file = 'other.csv'\nposition_m = [0, 200, 0]",
             {},
@@ -203,13 +203,10 @@ def test_cuts_of_gnss_are_judged_by_the_reference(tmp_path, rate):
 
 @pytest.mark.parametrize("by", ["reference", "withheld"])
 def test_a_navigated_log_is_exported_and_its_solution_scores_what_it_scored(tmp_path, by):
-    """A folder of a log keeps what judges it, and the instants that were asked for."""
+    """A folder of a log keeps what evaluates it, and the epochs that were asked for."""
     run, out = tmp_path / "run", tmp_path / "out"
-    if by == "reference":
-        result = navigate(tmp_path, motion())
-    else:
-        result = bench.navigate_log(drives.write_log(tmp_path))
-    bench.save(result, run, recording=False, report=False)
+    result = navigate(tmp_path, motion()) if by == "reference" else bench.navigate(drives.write_log(tmp_path))
+    bench.write_result(result, run, recording=False, report=False)
     bench.export_run(run, "csv", out=out, include=["solution:loose-15"])
     with (out / "output.csv").open() as file:
         assert file.readline() == "t_s\n"
@@ -222,7 +219,7 @@ def test_a_navigated_log_is_exported_and_its_solution_scores_what_it_scored(tmp_
     assert len(names) > 10
     assert_allclose([score.metrics[n] for n in names], [own[n] for n in names], rtol=1e-4)
     assert score.metrics["verdict"] == own["verdict"]
-    both = bench.load(tmp_path / "both")
+    both = bench.read_result(tmp_path / "both")
     assert set(both.solutions) == {"loose-15", "again"}
     assert by in both.records
 
@@ -266,9 +263,9 @@ def test_the_claims_of_a_reference_are_where_they_belong():
         "sd_pos": np.full((1, 3), 99.0),
         "sd_vel": np.array([[2.0, -3.0, np.nan]]),
     }
-    (cov,) = _make_covariance(values, np.array([[0.1, 0.2, -1.0]]), 1)
+    (cov,) = make_covariance(values, np.array([[0.1, 0.2, -1.0]]), 1)
     expected = np.zeros((9, 9))
     expected[:3, :3] = whole.reshape(3, 3)
     expected[3, 3], expected[6, 6], expected[7, 7] = 4.0, 0.01, 0.04
     assert_allclose(cov, expected)
-    assert_allclose(_make_covariance({}, None, 2), np.zeros((2, 9, 9)))
+    assert_allclose(make_covariance({}, None, 2), np.zeros((2, 9, 9)))

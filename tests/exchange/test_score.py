@@ -1,4 +1,4 @@
-"""A solution from anywhere is judged as if an estimator had said it, on its own times, without
+"""A solution from anywhere is evaluated as if a filter had said it, on its own times, without
 extrapolation; what is wrong with its file is one line with the row."""
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def judged(capsys, *arguments: str) -> tuple[dict, str]:
     return json.loads(out), err
 
 
-# --- judged like an estimator -------------------------------------------------------------------------
+# --- evaluated like a filter -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
@@ -63,7 +63,7 @@ def test_a_solution_of_the_bench_scores_what_it_scored(run, tmp_path, capsys, ki
     )
     capsys.readouterr()
     measured, said = judged(capsys, str(tmp_path / "x" / f"solution-made.{kind}"), str(folder))
-    expected = results.load(folder).metrics["made"]
+    expected = results.read_result(folder).metrics["made"]
     assert expected["pos_rmse_h_m"] == pytest.approx(np.hypot(3, 2), rel=1e-6)
     assert set(expected) <= set(measured)
     for name, value in expected.items():
@@ -72,7 +72,7 @@ def test_a_solution_of_the_bench_scores_what_it_scored(run, tmp_path, capsys, ki
             assert measured[name] == close, name
     text = add_verdict("made", expected)["verdict_text"]
     assert measured["verdict_text"].replace("solution-made", "made") == text
-    assert "solution-made covers 100 % of the 202 instants, 202 rows" in said
+    assert "solution-made covers 100 % of the 202 epochs, 202 rows" in said
     assert any("made" in line.split() for line in said.splitlines())
 
 
@@ -121,7 +121,7 @@ def test_every_way_to_name_the_columns_says_the_same(run, tmp_path, capsys):
         if isinstance(a[name], float | None):
             assert a[name] == (None if b[name] is None else pytest.approx(b[name], rel=1e-6, abs=1e-6)), name
     assert a["verdict"] == b["verdict"]
-    assert a["vel_rmse_3d_mps"] == pytest.approx(np.hypot(0.1, 0.2), rel=1e-4)  # one instant between rows
+    assert a["vel_rmse_3d_mps"] == pytest.approx(np.hypot(0.1, 0.2), rel=1e-4)  # one time between rows
     assert a["phi_rmse_d_deg"] == pytest.approx(np.rad2deg(0.03), rel=1e-3)
 
 
@@ -201,7 +201,7 @@ def test_rows_of_a_program_are_carried_on_and_owe_nothing_to_the_next():
             moved = getattr(carry_rows(as_read(ahead), t), name)
             assert_array_equal(moved[before], getattr(found, name)[before])
     ((_, _, told),) = found.events.select("carried_on")
-    assert told == "300 of 401 instants lie between rows, up to 0.15 s after the one before"
+    assert told == "300 of 401 epochs lie between rows, up to 0.15 s after the one before"
     ended = carry_rows(as_read(taken(made, made.t < 10.1)), t)
     assert_array_equal(np.isfinite(ended.lla).all(axis=1), t < 10.4 + 1e-6)  # twice the usual interval
 
@@ -222,19 +222,19 @@ def test_a_gap_is_not_bridged_unless_told_and_its_drift_is_that_of_the_last_answ
     keep = (made.t < 12.45) | (made.t > 15.75)
     path = written(tmp_path / "gap.csv", taken(made, keep))
     measured, said = judged(capsys, str(path), str(folder))
-    asked = sensed.data.output_t  # 10 Hz, and 13.99 s, the last instant of the outage
+    asked = sensed.data.output_t  # 10 Hz, and 13.99 s, the last time of the outage
     lost = int(np.sum((asked > 12.45) & (asked < 15.75)))
     assert (len(asked), lost) == (202, 34)
     assert measured["output_coverage_all"] == pytest.approx(1 - lost / 202)
     assert measured["output_coverage"] == pytest.approx(1 - lost / 152)  # from 5 s on
     assert measured["verdict"] == "incomplete"
-    assert "answers 83.1 % of the instants asked for, with the longest silence" in " ".join(said.split())
+    assert "answers 83.1 % of the epochs asked for, with the longest silence" in " ".join(said.split())
     assert LOST == (12.0, 14.0)
     first, last = (int(np.argmin(np.abs(truth.t - at))) for at in (12.4, 13.99))
     passed = truth.t[last] - truth.t[first]  # the last answer goes on straight from 1 m north
     ended = earth.difference_n(truth.lla[first], truth.lla[last]) + truth.vel_n[first] * passed
     assert measured["outage_1_drift_h_m"] == pytest.approx(np.hypot(ended[0] + 1.0, ended[1]), rel=1e-3)
-    assert f"covers {100 * (1 - lost / 202):.4g} % of the 202 instants" in said
+    assert f"covers {100 * (1 - lost / 202):.4g} % of the 202 epochs" in said
     bridged, _ = judged(capsys, str(path), str(folder), "--max-gap", "4")
     assert bridged["output_coverage"] == 1.0
     assert "outage_1_drift_h_m" in bridged
@@ -270,7 +270,7 @@ def test_a_solution_of_another_time_has_no_metrics_and_says_why(run, tmp_path, c
 
 
 def test_the_faults_of_the_run_are_those_of_its_profile(run, tmp_path, capsys):
-    profile = config.load_profile("gnss-faults")
+    profile = config.read_profile("gnss-faults")
     assert (
         fault_tables.read_faults(json.loads(json.dumps(profile.document["fault"]))) == profile.sensors.faults
     )
@@ -294,11 +294,11 @@ def test_the_solution_is_added_to_a_copy_of_the_run(run, tmp_path, capsys):
     path = written(tmp_path / "mine.csv", wrong_solution(truth, pos_n=[5.0, 0.0, 0.0]))
     out = tmp_path / "both"
     judged(capsys, str(path), str(folder), "-o", str(out), "--label", "his")
-    both = results.load(out)
+    both = results.read_result(out)
     assert list(both.metrics) == ["made", "his"]
     assert both.metrics["his"]["pos_rmse_h_m"] == pytest.approx(5.0, rel=1e-6)
     assert both.errors["his"].pos_n[:, 0].mean() == pytest.approx(5.0, rel=1e-6)
-    assert list(results.load(folder).metrics) == ["made"]
+    assert list(results.read_result(folder).metrics) == ["made"]
     assert main(["score", str(path), str(folder), "-o", str(out), "--label", "his"]) == 2
     assert "exists; --force" in capsys.readouterr().err
     assert main(["score", str(path), str(out), "--label", "his"]) == 2

@@ -19,15 +19,15 @@ from bench.core.words.exceptions import ConfigError
 from bench.io.results.truth_cache import join_pieces
 from bench.io.trajectories import track_files
 from bench.io.trajectories.track_files import FixSeries, order_fixes, read_track
-from bench.io.trajectories.track_fit import _find_least, fit_track
+from bench.io.trajectories.track_fit import find_least, fit_track
 from bench.io.trajectories.track_motion import (
-    _bank,
-    _choose_piece,
-    _coordinate,
-    _fill_slow,
-    _find_jump,
-    _find_lone,
-    _find_standing,
+    choose_piece,
+    coordinate,
+    fill_slow,
+    find_bank,
+    find_jump,
+    find_lone,
+    find_standing,
     make_motion,
 )
 from bench.io.trajectories.trajectory import read_trajectory
@@ -108,7 +108,7 @@ def order(rows):
 
 @pytest.mark.parametrize(("ending", "off"), [(".gpx", 0.01), (".kml", 0.01), (".nmea", 0.01), (".igc", 1.5)])
 def test_every_format_gives_the_fixes_back(tmp_path, ending, off):
-    """IGC has thousandths of minutes, whole metres and whole seconds."""
+    """IGC has thousandths of minutes, whole meters and whole seconds."""
     rows = circle()
     path = tmp_path / f"track{ending}"
     path.write_text(WRITERS[ending](rows))
@@ -149,8 +149,8 @@ def swinging():
 
 
 @pytest.mark.parametrize("told", [1.0, None])
-def test_a_flight_at_1_hz_with_a_metre_of_noise_comes_back(swinging, told):
-    """Six draws: at most 0.8 m an axis and 3 deg of roll (rms) off the flight it was."""
+def test_a_flight_at_1_hz_with_a_meter_of_noise_comes_back(swinging, told):
+    """Six runs: at most 0.8 m an axis and 3 deg of roll (rms) off the flight it was."""
     offs, turned = [], []
     for seed in range(6):
         rows = thinned(swinging, 1.0, 1.0, seed)
@@ -206,7 +206,7 @@ def test_noise_that_may_be_turns_is_told():
 
 @pytest.mark.parametrize("name", list(FLIGHTS))
 def test_what_is_accepted_is_near_the_flight(name):
-    """A metre of noise: off by less than 2 m at 0.2 Hz, and less than 1 m above; only 0.2 Hz is refused."""
+    """A meter of noise: off by less than 2 m at 0.2 Hz, and less than 1 m above; only 0.2 Hz is rejected."""
     for rate in RATES:
         for noise in (None, 1.0):
             try:
@@ -217,7 +217,7 @@ def test_what_is_accepted_is_near_the_flight(name):
 
 
 def test_turns_that_are_taken_for_noise_are_refused():
-    """With noise that is told the same fixes are a metre off."""
+    """With noise that is told the same fixes are a meter off."""
     with pytest.raises(ConfigError, match=r"5 s apart, do not resolve its turns: .* m of noise are turns"):
         find_off("s-turns, 20 deg, 45 m/s", 0.2, None)
     assert find_off("s-turns, 20 deg, 45 m/s", 0.2, 1.0) < 1.2
@@ -247,7 +247,7 @@ def test_degrees_that_may_be_radians_are_told():
 def test_the_penalty_with_the_least_risk_is_found(least):
     """To the width of 24 golden sections of three decades; a shallower valley elsewhere does not matter."""
     there = -7.0 if least > 1.0 else 9.0
-    found = _find_least(lambda x: min(abs(x - least) ** 1.5, 1.0 + abs(x - there)), -8.0, 10.0)
+    found = find_least(lambda x: min(abs(x - least) ** 1.5, 1.0 + abs(x - there)), -8.0, 10.0)
     assert abs(found - least) < 1e-4
 
 
@@ -262,7 +262,7 @@ def test_noise_is_estimated_where_it_is_not_told():
 
 
 def test_standing_still_stays_still():
-    """A car drives, stands for a minute in a metre of noise, and drives on."""
+    """A car drives, stands for a minute in a meter of noise, and drives on."""
     rng = np.random.default_rng(4)
     t = np.arange(0.0, 180.0)
     gone = 10.0 * (np.minimum(t, 60) + np.maximum(t - 120, 0))
@@ -420,7 +420,7 @@ def test_an_igc_without_heights_of_a_receiver_has_those_of_the_pressure(tmp_path
     assert_allclose(track.lla[:, 2], 704.0 + np.arange(12))
     assert track.notes == (
         "6 fixes are marked as two-dimensional",
-        "heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS",
+        "heights are pressure heights above 1013.25 hPa: the file has no GNSS heights",
     )
 
 
@@ -486,7 +486,7 @@ def test_the_longest_piece_in_time_is_used_and_its_gaps_told():
     """Pieces of 6, 18 and 10 s; in that of 18 s an interval of 8 s, within bridge_s: above three of 2 s."""
     t = 2.0 * np.array([0.0, 1, 2, 3, 23, 24, 25, 29, 30, 31, 32, 52, 52.5, 53, 53.5, 54, 54.5, 55, 56, 57])
     notes: list[str] = []
-    found, lla = _choose_piece(t, np.arange(60.0).reshape(20, 3), 20.0, notes)
+    found, lla = choose_piece(t, np.arange(60.0).reshape(20, 3), 20.0, notes)
     assert_allclose(found, t[4:11])
     assert_allclose(lla[:, 0], 3.0 * np.arange(4, 11))
     assert notes == [
@@ -495,11 +495,11 @@ def test_the_longest_piece_in_time_is_used_and_its_gaps_told():
     ]
 
 
-def test_ten_seconds_below_0_4_metres_a_second_are_standing():
+def test_ten_seconds_below_0_4_meters_a_second_are_standing():
     speed = np.full(60, 5.0)
     speed[3:13], speed[20:31], speed[40:] = 0.3, 0.39, 0.41  # 9 s, 10 s, and not slow enough
     speed[47:] = 0.1
-    assert _find_standing(np.arange(60.0), speed) == [slice(20, 31), slice(47, 60)]
+    assert find_standing(np.arange(60.0), speed) == [slice(20, 31), slice(47, 60)]
 
 
 def test_a_vehicle_too_slow_for_a_course_turns_steadily_and_levels():
@@ -507,19 +507,19 @@ def test_a_vehicle_too_slow_for_a_course_turns_steadily_and_levels():
     vel_n = np.array(
         [[-3.0, 3.0, 0.6], [0.3, 0.4, 5.0], [0.0, 0.0, 0.0], [0.0, -0.25, 0.0], [-3.0, -3.0, -1.2]]
     )
-    found = _fill_slow(vel_n)
+    found = fill_slow(vel_n)
     angles = pi * np.array([0.75, 0.875, 1.0, 1.125])[1:]
     slopes = np.array([0.6, 0.0, -1.2]) / np.sqrt(18.0)
     between = np.interp([1.0, 2.0, 3.0], [0.0, 4.0], slopes[[0, 2]]) * [0.5, 0.0, 0.25]
     assert_allclose(found[[0, 4]], vel_n[[0, 4]])
     assert_allclose(found[1:4], np.column_stack([np.cos(angles), np.sin(angles), between]), atol=1e-12)
-    assert_allclose(_fill_slow(vel_n[1:4]), np.tile([1.0, 0.0, 0.0], (3, 1)))
+    assert_allclose(fill_slow(vel_n[1:4]), np.tile([1.0, 0.0, 0.0], (3, 1)))
 
 
 def test_a_turn_without_side_force_banks_by_the_force_and_lifts_the_nose_by_the_incidence():
     """East at 20 m/s, 2 m/s down, turning right: no force along y, x at the incidence above the path."""
     force_n = np.array([[-6.0, 0.0, -9.8]])
-    (C_nb,) = _coordinate(np.array([[0.0, 20.0, 2.0]]), force_n, 0.05)
+    (C_nb,) = coordinate(np.array([[0.0, 20.0, 2.0]]), force_n, 0.05)
     assert_allclose(C_nb.T @ C_nb, np.eye(3), atol=1e-12)
     assert np.linalg.det(C_nb) == pytest.approx(1.0)
     air_b, force_b = C_nb.T @ [0.0, 20.0, 2.0], C_nb.T @ force_n[0]
@@ -527,20 +527,20 @@ def test_a_turn_without_side_force_banks_by_the_force_and_lifts_the_nose_by_the_
     assert np.arctan2(air_b[2], air_b[0]) == pytest.approx(0.05)
     assert force_b[1] == pytest.approx(0.0, abs=1e-12)
     assert force_b[2] < 0.0
-    assert_allclose(_bank(rotation.from_euler(*np.array([[-0.7], [0.3], [1.0]]))), 0.7)
+    assert_allclose(find_bank(rotation.from_euler(*np.array([[-0.7], [0.3], [1.0]]))), 0.7)
 
 
 def test_a_lone_fix_and_a_jump_are_told_from_a_fast_vehicle():
     """10 m in 2 s; 500 m aside for one fix, 400 and 300 m ahead in two steps, and 800 m from 120 s on."""
     t = 2.0 * np.arange(80)
     fixes = np.column_stack([5.0 * t, 0 * t, 0 * t])
-    assert not _find_lone(t, fixes).any()
-    assert _find_jump(t, fixes) == ""
+    assert not find_lone(t, fixes).any()
+    assert find_jump(t, fixes) == ""
     fixes[12, 1] = 500.0
     fixes[30:, 0] += 390.0
     fixes[31:, 0] += 290.0
     fixes[50, 1], fixes[51:, 0] = 40.0, fixes[51:, 0] - 10.0  # not five times as fast as others
-    assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
+    assert np.flatnonzero(find_lone(t, fixes)).tolist() == [12]
     fixes[60:, 0] += 790.0
-    assert _find_jump(t, fixes) == ". They jump by 800 m at 120 s (from_s, to_s)"
-    assert np.flatnonzero(_find_lone(t, fixes)).tolist() == [12]
+    assert find_jump(t, fixes) == ". They jump by 800 m at 120 s (from_s, to_s)"
+    assert np.flatnonzero(find_lone(t, fixes)).tolist() == [12]

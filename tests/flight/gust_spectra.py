@@ -1,6 +1,6 @@
-"""Spectra of the turbulence beside those of MIL-F-8785C: ``python -m tests.flight.gust_spectra`` draws them.
+"""Spectra of the turbulence beside those of MIL-F-8785C: ``python -m tests.flight.gust_spectra`` runs them.
 
-It writes ``bench/guide/gusts.png``: third octaves of twenty draws of 1,000 s in moderate turbulence, 60 m
+It writes ``bench/guide/gusts.png``: third octaves of twenty runs of 1,000 s in moderate turbulence, 60 m
 above ground at 25 m/s, over the lines of the shaping filters.
 """
 
@@ -16,7 +16,7 @@ from bench.simulation.flight.turbulence.dryden import GUSTS, GustFilters, scales
 
 SPAN = 2.8956  # of the Aerosonde [m]
 _DT, _SETTLE, _SAMPLES, _DRAWS = 0.01, 10_000, 100_000, 20
-CENTRES = 0.05 * 2 ** (np.arange(22) / 3)
+CENTERS = 0.05 * 2 ** (np.arange(22) / 3)
 """Of the third octaves [Hz]."""
 
 
@@ -41,7 +41,7 @@ def shaping(name, omega, speed, span, figures):
 
 
 def measure(height, speed):
-    """Third octaves of the draws and of the standard (22, 6) [unit^2 s/rad], and the mean gusts (6,)."""
+    """Third octaves of the runs and of the standard (22, 6) [unit^2 s/rad], and the mean gusts (6,)."""
     figures = scales_and_intensities(height, 4)
     filters = GustFilters(SPAN)
     phi, noise = filters.make_step(figures[0], figures[1], speed * _DT)
@@ -55,7 +55,7 @@ def measure(height, speed):
     power = np.mean([np.abs(np.fft.rfft(window * draw, axis=0)) ** 2 for draw in draws], axis=0)
     power *= _DT / (pi * (window**2).sum())  # over the angular frequency
     f = np.fft.rfftfreq(_SAMPLES, _DT)
-    bands = [(f >= centre * 2 ** (-1 / 6)) & (f < centre * 2 ** (1 / 6)) for centre in CENTRES]
+    bands = [(f >= center * 2 ** (-1 / 6)) & (f < center * 2 ** (1 / 6)) for center in CENTERS]
     measured = np.array([power[band].mean(axis=0) for band in bands])
     expected = [
         [shaping(name, 2 * pi * f[band], speed, SPAN, figures).mean() for name in GUSTS] for band in bands
@@ -73,18 +73,18 @@ def draw():
     measured, expected, _ = measure(height, speed)
     off = np.abs(measured / expected - 1)
     figure, axes = pyplot.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    f = np.geomspace(CENTRES[0], CENTRES[-1], 300)
+    f = np.geomspace(CENTERS[0], CENTERS[-1], 300)
     figures = scales_and_intensities(height, 4)
     for k, name in enumerate(GUSTS):
-        colour = tuple(tone / 255 for tone in SLOTS[k % 3].light)
+        color = tuple(tone / 255 for tone in SLOTS[k % 3].light)
         where = axes[k // 3]
-        where.loglog(f, 2 * pi * shaping(name, 2 * pi * f, speed, SPAN, figures), color=colour)
+        where.loglog(f, 2 * pi * shaping(name, 2 * pi * f, speed, SPAN, figures), color=color)
         label = f"{name}, within {off[:, k].max():.0%}"
-        where.loglog(CENTRES, 2 * pi * measured[:, k], "o", ms=4, color=colour, label=label)
+        where.loglog(CENTERS, 2 * pi * measured[:, k], "o", ms=4, color=color, label=label)
     for where, title, unit in zip(axes, ("gusts", "rates of the air"), ("m/s", "rad/s"), strict=True):
         where.set(title=title, xlabel="frequency [Hz]", ylabel=f"power spectral density [({unit})²/Hz]")
         where.grid(visible=True, alpha=0.3)
-        where.legend(title="third octaves of 20 draws; lines: MIL-F-8785C", fontsize=8, title_fontsize=8)
+        where.legend(title="third octaves of 20 runs; lines: MIL-F-8785C", fontsize=8, title_fontsize=8)
     figure.savefig(FOLDER / "gusts.png", dpi=100)
     print(f"{FOLDER / 'gusts.png'}: within {off.max():.1%}")
 

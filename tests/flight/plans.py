@@ -11,14 +11,14 @@ import numpy as np
 from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec, Leg, ScriptSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn
 from bench.simulation.flight.recorder import fly_pieces, record_plan
 from bench.simulation.flight.truth import Stretch, make_truth
 
-FIGURE_EIGHT: FlightSpec = load_profile("figure-eight").flight
+FIGURE_EIGHT: FlightSpec = read_profile("figure-eight").flight
 AEROSONDE = FIGURE_EIGHT.aircraft
 CALM = replace(
     FIGURE_EIGHT,
@@ -48,7 +48,7 @@ def short_plan() -> FlightSpec:
 
 
 def record_whole(spec: FlightSpec) -> Stretch:
-    """Fly a plan, recorded as one stretch."""
+    """Fly a plan, recorded as one segment."""
     (stretch,) = record_plan(spec, seconds=inf)
     return stretch
 

@@ -49,7 +49,7 @@ def test_an_aircraft_of_the_wheel_is_trimmed_where_its_file_says(name):
         assert 0.02 < found.throttle < 0.95
 
 
-def test_every_file_names_its_sources_and_one_imu_is_off_the_centre_of_gravity():
+def test_every_file_names_its_sources_and_one_imu_is_off_the_center_of_gravity():
     listed = {row.name: row.note for row in list_aircraft()}
     for name, spec in OWN.items():
         assert "source: " in listed[name]

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import rotation
 from bench.core.words.exceptions import FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.config.library import read_aircraft
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
@@ -153,14 +153,14 @@ PUBLISHED = [  # altitude in thousands of ft, alpha in deg; CL_M and Cm_M of the
 
 
 class Tunnel:
-    """Coefficients of the model at a Mach number, altitude [m] and angle of attack, surfaces centred."""
+    """Coefficients of the model at a Mach number, altitude [m] and angle of attack, surfaces centerd."""
 
     def __init__(self) -> None:
         self.fdm = load_aircraft(JET, DT)
 
     def at(self, mach: float, alt: float, alpha: float) -> dict[str, float]:
         fdm = self.fdm
-        # JSBSim's altitude above sea level differs from the ellipsoidal one by millimetres
+        # JSBSim's altitude above sea level differs from the ellipsoidal one by millimeters
         air = TrimCondition(radians(45.0), 0.0, max(alt, 30.0), 0.0, 100.0)
         place(fdm, air, alpha, 0.0, 0.0, 0.0, 0.0, 0.0)
         speed = mach * fdm["atmosphere/a-fps"] * FT
@@ -356,7 +356,7 @@ def test_climb_cruise_descend_is_flown(recorded):
 
     That its truth replays is a law of every shipped flight: test_laws.py.
     """
-    profile = load_profile("climb-cruise-descend")
+    profile = read_profile("climb-cruise-descend")
     truth = truth_of(recorded(profile.flight), profile.flight.rate)
     assert truth.t[-1] == profile.flight.duration
     rows = truth.events.select("leg")

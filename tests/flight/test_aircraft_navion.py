@@ -265,7 +265,7 @@ def test_it_stands_on_its_wheels_and_the_nose_wheel_steers():
 # --- under guidance -----------------------------------------------------------------------------------
 
 
-AT_CG = replace(NAVION, imu_b=(0.0, 0.0, 0.0))  # guidance holds the centre of gravity, truth is the IMU
+AT_CG = replace(NAVION, imu_b=(0.0, 0.0, 0.0))  # guidance holds the center of gravity, truth is the IMU
 
 
 def flown(*legs, speed: float = SPEED, aircraft=AT_CG, **changes) -> Trajectory:

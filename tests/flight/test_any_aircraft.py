@@ -22,7 +22,7 @@ from bench.core.mathematics.rotation import rotate, to_euler
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import AircraftSpec, FlightSpec, Gust, Leg, Runway, ScriptSpec, WindLayer
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.io.config import list_aircraft, load_profile
+from bench.io.config import list_aircraft, read_profile
 from bench.io.results.truth_cache import truth_key
 from bench.simulation.flight import child_process, fly, fly_pieces, recorder, trimming
 from bench.simulation.flight.executive import load_aircraft
@@ -82,7 +82,7 @@ def _elsewhere(tmp_path, monkeypatch):
 @pytest.fixture
 def soon_steady(monkeypatch):
     """Engines get 4 s of 20 to become steady in a trim: thrust is off by 0.3 %, which these flights bear."""
-    monkeypatch.setattr(trimming, "_ENGINE_RUN", 4.0)
+    monkeypatch.setattr(trimming, "ENGINE_RUN", 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def written(folder: Path, **values: object) -> Path:
 
 
 def profile(folder: Path, **values: object):
-    return load_profile(str(written(folder, **values)))
+    return read_profile(str(written(folder, **values)))
 
 
 def plan(folder: Path, **values: object) -> FlightSpec:
@@ -140,7 +140,7 @@ def on_runway(folder: Path, name: str, *legs: Leg, **changes: object) -> FlightS
 
 
 def aside(truth: Trajectory, spec: FlightSpec) -> np.ndarray:
-    """Distance off the centreline of its runway, to the right [m]."""
+    """Distance off the centerline of its runway, to the right [m]."""
     assert spec.runway is not None
     origin = np.array([spec.runway.lat, spec.runway.lon, spec.runway.alt])
     north, east = difference_n(truth.lla, origin)[:, :2].T
@@ -149,7 +149,7 @@ def aside(truth: Trajectory, spec: FlightSpec) -> np.ndarray:
 
 @pytest.mark.usefixtures("soon_steady")
 def test_an_aircraft_of_the_wheel_stands_and_takes_off_from_its_runway(tmp_path):
-    """At rest with its engine idling, then off the ground within 5 m of the centreline, in wind."""
+    """At rest with its engine idling, then off the ground within 5 m of the centerline, in wind."""
     wind = {"wind_from": radians(60.0), "wind_speed": 3.0}
     spec = on_runway(tmp_path, "jsbsim:c172x", Static(5.0), TakeOff(40.0, 2.5, 46.0), **wind)
     truth = fly_here(spec)
@@ -183,7 +183,7 @@ def test_an_aircraft_of_the_wheel_lands(tmp_path):
 def test_an_aircraft_without_figures_for_a_runway_is_refused_before_the_flight(tmp_path):
     legs = {"start.on_ground": True, "leg.1.kind": "static", "duration_s": 60}
     with pytest.raises(ConfigError, match=r"on_ground = true: the 737 has no \[runway\] in"):
-        load_profile(str(written(tmp_path, **BOEING)), legs)
+        read_profile(str(written(tmp_path, **BOEING)), legs)
 
 
 @pytest.mark.usefixtures("soon_steady")
@@ -231,7 +231,7 @@ def test_gains_and_properties_of_its_file_have_their_effect(tmp_path):
 
 
 @pytest.mark.usefixtures("soon_steady")
-def test_an_imu_beside_the_centre_of_gravity_is_where_truth_is(tmp_path):
+def test_an_imu_beside_the_center_of_gravity_is_where_truth_is(tmp_path):
     spec = plan(tmp_path)
     spec = replace(spec, legs=spec.legs[:2], duration=None)
     at_cg = fly_here(spec)
@@ -272,7 +272,7 @@ def test_an_aircraft_of_another_root_flies_and_its_files_count_in_the_cache(tmp_
     (tmp_path / "mine.toml").write_text(
         'jsbsim_root = "root"\n' + PROFILE.format(**CESSNA | {"name": "jsbsim:mine"})
     )
-    spec = load_profile(str(tmp_path / "mine.toml")).flight
+    spec = read_profile(str(tmp_path / "mine.toml")).flight
     np.testing.assert_array_equal(fly(straight(spec)).dvel_b, seven_seconds.dvel_b)
     key = truth_key(spec)
     engine = root / "engine/eng_io320.xml"
@@ -282,13 +282,13 @@ def test_an_aircraft_of_another_root_flies_and_its_files_count_in_the_cache(tmp_
     with pytest.raises(
         ConfigError, match="jsbsim_root = 'engine' has no folder aircraft and no folder engine"
     ):
-        load_profile(str(tmp_path / "mine.toml"))
+        read_profile(str(tmp_path / "mine.toml"))
     (tmp_path / "mine.toml").write_text(
         'jsbsim_root = "root"\n'
         + PROFILE.format(**CESSNA | {"name": "aerosonde", "alt": 900.0, "speed": 25.0})
     )
     with pytest.raises(ConfigError, match="jsbsim_root is for aircraft = 'jsbsim:NAME'"):
-        load_profile(str(tmp_path / "mine.toml"))
+        read_profile(str(tmp_path / "mine.toml"))
 
 
 def test_a_copy_of_an_aircraft_of_the_bench_flies_the_same_bits(tmp_path):
@@ -296,7 +296,7 @@ def test_a_copy_of_an_aircraft_of_the_bench_flies_the_same_bits(tmp_path):
     (tmp_path / "mine.toml").write_text(
         PROFILE.format(**CESSNA | {"name": "aerosonde", "alt": 900.0, "speed": 25.0, "duration": 30.0})
     )
-    mine = load_profile(str(tmp_path / "mine.toml")).flight
+    mine = read_profile(str(tmp_path / "mine.toml")).flight
     assert mine.aircraft.folder.parent == tmp_path / "aircraft"
     ours = replace(mine, aircraft=FIGURE_EIGHT.aircraft)
     np.testing.assert_array_equal(fly(mine).dvel_b, fly(ours).dvel_b)
@@ -427,7 +427,7 @@ def test_what_hangs_is_ended_and_what_dies_is_said(tmp_path, monkeypatch):
 
 @pytest.mark.usefixtures("soon_steady")
 def test_all_that_takes_long_is_said_before_and_after_the_flight(tmp_path):
-    """Each state of the trim, each stretch of the truth: a child that works is heard."""
+    """Each state of the trim, each segment of the truth: a child that works is heard."""
     said: list[str] = []
     spec = replace(plan(tmp_path), legs=(Straight(1.0),), duration=None)
     assert len(list(recorder.fly_pieces(spec, say=said.append))) == 1
@@ -449,6 +449,6 @@ def test_bench_fly_says_in_one_line_what_cannot_fly(tmp_path, monkeypatch, capsy
 @pytest.mark.usefixtures("soon_steady")
 def test_where_an_aircraft_of_the_wheel_cannot_hold_its_height_the_search_ends(tmp_path, monkeypatch):
     """Far above where a Cessna flies; one beginning of the search of three."""
-    monkeypatch.setattr(trimming, "_FOREIGN", (trimming._FOREIGN_STARTS[:1], *trimming._FOREIGN[1:]))
+    monkeypatch.setattr(trimming, "FOREIGN", (trimming.FOREIGN[0][:1], *trimming.FOREIGN[1:]))
     with pytest.raises(FlightError, match=r"no steady flight found for c172x at 55 m/s, 15000 m: 0\.7"):
         fly_here(plan(tmp_path, alt=15_000.0))

@@ -1,4 +1,4 @@
-"""Turbulence: its discretization against the shaping filters of MIL-F-8785C, its draws, ground and wind."""
+"""Turbulence: its discretization against the shaping filters of MIL-F-8785C, its runs, ground and wind."""
 
 from dataclasses import replace
 from math import cos, pi, radians, sin
@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import expm
 
 from bench.core.mathematics.random_streams import stream
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.jsbsim_units import FT
@@ -19,11 +19,11 @@ from bench.simulation.flight.turbulence.dryden import (
     GUSTS,
     RATES,
     GustFilters,
-    _discretize_chain,
+    discretize_chain,
     scales_and_intensities,
     through_turbulence,
 )
-from tests.flight.gust_spectra import CENTRES, SPAN, measure, shaping
+from tests.flight.gust_spectra import CENTERS, SPAN, measure, shaping
 from tests.flight.plans import AEROSONDE, plan
 
 
@@ -48,7 +48,7 @@ def test_the_discrete_response_is_that_of_the_shaping_filters(span, speed, heigh
 
 
 def test_turbulence_turns_as_a_mass_of_air_does():
-    """q is -dw/dx and r is dv/dx: a gust that grows along the path, over the two metres before."""
+    """q is -dw/dx and r is dv/dx: a gust that grows along the path, over the two meters before."""
     filters = GustFilters(1.0)
     rng = np.random.default_rng(1)
     phi, noise = filters.make_step(100.0, 100.0, 0.05)
@@ -148,7 +148,7 @@ def test_twenty_draws_have_the_spectra_and_no_mean(height, speed):
     measured, expected, mean = measure(height, speed)
     _, _, sigma_u, sigma_w = scales_and_intensities(height, 4)
     assert (np.abs(mean)[:3] < 0.15 * np.array([sigma_u, sigma_u, sigma_w])).all()
-    low = CENTRES < 0.1
+    low = CENTERS < 0.1
     assert_allclose(measured[low], expected[low], rtol=0.25)
     assert_allclose(measured[~low], expected[~low], rtol=0.15)
 
@@ -176,7 +176,7 @@ def test_the_field_is_frozen_in_the_air_and_stands_when_the_aircraft_does():
 
 
 def test_u_is_along_the_path_through_the_air_whatever_the_wind():
-    """The same draw eastbound is that northbound, turned; a crosswind changes neither."""
+    """The same run eastbound is that northbound, turned; a crosswind changes neither."""
     north = Still(300.0, 40.0, np.zeros(3)).gusts(3, 20.0)
     east = Still(300.0, 40.0, np.array([7.0, -3.0, 0.0]), heading=pi / 2).gusts(3, 20.0)
     assert_allclose(east[:, 1], north[:, 0], atol=1e-9)
@@ -186,7 +186,7 @@ def test_u_is_along_the_path_through_the_air_whatever_the_wind():
 
 def flown(alt, ground, **changes):
     """Straight for 20 s over the ground of a runway."""
-    runway = replace(load_profile("circuit").flight.runway, alt=ground)
+    runway = replace(read_profile("circuit").flight.runway, alt=ground)
     values = {"severity": 4, "turbulence_seed": 4, "runway": runway, "alt": alt} | changes
     return fly(plan(Straight(20.0), **values))
 
@@ -208,7 +208,7 @@ def test_turbulence_follows_the_height_above_ground_not_above_the_sea():
 )
 def test_the_rates_of_the_air_turn_the_aircraft(profile, alt, speed):
     """The air turns the aircraft with it, about each axis."""
-    aircraft = load_profile(profile).flight.aircraft
+    aircraft = read_profile(profile).flight.aircraft
     fdm = load_aircraft(aircraft, 0.0025)
     trim_aircraft(fdm, TrimCondition(radians(47.0), radians(11.0), alt, 0.5, speed))
     still = present_accelerations(fdm)[3:]
@@ -238,6 +238,6 @@ def test_a_step_is_that_of_van_loan():
         A[2] = root / tail, (1.0 - root) / tail, -1.0 / tail
         pair = np.block([[-A, np.diag([1.0 / length, 0.0, 0.0])], [np.zeros((3, 3)), A.T]])
         both = expm(pair * step)
-        phi, noise = _discretize_chain(length, tail, step)
+        phi, noise = discretize_chain(length, tail, step)
         assert_allclose(phi, both[3:, 3:].T, rtol=0, atol=1e-13)
         assert_allclose(noise @ noise.T, both[3:, 3:].T @ both[:3, 3:], rtol=0, atol=1e-13)

@@ -21,7 +21,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.runway import Static, TakeOff
@@ -30,7 +30,7 @@ from tests.flight.plans import record_whole, truth_of
 from tests.flight.test_recorder import same_form_error, two_sample_error
 
 _FLIGHTS = {
-    path.stem: load_profile(path.stem).flight
+    path.stem: read_profile(path.stem).flight
     for path in sorted((Path(bench.__file__).parent / "profiles").glob("*.toml"))
 }
 PROFILES = [name for k, (name, spec) in enumerate(_FLIGHTS.items()) if spec not in [*_FLIGHTS.values()][:k]]
@@ -229,7 +229,7 @@ def test_two_samples_are_enough_for_a_navigator_in_smooth_flight(flight):
     """Coning and sculling corrections of two samples bring smooth flight home within 1 mm, 1 microradian.
 
     Rough flights, where motion is not a parabola between samples, leave more: 0.1 m by the corners of a
-    landing, 30 mm by ten minutes of moderate turbulence, 11 mm by rolls; never a metre, nor a microradian.
+    landing, 30 mm by ten minutes of moderate turbulence, 11 mm by rolls; never a meter, nor a microradian.
     """
     distance, angle = two_sample_error(flight.truth)
     assert distance < (1 * MM if flight.smooth else 1.0) * over_ten_minutes(flight)

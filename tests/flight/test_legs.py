@@ -57,7 +57,7 @@ def waggle(monkeypatch, tmp_path):
 
 
 def test_a_leg_from_elsewhere_is_flown_from_a_profile(waggle):
-    truth = fly(config.load_profile(waggle, {"leg.2.speed_mps": 26}).flight)
+    truth = fly(config.read_profile(waggle, {"leg.2.speed_mps": 26}).flight)
     assert [text for _, _, text in truth.events.select("leg")] == [
         "1 straight: 2 s",
         "2 waggle: 2 times, 26 m/s, then held to 14 s; 2 waggles",

@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import Gust, WindLayer
 from bench.core.words.exceptions import FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Configuration, Cruise, SpeedChange, Straight
@@ -80,7 +80,7 @@ def test_wind_layers_blow_by_altitude():
     truth = fly(plan(Climb(1240.0, 3.0), Straight(2.0), wind_layers=layers))
     alt = np.interp(truth.air.t, truth.t, truth.lla[:, 2])
     share = np.clip((alt - 1200.0) / 40.0, 0.0, 1.0)
-    # the wind of an instant is written at its beginning: a climb of 3 m/s is 0.15 m late
+    # the wind of a time is written at its beginning: a climb of 3 m/s is 0.15 m late
     assert_allclose(truth.air.wind_n[1:, 0], 6.0 * share[1:], atol=0.05)
     assert_allclose(truth.air.wind_n[1:, 1], 2.0 * (1 - share[1:]), atol=0.05)
 
@@ -141,7 +141,7 @@ def test_a_load_factor_out_of_reach_is_named():
 
 def test_high_dynamics_is_what_it_says(recorded):
     """More than 100 deg/s of roll and 3 g."""
-    spec = load_profile("high-dynamics").flight
+    spec = read_profile("high-dynamics").flight
     truth = truth_of(recorded(spec), spec.rate)
     assert np.rad2deg(np.abs(truth.dtheta_b[:, 0]).max() / truth.t[1]) > 100.0
     assert (-truth.dvel_b[:, 2]).max() / truth.t[1] / 9.80665 > 2.95

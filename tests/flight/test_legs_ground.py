@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench.core.mathematics import earth, rotation
 from bench.core.records.flight_specs import AircraftSpec, Runway
 from bench.core.words.exceptions import FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight import fly
 from bench.simulation.flight.guidance.sequencer import FlownLeg, fly_legs
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
@@ -29,7 +29,7 @@ def standing(*legs, **changes):
 
 
 def runway_frame(truth) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Way along the runway, distance off its centreline to the right, height above the ground [m]."""
+    """Way along the runway, distance off its centerline to the right, height above the ground [m]."""
     ned = earth.local_ned(truth.lla, [LAT, LON, GROUND])[:, :2]
     c, s = cos(ALONG), sin(ALONG)
     return ned @ [c, s], ned @ [-s, c], truth.lla[:, 2] - GROUND
@@ -45,30 +45,30 @@ class Kind(NamedTuple):
     before: tuple[float, float]  # an approach begins so far before the threshold, so high above it [m]
     sink: float  # most at touch-down [m/s]
     wheels: float  # a wheel touches below: the gear stretched and the nose up [m]
-    off: float = 5.0  # most off the centreline on the wheels [m]
+    off: float = 5.0  # most off the centerline on the wheels [m]
     top: float = 40.0  # of a take-off [m]
 
 
-NAVION = load_profile("circuit-navion").flight.aircraft
-JET = load_profile("airliner").flight.aircraft
+NAVION = read_profile("circuit-navion").flight.aircraft
+JET = read_profile("airliner").flight.aircraft
 KINDS = {
     "aerosonde": Kind(AEROSONDE, (2.5, 24.0), 200.0, 250.0, (1800.0, 80.0), 1.5, 0.35),
     "navion": Kind(NAVION, (3.0, 46.0), 400.0, 300.0, (2700.0, 120.0), 1.0, 1.36),
     "jet747": Kind(JET, (6.0, 90.0), 2000.0, 450.0, (5000.0, 250.0), 1.6, 5.6, 7.0, 150.0),
 }
-CESSNA = load_profile(
+CESSNA = read_profile(
     "gnss-denied-leg", {"aircraft": "jsbsim:c172x", "start.speed_mps": 55.0}
 ).flight.aircraft
 LANDING = {**KINDS, "c172x": Kind(CESSNA, (2.0, 46.0), 500.0, 300.0, (2700.0, 120.0), 1.0, 1.4)}
 
 
 def height_of_cg(truth, aircraft) -> np.ndarray:
-    """Height of the centre of gravity above the ground [m]; truth is of the IMU."""
+    """Height of the center of gravity above the ground [m]; truth is of the IMU."""
     return truth.lla[:, 2] - GROUND + rotation.rotate(truth.q_nb, np.array(aircraft.imu_b))[:, 2]
 
 
 def final(kind: Kind) -> dict[str, Any]:
-    """Start of an approach, on the extended centreline."""
+    """Start of an approach, on the extended centerline."""
     before, above = kind.before
     lat, lon, _ = earth.displace([LAT, LON, GROUND], [-before * cos(ALONG), -before * sin(ALONG), 0.0])
     start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + above, "heading": ALONG}
@@ -78,7 +78,7 @@ def final(kind: Kind) -> dict[str, Any]:
 @pytest.mark.parametrize("wind_speed", [0.0, 5.0])
 @pytest.mark.parametrize("name", KINDS)
 def test_what_stands_does_not_move(name, wind_speed):
-    """In wind across too: brakes hold, the gear has given way before the first instant."""
+    """In wind across too: brakes hold, the gear has given way before the first time."""
     kind = KINDS[name]
     wind = {"wind_from": radians(175.0), "wind_speed": wind_speed}
     truth = fly(standing(Static(20.0), aircraft=kind.aircraft, speed=kind.climb[1], **wind))
@@ -114,7 +114,7 @@ def test_it_stands_where_and_as_the_plan_says():
 @pytest.mark.parametrize("across", [-4.0, 4.0])
 @pytest.mark.parametrize("name", KINDS)
 def test_take_off_and_landing_keep_to_the_runway(name, across):
-    """Soft at touch-down, less than 5 m off the centreline, in up to 4 m/s across it."""
+    """Soft at touch-down, less than 5 m off the centerline, in up to 4 m/s across it."""
     kind = KINDS[name]
     on_wheels = kind.wheels
     wind = {"wind_from": ALONG + radians(90.0), "wind_speed": abs(across)}
@@ -144,7 +144,7 @@ def test_take_off_and_landing_keep_to_the_runway(name, across):
 
 @pytest.mark.parametrize("name", list(KINDS))
 def test_taxiing_stops_where_it_is_asked_to_and_goes_on(name):
-    """Two stops 60 m apart, each 4 s with brakes set; in between its speed, to half a metre per second."""
+    """Two stops 60 m apart, each 4 s with brakes set; in between its speed, to half a meter per second."""
     kind = KINDS[name]
     taxi = Taxi(120.0, 5.0, stops=2, stop=4.0)
     truth = fly(standing(taxi, aircraft=kind.aircraft, speed=kind.climb[1]))
@@ -166,7 +166,7 @@ def test_taxiing_stops_where_it_is_asked_to_and_goes_on(name):
 
 @pytest.mark.parametrize("name", list(KINDS))
 def test_a_touch_and_go_rolls_and_climbs_again(name):
-    """It touches, rolls at least as long as asked along the centreline, and leaves the ground for good."""
+    """It touches, rolls at least as long as asked along the centerline, and leaves the ground for good."""
     kind = KINDS[name]
     start = final(kind._replace(before=(kind.before[0] / 2, kind.before[1] / 2)))
     go = TouchAndGo(kind.top, *kind.climb, roll=2.0)
@@ -304,7 +304,7 @@ def test_the_glide_path_is_flown():
 
 
 def test_an_approach_rolls_in_without_a_step():
-    """From 300 m beside the centreline: no further than the bank of an approach, at the rate of a turn."""
+    """From 300 m beside the centerline: no further than the bank of an approach, at the rate of a turn."""
     lat, lon, _ = earth.displace([LAT, LON, GROUND], [300.0, -2500.0, 0.0])
     start = {"lat": float(lat), "lon": float(lon), "alt": GROUND + 80.0, "heading": ALONG, "speed": 24.0}
     truth = fly(plan(Approach(radians(3.5), 60.0), runway=RUNWAY, **start))
@@ -314,7 +314,7 @@ def test_an_approach_rolls_in_without_a_step():
 
 @pytest.mark.parametrize("profile", ["circuit", "circuit-navion"])
 def test_a_shipped_circuit_lands_as_it_should(recorded, profile):
-    spec = load_profile(profile).flight
+    spec = read_profile(profile).flight
     kind = KINDS[spec.aircraft.name]
     truth = truth_of(recorded(spec), spec.rate)
     _, off, _ = runway_frame(truth)

@@ -21,7 +21,7 @@ WINDY = {"wind_from": radians(10.0), "wind_speed": 6.0}
 
 
 def place(north: float, east: float, alt: float | None = None) -> Waypoint:
-    """A waypoint by metres from the start of the test flights."""
+    """A waypoint by meters from the start of the test flights."""
     lat, lon, _ = earth.displace([CALM.lat, CALM.lon, CALM.alt], [north, east, 0.0])
     return Waypoint(float(lat), float(lon), alt=alt)
 

@@ -13,24 +13,24 @@ from numpy.testing import assert_allclose
 
 from bench.cli.command_line import main
 from bench.cli.new_files import new_aircraft
-from bench.cli.new_files.new_aircraft import BANK_BAND, _equip, measure_acceptance
+from bench.cli.new_files.new_aircraft import BANK_BAND, equip, measure_acceptance
 from bench.core.mathematics import rotation
 from bench.core.records.data import Events
 from bench.core.words.exceptions import FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.config.library import read_jsbsim_aircraft
 from bench.io.config.listing import PROFILES
 from bench.simulation.flight import fly
 from bench.simulation.flight.executive import load_aircraft
 from bench.simulation.flight.guidance.gain_design import (
     BANK,
-    _find_stubs,
-    _place_loops,
-    _with,
     attempts,
     design_gains,
+    find_stubs,
+    place_loops,
     plan_acceptance,
     prepare_aircraft,
+    set_properties,
 )
 from bench.simulation.flight.trimming import (
     Trim,
@@ -58,7 +58,7 @@ FOUND = {
 
 def test_the_roll_loops_have_the_poles_they_are_placed_at():
     """p' = L_p p + L_a a with a = k (b (phi_c - phi) - p): the rate at -3 rad/s, bank with it well damped."""
-    gains, _ = _place_loops(FOUND, 60.0, TRIM, 1.0)
+    gains, _ = place_loops(FOUND, 60.0, TRIM, 1.0)
     k, b = gains["roll-rate-gain"], gains["bank-gain"]
     assert_allclose(-2.5 - 8.0 * k, -3.0, atol=1e-9)
     poles = np.linalg.eigvals([[0.0, 1.0], [-8.0 * k * b, -2.5 - 8.0 * k]])
@@ -120,12 +120,12 @@ def bare(name):
     """An aircraft of the wheel as a design begins with it."""
     pattern = read_jsbsim_aircraft("jsbsim:c172x", None, Path())
     folder = pattern.foreign.root / "aircraft" / name
-    return _with(replace(pattern, name=name, folder=folder, runway=None, gains={}), {}, ())
+    return set_properties(replace(pattern, name=name, folder=folder, runway=None, gains={}), {}, ())
 
 
 def test_a_turboprop_with_a_governor_is_trimmed():
     """Its thrust is the same when it is asked again, and stays as it runs on; JSBSim's search swings."""
-    craft = _with(bare("pc7"), {"propulsion/cutoff_cmd": 0.0, "gear/gear-cmd-norm": 0.0}, ())
+    craft = set_properties(bare("pc7"), {"propulsion/cutoff_cmd": 0.0, "gear/gear-cmd-norm": 0.0}, ())
     fdm = load_aircraft(craft, 0.0025)
     here = TrimCondition(radians(47.0), radians(11.0), 1200.0, 0.5, 74.0)
     trim = trim_aircraft(fdm, here, guided=False)
@@ -147,11 +147,11 @@ def test_a_property_that_a_model_reads_and_does_not_have_is_found_and_declared()
     craft = bare("L17")
     with pytest.raises(FlightError, match=r"fcs/flaps-pos-deg does not exist"):
         load_aircraft(craft, 0.0025)
-    stubs = _find_stubs(craft)
+    stubs = find_stubs(craft)
     assert stubs == ("fcs/flaps-pos-deg",)
-    assert load_aircraft(_with(craft, {}, stubs), 0.0025)["fcs/flaps-pos-deg"] == 0.0
-    with pytest.raises(FlightError, match=r"stubs 'a b' is no property"):
-        load_aircraft(_with(craft, {}, ("a b",)), 0.0025)
+    assert load_aircraft(set_properties(craft, {}, stubs), 0.0025)["fcs/flaps-pos-deg"] == 0.0
+    with pytest.raises(FlightError, match=r"stubs 'a b' is not a property"):
+        load_aircraft(set_properties(craft, {}, ("a b",)), 0.0025)
 
 
 @pytest.mark.slow
@@ -162,7 +162,7 @@ def test_an_aircraft_that_turns_roll_is_held_by_the_last_attempt():
     last, found = design_gains(craft, lift, pace, hold), []
     for slower in (hold, 1.0):
         gains = {**last.gains, "bank-integral-gain": last.gains["bank-integral-gain"] / slower}
-        spec = plan_acceptance(_equip(craft, replace(last, gains=gains)), last)
+        spec = plan_acceptance(equip(craft, replace(last, gains=gains)), last)
         found.append(measure_acceptance(fly_here(replace(spec, legs=spec.legs[:3])), last))
     assert [len(one.failures()) for one in found] == [1, 0]
     assert found[0].bank > BANK_BAND > found[1].bank
@@ -196,7 +196,7 @@ def test_a_folder_of_ones_own_gets_its_gains_and_flies(tmp_path, monkeypatch, ca
     changes = {"aircraft": "mine", "start.speed_mps": 80.0, "start.alt_m": 1200.0}
     legs = [{"kind": "straight", "duration_s": 5.0}]
     (tmp_path / "own.toml").write_text((PROFILES / "s-turns.toml").read_text())
-    spec = load_profile(tmp_path / "own.toml", {**changes, "leg": legs}).flight
+    spec = read_profile(tmp_path / "own.toml", {**changes, "leg": legs}).flight
     assert spec.aircraft.folder == folder
     assert abs(fly(spec).lla[-1, 2] - 1200.0) < 2.0
 
@@ -247,11 +247,11 @@ def test_what_is_no_aircraft_is_named(tmp_path, monkeypatch, capsys):
 def test_a_design_is_timed_by_its_cpu_and_not_by_the_clock_of_a_busy_machine(monkeypatch, gain_s):
     """A child that gets a hundredth of a processor has a hundred times as long; one that hangs has not."""
     looks = count(1)
-    monkeypatch.setattr(new_aircraft, "_PATIENCE", 0.2)
-    monkeypatch.setattr(new_aircraft, "_LOOK", 0.05)
+    monkeypatch.setattr(new_aircraft, "PATIENCE", 0.2)
+    monkeypatch.setattr(new_aircraft, "LOOK", 0.05)
     monkeypatch.setattr(new_aircraft, "measure_cpu", lambda _: gain_s * next(looks))
     if gain_s:
-        assert new_aircraft._run_in_child("c310", "trimmed", time.sleep, 0.4) is None
+        assert new_aircraft.run_in_child("c310", "trimmed", time.sleep, 0.4) is None
     else:
         with pytest.raises(FlightError, match=r"^aircraft c310: not trimmed within 0\.2 s of CPU time$"):
-            new_aircraft._run_in_child("c310", "trimmed", time.sleep, 60.0)
+            new_aircraft.run_in_child("c310", "trimmed", time.sleep, 60.0)

@@ -12,7 +12,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from bench.core.records.instruments import RadarSpec
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.tracks import Point, TerrainFollowing, clear_heights
 from bench.simulation.sensors import radar
@@ -129,7 +129,7 @@ def test_the_leg_keeps_its_height_above_the_ground(describe):
 )
 def test_what_does_not_fit_a_terrain_is_refused(changes, said):
     with pytest.raises(ConfigError) as raised:
-        load_profile("terrain-following", changes)
+        read_profile("terrain-following", changes)
     assert any(said in line for line in raised.value.messages), raised.value.messages
 
 
@@ -137,7 +137,7 @@ def test_the_file_counts_and_not_where_it_is(tmp_path):
     """A copy of the profile and its grid elsewhere has the same truth, another grid another."""
     from bench.io import results
 
-    shipped = load_profile("terrain-following").flight
+    shipped = read_profile("terrain-following").flight
     moved = replace(shipped.terrain, path=tmp_path / "valley.asc")
     assert results.truth_key(shipped) == results.truth_key(replace(shipped, terrain=moved))
     other = replace(shipped.terrain, digest="0" * 64)

@@ -26,10 +26,10 @@ from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.results.truth_cache import truth_pieces
 from bench.navigation import mechanization
-from bench.simulation.flight import Summary, fly, fly_pieces, summarise
+from bench.simulation.flight import Summary, fly, fly_pieces, summarize
 from bench.simulation.flight.increments import Motion, at_point, step_increments
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.legs.turns import Turn
@@ -59,7 +59,7 @@ def same_form_error(motion: Motion) -> tuple[float, float]:
     return largest_difference(found, reference)
 
 
-def test_at_200_hz_ten_minutes_come_back_within_a_millimetre_and_a_microradian(figure_eight_truth):
+def test_at_200_hz_ten_minutes_come_back_within_a_millimeter_and_a_microradian(figure_eight_truth):
     assert len(figure_eight_truth) == 120_001
     distance, angle = two_sample_error(figure_eight_truth)
     assert distance < 1 * MM
@@ -95,21 +95,21 @@ def test_the_path_over_ground_crosses_the_date_line():
     here, there = (fly(replace(FIGURE_EIGHT, lon=radians(lon), **legs)) for lon in (11.0, 179.9999))
     assert there.lla[0, 1] > 3.0
     assert there.lla[-1, 1] < -3.0
-    paths = [summarise(truth)["path_over_ground_m"] for truth in (here, there)]
+    paths = [summarize(truth)["path_over_ground_m"] for truth in (here, there)]
     assert_allclose(paths[0], paths[1], rtol=1e-3)
 
 
-# --- the IMU off the centre of gravity ----------------------------------------------------------------
+# --- the IMU off the center of gravity ----------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def eights(recorded) -> Stretch:
-    """Ten minutes of figure-eights at 200 Hz, of the centre of gravity."""
+    """Ten minutes of figure-eights at 200 Hz, of the center of gravity."""
     return recorded(FIGURE_EIGHT)
 
 
 @pytest.mark.parametrize("arm_b", [(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-5.0, 8.0, 3.0)])
-def test_ten_minutes_of_an_imu_off_the_centre_of_gravity_come_back_too(eights, arm_b):
+def test_ten_minutes_of_an_imu_off_the_center_of_gravity_come_back_too(eights, arm_b):
     """1 m along each axis and 10 m across; the velocity of the arm is the slope of its position."""
     imu = replace(eights, motion=at_point(eights.motion, arm_b))
     distance, angle = same_form_error(imu.motion)
@@ -146,7 +146,7 @@ def arm_slope_error(at_cg: Motion, at_imu: Motion) -> float:
 
 def test_the_imu_moves_as_a_point_of_a_rigid_body(short_truth):
     """Position by C l, velocity by w x l, specific force by w' x l + w x (w x l), with rates from the
-    increments of the centre of gravity. Central differences of 10 ms are good to the tolerances here:
+    increments of the center of gravity. Central differences of 10 ms are good to the tolerances here:
     set-points change the angular acceleration 20 times a second."""
     arm_b = np.array([3.0, -0.5, 1.0])
     imu = fly(with_imu(short_plan(), *arm_b))
@@ -176,7 +176,7 @@ def level_pole(lat) -> np.ndarray:
     return np.stack([np.cos(lat), 0 * lat, -np.sin(lat)], axis=-1)
 
 
-def test_an_imu_at_the_centre_of_gravity_has_its_motion_bit_for_bit(eights):
+def test_an_imu_at_the_center_of_gravity_has_its_motion_bit_for_bit(eights):
     at = at_point(eights.motion, (0.0, 0.0, 0.0))
     for field in dataclasses.fields(Motion)[1:]:
         assert_array_equal(getattr(at, field.name), getattr(eights.motion, field.name)[:-2], strict=True)
@@ -244,7 +244,7 @@ for _ in range(2):
 
 def cruise_for(seconds: float) -> Profile:
     """Return ``long-cruise``, which takes two hours, or its last turn and a straight to that duration."""
-    profile = load_profile("long-cruise")
+    profile = read_profile("long-cruise")
     if seconds == profile.flight.duration:
         return profile
     turn, straight = profile.flight.legs[-2:]
@@ -426,7 +426,7 @@ def test_the_summary_of_pieces_is_that_of_the_whole(figure_eight_truth):
     assert [len(piece) for piece in pieces] == 20 * [6001]
     for piece in pieces:
         summary.add(piece)
-    whole = summarise(figure_eight_truth)
+    whole = summarize(figure_eight_truth)
     assert summary.result() == whole | {"path_over_ground_m": pytest.approx(whole["path_over_ground_m"])}
 
 
@@ -434,12 +434,12 @@ def test_the_path_goes_on_across_the_date_line(short_truth):
     lla = short_truth.lla.copy()
     lla[:, 1] = np.mod(lla[:, 1] - lla[1000, 1], 2 * np.pi) - np.pi
     assert np.abs(np.diff(lla[:, 1])).max() > 6
-    there = summarise(replace(short_truth, lla=lla))["path_over_ground_m"]
-    assert_allclose(there, summarise(short_truth)["path_over_ground_m"], rtol=1e-9)
+    there = summarize(replace(short_truth, lla=lla))["path_over_ground_m"]
+    assert_allclose(there, summarize(short_truth)["path_over_ground_m"], rtol=1e-9)
 
 
 def test_the_summary_says_what_was_flown(short_truth):
-    summary = summarise(short_truth)
+    summary = summarize(short_truth)
     assert summary["duration_s"] == 60.0
     assert_allclose(summary["alt_max_m"], 1220.0, atol=3.0)
     assert_allclose(summary["bank_max_rad"], radians(30.0), atol=radians(2.0))

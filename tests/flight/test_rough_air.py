@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from bench.core.mathematics import rotation
 from bench.core.records.flight_specs import AircraftSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight.legs.climbs import Climb
 from bench.simulation.flight.legs.level import Straight
 from bench.simulation.flight.recorder import prepare
@@ -32,14 +32,14 @@ class Kind(NamedTuple):
 
 KINDS = {
     "aerosonde": Kind(AEROSONDE, 25.0),
-    "navion": Kind(load_profile("circuit-navion").flight.aircraft, 53.6),
+    "navion": Kind(read_profile("circuit-navion").flight.aircraft, 53.6),
     "c172x": Kind(
-        load_profile(
+        read_profile(
             "gnss-denied-leg", {"aircraft": "jsbsim:c172x", "start.speed_mps": 55.0}
         ).flight.aircraft,
         55.0,
     ),
-    "jet747": Kind(load_profile("airliner").flight.aircraft, 110.0),
+    "jet747": Kind(read_profile("airliner").flight.aircraft, 110.0),
 }
 
 
@@ -69,7 +69,7 @@ class Hold(NamedTuple):
     pitch: float  # standard deviation [deg]
     climb: float  # standard deviation [m/s]
     off: float  # height off, rms [m]
-    worst: float  # of 99 % of the instants of the worst flight [m]
+    worst: float  # of 99 % of the epochs of the worst flight [m]
     throttle: float  # standard deviation, 0 to 1
     moved: float  # rms of its rate at 20 Hz [1/s]
 

@@ -20,7 +20,7 @@ from bench.core.mathematics.earth import to_ecef
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import ScriptSpec
 from bench.core.words.exceptions import ConfigError, FlightError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.results.truth_cache import truth_key
 from bench.simulation.flight import fly, recorder
 from bench.simulation.flight.executive import silent_log
@@ -36,7 +36,7 @@ MM, UM = 1e-3, 1e-6  # [m], and [rad] for microradians
 
 def profile(folder: Path, text: str, **overrides: object):
     (folder / "mine.toml").write_text(text)
-    return load_profile(str(folder / "mine.toml"), overrides)
+    return read_profile(str(folder / "mine.toml"), overrides)
 
 
 def sanity(truth: Trajectory) -> str:
@@ -58,14 +58,14 @@ def test_a_profile_of_one_line_flies_a_script_to_its_end(take_off):
     assert sanity(truth) == ""
 
 
-def test_its_increments_bring_it_back_within_a_millimetre_and_a_microradian(take_off):
+def test_its_increments_bring_it_back_within_a_millimeter_and_a_microradian(take_off):
     distance, angle = replay(take_off, 200.0)
     assert distance < 1 * MM
     assert angle < 1 * UM
 
 
 def own_loop(name: str, dt: float, steps: int) -> np.ndarray:
-    """States and centres of gravity [in] of JSBSim's own loop, without any of the bench's copies."""
+    """States and centers of gravity [in] of JSBSim's own loop, without any of the bench's copies."""
     log = silent_log()
     jsbsim.set_logger(log)
     fdm = jsbsim.FGFDMExec(None)
@@ -92,7 +92,7 @@ def own_loop(name: str, dt: float, steps: int) -> np.ndarray:
 
 
 def test_truth_is_a_fixed_point_of_the_body_while_the_tanks_empty(take_off, tmp_path, monkeypatch):
-    """Without the offset the truth would follow the centre of gravity, 1.0 mm lower after 200 s."""
+    """Without the offset the truth would follow the center of gravity, 1.0 mm lower after 200 s."""
     monkeypatch.chdir(tmp_path)
     rows = own_loop("c1723", 1 / 400, 79_998)
     travel = 0.0254 * (rows[:, 3:6] - rows[0, 3:6])
@@ -109,8 +109,8 @@ def test_truth_is_a_fixed_point_of_the_body_while_the_tanks_empty(take_off, tmp_
     point = FT * rows[:, :3] + np.einsum("kij,kj->ki", C_en, lever_n)
     off = np.linalg.norm(to_ecef(take_off.lla) - point[::2][: len(take_off)], axis=1)
     assert off.max() < 0.2 * MM  # JSBSim integrates position and velocity by different rules
-    centre = np.linalg.norm(to_ecef(take_off.lla) - FT * rows[::2, :3][: len(take_off)], axis=1)
-    assert centre.max() > 0.8 * MM
+    center = np.linalg.norm(to_ecef(take_off.lla) - FT * rows[::2, :3][: len(take_off)], axis=1)
+    assert center.max() > 0.8 * MM
 
 
 @pytest.mark.parametrize(
@@ -253,8 +253,8 @@ def test_the_same_script_gives_the_same_bits_in_another_process_and_another_key_
     text = 'script = "dive.xml"\nduration_s = 3\n[evaluation]\nfrom_s = 0'
     first = profile(tmp_path, text)
     code = (
-        "import sys; from bench.io.config import load_profile; from bench.simulation.flight import fly;"
-        "sys.stdout.buffer.write(fly(load_profile(sys.argv[1]).flight).dvel_b.tobytes())"
+        "import sys; from bench.io.config import read_profile; from bench.simulation.flight import fly;"
+        "sys.stdout.buffer.write(fly(read_profile(sys.argv[1]).flight).dvel_b.tobytes())"
     )
     root = Path(__file__).parents[2]
     env = os.environ | {"PYTHONPATH": str(root)}
@@ -293,7 +293,7 @@ def test_a_script_is_flown_at_least_at_its_own_step(monkeypatch):
     def stop(spec, what, dt, progress):
         raise FlightError(f"{dt:g}")
 
-    monkeypatch.setattr(recorder, "_run_script", stop)
+    monkeypatch.setattr(recorder, "run_script", stop)
     spec = ScriptSpec("L410", path, WHEEL, "L410", 200.0, 1.0, 0, "light")
     with pytest.raises(FlightError) as step:
         list(recorder.record_script(spec))

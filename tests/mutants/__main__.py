@@ -1,10 +1,10 @@
-"""Errors made on purpose, and those that no test notices: ``make mutants PACKAGE=studies SEED=1 COUNT=30``.
+"""Errors made on purpose, and those that no test detects: ``make mutants PACKAGE=studies SEED=1 COUNT=30``.
 
 A sample is drawn of the errors that a package allows. Each is made in a copy of the tree and run against the
-tests that execute its line, until one fails. What no test notices is printed: write a test, or say in
+tests that execute its line, until one fails. What no test detects is printed: write a test, or say in
 ``equivalent.toml`` why the program is the same. The first run finds out which tests execute which line, which
 takes longer than the tests themselves; it is kept until the tree changes. ``TESTS=tests/studies`` runs only
-these: that is quick, and misses what other tests notice. Two packages may be examined side by side.
+these: that is quick, and misses what other tests detect. Two packages may be examined side by side.
 
 No library fits: mutmut and cosmic-ray find no test for a line of a kernel, which coverage cannot see.
 """
@@ -36,7 +36,7 @@ EQUIVALENT = Path("tests") / "mutants" / "equivalent.toml"
 """Errors that change nothing, each with its reason."""
 
 _MOST_SECONDS = 300.0  # of tests for one error; those of the quickest files are taken first
-_PATIENCE = 180.0, 5.0  # for one error [s], and per second that its tests took: then it counts as noticed
+_PATIENCE = 180.0, 5.0  # for one error [s], and per second that its tests took: then it counts as detected
 _NOTHING_FAILED = (0, 5)  # exit status of pytest: all passed; there was nothing to run
 
 
@@ -90,7 +90,7 @@ def collect(trial: Trial, tests: Sequence[str]) -> Executed:
 
 
 def try_mutant(trial: Trial, executed: Executed, mutant: Mutant) -> tuple[str, str]:
-    """Return "noticed", "unnoticed" or "out of time", and how many tests were run: quick files first."""
+    """Return "detected", "undetected" or "out of time", and how many tests were run: quick files first."""
     seconds = {one: executed.seconds[one] for one in executed.find_tests(mutant.file, mutant.place)}
     if not seconds:
         return "unnoticed", "no test executes it"
@@ -113,7 +113,7 @@ def try_mutant(trial: Trial, executed: Executed, mutant: Mutant) -> tuple[str, s
 
 
 def examine(root: Path, package: str, seed: int, count: int, tests: Sequence[str]) -> Iterator[str]:
-    """Yield what is to be printed: each mutant, with its source if no test notices it, and the sum."""
+    """Yield what is to be printed: each mutant, with its source if no test detects it, and the sum."""
     mutants = [one for path in find_sources(root, package) for one in find_mutants(path, root)]
     marked = read_equivalent(root)
     drawn = draw([one for one in mutants if one.key not in marked], count, seed)
@@ -132,7 +132,7 @@ def examine(root: Path, package: str, seed: int, count: int, tests: Sequence[str
                 yield from (f"  + {line}" for line in one.after.splitlines())
     noticed, marks = len(drawn) - results["unnoticed"], sum(one.key in marked for one in mutants)
     yield (
-        f"{noticed} of {len(drawn)} noticed, {results['out of time']} of them by taking too long; "
+        f"{noticed} of {len(drawn)} detected, {results['out of time']} of them by taking too long; "
         f"drawn from {len(mutants) - marks} with seed {seed}, {marks} marked as equivalent left out"
     )
 
@@ -141,7 +141,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print what `examine` finds."""
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=__doc__.partition("\n\n")[0])
     parser.add_argument("package", help="package or module of bench, as studies or navigation/models")
-    parser.add_argument("--seed", type=int, required=True, help="of the draw")
+    parser.add_argument("--seed", type=int, required=True, help="of the run")
     parser.add_argument("--count", type=int, default=30, help="of mutants")
     parser.add_argument(
         "--tests", nargs="*", default=[], help="files or folders of tests; all if none is named"

@@ -19,7 +19,7 @@ import numpy as np
 from bench.core.records.data import NavSolution, SensorData, Trajectory
 from bench.core.records.sensor_specs import Fault, SensorsSpec
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.weaving import units, weaving
@@ -79,7 +79,7 @@ SKY_ONLY = ("pseudorange", "satellite-clock", "receiver-clock", "jamming", "sate
 
 EXCEPTED = {
     "spoofed ranges": "all ranges and rates move alike, as if the aircraft did",
-    "spoofed with its velocity": "the same of a fix, once the gate believes it again after ten seconds",
+    "spoofed with its velocity": "the same of a fix, once the gate assumes it again after ten seconds",
     "frozen": "after an outage or a gap, and in all ranges, the frozen output is all that comes",
     "ranges after a gap of seconds": "the covariance has grown so far that every range passes",
 }
@@ -127,7 +127,7 @@ def flight() -> Trajectory:
 
 @cache
 def _sensors(imu: str, gnss: str) -> SensorsSpec:
-    return load_profile("figure-eight", {"sensors.imu": imu, "sensors.gnss": gnss}).sensors
+    return read_profile("figure-eight", {"sensors.imu": imu, "sensors.gnss": gnss}).sensors
 
 
 def sense(case: Case, run: int) -> SensorData:

@@ -1,10 +1,10 @@
-"""Is a filter honest on every profile and unit? NEES over many draws beside that of a twin.
+"""Is a filter consistent on every profile and unit? NEES over many runs beside that of a twin.
 
-The twin is the same filter on the same draws of sensors that have no error but those it models: biases as
-Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_unmodelled`). Both are judged
+The twin is the same filter on the same runs of sensors that have no error but those it models: biases as
+Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_unmodeled`). Both are evaluated
 by `bench.evaluation.ensembles.ensemble_consistency`. Run as a program it prints a row for each pair::
 
-    python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
+    python -m tests.navigation.consistency --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
 
 With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them.
 """
@@ -43,35 +43,35 @@ from bench.navigation import built_in, estimator
 from tests.measured import SHOWN, stamp, write_measured
 
 FOLDER = Path(bench.__file__).parent
-RECOVERY = 60.0  # after a fault, in which no honesty is asked for [s]
+RECOVERY = 60.0  # after a fault, in which no consistency is asked for [s]
 ALLOWED, CONFIDENCE = (
     0.10,
     0.99,
 )  # distance of the ratio from 1, and of the interval that the word follows from
-SEED = 90210  # of the judging draws; no model was built on them
+SEED = 90210  # of the evaluation runs; no model was built on them
 
 
 @dataclass
 class Judged:
-    """NEES and NIS of one estimator on the draws of one profile and unit."""
+    """NEES and NIS of one filter on the runs of one profile and unit."""
 
     profile: str
     unit: str
     use: str
     states: int = 9
-    nees: list[FloatArray] = field(default_factory=list)  # (M,) of each draw at the judged instants
-    nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each draw
-    apart: list[FloatArray] = field(default_factory=list)  # (M, 3) position error of each draw [m], n
-    failed: int = 0  # draws that did not converge by the rule of a run, from the first answer on
+    nees: list[FloatArray] = field(default_factory=list)  # (M,) of each run at the evaluated epochs
+    nis: dict[str, list[Any]] = field(default_factory=dict)  # by sensor, a series of each run
+    apart: list[FloatArray] = field(default_factory=list)  # (M, 3) position error of each run [m], n
+    failed: int = 0  # runs that did not converge by the rule of a run, from the first answer on
 
     @property
     def averages(self) -> FloatArray:
-        """NEES of each draw averaged over time."""
+        """NEES of each run averaged over time."""
         return np.array([row.mean() for row in self.nees])
 
     @property
     def mean(self) -> float:
-        """NEES over all draws."""
+        """NEES over all runs."""
         return float(self.averages.mean()) if self.nees else math.nan
 
     @property
@@ -80,7 +80,7 @@ class Judged:
         return float(self.averages.std(ddof=1) / np.sqrt(len(self.nees))) if len(self.nees) > 1 else math.nan
 
     def rmse(self, axes: slice) -> float:
-        """Return the RMSE of position along some axes, n, over all draws [m]."""
+        """Return the RMSE of position along some axes, n, over all runs [m]."""
         if not self.apart:
             return math.nan
         return float(np.sqrt(np.mean(np.sum(np.concatenate(self.apart)[:, axes] ** 2, axis=1))))
@@ -136,12 +136,12 @@ class Judged:
         return figures
 
 
-def without_unmodelled(sensors: SensorsSpec) -> SensorsSpec:
+def without_unmodeled(sensors: SensorsSpec) -> SensorsSpec:
     """Return sensors that have only errors `loose-full` models exactly, assumed as they are."""
     imu = replace(
         sensors.imu,
-        gyro=_modelled(sensors.imu.gyro),
-        accel=_modelled(sensors.imu.accel),
+        gyro=_modeled(sensors.imu.gyro),
+        accel=_modeled(sensors.imu.accel),
         thermal=ThermalSpec(),
         vibration=VibrationSpec(),
         accel_cone=0.0,
@@ -164,7 +164,7 @@ def without_unmodelled(sensors: SensorsSpec) -> SensorsSpec:
     return replace(sensors, imu=imu, gnss=gnss, baro=baro, assumed=assumed, faults=())
 
 
-def _modelled(triad: TriadSpec) -> TriadSpec:
+def _modeled(triad: TriadSpec) -> TriadSpec:
     """Return a triad without the errors that are no linear process, its flicker a Gauss-Markov process."""
     return replace(
         triad,
@@ -188,12 +188,12 @@ def with_unit(profile: Profile, imu: ImuSpec) -> Profile:
 
 
 def choose_instants(profile: Profile, t: FloatArray) -> BoolArray:
-    """Return the instants that are judged: after the alignment, at whole seconds, away from faults."""
+    """Return the epochs that are evaluated: after the alignment, at whole seconds, away from faults."""
     return (t >= profile.evaluation.begin) & (np.abs(t - np.round(t)) < 1e-6) & find_sound(profile, t)
 
 
 def find_sound(profile: Profile, t: FloatArray) -> BoolArray:
-    """Return the instants that no fault reaches."""
+    """Return the epochs that no fault reaches."""
     sound = np.ones(len(t), np.bool_)
     for fault in profile.sensors.faults:
         sound &= (t < fault.start) | (t >= fault.end + RECOVERY)
@@ -207,7 +207,7 @@ def judge_draws(
     uses: Sequence[tuple[str, dict[str, Any]]],
     runs: Iterable[int],
 ) -> list[Judged]:
-    """Return the NEES and NIS of estimators over draws; all get the same sensors."""
+    """Return the NEES and NIS of filters over runs; all get the same sensors."""
     found = [Judged(profile.name, unit, use) for use, _ in uses]
     built = [built_in.load(use, options) for use, options in uses]
     for run in runs:
@@ -249,12 +249,12 @@ def measure(
     """Yield a row for each profile, unit and receiver ("own": that of the profile) and estimator."""
     on_board = {} if receiver == "own" else {"sensors.gnss": receiver}
     for name in profiles:
-        flown = bench.load_profile(name, on_board)
+        flown = bench.read_profile(name, on_board)
         truth = bench.fly(flown)
         for unit in units:
             overrides = {} if unit == "own" else {"sensors.imu": unit}
             profile = replace(
-                bench.load_profile(name, {**on_board, **overrides, "evaluation.output_hz": 1.0}), seed=seed
+                bench.read_profile(name, {**on_board, **overrides, "evaluation.output_hz": 1.0}), seed=seed
             )
             label = profile.sensors.imu.name if unit == "own" else unit
             pairs = [
@@ -264,7 +264,7 @@ def measure(
             found = judge_draws(profile, truth, label, pairs, range(runs))
             others: list[Judged | None] = [None] * len(found)
             if twin:
-                plain = replace(profile, sensors=without_unmodelled(profile.sensors))
+                plain = replace(profile, sensors=without_unmodeled(profile.sensors))
                 others = list(judge_draws(plain, truth, label, pairs, range(runs)))
             for judged, other in zip(found, others, strict=True):
                 yield judged.row(other)
@@ -299,7 +299,7 @@ def judge_ratio(row: dict[str, Any]) -> tuple[float, str]:
 
 def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
     """Yield the lines of a table of the guide, a line for each profile or unit (``key``)."""
-    yield f"| {key} | draws | `loose-full` | twin | ratio | 10 % |"
+    yield f"| {key} | runs | `loose-full` | twin | ratio | 10 % |"
     yield "|---|---|---|---|---|---|"
     out = []
     for row in rows:
@@ -315,7 +315,7 @@ def write_table(rows: Iterable[dict[str, Any]], key: str) -> Iterator[str]:
 def write_pools(rows: Sequence[dict[str, Any]], key: str) -> Iterator[str]:
     """Yield the lines of a table of the guide that pools pairs by unit or profile (``key``)."""
     other = {"unit": "profile", "profile": "unit"}[key]
-    yield f"| {key} | draws | lost | NEES | largest mean | of |"
+    yield f"| {key} | runs | lost | NEES | largest mean | of |"
     yield "|---|---|---|---|---|---|"
     for name in sorted({row[key] for row in rows}):
         own = [row for row in rows if row[key] == name]

@@ -21,7 +21,7 @@ from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError, EstimatorError
 from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.metrics import run_metrics
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.error_state_filter.state_blocks import state_model
 from bench.navigation.models.loose_tight import Loose
@@ -92,7 +92,7 @@ def test_what_is_not_told_is_nan_with_infinite_variance(kind, told):
     assert np.isfinite(np.diag(start.cov)[:told]).all()
     given = sensors.sense(truth, units(), 1, 0).initial
     if told:
-        np.testing.assert_array_equal(start.lla, given.lla)  # the draw of what is told is that of all
+        np.testing.assert_array_equal(start.lla, given.lla)  # the run of what is told is that of all
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_what_is_not_told_is_nan_with_infinite_variance(kind, told):
     ],
 )
 def test_a_profile_says_which(asked, told):
-    spec = load_profile("circuit", {f"alignment.{key}": value for key, value in asked.items()}).sensors
+    spec = read_profile("circuit", {f"alignment.{key}": value for key, value in asked.items()}).sensors
     assert (spec.alignment, spec.align_for, pytest.approx(spec.drift_sd / DEG)) == told
 
 
@@ -124,7 +124,7 @@ def test_a_profile_says_which(asked, told):
 )
 def test_a_profile_that_asks_for_the_impossible_is_refused(asked, message):
     with pytest.raises(ConfigError) as caught:
-        load_profile("circuit", {f"alignment.{key}": value for key, value in asked.items()})
+        read_profile("circuit", {f"alignment.{key}": value for key, value in asked.items()})
     assert str(caught.value).startswith(f"circuit.toml: [alignment] {message}")
 
 
@@ -167,7 +167,7 @@ def test_the_heading_sd_is_that_of_the_register():
 
 
 def test_level_errors_are_what_the_covariance_says():
-    """200 draws: position, velocity and attitude together, 99.9 % band; with half the gyro drift it fails."""
+    """200 runs: position, velocity and attitude together, 99.9 % band; with half the gyro drift it fails."""
     truth, runs = standing(20.0), 200
     nees, tight = [], []
     half = replace(FINE, gyro=replace(FINE.gyro, turn_on_bias_sd=0.05 * DEG / 3600))
@@ -192,7 +192,7 @@ MOTIONS = {
 
 
 def tilts(motion, believed):
-    """NEES of the tilt at the end of the minute, 100 draws; a filter is told ``believed`` of it."""
+    """NEES of the tilt at the end of the minute, 100 runs; a filter is told ``believed`` of it."""
     make, spec = MOTIONS[motion]
     truth, nees = make(), []
     for run in range(100):
@@ -234,7 +234,7 @@ def test_a_bias_that_one_axis_hardly_has_leaves_the_covariance_positive_definite
 def test_the_joint_covariance_with_biases_that_wander_is_that_of_the_errors(motion):
     """Along its two narrowest directions, which are those that tie each tilt to the bias that made it.
 
-    A flicker is claimed to move a little more than it does: its mean has the variance of its value.
+    A flicker is reported to move a little more than it does: its mean has the variance of its value.
     """
     make, spec = MOTIONS[motion]
     accel = replace(
@@ -257,7 +257,7 @@ def test_the_joint_covariance_with_biases_that_wander_is_that_of_the_errors(moti
 
 
 def test_a_gyro_that_feels_gravity_has_it_in_its_heading_sd():
-    """100 draws, 99.9 % band; believed to feel none, it fails."""
+    """100 runs, 99.9 % band; assumed to feel none, it fails."""
     truth, runs = standing(20.0), 100
     felt = replace(FINE, gyro=replace(FINE.gyro, g_sensitivity_sd=0.02 * DEG / 3600))
     square, deaf = [], []
@@ -354,7 +354,7 @@ def straight(duration=30.0, rate=100.0):
 
 
 def test_course_errors_are_what_the_covariance_says():
-    """200 draws, crab angles drawn as claimed; with an accelerometer believed twice as good it fails."""
+    """200 runs, crab angles drawn as reported; with an accelerometer assumed twice as good it fails."""
     truth, runs = straight(15.0), 200
     nees, tight = [], []
     drift = 4 * DEG
@@ -404,9 +404,9 @@ def test_course_waits_for_a_stretch_that_moves():
 # --- flown by JSBSim ------------------------------------------------------------------------------------
 
 
-def test_an_aircraft_on_its_wheels_is_levelled_and_gyrocompassed():
-    """`static` for 40 s: each of tilt and heading within 4 sigma in 20 draws, mean square in its band."""
-    profile = load_profile("static", {"leg.1.duration_s": 40.0, "evaluation.from_s": 35.0})
+def test_an_aircraft_on_its_wheels_is_leveled_and_gyrocompassed():
+    """`static` for 40 s: each of tilt and heading within 4 sigma in 20 runs, mean square in its band."""
+    profile = read_profile("static", {"leg.1.duration_s": 40.0, "evaluation.from_s": 35.0})
     truth = pipeline.fly(profile, cache=False)
     errors, claimed = [], []
     for run in range(20):
@@ -421,7 +421,7 @@ def test_an_aircraft_on_its_wheels_is_levelled_and_gyrocompassed():
 
 
 def test_an_aircraft_in_the_wind_finds_its_nose_within_the_drift_it_allows(short_truth):
-    """25 m/s in 5 m/s of wind: the crab angle is inside 10 deg (1 sigma); tilt within 4 sigma in 20 draws."""
+    """25 m/s in 5 m/s of wind: the crab angle is inside 10 deg (1 sigma); tilt within 4 sigma in 20 runs."""
     ratio = []
     for run in range(20):
         start, error = found(short_truth, course(drift=10 * DEG), run=run)
@@ -494,7 +494,7 @@ def test_fixes_that_do_not_belong_to_the_record_are_refused():
         assert abs(rotation.to_euler(start.q_nb)[1]) > 1.0
 
 
-# --- in the estimators and the judgement ----------------------------------------------------------------
+# --- in the filters and the judgment ----------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -512,7 +512,7 @@ def test_estimators_align_say_so_and_are_silent_before(name, kind):
     if name != "gnss-only":
         ((_, end, text),) = solution.events.select("alignment")
         assert end >= 9.9
-        assert ("levelled" if kind == "level" else "course") in text
+        assert ("leveled" if kind == "level" else "course") in text
         np.testing.assert_array_equal(silent, solution.t < end - 1e-6)
     errors, judged = run_metrics.measure(truth, solution, evaluation=EvaluationWindow(14.0), outages=())
     assert judged["converged"], judged["reason"]

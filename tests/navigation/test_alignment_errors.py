@@ -25,7 +25,7 @@ from tests.weaving import DEG, units, weaving
 
 PERFECT = ImuSpec("perfect", TriadSpec(), TriadSpec())
 EXACT = GnssSpec("exact", 1.0, 0.0, 0.0, 0.0)
-T = 9.0  # length of the stretch [s]; it is from the first fix on that shows a speed
+T = 9.0  # length of the segment [s]; it is from the first fix on that shows a speed
 
 
 @cache
@@ -77,7 +77,7 @@ def position(k):
 
 
 def claims(velocities, imu=PERFECT, gnss=EXACT, **changes):
-    """The start that is found with a datasheet that is believed."""
+    """The start that is found with a datasheet that is assumed."""
     _, data, initial, _ = drawn(velocities)
     data = replace(data, specs=replace(data.specs, imu=imu, gnss=gnss))
     return alignment.complete(data, replace(initial, **changes))[0]
@@ -117,7 +117,7 @@ def test_a_course_by_velocities_errs_as_its_first_and_last_fix():
 
 @pytest.mark.parametrize("lacking", [None, 4, 7])
 def test_a_course_by_positions_errs_as_the_fixes_at_both_ends(lacking):
-    """Each end is two fixes a third of the stretch apart, or less, whose place gives its mean velocity."""
+    """Each end is two fixes a third of the segment apart, or less, whose place gives its mean velocity."""
     _, data, initial, _ = drawn(False)
     ends = [1, 4, 7, 10] if lacking is None else [1, 3, 6, 9] if lacking == 4 else [1, 4, 7, 9]
     if lacking is not None:
@@ -180,23 +180,23 @@ def test_a_course_off_the_nose_tilts_by_the_force_along_it():
     assert text == f"heading by the course of {said}"
 
 
-# --- the stretch of a course --------------------------------------------------------------------------------
+# --- the segment of a course --------------------------------------------------------------------------------
 
 
 def test_a_stretch_moves_throughout_and_reaches_over_no_long_gap():
     t, speed, none = np.arange(21.0), np.full(21, 5.1), np.empty(0)
-    assert course._moving(t, speed, 10.0, none) == (0, 10)
-    assert course._moving(t, speed, 10.0 + 0.5e-6, none) == (0, 10)
-    assert course._moving(t, np.where(t == 3.0, 4.9, 5.1), 10.0, none) == (4, 14)
-    assert course._moving(t, speed, 10.0, np.array([7.5, 7.9])) == (8, 18)
-    assert course._moving(t, speed, 10.0, np.array([7.5, 8.5])) == (9, 19)
-    assert course._moving(t, speed, 10.0, np.array([8.0, 8.9])) == (9, 19)  # at its begin a fix is before it
+    assert course.find_motion(t, speed, 10.0, none) == (0, 10)
+    assert course.find_motion(t, speed, 10.0 + 0.5e-6, none) == (0, 10)
+    assert course.find_motion(t, np.where(t == 3.0, 4.9, 5.1), 10.0, none) == (4, 14)
+    assert course.find_motion(t, speed, 10.0, np.array([7.5, 7.9])) == (8, 18)
+    assert course.find_motion(t, speed, 10.0, np.array([7.5, 8.5])) == (9, 19)
+    assert course.find_motion(t, speed, 10.0, np.array([8.0, 8.9])) == (9, 19)  # a fix at its begin
     for some, told in (
         (slice(0, 3), "the fastest of 3 fixes has 7.25 m/s"),
         (slice(0, 0), "there is no sound fix"),
     ):
         with pytest.raises(EstimatorError) as caught:
-            course._moving(t[some], np.array([5.5, 7.25, 6.0])[some], 10.0, none)
+            course.find_motion(t[some], np.array([5.5, 7.25, 6.0])[some], 10.0, none)
         assert str(caught.value) == f"alignment course needs 10 s of fixes above 5 m/s over ground; {told}"
 
 
@@ -243,13 +243,13 @@ def test_a_speed_is_that_since_a_second_before():
     sound = np.ones(6, np.bool_)
     lla = earth.displace(np.tile([0.8, 0.2, 500.0], (6, 1)), way)
     fixes = GnssFixes(t, t, sound, lla, way, none, none, 9 * sound)
-    found = course._speeds(fixes, np.arange(6))
+    found = course.speeds(fixes, np.arange(6))
     before = np.interp(np.maximum(t - 1.0, 0.0), t, 5.0 * t**2)
     passed = np.minimum(t, 1.0)
     assert_allclose(found[1:], (5.0 * t**2 - before)[1:] / passed[1:], rtol=1e-3)
     assert found[0] == 0.0
-    assert not len(course._speeds(fixes, np.arange(0)))
-    assert course._speeds(fixes, np.arange(1)).tolist() == [0.0]
+    assert not len(course.speeds(fixes, np.arange(0)))
+    assert course.speeds(fixes, np.arange(1)).tolist() == [0.0]
 
 
 def test_the_ends_of_a_stretch_are_a_third_of_it():
@@ -257,7 +257,7 @@ def test_the_ends_of_a_stretch_are_a_third_of_it():
 
     def ends(*t):
         some = take(one, np.zeros(len(t), np.int64))
-        return course._quartet(replace(some, t=np.array(t)), np.arange(len(t)))
+        return course.quartet(replace(some, t=np.array(t)), np.arange(len(t)))
 
     assert ends(*range(10)) == (0, 3, 6, 9)
     assert ends(0.0, 1.0, 2.0) == (0, 1, 1, 2)
@@ -333,7 +333,7 @@ def test_at_rest_attitude_and_biases_err_as_accelerometers_and_gyros_do():
         wanted = np.zeros((9, 6))
         wanted[6:, which] = -(sd**2) * J
         assert_allclose(found.bias_cov, wanted, rtol=0, atol=0.01 * np.abs(wanted).max())
-        assert_allclose(found.cov[3:6, 3:6], 1e-4 * np.eye(3))  # it stands to a centimetre per second
+        assert_allclose(found.cov[3:6, 3:6], 1e-4 * np.eye(3))  # it stands to a centimeter per second
         assert_allclose(found.cov[:3, :3], initial.cov[:3, :3])
         assert not found.vel_n.any()
         assert found.t == pytest.approx(20.0)
@@ -364,7 +364,7 @@ def test_at_rest_a_heading_is_given_or_unknown_where_the_gyros_do_not_tell_it(sd
         said = "heading is unknown: gyros of 83 deg/h cannot gyrocompass by 9.7 deg/h of Earth rate; motion"
         said += " finds it"
     tilt = np.rad2deg(3e-2 / 9.81)
-    assert text == f"levelled at rest, 20 s: tilt sd {tilt:.2g} deg each axis; {said}"
+    assert text == f"leveled at rest, 20 s: tilt sd {tilt:.2g} deg each axis; {said}"
     expected = np.zeros((9, 6))
     expected[6:8, 3:] = -9e-4 * J
     assert_allclose(found.bias_cov, expected, rtol=0, atol=0.01 * np.abs(expected).max())
@@ -379,7 +379,7 @@ def test_gyros_tell_a_heading_better_than_what_is_given():
     start = replace(initial, q_nb=rotation.from_euler(0.0, 0.0, 1.1), cov=cov)
     imu = replace(PERFECT, gyro=TriadSpec(turn_on_bias_sd=0.02 * E_RATE))
     found, ((*_, text),) = alignment.complete(believing(data, imu), start)
-    assert text == "levelled at rest, 20 s: tilt sd 0 deg each axis; heading gyrocompassed, sd 1.1 deg"
+    assert text == "leveled at rest, 20 s: tilt sd 0 deg each axis; heading gyrocompassed, sd 1.1 deg"
     assert found.cov[8, 8] == pytest.approx(0.02**2)
 
 

@@ -35,7 +35,7 @@ WRONG = {
     "innovations must be Innovations; got NoneType": lambda x: force(x, innovations=None),
     "extra_names must be a tuple of texts; got str": lambda x: force(x, extra_names="ab"),
     "extra_names[0] must be a text; got int": lambda x: force(x, extra_names=(5,)),
-    "extra_names[0] = 'a\\ud800' holds what is no character": lambda x: force(x, extra_names=("a\ud800",)),
+    "extra_names[0] = 'a\\ud800' contains an invalid character": lambda x: force(x, extra_names=("a\ud800",)),
     "events.kind[0] must be a text; got int": lambda x: force(
         x, events=Events(np.zeros(1), np.zeros(1), (5,), ("",), ("",))
     ),
@@ -61,7 +61,7 @@ WRONG = {
 def test_what_is_wrong_with_an_answer_is_named(sound, words):
     with pytest.raises(EstimatorFailedError) as error:
         accept("mine", WRONG[words](sound))
-    assert str(error.value).startswith(f"estimator 'mine': {words}")
+    assert str(error.value).startswith(f"filter 'mine': {words}")
 
 
 def test_what_the_contract_allows_keeps_its_bits(sensed, sound):

@@ -14,7 +14,7 @@ from scipy.integrate import cumulative_simpson
 from bench.core.mathematics.random_streams import stream
 from bench.core.records.data import InitialState
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.error_state_filter import corrections, propagation
 from bench.navigation.error_state_filter.aiding_sensors import AIDING
 from bench.navigation.error_state_filter.error_state import GYRO
@@ -65,12 +65,12 @@ def test_a_drive_acts_like_the_bias_it_names(drawn):
     assert growth[0, 0] > 1e-6
 
 
-def test_what_a_block_takes_is_modelled(drawn):
+def test_what_a_block_takes_is_modeled(drawn):
     specs = drawn.data.specs
     accel = replace(specs.imu.accel, bias_instability=1e-4, bias_correlation=100.0, bias_model="flicker")
     specs = replace(specs, imu=replace(specs.imu, accel=accel))
-    assert PUSH.takes[0] in Loose().unmodelled(specs)
-    assert PUSH.takes[0] not in Pushed().unmodelled(specs)
+    assert PUSH.takes[0] in Loose().unmodeled_errors(specs)
+    assert PUSH.takes[0] not in Pushed().unmodeled_errors(specs)
 
 
 def test_kernels_find_the_blocks_of_a_layout_and_no_others(drawn):
@@ -173,7 +173,7 @@ def test_an_error_of_the_datasheet_is_taken_off_as_the_sensor_adds_it(figure_eig
     shape = (3, 3) if figure.startswith("g2") else (3,)
     term = figure.removesuffix("_sd").removeprefix("scale_")
     drawn = sd * stream(5, 0, f"imu.{triad}.{term}").standard_normal(shape)
-    specs = replace(load_profile("figure-eight").sensors.assumed, imu=spec)
+    specs = replace(read_profile("figure-eight").sensors.assumed, imu=spec)
     start = InitialState(0.0, truth.lla[0], truth.vel_n[0], truth.q_nb[0], np.eye(9), "given", 0.0)
     model = state_model(start, specs, [EVERY_ERROR])
     state = np.zeros(model.layout.size + 1)

@@ -193,7 +193,7 @@ def test_an_event_of_a_gap_says_how_much_is_missing():
     assert (kind, text, sensor) == ("timeline", "imu: gap of 0.06 s", "imu")
     assert_allclose([begin, end], [1.0, 1.08])
     shifted = samples(10)
-    shifted = put(shifted, 5, t=shifted.t[5] + 0.9e-6)  # instants closer than a microsecond are the same
+    shifted = put(shifted, 5, t=shifted.t[5] + 0.9e-6)  # epochs closer than a microsecond are the same
     assert not timeline.imu_rows(shifted, 0.0, UNIT)[2]
     shifted = put(shifted, 5, t=shifted.t[5] + 0.6e-6)  # 1.5 in all
     assert len(timeline.imu_rows(shifted, 0.0, UNIT)[2]) == 1
@@ -203,7 +203,7 @@ def test_an_event_of_a_gap_says_how_much_is_missing():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_every_axis_at_the_end_of_its_range_is_seen(axis, compiled):
     """Either way; a nanopart of the range lower it is a sample as any other."""
-    check = timeline._check_kernel if compiled else timeline._check_kernel.py_func
+    check = timeline.check_kernel if compiled else timeline.check_kernel.py_func
     for name, limit in (("dtheta_b", 2.0), ("dvel_b", 50.0)):
         for part, sound in ((1.0, False), (-1.0, False), (1.0 - 1.5e-9, True), (0.5, True)):
             values = getattr(samples(6), name).copy()
@@ -218,7 +218,7 @@ def test_every_axis_at_the_end_of_its_range_is_seen(axis, compiled):
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_what_makes_a_row_of_an_imu_no_sample(compiled):
-    check = timeline._check_kernel if compiled else timeline._check_kernel.py_func
+    check = timeline.check_kernel if compiled else timeline.check_kernel.py_func
     span = np.empty(6)
 
     def look(start=0.0, **values):

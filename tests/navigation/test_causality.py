@@ -1,4 +1,4 @@
-"""What looks ahead is caught, what does not is not: at drawn instants, on fixes that come late."""
+"""What looks ahead is caught, what does not is not: at drawn epochs, on fixes that come late."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_the_smoother_uses_the_whole_record():
 
 
 class EarlyBird:
-    """Takes fixes at the instant they are of, before they are there."""
+    """Takes fixes at the time they are of, before they are there."""
 
     def run(self, data, initial):
         fixes = replace(data.fixes, t_arrival=data.fixes.t)
@@ -183,5 +183,5 @@ def test_only_what_arrives_later_is_changed():
     np.testing.assert_array_equal(fixes.lla[~late], one.data.fixes.lla[~late])
     np.testing.assert_array_equal(changed.imu.t, one.data.imu.t)
     shorter = replace(other.data, baro=None)
-    with pytest.raises(ValueError, match="baro: the two draws are not of the same instants"):
+    with pytest.raises(ValueError, match="baro: the two runs have different epochs"):
         change_later(one.data, shorter, 30.0)

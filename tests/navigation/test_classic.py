@@ -1,6 +1,6 @@
 """classic-22, the readable filter, against the compiled loose-22 and against its own equations.
 
-The two are the same estimator in other axes, coordinates and code; they share the datasheets, the Earth and
+The two are the same filter in other axes, coordinates and code; they share the datasheets, the Earth and
 the choice of rows of a record. tests/plugins/papers/test_register.py holds it against the register.
 """
 
@@ -17,7 +17,7 @@ from scipy.linalg import expm
 from bench import pipeline
 from bench.core.mathematics import earth, rotation
 from bench.core.words.exceptions import EstimatorError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import kalman
 from bench.navigation.error_state_filter import antenna_rows, corrections, error_state
@@ -67,7 +67,7 @@ def solution(sensed):
     return Classic22().run(sensed.data, sensed.initial)
 
 
-# --- the same estimator as loose-22 -----------------------------------------------------------------------
+# --- the same filter as loose-22 -----------------------------------------------------------------------
 
 
 def test_it_says_what_loose_22_says(sensed, solution):
@@ -105,14 +105,14 @@ def test_it_says_what_loose_22_says_on_whole_flights(name):
 
     Both step their covariance by the mean attitude and force of 50 ms, by which noise is told from a force.
     """
-    profile = load_profile(name)
+    profile = read_profile(name)
     flown = pipeline.sense(profile, pipeline.fly(profile))
     mine = Classic22().run(flown.data, flown.initial)
     assert_close(mine, Loose(gnss_markov=True).run(flown.data, flown.initial), [5e-3, 5e-5, 1.5e-6])
 
 
 def test_the_comparison_sees_small_defects(sensed, solution):
-    """R of the barometer a fifth too large; the antenna a centimetre to the side."""
+    """R of the barometer a fifth too large; the antenna a centimeter to the side."""
     data = sensed.data
     louder = replace(data, specs=replace(data.specs, baro=replace(BARO, white_sd=0.55)))
     aside = replace(data, antenna_b=data.antenna_b + np.array([0.0, 0.01, 0.0]))
@@ -168,8 +168,8 @@ def test_p_of_both_filters_is_one_at_the_start(sensed):
     assert_allclose(mapped / np.outer(sd, sd), P / np.outer(sd, sd), atol=1e-12)
 
 
-def test_markov_states_keep_their_metres_on_the_way(sensed):
-    """They are stationary: 600 km on and 50 km up, each has the standard deviation it had, in metres."""
+def test_markov_states_keep_their_meters_on_the_way(sensed):
+    """They are stationary: 600 km on and 50 km up, each has the standard deviation it had, in meters."""
     loop = FilterLoop(ClassicOptions(), sensed.data, sensed.initial)
     before = np.diag(loop.form.covariance)[16:18] / np.square(loop.scale)
     loop.elapsed, loop.B_sum = 0.01, 0.01 * loop.nav.B
@@ -180,7 +180,7 @@ def test_markov_states_keep_their_metres_on_the_way(sensed):
 
 
 def test_f_of_both_filters_is_one_matrix():
-    """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced metres stretch on the way."""
+    """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced meters segment on the way."""
     F = error_dynamics.dynamics_matrix(NAV, A_ENU, navigator.ellipsoid(NAV.lat, NAV.h))
     (lat_rate, lon_rate, h_rate), _, _ = equations.rates(
         NAV, np.zeros(3), np.zeros(3), navigator.ellipsoid(NAV.lat, NAV.h)
@@ -287,7 +287,7 @@ def test_the_step_integrates_the_equations():
 
 
 def test_the_sweep_of_the_antenna_is_left_out_of_nothing(sensed, solution):
-    """A filter that is told of no lever arm says something else: position by a part of a metre."""
+    """A filter that is told of no lever arm says something else: position by a part of a meter."""
     blind = Classic22().run(replace(sensed.data, antenna_b=np.zeros(3)), sensed.initial)
     assert rms(solution, blind)[0] > 0.2
 
@@ -388,7 +388,7 @@ def test_it_names_what_it_has_no_room_for():
 
     def named(triad, **changes):
         imu = replace(IMU, **{triad: replace(getattr(IMU, triad), **changes)})
-        return load("classic-22", {}).unmodelled(units(imu).assumed)
+        return load("classic-22", {}).unmodeled_errors(units(imu).assumed)
 
     for triad, words in (("gyro", "gyro"), ("accel", "accelerometer")):
         assert named(triad) == ()

@@ -83,7 +83,7 @@ def test_its_errors_have_the_sizes_and_the_correlation_of_the_datasheet():
 
 @pytest.mark.parametrize("use", ["loose-15", "loose-full"])
 def test_nis_is_in_its_band_and_leaves_it_with_more_noise(truth, use):
-    """99.9 % band over four draws; noise 1.4 times that of the datasheet leaves it."""
+    """99.9 % band over four runs; noise 1.4 times that of the datasheet leaves it."""
     for noisier, inside in ((1.0, True), (1.4, False)):
         spec = on_board(replace(ANTENNAS, white_sd=noisier * ANTENNAS.white_sd))
 
@@ -103,7 +103,7 @@ def test_nis_is_in_its_band_and_leaves_it_with_more_noise(truth, use):
     ("use", "options", "runs"), [("loose-15", {}, 16), ("ukf", {"covariance_hz": 2.0}, 1)]
 )
 def test_heading_and_offset_are_as_claimed_and_better_than_without(truth, use, options, runs):
-    """Squared errors by their claim stay below chi-squared, 99.9 %."""
+    """Squared errors by their covariance stay below chi-squared, 99.9 %."""
     heading, offset, ratio = 0.0, 0.0, []
     for run in range(runs):
         drawn = sensors.sense(truth, on_board(), 5, run)
@@ -144,7 +144,7 @@ def test_a_heading_is_told_at_rest_where_nothing_else_tells_it():
 
 
 def test_a_wrong_ambiguity_is_refused_and_told(truth):
-    """A step of 10 deg for 8 s: every reading in it is refused, and the heading stays as good as it was."""
+    """A step of 10 deg for 8 s: every reading in it is rejected, and the heading stays as good as it was."""
     (fault,) = read_faults([{"kind": "heading-step", "start_s": 30.0, "duration_s": 8.0, "step_deg": 10.0}])
     spec = on_board(faults=(fault,))
     drawn = sensors.sense(truth, spec, 5, 0)

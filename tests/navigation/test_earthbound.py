@@ -40,7 +40,7 @@ def test_every_filter_stops_with_its_reason(drawn, use):
 def test_it_stays_stopped_in_all_pieces(drawn, use):
     sensed, start = drawn
     filter_ = bench.open_filter(use, start, {}, look_back=0.5)
-    found = [filter_.feed(piece) for piece in pieces(sensed.data, [1.0, 2.5, 4.0])] + [filter_.finish()]
+    found = [filter_.update(piece) for piece in pieces(sensed.data, [1.0, 2.5, 4.0])] + [filter_.finish()]
     assert not np.isfinite(joined(found).lla).any()
     assert sum(len(one.events.select("ended")) for one in found) == 1
 

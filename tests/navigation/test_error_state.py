@@ -61,7 +61,7 @@ def displaced(nav, error):
 
 
 def difference(state, nav):
-    """Return the error of a state against nav, metres at nav."""
+    """Return the error of a state against nav, meters at nav."""
     meridian, prime = RADII(DIGITS.sin(nav[0]))
     d = long_zeros(9)
     d[0] = (state[0] - nav[0]) * (meridian + nav[2])
@@ -140,7 +140,7 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES)
 def test_dynamics_are_the_jacobian_of_the_mechanization(case):
-    """A-5.1.10 in NED and metres; every element to 1e-4 of itself, or of its block where it is zero."""
+    """A-5.1.10 in NED and meters; every element to 1e-4 of itself, or of its block where it is zero."""
     nav, f_b, w_ib_b, F = dynamics_of(case)
     numeric = numerical_dynamics(nav, f_b, w_ib_b)
     zero = np.maximum(1e-4 * block_largest(F), np.where(block_largest(F) == 0, 1e-6, 0))

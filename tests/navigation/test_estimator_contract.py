@@ -1,4 +1,4 @@
-"""What every estimator owes the bench, built in or the user's, and that the check sees each way to break it.
+"""What every filter owes the bench, built in or the user's, and that the check sees each way to break it.
 
 It pickles, is repeatable, leaves its input alone, answers at every output time, says how sure it is, and
 never meets the truth. An option has its effect, a wrong one its message; a filter that diverges is a result.
@@ -51,7 +51,7 @@ class Standing:
 '''
 
 
-# --- what every estimator owes --------------------------------------------------------------------------
+# --- what every filter owes --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", BUILT_IN)
@@ -101,10 +101,10 @@ def test_what_they_need_is_said_before_the_flight(name):
     if name in ("free-inertial", "baro-inertial"):
         check_needs(built, name, {"baro"})
     else:
-        with pytest.raises(EstimatorError, match=rf"estimator '{name}' needs a gnss.*; there is none"):
+        with pytest.raises(EstimatorError, match=rf"filter '{name}' needs a gnss.*; there is none"):
             check_needs(built, name, {"baro"})
     if name == "baro-inertial":
-        with pytest.raises(EstimatorError, match="estimator 'baro-inertial' needs a baro; there is none"):
+        with pytest.raises(EstimatorError, match="filter 'baro-inertial' needs a baro; there is none"):
             check_needs(built, name, {"fixes"})
     if name == "loose-15":
         check_needs(built, name, {"fixes"})  # a barometer is used where there is one
@@ -115,13 +115,13 @@ def test_an_estimator_of_yours_states_its_needs():
         needs = ("mag", "fixes")
 
     check_needs(Mine(), "mine", {"mag", "fixes"})
-    with pytest.raises(EstimatorError, match=r"estimator 'mine' needs a mag; there is none in \[sensors\]"):
+    with pytest.raises(EstimatorError, match=r"filter 'mine' needs a mag; there is none in \[sensors\]"):
         check_needs(Mine(), "mine", {"fixes"})
     Mine.needs = ("observations",)
     with pytest.raises(EstimatorError, match=r"needs a gnss at measurement level, one with \[sky\] such as"):
         check_needs(Mine(), "mine", {"fixes"})
     Mine.needs = ("sonar",)
-    with pytest.raises(EstimatorError, match="needs 'sonar', which is none of fixes, observ"):
+    with pytest.raises(EstimatorError, match="needs 'sonar', expected one of fixes, observ"):
         check_needs(Mine(), "mine", {"fixes"})
     del Mine.needs
     check_needs(Mine(), "mine", set())
@@ -352,7 +352,7 @@ def test_the_check_sees_what_an_estimator_does_not_stand(sensed, weak, message):
 
 
 class NeedsTimes(Changed):
-    """Copes with whatever is measured, at instants that are known."""
+    """Copes with whatever is measured, at epochs that are known."""
 
     def run(self, sensors, initial):
         assert np.isfinite(sensors.fixes.t).all()
@@ -368,7 +368,7 @@ class NoAttitude(Changed):
 
 @pytest.mark.parametrize("sound", [NoAttitude, NeedsTimes])
 def test_what_is_no_breach(sensed, sound):
-    """A block that is not estimated is NaN throughout; instants of a record are finite."""
+    """A block that is not estimated is NaN throughout; epochs of a record are finite."""
     bench.check_estimator(sound(), sensed.data, sensed.initial)
 
 
@@ -382,7 +382,7 @@ with open(sys.argv[1], "rb") as file:
 solutions = {name: load(name, {}).run(one, initial) for name, one in data.items()}
 seen = [m for m in sys.modules if m.startswith(("bench.", "jsbsim"))]
 filter_run = sys.modules["bench.navigation.error_state_filter.filter_run"]
-compiled = len(filter_run._fusion_kernel.dispatcher.signatures)
+compiled = len(filter_run.fusion_kernel.dispatcher.signatures)
 with open(sys.argv[2], "wb") as file:
     pickle.dump((solutions, seen, compiled), file)
 """
@@ -412,13 +412,13 @@ def test_estimators_need_nothing_but_the_record_and_the_start(sensed, tmp_path):
         (
             "lose-15",
             {},
-            "no estimator 'lose-15'; there are loose-15, loose-22, loose-mems, loose-full, tight,",
+            "no filter 'lose-15'; there are loose-15, loose-22, loose-mems, loose-full, tight,",
         ),
-        ("smother", {}, "no estimator 'smother'; there are"),
-        ("", {}, "no estimator ''; there are"),
-        (":Class", {}, "no estimator ':Class'; there are"),
-        (".here:Class", {}, "no estimator '.here:Class'; there are"),
-        ("not_a_lab:Class", {}, "estimator 'not_a_lab:Class': no module 'not_a_lab' on the Python path"),
+        ("smother", {}, "no filter 'smother'; there are"),
+        ("", {}, "no filter ''; there are"),
+        (":Class", {}, "no filter ':Class'; there are"),
+        (".here:Class", {}, "no filter '.here:Class'; there are"),
+        ("not_a_lab:Class", {}, "filter 'not_a_lab:Class': no module 'not_a_lab' on the Python path"),
         ("bench.nowhere:Class", {}, "no module 'bench.nowhere' on the Python path"),
         (
             "bench.core.records.data:Nothing",
@@ -456,7 +456,7 @@ def test_an_estimator_that_cannot_be_built_says_why(use, options, message):
 
 
 def test_an_error_inside_a_users_module_keeps_its_own_kind(tmp_path, monkeypatch):
-    """A missing import of the user's is not a missing estimator, even where the names begin alike."""
+    """A missing import of the user's is not a missing filter, even where the names begin alike."""
     (tmp_path / "lab_broken.py").write_text("1 / 0\n")
     (tmp_path / "lab_of_one.py").write_text("import lab_of\n")
     monkeypatch.syspath_prepend(tmp_path)
@@ -524,7 +524,7 @@ def test_a_slower_covariance_with_a_defect_would_leave_the_one_percent():
 
 
 def refused(solution):
-    """How many sub-vectors were refused."""
+    """How many sub-vectors were rejected."""
     first = solution.innovations.component == 0
     return int((~solution.innovations.accepted[first]).sum())
 
@@ -545,7 +545,7 @@ def test_a_gate_refuses_the_share_it_is_told(truth):
     assert binom.ppf(0.0005, total, 0.01) <= counts[0.01] <= binom.ppf(0.9995, total, 0.01)
     assert counts[0.2] > binom.ppf(
         0.9995, total, 0.01
-    )  # refusing a fifth unsettles the filter: no bound above
+    )  # rejecting a fifth unsettles the filter: no bound above
 
 
 @pytest.mark.parametrize(("after", "refusals"), [(0.0, 3), (2.5, 3), (4.0, 4), (9.0, 9)])
@@ -574,10 +574,10 @@ def test_aiding_switched_off_is_aiding_absent(sensed, option):
 # --- a filter that diverges is a result -------------------------------------------------------------------
 
 ABSURD = {
-    "GNSS that claims a nanometre": {"gnss": replace(GNSS, pos_h_white_sd=1e-9, pos_v_white_sd=1e-9)},
+    "GNSS that covariances a nanometer": {"gnss": replace(GNSS, pos_h_white_sd=1e-9, pos_v_white_sd=1e-9)},
     "GNSS without noise": {"gnss": replace(GNSS, pos_h_white_sd=0.0, pos_v_white_sd=0.0, vel_white_sd=0.0)},
     "GNSS of NaN": {"gnss": replace(GNSS, pos_h_white_sd=np.nan)},
-    "baro that claims a nanometre": {"baro": replace(BARO, white_sd=1e-9, bias_sd=0.0, bias_walk=0.0)},
+    "baro that covariances a nanometer": {"baro": replace(BARO, white_sd=1e-9, bias_sd=0.0, bias_walk=0.0)},
     "gyro noise of NaN": {"imu": replace(IMU, gyro=replace(IMU.gyro, random_walk=np.nan))},
     "gyro noise beyond reason": {"imu": replace(IMU, gyro=replace(IMU.gyro, random_walk=1e150))},
     "accelerometer noise beyond reason": {"imu": replace(IMU, accel=replace(IMU.accel, random_walk=1e150))},

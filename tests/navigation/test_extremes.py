@@ -41,7 +41,7 @@ PLACES = {
 
 
 def honest(estimator, truth, spec, draws, options=None):
-    """Assert that the NEES over draws is in its band at four instants, and P positive definite throughout.
+    """Assert that the NEES over runs is in its band at four epochs, and P positive definite throughout.
 
     Return the last solution.
     """
@@ -50,7 +50,7 @@ def honest(estimator, truth, spec, draws, options=None):
         sensed = sensors.sense(truth, spec, 11, draw)
         solution = load(estimator, options or {}).run(sensed.data, sensed.initial)
         assert_positive_definite(solution)
-        assert solution.innovations.accepted.mean() > 0.995  # one in 1e5 is refused by chance
+        assert solution.innovations.accepted.mean() > 0.995  # one in 1e5 is rejected by chance
         errors = error_series(truth, solution)
         nees.append(errors.nees)
     low, high = band(draws, errors.states)
@@ -155,12 +155,12 @@ def free_drift(part, estimator):
         sensed = sensors.sense(truth, spec, 11, draw)
         built = load(estimator, {})
         nees.append(error_series(truth, built.run(sensed.data, sensed.initial)).nees[-1])
-    return np.mean(nees), built.unmodelled(spec.assumed)
+    return np.mean(nees), built.unmodeled_errors(spec.assumed)
 
 
 @pytest.mark.parametrize("estimator", ["free-inertial", "baro-inertial"])
 def test_what_free_drift_leaves_out_is_of_second_order_and_said(estimator):
-    """A thirtieth of the errors: honest. All of them: tilts of degrees bend the drift, and words say so."""
+    """A thirtieth of the errors: consistent. All of them: tilts of degrees bend the drift, with a remark."""
     low, high = band(8, 9)
     small, words = free_drift(1 / 30, estimator)
     assert low < small < high
@@ -175,4 +175,4 @@ def test_a_free_drift_by_gyros_of_two_degrees_an_hour_is_linear(estimator, said)
     for bias, count in ((1.9, 0), (2.1, said)):
         gyro = replace(IMU.gyro, turn_on_bias_sd=bias * DEG / 3600.0)
         specs = replace(units().assumed, imu=replace(IMU, gyro=gyro))
-        assert len(load(estimator, {}).unmodelled(specs)) == count
+        assert len(load(estimator, {}).unmodeled_errors(specs)) == count

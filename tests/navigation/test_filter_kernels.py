@@ -228,7 +228,7 @@ def test_the_rows_of_a_standstill_are_differences_of_its_rates_and_velocities():
     earth_n = 7.292115e-5 * np.array([np.cos(0.8), 0.0, -np.sin(0.8)])
     wanted = rate - state[10:13] - rotation.matrix(state[6:10]).T @ earth_n
     assert_allclose(z, [0.1, -0.2, 0.3, *wanted], rtol=1e-9, atol=1e-13)
-    for k in range(3, 15):  # a place a metre off turns the rates by 1e-11 rad/s
+    for k in range(3, 15):  # a place a meter off turns the rates by 1e-11 rad/s
         step = 1e-3 * np.eye(15)[k]
         assert_allclose(H[:, k], (rows(step)[0] - rows(-step)[0]) / 2e-3, rtol=1e-6, atol=1e-11)
 
@@ -323,7 +323,7 @@ def test_a_fix_beyond_the_date_line_is_near():
     assert_allclose(z, [0, -2e-6 * (prime + 100.0) * np.cos(0.5), 0, 0, 0, 0], atol=1e-6)
 
 
-# --- what is believed -------------------------------------------------------------------------------------
+# --- what is assumed -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from bench.core.records.data import GnssFixes, ImuData, Trajectory
 from bench.core.records.instruments import AirspeedData, AirspeedSpec, MagData, MagSpec
 from bench.core.records.sensor_specs import ThermalSpec
 from bench.evaluation.errors import error_series as judge
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import integrity
 from bench.navigation.error_state_filter import standstill
@@ -85,10 +85,10 @@ def test_without_delay_the_option_changes_no_bit(truth):
     one, other = (Loose(compensate_latency=c).run(drawn.data, drawn.initial) for c in (True, False))
     assert_array_equal(one.lla, other.lla)
     assert_array_equal(one.cov, other.cov)
-    assert "GNSS latency" in Loose(compensate_latency=False).unmodelled(
+    assert "GNSS latency" in Loose(compensate_latency=False).unmodeled_errors(
         replace(drawn.data.specs, gnss=replace(GNSS, latency=0.2))
     )
-    assert Loose().unmodelled(replace(drawn.data.specs, gnss=replace(GNSS, latency=0.2))) == ()
+    assert Loose().unmodeled_errors(replace(drawn.data.specs, gnss=replace(GNSS, latency=0.2))) == ()
 
 
 def test_an_epoch_between_two_samples_is_used_at_its_own_instant(truth):
@@ -131,7 +131,7 @@ def test_an_answer_between_two_samples_is_that_of_a_record_cut_there(part):
 
 
 def test_noise_is_taken_from_the_innovations(truth):
-    """A receiver four times as noisy as assumed: NIS falls to 3, errors shrink, the claim follows.
+    """A receiver four times as noisy as assumed: NIS falls to 3, errors shrink, the covariance follows.
 
     Without it NIS lies between 3 and 3 * 16, by how much of S is R.
     """
@@ -167,7 +167,7 @@ def test_the_level_of_noise_is_the_running_mean_of_what_innovations_have_beyond_
     alt[30], lla[6, 0] = alt[30] + 40.0, lla[6, 0] + 1e-5
     data = replace(drawn.data, baro=replace(baro, alt_baro=alt), fixes=replace(fixes, lla=lla))
     passage = Passage(Loose(adaptive_noise=20, gate_probability=1e-3), data, drawn.initial, [])
-    solution = passage.feed(data, 0.0, last=True)
+    solution = passage.update(data, 0.0, last=True)
     most, table = stats.chi2.isf(1e-3, 1), solution.innovations
     position, height = fix_variance(GNSS, gnss_markov=False)[:3], np.array([BARO.white_sd**2])
     for sensor, r in (("gnss_position", position), ("baro", height)):
@@ -186,7 +186,7 @@ def test_an_imu_warms_on_the_way_with_the_air_of_its_height():
     drawn = sensors.sense(weaving(15.0, rate=50.0), units(replace(IMU, gyro=gyro, thermal=thermal)), 8, 0)
     passage = Passage(Loose(every_error=True), drawn.data, drawn.initial, [])
     assert passage.run.warmth == pytest.approx(-15.2, abs=0.1)
-    passage.feed(drawn.data, 0.0, last=True)
+    passage.update(drawn.data, 0.0, last=True)
     imu, (rate, force) = drawn.data.imu, passage.run.work.measure.last  # what measurements see: the newest
     assert_allclose(rate, imu.dtheta_b[-1] * 50.0, atol=1e-3)
     assert_allclose(force, imu.dvel_b[-1] * 50.0, atol=0.1)
@@ -221,7 +221,7 @@ def standing(duration, rate=200.0):
 
 
 def test_standstill_holds_position_and_finds_gyro_biases():
-    """No GNSS, no baro, 60 s at rest: without the updates it drifts by tens of metres."""
+    """No GNSS, no baro, 60 s at rest: without the updates it drifts by tens of meters."""
     truth = standing(60.0)
     for run in range(3):
         drawn = sensors.sense(truth, units(gnss=None, baro=None), 9, run)
@@ -235,7 +235,7 @@ def test_standstill_holds_position_and_finds_gyro_biases():
 
 
 def test_steady_flight_is_no_standstill():
-    """In calm air the IMU alone cannot tell; the gate refuses, and what the filter says stays as it was."""
+    """In calm air the IMU alone cannot tell; the gate rejects, and what the filter says stays as it was."""
     truth = weaving(120.0, straight_from=60.0)
     drawn = sensors.sense(truth, units(), 9, 0)
     ends, *_ = standstill.StandstillDetector(drawn.initial.t, IMU).take(drawn.data.imu)
@@ -315,13 +315,13 @@ def test_the_tolerance_is_that_of_the_register(truth):
     limit = integrity.tolerance(
         1.0, np.array([GNSS.pos_h_white_sd]), order=2, max_acceleration=20.0, sigmas=5.0
     )
-    for metres, kept in ((limit[0] - 4.0, True), (limit[0] + 4.0, False)):
+    for meters, kept in ((limit[0] - 4.0, True), (limit[0] + 4.0, False)):
         lla = drawn.data.fixes.lla.copy()
         sound = Loose(integrity=()).run(drawn.data, drawn.initial).innovations
         at = 60.0
         z = sound.z[(sound.code == 0) & (sound.component == 0) & np.isclose(sound.t, at)][0]
         R_M, _ = earth.radii(lla[59, 0])
-        lla[59, 0] += (metres - z) / (R_M + lla[59, 2])
+        lla[59, 0] += (meters - z) / (R_M + lla[59, 2])
         data = replace(drawn.data, fixes=with_columns(drawn.data.fixes, lla=lla))
         table = Loose(integrity=("tolerance",)).run(data, drawn.initial).innovations
         row = (table.code == 0) & (table.component == 0) & np.isclose(table.t, at)
@@ -433,7 +433,7 @@ def test_all_wrong_options_are_told_at_once():
 
 @pytest.mark.parametrize("name", ["loose-15", "gnss-only", "ukf"])
 def test_a_fix_is_weighed_by_the_accuracy_it_reports(truth, name):
-    """Fixes with 10 m of noise that say so: the position claimed is right; by the datasheet it is not."""
+    """Fixes with 10 m of noise that say so: the position reported is right; by the datasheet it is not."""
     squares: dict[str, list[float]] = {"datasheet": [], "reported": [], "larger": []}
     for run in range(1 if name == "ukf" else 2):
         drawn = sensors.sense(truth, units(), 14, run)
@@ -477,20 +477,20 @@ def test_slow_errors_that_have_states_count_once_in_a_report(truth):
     """A report of noise and slow errors together is the datasheet's noise; what it says beyond is added."""
     gnss = replace(GNSS, pos_h_markov_sd=1.5, pos_v_markov_sd=2.0, pos_decay_time=600.0)
     fixes = sensors.sense(truth, units(gnss=gnss), 14, 0).data.fixes
-    white, total = (fix_variance(gnss, gnss_markov=modelled) for modelled in (True, False))
+    white, total = (fix_variance(gnss, gnss_markov=modeled) for modeled in (True, False))
     assert_allclose(weigh_fixes(fixes, gnss, white, "larger"), [white] * len(fixes), rtol=1e-12)
     more = replace(fixes, cov_pos_n=fixes.cov_pos_n + 7.0 * np.eye(3), cov_vel_n=0.5 * fixes.cov_vel_n)
     beyond = np.array([7.0, 7.0, 7.0, 0.0, 0.0, 0.0])
     for known in (white, total):
         assert_allclose(weigh_fixes(more, gnss, known, "larger"), [known + beyond] * len(fixes), rtol=1e-12)
-    sky = replace(gnss, sky=load_profile("gnss-jammed").sensors.gnss.sky)
+    sky = replace(gnss, sky=read_profile("gnss-jammed").sensors.gnss.sky)
     assert_allclose(weigh_fixes(more, sky, white, "auto"), [white + beyond] * len(fixes), rtol=1e-12)
 
 
 def test_satellites_behind_the_wing_make_a_fix_worse_and_the_filter_knows():
     """Circles at 45 deg of bank with a receiver of the level of measurements: by the datasheet mean NIS of
     position is 4, and an IMU of navigation grade turns what the jumps seem to say into attitude."""
-    profile = load_profile("gnss-jammed", {"sensors.imu": "hg9900", "evaluation.output_hz": 1.0})
+    profile = read_profile("gnss-jammed", {"sensors.imu": "hg9900", "evaluation.output_hz": 1.0})
     flown = pipeline.fly(profile)
     circles = first_rows(flown, int(np.searchsorted(flown.t, 90.0)) + 1)
     nis, attitude = {}, {}
@@ -518,7 +518,7 @@ def test_satellites_behind_the_wing_make_a_fix_worse_and_the_filter_knows():
 def test_fixes_whose_sd_is_raised_pull_less_and_the_claim_is_right(truth, raised):
     """240 RTK fixes of 1 cm in the middle of 480; told as 5 m they change the answer, and with 5 m of noise
     only a filter that reads their report uses them."""
-    rtk = replace(units(), gnss=load_profile("figure-eight", {"sensors.gnss": "rtk-fixed"}).sensors.gnss)
+    rtk = replace(units(), gnss=read_profile("figure-eight", {"sensors.gnss": "rtk-fixed"}).sensors.gnss)
     rtk = replace(rtk, assumed=replace(rtk.assumed, gnss=rtk.gnss))
     part = first_rows(truth, int(np.searchsorted(truth.t, 96.0)) + 1)
     drawn = sensors.sense(part, rtk, 14, 0)

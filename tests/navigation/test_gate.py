@@ -1,4 +1,4 @@
-"""The gate: hand cases of what becomes of a measurement, and of how refused fixes move."""
+"""The gate: hand cases of what becomes of a measurement, and of how rejected fixes move."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_sound_measurement_ends_a_row_of_refusals():
     [
         (RADAR, [0], STEPPED),  # fixes hold the filter: the altimeter made a step
         (RADAR, [2], LOST),  # a barometer holds nothing but the height
-        (0, [1], LOST),  # positions are refused: the filter may have been led away from them
+        (0, [1], LOST),  # positions are rejected: the filter may have been led away from them
         (0, [2], LOST),
         (1, [0], LOST),
     ],
@@ -75,7 +75,7 @@ def test_where_gnss_is_used_meanwhile_the_filter_is_not_lost(channel, used, verd
 
 
 def moving(place, speed, seconds=30):
-    """Whether fixes of 1 Hz are to be believed, by innovations of their position and velocity along east."""
+    """Whether fixes of 1 Hz are to be assumed, by innovations of their position and velocity along east."""
     trust, found = new_trust(2, 0.0), []
     for t in range(1, seconds + 1):
         y = np.array([0.0, place(t), 0.0, 0.0, speed(t), 0.0])
@@ -110,15 +110,15 @@ def test_a_gate_in_python_logs_what_it_decides_and_tells_of_refusals():
     table, events = gate.take(last=True)
     assert table.accepted.tolist() == [False] * 4 + [True]
     assert table.z.tolist() == [40.0] * 5
-    assert [(a, b, text) for a, b, _, text, _ in events] == [(1.0, 4.0, "radar: 4 in a row refused")]
+    assert [(a, b, text) for a, b, _, text, _ in events] == [(1.0, 4.0, "radar: 4 in a row rejected")]
     assert len(gate.take(last=True)[0]) == 0
 
 
 def test_the_number_of_refusals_is_an_option_no_more():
     with pytest.raises(EstimatorError) as caught:
         load("loose-15", {"readmit_after": 10})
-    told = "unknown option 'readmit_after'; use 'readmit_after_s', the time of refusals in seconds"
-    assert str(caught.value) == f"estimator 'loose-15': {told}"
+    told = "unknown option 'readmit_after'; use 'readmit_after_s', the time of rejections in seconds"
+    assert str(caught.value) == f"filter 'loose-15': {told}"
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velo
     assert not gate.drifted
     gate.see_fix(10.0, y, S, np.full(3, 2.0))
     assert gate.drifted is drifted
-    gate.see_fix(10.0, y, S, np.full(3, 10.0))  # the filter claims to know its place better than the fix
+    gate.see_fix(10.0, y, S, np.full(3, 10.0))  # the filter reports to know its place better than the fix
     assert gate.drifted is (velocity == 12.0)
     gate.decide(10.0, 0, y[:3], [1.0] * 3, 0.0, sound=True)
     gate.see_fix(10.5, y, S, np.ones(3))
@@ -207,7 +207,7 @@ def test_a_gate_of_a_compiled_filter_sees_a_fix_as_one_in_python_does():
         S = H @ P @ H.T + np.diag(r)
         y = np.linalg.cholesky(S) @ (rng.normal(size=6) * np.repeat(sizes, 3))
         gate, trust = InnovationGate(SENSORS, 0.0, 1e-5, 1.0), new_trust(2, 0.0)
-        if k % 3 == 0:  # refused a second ago, elsewhere
+        if k % 3 == 0:  # rejected a second ago, elsewhere
             for one in (gate.trust, trust):
                 moves_kernel(9.0, np.append(y[:3] - y[3:], y[3:]), np.ones(6), 25.9, 1.0, one)
                 decide_kernel(9.0, 0, False, False, False, 1.0, 2, one)
@@ -277,7 +277,7 @@ def test_refusals_are_told_once_each_however_the_log_is_cut():
             if k is not None and not accepted[k]:
                 row.append(t[k])
             elif row:
-                said = f"{names[one]}: {len(row)} in a row refused"
+                said = f"{names[one]}: {len(row)} in a row rejected"
                 wanted.append((row[0], row[-1], "refused", said, names[one]))
                 row = []
     assert refusals(t, marks, names, {}, last=True) == sorted(wanted)

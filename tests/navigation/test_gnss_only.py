@@ -1,4 +1,4 @@
-"""gnss-only: Singer's model in closed form, consistent in its own world, honest in a flight; #48 beside it.
+"""gnss-only: Singer's model in closed form, consistent in its own world and in a flight; #48.
 
 Register #48, extrapolation between 1 Hz fixes: an INS leaves less than 0.05 m, a receiver alone several
 times that.
@@ -105,7 +105,7 @@ def plain_track(options, t, x, P, fixes, r, output):
 
 
 def test_a_track_of_fixes_is_a_kalman_filter_of_whole_matrices():
-    """Without velocity, refused, believed again after 3 s, and after an outage; one comes twice."""
+    """Without velocity, rejected, re-admitted after 3 s, and after an outage; one comes twice."""
     options, rng = (
         GnssOnlyOptions(acceleration=2.0, correlation_s=5.0, readmit_after_s=3.0),
         np.random.default_rng(4),
@@ -287,5 +287,5 @@ def test_every_option_moves_the_answer(flight):
         {"acceleration": 5.0}, {"correlation_s": 3.0}, {"gate_probability": 0.3}, {"readmit_after_s": 2.0}
     ):  # fmt: skip
         assert not np.array_equal(GnssOnly(**options).run(data, sensed.initial).lla, plain.lla), options
-    named = GnssOnly().unmodelled(replace(units().assumed, gnss=replace(GNSS, pos_h_markov_sd=2.0)))
+    named = GnssOnly().unmodeled_errors(replace(units().assumed, gnss=replace(GNSS, pos_h_markov_sd=2.0)))
     assert named == ("time-correlated GNSS position error",)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.simulation import sensors
 from tests.builders import band
@@ -28,7 +28,7 @@ STILL, AFTER = 36.0, 44.0  # [s]
 def mean_nees(motion: str, unit: str, runs: int) -> list[float]:
     """Return the NEES of each run of `loose-full` at the end, with fixes of 1 Hz."""
     truth = hovering(STILL + AFTER, 50.0, still_s=STILL, **MOTIONS[motion])
-    catalog = load_profile("figure-eight", {"sensors.imu": unit, "sensors.gnss": "l1-code"}).sensors
+    catalog = read_profile("figure-eight", {"sensors.imu": unit, "sensors.gnss": "l1-code"}).sensors
     spec = replace(units(catalog.imu, catalog.gnss, catalog.baro), output_rate=1.0)
     found = []
     for run in range(runs):

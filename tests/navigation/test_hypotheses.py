@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from bench.core.mathematics import earth, rotation
 from bench.core.records.data import Events, InitialState, Innovations, NavSolution
 from bench.core.records.sensor_specs import ImuSpec, TriadSpec
-from bench.navigation.engine.record_cuts import take_head, take_piece
+from bench.navigation.engine.record_cuts import slice_sensors, take_head
 from bench.navigation.start import headings
 from bench.simulation import sensors
 from tests.builders import at_rest
@@ -31,7 +31,7 @@ class Scripted:
         self.cov, self.extra = root @ root.T, np.array([k * 0.1, 2.0])
         self.said = 0
 
-    def feed(self, piece, look_back, *, last):
+    def update(self, piece, look_back, *, last):
         before, self.end = self.end, max(self.end, piece.imu.t.max(initial=self.end))
         t = piece.output_t
         tile = (len(t), 1)
@@ -79,13 +79,13 @@ def told(k, t):
 
 
 def at(record, begin, end):
-    return take_piece(record, begin, end)
+    return slice_sensors(record, begin, end)
 
 
 def test_the_estimate_is_the_leading_one_with_the_mean_square_of_its_error_over_all():
     """Five measurements leave the others weights of exp(-5); the Jacobian by differences."""
     filter_, data, made = begun(told)
-    found = filter_.feed(at(data, -1.0, 7.0), 0.5, last=False)
+    found = filter_.update(at(data, -1.0, 7.0), 0.5, last=False)
     assert found.t.tolist() == [0.0, 5.0]
     w = np.exp(-2.5 * (np.array([told(k, 0.0) for k in range(16)]) - 1.0))
     w /= w.sum()
@@ -143,7 +143,7 @@ def test_before_anything_is_told_the_heading_that_was_given_leads():
         (40 * DEG, np.exp(-0.5 * ((np.arange(16) - 8) / (16 / 9)) ** 2)),
     ):
         filter_, data, made = begun(lambda k, t: 2.0, sd)
-        found = filter_.feed(at(data, -1.0, 2.0), 0.5, last=False)
+        found = filter_.update(at(data, -1.0, 2.0), 0.5, last=False)
         assert_allclose(found.q_nb[0], made[8].start.q_nb)
         turns = [
             rotation.to_euler(one.start.q_nb)[2] - rotation.to_euler(made[0].start.q_nb)[2] for one in made
@@ -157,12 +157,12 @@ def test_before_anything_is_told_the_heading_that_was_given_leads():
 def test_one_stands_for_all_after_a_minute_and_what_may_still_come_late():
     """Of its innovations all are told then, and its events; the filters of the others are let go."""
     filter_, data, made = begun(told)
-    filter_.feed(at(data, -1.0, 50.0), 0.5, last=False)
+    filter_.update(at(data, -1.0, 50.0), 0.5, last=False)
     assert not filter_.complete
-    found = [filter_.feed(at(data, 50.0, 62.0), 0.5, last=False)]
+    found = [filter_.update(at(data, 50.0, 62.0), 0.5, last=False)]
     assert not filter_.complete  # half a second and two are left
     assert not found[0].events.rows()
-    found.append(filter_.feed(at(data, 62.0, 64.0), 0.5, last=False))
+    found.append(filter_.update(at(data, 62.0, 64.0), 0.5, last=False))
     assert filter_.complete
     assert filter_.members == [made[12]]
     sd = np.rad2deg(np.sqrt(made[12].cov[8, 8]))
@@ -170,7 +170,7 @@ def test_one_stands_for_all_after_a_minute_and_what_may_still_come_late():
     assert settled == (0.0, 60.0, f"heading unknown: 16 hypotheses; settled by 60 s, sd {sd:.2g} deg")
     assert {text.split()[0] for *_, text in found[1].events.select("note")} == {"12"}
     assert found[1].innovations.t.max() >= 60.0
-    after = filter_.feed(at(data, 64.0, np.inf), 0.5, last=True)
+    after = filter_.update(at(data, 64.0, np.inf), 0.5, last=True)
     assert after.t.tolist() == np.arange(65.0, 261.0, 5.0).tolist()
     assert_allclose(after.cov[0], made[12].cov)  # by itself
 
@@ -178,7 +178,7 @@ def test_one_stands_for_all_after_a_minute_and_what_may_still_come_late():
 @pytest.mark.parametrize("settled", [60.0, 120.0])
 def test_a_whole_record_in_one_piece_is_fed_to_all_hardly_further_than_they_are_needed(settled):
     filter_, data, made = begun(lambda k, t: told(k, t) if t > settled - 60.0 else 2.0)
-    filter_.feed(data, 0.0, last=True)
+    filter_.update(data, 0.0, last=True)
     assert filter_.members == [made[12]]
     assert made[12].end == 260.0
     assert {one.end for k, one in enumerate(made) if k != 12} <= set(np.arange(settled + 2.0, settled + 6.0))
@@ -186,12 +186,12 @@ def test_a_whole_record_in_one_piece_is_fed_to_all_hardly_further_than_they_are_
 
 def test_where_nothing_tells_it_is_asked_again_after_twice_as_long_until_the_end():
     filter_, data, _ = begun(lambda k, t: 2.0)
-    filter_.feed(at(data, -1.0, 150.0), 0.5, last=False)
+    filter_.update(at(data, -1.0, 150.0), 0.5, last=False)
     assert filter_.span == 240.0
-    filter_.feed(at(data, 150.0, 200.0), 0.5, last=False)
-    found = filter_.feed(at(data, 200.0, np.inf), 0.5, last=True)
+    filter_.update(at(data, 150.0, 200.0), 0.5, last=False)
+    found = filter_.update(at(data, 200.0, np.inf), 0.5, last=True)
     (said,) = found.events.select("alignment")
-    assert said == (0.0, 260.0, "heading unknown: 16 hypotheses; no motion told it")
+    assert said == (0.0, 260.0, "heading unknown: 16 hypotheses; no motion showed it")
     assert filter_.span == 480.0
     assert not filter_.complete
     assert found.t.tolist() == np.arange(205.0, 261.0, 5.0).tolist()
@@ -200,7 +200,7 @@ def test_where_nothing_tells_it_is_asked_again_after_twice_as_long_until_the_end
 def test_innovations_are_those_of_the_one_that_leads_by_then():
     """The first 20 s the third is told, then the twelfth: it leads once it is twice as likely."""
     filter_, data, _ = begun(lambda k, t: 1.0 if k == (3 if t <= 20.0 else 12) else 2.0 + 0.01 * k)
-    found = filter_.feed(at(data, -1.0, 58.0), 0.5, last=False)
+    found = filter_.update(at(data, -1.0, 58.0), 0.5, last=False)
     by = found.innovations
     nis = {t: by.nis[(by.t == t) & (by.component == 0)].tolist() for t in (5.0, 20.0, 30.0, 50.0)}
     assert nis == {5.0: [1.0], 20.0: [1.0], 30.0: [2.03], 50.0: [1.0]}
@@ -213,8 +213,8 @@ def test_a_hypothesis_changes_only_for_one_more_than_twice_as_likely():
     weight = np.array(
         [[0.30, 0.2, 0.1, 0.45, 0.4], [0.61, 0.41, 0.19, 0.40, 0.2], [0.09, 0.39, 0.39, 0.15, 0.4]]
     )
-    assert headings._leading(weight, 0).tolist() == [1, 1, 2, 0, 0]
-    assert headings._leading(np.array([[0.5], [1.0]]), 0).tolist() == [0]
+    assert headings.leading(weight, 0).tolist() == [1, 1, 2, 0, 0]
+    assert headings.leading(np.array([[0.5], [1.0]]), 0).tolist() == [0]
 
 
 def test_what_an_innovation_tells_of_a_heading():
@@ -229,7 +229,7 @@ def test_what_an_innovation_tells_of_a_heading():
         (2.0, 4, 0, 0.0, np.nan, 7.0, True),
     ]
     rest = np.array([False] * 4 + [True] * 3)
-    found = headings._gains(Innovations.from_rows(NAMES, rows), rest, ["magnetometer"])
+    found = headings.gains(Innovations.from_rows(NAMES, rows), rest, ["magnetometer"])
     one = -3.5 - 0.5 * np.log(4.0)
     assert_allclose(found, [one, -0.5 * np.log(9.0), -15.0, 0.0, 0.0, one, -np.inf])
 
@@ -242,7 +242,7 @@ def test_the_spread_of_headings_is_that_about_the_best():
             self.cov[:, 8, 8] = 9.0, turn**2
 
     weight = np.array([[1.0, 0.2], [0.0, 0.5], [0.0, 0.3]])
-    spread, own = headings._heading_spread([Member(turn) for turn in (0.1, 0.4, 0.9)], weight, 1)
+    spread, own = headings.heading_spread([Member(turn) for turn in (0.1, 0.4, 0.9)], weight, 1)
     assert spread == pytest.approx(np.sqrt(0.2 * 0.09 + 0.3 * 0.25))
     assert own == pytest.approx(0.4)
 

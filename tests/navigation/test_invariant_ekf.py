@@ -1,4 +1,4 @@
-"""The invariant EKF with biases: its matrices against finite differences, its claims against many draws."""
+"""The invariant EKF with biases: matrices against finite differences, covariances against many runs."""
 
 from __future__ import annotations
 
@@ -80,8 +80,8 @@ def test_the_transition_is_that_of_finite_differences(flight):
 
 
 def test_the_rows_are_those_of_finite_differences(flight):
-    H = flight._compare(np.zeros(6), ARM)[1]
-    found = difference(flight, lambda one: -one._compare(np.zeros(6), ARM)[0])
+    H = flight.compare(np.zeros(6), ARM)[1]
+    found = difference(flight, lambda one: -one.compare(np.zeros(6), ARM)[0])
     assert_allclose(H, found, atol=2e-6)
 
 
@@ -90,7 +90,7 @@ def test_the_feedback_moves_the_estimate_and_p_with_it(flight):
     x = 1e-2 * np.arange(1.0, 16.0) / 15.0
     fed = flight.copy()
     fed.P = np.diag(np.arange(1.0, 16.0))
-    fed._feed_back(x)
+    fed.feed_back(x)
     assert_allclose(as_group(fed), as_group(moved(flight, x)), atol=1e-12)
     G = difference_about(flight, x)
     P = G @ np.diag(np.arange(1.0, 16.0)) @ G.T
@@ -123,7 +123,7 @@ def test_an_attitude_error_turns_no_noise(flight, sigmas, part):
 
 
 def test_it_knows_its_errors():
-    """NEES of nine states late in 60 s: within the 99.9 % band of the mean of 6 draws."""
+    """NEES of nine states late in 60 s: within the 99.9 % band of the mean of 6 runs."""
     truth, spec = weaving(60.0, rate=50.0), replace(units(), output_rate=1.0)
     one = load("invariant-ekf", {})
     found = ensemble(one, truth, lambda k: sensors.sense(truth, spec, 7, k), 6, 50.0)
@@ -132,7 +132,7 @@ def test_it_knows_its_errors():
 
 
 def test_a_heading_that_is_far_off_comes_in():
-    """40 deg off, where it claims 45: in a minute of turns it is right to what it claims, in three draws."""
+    """40 deg off, where it reports 45: in a minute of turns it is right to what it reports, in three runs."""
     truth = weaving(90.0, rate=50.0)
     spec = replace(units(), output_rate=1.0, initial_heading_sd=45.0 * DEG)
     for run in range(3):

@@ -104,7 +104,7 @@ def test_nis_sees_a_fault_that_points_across_the_correlation():
 @pytest.mark.parametrize("m", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(5))
 def test_p_grows_by_the_refused_correction_and_by_a_step_of_the_measured(seed, m):
-    """A-5.4.7: then the refused innovation is one to be expected, NIS at most m; the smoother's P alike."""
+    """A-5.4.7: then the rejected innovation is one to be expected, NIS at most m; the smoother's P alike."""
     P, dx, H, z, r = problem(seed, m)
     H[:, :m] = np.eye(m)  # as a fix: each component is one state by itself, and others beside it
     e = 30.0 * np.sqrt(np.diag(H @ P @ H.T) + r)

@@ -1,4 +1,4 @@
-"""One filter, several layouts: 15 states, the 22 of A-5.4.1, baro-inertial; each honest in its own model.
+"""One filter, several layouts: 15 states, the 22 of A-5.4.1, baro-inertial; each consistent in its own model.
 
 Register #34: loosely coupled error-state filter with GNSS Markov states.
 """
@@ -15,7 +15,7 @@ from bench.core.records.fields import triad_figures_of
 from bench.core.records.sensor_specs import AxisFigures, ImuSpec, TriadSpec
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.error_state_filter.imu_states import EVERY_ERROR, MEMS
 from bench.navigation.error_state_filter.state_blocks import state_model
@@ -24,14 +24,14 @@ from bench.navigation.models.loose_tight import Loose
 from tests.builders import assert_same_solution, band, ensemble, first_rows, student
 
 RUNS = 40
-"""Fewest draws that `bench.evaluation.ensembles.ensemble_consistency` judges."""
+"""Fewest runs that `bench.evaluation.ensembles.ensemble_consistency` evaluates."""
 BY_AXIS = [name for name, one in triad_figures_of(TriadSpec).items() if one.by_axis]
 
 
 @pytest.fixture(scope="module")
 def profile():
     """Matched IMU and barometer, and the receiver of the catalog with its wandering error."""
-    matched = load_profile("figure-eight-matched", {"sensors.gnss": "l1-code"})
+    matched = read_profile("figure-eight-matched", {"sensors.gnss": "l1-code"})
     return replace(matched, evaluation=EvaluationWindow(120.0))
 
 
@@ -65,7 +65,7 @@ def test_scale_factors_without_variance_change_nothing(profile, five_minutes):
 
 
 def draws(estimator, profile, truth, runs, assumed=None):
-    """Return an ensemble over the draws of a profile's sensors."""
+    """Return an ensemble over the runs of a profile's sensors."""
     return ensemble(
         estimator,
         truth,
@@ -77,7 +77,7 @@ def draws(estimator, profile, truth, runs, assumed=None):
 
 
 def claims(name, profile, truth, runs, **options):
-    """Return the verdict on the three claims of consistency."""
+    """Return the verdict on the three covariances of consistency."""
     return draws(load(name, options), profile, truth, runs).claims()
 
 
@@ -95,11 +95,11 @@ def with_mems_errors(profile):
 
 @pytest.mark.slow
 def test_loose_mems_knows_scale_factors_and_g_sensitivity(profile, five_minutes):
-    """40 runs of 300 s on matched sensors: all three claims; without the states NEES is far off.
+    """40 runs of 300 s on matched sensors: all three covariances; without the states NEES is far off.
 
     With the wandering receiver the mean of 20 runs is in its 99.9 % band.
     """
-    matched = with_mems_errors(load_profile("figure-eight-matched"))
+    matched = with_mems_errors(read_profile("figure-eight-matched"))
     result = claims("loose-mems", matched, five_minutes, RUNS)
     assert not result.rejected, result.reasons
     mems = with_mems_errors(profile)
@@ -118,8 +118,8 @@ def test_scale_factors_are_found(profile, five_minutes):
     assert len(at) == 6
     kept = solution.extra_sd[-1, at] / solution.extra_sd[0, at]
     assert np.sum(kept < 2 / 3) >= 2
-    assert "gyro scale factor" not in load("loose-mems", {}).unmodelled(sensed.data.specs)
-    assert "gyro g-sensitivity" in load("loose-22", {}).unmodelled(sensed.data.specs)
+    assert "gyro scale factor" not in load("loose-mems", {}).unmodeled_errors(sensed.data.specs)
+    assert "gyro g-sensitivity" in load("loose-22", {}).unmodeled_errors(sensed.data.specs)
 
 
 def test_figures_of_one_axis_are_those_of_its_states(profile, five_minutes):
@@ -163,8 +163,8 @@ def with_matrix_errors(profile):
 
 @pytest.mark.slow
 def test_loose_full_knows_misalignments(five_minutes):
-    """40 runs of 300 s on matched sensors: all three claims; loose-mems without the states is far off."""
-    matched = with_matrix_errors(load_profile("figure-eight-matched"))
+    """40 runs of 300 s on matched sensors: all consistent; loose-mems without the states is far off."""
+    matched = with_matrix_errors(read_profile("figure-eight-matched"))
     result = claims("loose-full", matched, five_minutes, RUNS)
     assert not result.rejected, result.reasons
     without = draws(load("loose-mems", {}), matched, five_minutes, 5)
@@ -173,8 +173,8 @@ def test_loose_full_knows_misalignments(five_minutes):
 
 @pytest.mark.slow
 def test_loose_full_is_honest_on_a_consumer_unit(five_minutes):
-    """Eight draws of a unit with every error: the band of NEES holds 9; loose-mems has hundreds."""
-    profile = load_profile("figure-eight", {"sensors.imu": "icm-42688-p"})
+    """Eight runs of a unit with every error: the band of NEES holds 9; loose-mems has hundreds."""
+    profile = read_profile("figure-eight", {"sensors.imu": "icm-42688-p"})
     honest, fooled = (
         draws(load(name, {}), profile, five_minutes, 8).averages() for name in ("loose-full", "loose-mems")
     )
@@ -187,9 +187,9 @@ def test_loose_full_has_states_for_what_the_datasheet_names(profile):
     full = load("loose-full", {})
     counts = {}
     for unit in ("adis16475", "icm-42688-p", "matched-mems"):
-        specs = load_profile("figure-eight", {"sensors.imu": unit}).sensors.assumed
+        specs = read_profile("figure-eight", {"sensors.imu": unit}).sensors.assumed
         counts[unit] = sum(states.size for block in full.blocks() for states in block.states(specs))
-        left = full.unmodelled(specs)
+        left = full.unmodeled_errors(specs)
         assert not left
     # barometer and receiver 7; gyro matrix 9 or both matrices 18; flicker stages 12; of the second unit
     # nonlinearity and temperature of both triads 12
@@ -200,7 +200,7 @@ def test_loose_full_has_states_for_what_the_datasheet_names(profile):
 def test_loose_full_answers_with_every_kind_of_state(five_minutes, unit):
     """Nonlinearity, temperature, g-sensitivity, a bias of degrees per second: a minute, within 5 sigma."""
     truth = first_rows(five_minutes, 12_001)
-    sensed = pipeline.sense(load_profile("figure-eight", {"sensors.imu": unit}), truth)
+    sensed = pipeline.sense(read_profile("figure-eight", {"sensors.imu": unit}), truth)
     solution = load("loose-full", {}).run(sensed.data, sensed.initial)
     errors = error_series(truth, solution)
     assert np.isfinite(errors.nees).all()
@@ -219,7 +219,7 @@ def test_filters_of_equal_states_are_the_same_and_say_so(five_minutes):
         ("adis16475", "l1-code"),
     ):
         sensors = {"sensors.imu": unit, "sensors.gnss": gnss, "sensors.baro": "matched-walk"}
-        sensed = pipeline.sense(load_profile("figure-eight", sensors), truth)
+        sensed = pipeline.sense(read_profile("figure-eight", sensors), truth)
         found[unit, gnss] = find_same(built, sensed.data)
     assert found == {
         ("matched-mems", "l1-code"): {"loose-mems": "loose-22", "loose-full": "loose-22"},
@@ -229,7 +229,7 @@ def test_filters_of_equal_states_are_the_same_and_say_so(five_minutes):
         ("adis16475", "l1-code"): {"loose-mems": "loose-22"},
     }
     sensors = {"sensors.imu": "matched-mems", "sensors.baro": "matched-walk"}
-    sensed = pipeline.sense(load_profile("figure-eight", sensors), truth)
+    sensed = pipeline.sense(read_profile("figure-eight", sensors), truth)
     one, other = (built[name].run(sensed.data, sensed.initial) for name in ("loose-22", "loose-full"))
     assert_same_solution(one, other)
 
@@ -240,8 +240,8 @@ def standard_errors_from(nees, states):
 
 @pytest.mark.slow
 def test_loose_22_keeps_all_three_claims_on_matched_sensors(five_minutes):
-    """40 seeds of 300 s, every error modelled, Markov states of a receiver without Markov error in it."""
-    result = claims("loose-22", load_profile("figure-eight-matched"), five_minutes, RUNS)
+    """40 seeds of 300 s, every error modeled, Markov states of a receiver without Markov error in it."""
+    result = claims("loose-22", read_profile("figure-eight-matched"), five_minutes, RUNS)
     assert not result.rejected, result.reasons
     assert set(result.nis) == {"gnss_position", "gnss_velocity", "baro"}
 
@@ -322,7 +322,9 @@ def test_baro_inertial_holds_the_height(profile, five_minutes):
 
 def test_what_a_layout_has_no_room_for(profile):
     specs = profile.sensors.assumed
-    named = {name: load(name, {}).unmodelled(specs) for name in ("loose-15", "loose-22", "baro-inertial")}
+    named = {
+        name: load(name, {}).unmodeled_errors(specs) for name in ("loose-15", "loose-22", "baro-inertial")
+    }
     assert "time-correlated GNSS position error" in named["loose-15"]
     assert not [text for text in named["loose-22"] if "GNSS" in text]
     assert not [text for text in named["baro-inertial"] if "GNSS" in text]

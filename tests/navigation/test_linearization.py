@@ -1,7 +1,7 @@
 """The covariance of the compiled filters moves as their own state does: F, every row of H, and the reset.
 
 Nothing is taken from the equations of the filter. A state with a small error goes through the steps of a
-filter that refuses every measurement; what differs in state and innovations from the state without the error
+filter that rejects every measurement; what differs in state and innovations from the state without the error
 is held against the transition that a smoother is given, and against the variance of the innovations, from
 which H follows by polarization: with P = (r + e)(r + e)', S - R = ((H r) + (H e))^2. All states have values,
 those of temperature of their full size: errors larger than what is measured beside them.
@@ -108,7 +108,7 @@ def sizes(model):
 
 
 class Probe:
-    """A filter that refuses all measurements, from any state and covariance."""
+    """A filter that rejects all measurements, from any state and covariance."""
 
     def __init__(self, name, options, attitude, *, standing=False, sky=False):
         self.data, self.initial = record(attitude, standing, sky)
@@ -139,7 +139,7 @@ class Probe:
         n = len(error)
         run.now.P[:, :n] = P
         run.gate = run.gate._replace(nis=np.full(4, -1.0), readmit_after_s=np.inf)
-        solution, (nodes,) = passage.feed(self.data, 0.0, last=True), passage.stretches
+        solution, (nodes,) = passage.update(self.data, 0.0, last=True), passage.stretches
         table = solution.innovations
         late = table.t > 1.0 - 1e-6
         assert late.any()
@@ -166,7 +166,7 @@ class Probe:
             run = passage.run
             run.now.state[:], run.now.P[:, :n] = self.state, P
             run.gate = run.gate._replace(nis=np.full(4, np.inf))
-            solution = passage.feed(replace(data, baro=read), 0.0, last=True)
+            solution = passage.update(replace(data, baro=read), 0.0, last=True)
             (nodes,) = passage.stretches
             assert (solution.innovations.code == solution.innovations.sensor.index("baro")).all()
             before, after = nodes.state[-1]
@@ -176,7 +176,7 @@ class Probe:
         return used(1e6 * size / first)
 
     def compare(self):
-        """Derivatives of state and innovations by each error at the start: from differences, and claimed."""
+        """Derivatives of state and innovations by each error at the start: from differences, and reported."""
         n, none = len(self.size), np.zeros(len(self.size))
         state, z, R, rows, Phi = self.go(none, np.zeros((n, n)))
         moved, seen, claimed = np.zeros((n, n)), np.zeros((len(rows), n)), np.zeros((len(rows), n))

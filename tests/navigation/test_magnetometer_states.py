@@ -1,4 +1,4 @@
-"""The states for what calibration left in a magnetometer: found, claimed as they are, and needed."""
+"""The states for what calibration left in a magnetometer: found, reported as they are, and needed."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def on_board(mag=COMPASS, assumed=COMPASS):
 
 @pytest.mark.parametrize("use", ["loose-15", "loose-full"])
 def test_nis_is_in_its_band_and_leaves_it_with_more_noise(truth, use):
-    """99.9 % band over four draws; noise 1.4 times what the record says leaves it."""
+    """99.9 % band over four runs; noise 1.4 times what the record says leaves it."""
     for noisier, inside in ((1.0, True), (1.4, False)):
 
         def draw(run, noisier=noisier):
@@ -52,7 +52,7 @@ def test_nis_is_in_its_band_and_leaves_it_with_more_noise(truth, use):
 
 
 def judge(truth, assumed, runs, use="loose-full", options=()):
-    """Return sums of squared errors of heading and iron, by their claim, over some draws."""
+    """Return sums of squared errors of heading and iron, by their covariance, over some runs."""
     heading, iron = 0.0, 0.0
     for run in range(runs):
         drawn = sensors.sense(truth, on_board(assumed=assumed), 5, run)

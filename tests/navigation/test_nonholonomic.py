@@ -143,7 +143,7 @@ def test_slip_beyond_its_claim_shows():
 
 
 def test_coordinated_flight_claims_less_drift_and_is_right_and_a_wrong_angle_of_attack_shows():
-    """Eight draws in a wind of 6 m/s, 80 s without GNSS: NEES in its 99.9 % band, a smaller covariance."""
+    """Eight runs in a wind of 6 m/s, 80 s without GNSS: NEES in its 99.9 % band, a smaller covariance."""
     truth = weaving(120.0, rate=50.0, wind_n=[4.0, -4.5, 0.0])
     rough = replace(SHAKEN, gyro=replace(SHAKEN.gyro, random_walk=5 * SHAKEN.gyro.random_walk))
     spec = replace(units(rough), gnss_outages=((40.0, 121.0),))

@@ -1,4 +1,4 @@
-"""The options of the built-in estimators are declared once; a wrong one stops a profile before the flight."""
+"""The options of the built-in filters are declared once; a wrong one stops a profile before the flight."""
 
 import io
 import re
@@ -8,7 +8,7 @@ from rich.console import Console
 
 from bench.cli.verbs import show
 from bench.core.words.exceptions import ConfigError
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.options import (
     ClassicOptions,
@@ -37,7 +37,7 @@ def test_all_mistakes_of_a_file_are_told_at_once():
         {"use": "my_lab:Huber", "options": {"spred": 0.5}},
     ]
     with pytest.raises(ConfigError) as caught:
-        load_profile("figure-eight", {"estimator": rows, "seed": -1})
+        read_profile("figure-eight", {"estimator": rows, "seed": -1})
     seed, fixed, gate, points = caught.value.messages
     assert seed.startswith("figure-eight.toml: seed = -1")
     place = "figure-eight.toml: [[estimator]]"
@@ -150,6 +150,6 @@ def test_the_list_of_estimators_shows_their_options():
     text = out.getvalue()
     assert "Options of loose-15, loose-22, loose-mems, loose-full, baro-inertial, free-inertial" in text
     assert "Options of smoother: those of loose-15, and" in text
-    assert text.count(" magnetometer  ") == 2  # of the compiled filters, and of ukf
-    assert re.search(r" covariance_hz +20 +Rate of the covariance step \[Hz\]", text)
-    assert re.search(r" adaptive_noise +- +Measurements over which", text)
+    assert text.count("magnetometer  ") == 2  # of the compiled filters, and of ukf
+    assert re.search(r"covariance_hz +20 +Rate of the covariance step \[Hz\]", text)
+    assert re.search(r"adaptive_noise +- +Measurements over which", text)

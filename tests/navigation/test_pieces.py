@@ -72,12 +72,12 @@ def drawn():
 def drawn_short():
     """The first half of it, for filters that are slow."""
     initial, data = drawn()
-    return initial, bench.take_piece(data, -1.0, 6.5)
+    return initial, bench.slice_sensors(data, -1.0, 6.5)
 
 
 @cache
 def drawn_satellites():
-    gnss = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
+    gnss = config.read_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
     sensed = sensors.sense(weaving(END, 100.0), units(gnss=replace(gnss, latency=LATE)), 1, 0)
     return sensed.initial, sensed.data
 
@@ -148,7 +148,7 @@ def record(use):
 
 def pieces(data, cuts):
     edges = [-1.0, *sorted(cuts), np.inf]
-    return [bench.take_piece(data, begin, end) for begin, end in pairwise(edges)]
+    return [bench.slice_sensors(data, begin, end) for begin, end in pairwise(edges)]
 
 
 def joined(solutions):
@@ -199,10 +199,10 @@ def assert_bits_of_the_whole(use, cuts, asked):
     found = []
     length = data.imu.t[-1] / END
     for k, piece in enumerate(pieces(data, [length * cut for cut in cuts])):
-        found.append(filter_.feed(piece))
+        found.append(filter_.update(piece))
         if k in asked:
-            filter_.answer()
-    last = filter_.answer()
+            filter_.current()
+    last = filter_.current()
     found.append(filter_.finish())
     expected = whole(use)
     assert_same_solution(joined(found), expected)
@@ -218,12 +218,12 @@ def test_the_filters_that_are_not_compiled_end_with_the_bits_of_the_whole_too(us
     filter_, data = opened(use)
     found = []
     for k, piece in enumerate(pieces(data, [0.01, 4.15, 4.151, *draw.uniform(0.0, 6.5, 7)])):
-        found.append(filter_.feed(piece))
+        found.append(filter_.update(piece))
         if k % 3 == 0:
-            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+            filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / "filter.npz"))
         if k % 2:
-            filter_.answer()
-    last = filter_.answer()
+            filter_.current()
+    last = filter_.current()
     found.append(filter_.finish())
     expected = whole(use)
     assert_same_solution(joined(found), expected)
@@ -234,9 +234,9 @@ def test_the_filters_that_are_not_compiled_end_with_the_bits_of_the_whole_too(us
 
 @pytest.mark.parametrize("use", [*USES, "loose-22 with silences"])
 def test_a_long_record_goes_through_a_filter_in_blocks_with_the_bits_of_the_whole(use, monkeypatch):
-    """Its events, too: what is counted over all blocks, and refusals that go on from one to the next."""
+    """Its events, too: what is counted over all blocks, and rejections that go on from one to the next."""
     initial, data = record(use)
-    if data.baro is not None:  # from 5.05 to 8 s refused, over the ends of two blocks
+    if data.baro is not None:  # from 5.05 to 8 s rejected, over the ends of two blocks
         alt_baro = np.where((data.baro.t > 5.03) & (data.baro.t < 8.0), 1e5, data.baro.alt_baro)
         t_arrival = np.where(data.baro.t < 9.0, data.baro.t_arrival, np.nan)
         data = replace(data, baro=replace(data.baro, alt_baro=alt_baro, t_arrival=t_arrival))
@@ -248,7 +248,7 @@ def test_a_long_record_goes_through_a_filter_in_blocks_with_the_bits_of_the_whol
         assert_same_solution(found, expected)
         assert sorted(found.events.rows()) == sorted(expected.events.rows())
     if data.baro is not None and use != "free-inertial" and "silences" not in use:
-        assert any("in a row refused" in text for text in expected.events.text)
+        assert any("in a row rejected" in text for text in expected.events.text)
         assert any("rows left out: flagged or not finite" in text for text in expected.events.text)
 
 
@@ -267,7 +267,7 @@ def test_what_looks_over_seconds_finds_something():
 
 def test_pieces_of_one_sample_make_the_whole():
     filter_, data = opened("loose-15")
-    found = [filter_.feed(piece) for piece in pieces(data, data.imu.t[:-1])]
+    found = [filter_.update(piece) for piece in pieces(data, data.imu.t[:-1])]
     assert_same_solution(joined([*found, filter_.finish()]), whole("loose-15"))
 
 
@@ -275,9 +275,9 @@ def test_an_answer_is_that_of_a_record_that_ends_there():
     filter_, data = opened("loose-22")
     initial = record("loose-22")[0]
     for begin, end in ((-1.0, 3.3), (3.3, 7.13)):
-        filter_.feed(bench.take_piece(data, begin, end))
-        answer = filter_.answer()
-        ended = replace(bench.take_piece(data, -1.0, end), output_t=answer.t)
+        filter_.update(bench.slice_sensors(data, begin, end))
+        answer = filter_.current()
+        ended = replace(bench.slice_sensors(data, -1.0, end), output_t=answer.t)
         expected = built_in.load("loose-22", USES["loose-22"]).run(ended, initial)
         for name in ("lla", "vel_n", "q_nb", "cov", "extra"):
             assert_array_equal(getattr(answer, name), getattr(expected, name), err_msg=name)
@@ -319,36 +319,36 @@ def test_a_saved_filter_goes_on_as_if_it_had_not_stopped(tmp_path):
         filter_, data = opened(use)
         found = []
         for piece in pieces(data, [0.3, 6.1, 9.01, 29.5]):
-            found.append(filter_.feed(piece))
-            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+            found.append(filter_.update(piece))
+            filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / "filter.npz"))
         found.append(filter_.finish())
         assert_same_solution(joined(found), whole(use))
 
 
 def test_a_damaged_or_foreign_file_is_refused(tmp_path):
     filter_, data = opened("loose-15")
-    filter_.feed(bench.take_piece(data, -1.0, 3.0))
-    place = bench.save_filter(filter_, tmp_path / "filter.npz")
+    filter_.update(bench.slice_sensors(data, -1.0, 3.0))
+    place = bench.write_filter(filter_, tmp_path / "filter.npz")
     content = bytearray(place.read_bytes())
     content[content.index(b"carried.npy") + 200] ^= 1
     place.write_bytes(content)
     with pytest.raises(EstimatorError, match="holds no filter that bench saved"):
-        bench.resume_filter(place)
-    with np.load(bench.save_filter(filter_, place)) as file:
+        bench.read_filter(place)
+    with np.load(bench.write_filter(filter_, place)) as file:
         arrays = dict(file)
     arrays["/passage/filter/run/now/state"] = arrays["/passage/filter/run/now/state"] + 1e-9
     np.savez(place, **arrays)
     with pytest.raises(EstimatorError, match="changed or damaged"):
-        bench.resume_filter(place)
-    with pytest.raises(EstimatorError, match="nothing to save"):
-        bench.save_filter(opened("loose-15")[0], place)
+        bench.read_filter(place)
+    with pytest.raises(EstimatorError, match="no data to save"):
+        bench.write_filter(opened("loose-15")[0], place)
 
 
 def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing():
     filter_, data = opened("loose-15")
-    found = [filter_.feed(bench.take_piece(data, -1.0, 6.0))]
+    found = [filter_.update(bench.slice_sensors(data, -1.0, 6.0))]
     old = take(data.fixes, (data.fixes.t > 4.9) & (data.fixes.t < 5.1))
-    piece = bench.take_piece(data, 6.0, 9.0)
+    piece = bench.slice_sensors(data, 6.0, 9.0)
     wrong = {
         "longer look_back": replace(piece, output_t=np.array([2.0])),
         "order of arrival": replace(piece, fixes=old),
@@ -358,11 +358,11 @@ def test_what_comes_too_late_or_does_not_follow_is_refused_and_changes_nothing()
     }
     for words, bad in wrong.items():
         with pytest.raises(EstimatorError, match=words):
-            filter_.feed(bad)
-    found += [filter_.feed(piece), filter_.feed(bench.take_piece(data, 9.0, np.inf)), filter_.finish()]
+            filter_.update(bad)
+    found += [filter_.update(piece), filter_.update(bench.slice_sensors(data, 9.0, np.inf)), filter_.finish()]
     assert_same_solution(joined(found), whole("loose-15"))
     with pytest.raises(EstimatorError, match="is finished"):
-        filter_.feed(piece)
+        filter_.update(piece)
 
 
 @pytest.mark.parametrize(("use", "without"), [("loose-15", ()), ("tight", ("observations",))])
@@ -385,7 +385,7 @@ def test_answers_come_after_the_look_back_and_a_stride(use, behind, feeds):
     filter_, data = opened(use)
     worst, answered, newest = 0.0, 0, 0.0
     for begin, end in pairwise(np.arange(0.0, 3.01, 0.05)):
-        found = filter_.feed(bench.take_piece(data, begin, end))
+        found = filter_.update(bench.slice_sensors(data, begin, end))
         answered += len(found) > 0
         newest = found.t[-1] if len(found) else newest
         worst = max(worst, end - newest)
@@ -397,11 +397,11 @@ def test_a_measurement_later_than_the_filter_looks_back_is_refused():
     initial, data = drawn()
     data = replace(data, fixes=replace(data.fixes, t_arrival=data.fixes.t + 1.9))
     filter_ = bench.open_filter("loose-15", initial, look_back=0.5)
-    filter_.feed(bench.take_piece(data, -1.0, 2.6))
+    filter_.update(bench.slice_sensors(data, -1.0, 2.6))
     with pytest.raises(EstimatorError, match=r"a row of gnss for 0\.8 s comes when the filter"):
-        filter_.feed(bench.take_piece(data, 2.6, 3.0))
+        filter_.update(bench.slice_sensors(data, 2.6, 3.0))
     patient = bench.open_filter("loose-15", initial, look_back=2.0)
-    found = [patient.feed(piece) for piece in pieces(data, [2.6, 3.0, 7.7])]
+    found = [patient.update(piece) for piece in pieces(data, [2.6, 3.0, 7.7])]
     expected = built_in.load("loose-15", {}).run(data, initial)
     assert_same_solution(joined([*found, patient.finish()]), expected)
 
@@ -423,8 +423,8 @@ def test_a_filter_that_has_to_align_itself_waits_for_its_start(alignment, tmp_pa
     filter_ = bench.open_filter("loose-15", start, look_back=0.5)
     found = []
     for piece in pieces(data, np.arange(0.1, END, 0.37)):
-        found.append(filter_.feed(piece))
-        filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+        found.append(filter_.update(piece))
+        filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / "filter.npz"))
     assert len(found[3]) == 0
     assert_same_solution(joined([*found, filter_.finish()]), built_in.load("loose-15", {}).run(data, start))
 
@@ -434,10 +434,10 @@ def test_a_start_that_cannot_be_found_is_said():
     wide = np.diag(np.append(np.diag(initial.cov)[:3], np.full(6, np.inf)))
     start = replace(initial, cov=wide, alignment="level", align_for=3.0)
     filter_ = bench.open_filter("loose-15", start, look_back=0.5)
-    filter_.feed(bench.take_piece(data, -1.0, 4.0))
-    assert np.isnan(filter_.answer().lla).all()
+    filter_.update(bench.slice_sensors(data, -1.0, 4.0))
+    assert np.isnan(filter_.current().lla).all()
     with pytest.raises(EstimatorError, match="alignment level needs a standstill"):
-        filter_.feed(bench.take_piece(data, 4.0, 9.0))
+        filter_.update(bench.slice_sensors(data, 4.0, 9.0))
 
 
 @pytest.mark.parametrize(
@@ -445,7 +445,7 @@ def test_a_start_that_cannot_be_found_is_said():
     [
         ("smoother", {}, "'smoother' cannot run in pieces: it has no method in_pieces"),
         ("loose-15", {"covariance_hz": -1.0}, "covariance_hz"),
-        ("loose", {}, "no estimator 'loose'"),
+        ("loose", {}, "no filter 'loose'"),
         *(
             ("loose-15", {"look_back": seconds}, f"look_back = {seconds} must be 0 or more, in seconds")
             for seconds in (-0.1, np.inf)
@@ -462,13 +462,13 @@ def test_what_cannot_run_in_pieces_says_so(use, options, words):
 def test_memory_does_not_grow_with_the_record(use, monkeypatch):
     """What a filter carries after six times as long is the same, though no answer is wanted.
 
-    After a refused fix there is a copy of it beside it, and the record since, for a while.
+    After a rejected fix there is a copy of it beside it, and the record since, for a while.
     """
-    monkeypatch.setattr(restart, "_LONGEST_KEPT", 2.0)
+    monkeypatch.setattr(restart, "LONGEST_KEPT", 2.0)
     filter_, (_, data) = opened(use)[0], drawn()
     data, sizes = replace(data, output_t=data.output_t[:0]), []
     for begin in range(12):
-        filter_.feed(bench.take_piece(data, begin - 1.0, float(begin)))
+        filter_.update(bench.slice_sensors(data, begin - 1.0, float(begin)))
         sizes.append(count(filter_.state()["passage"]))
     beside = 2.6 if use == "loose-15" else 1.1
     assert max(sizes[6:]) <= beside * max(sizes[3:6])

@@ -99,7 +99,7 @@ def test_classic_22_takes_positions_as_its_compiled_twin_does(sensed):
 
 
 def test_nis_and_nees_of_a_matched_filter_are_inside_their_bands():
-    """30 runs of 60 s; with receivers twice as noisy as believed NIS is not."""
+    """30 runs of 60 s; with receivers twice as noisy as assumed NIS is not."""
     truth, nis, nees, wrong = weaving(60.0, rate=50.0), [], [], []
     believed = units()
     noisy = replace(believed.gnss, pos_h_white_sd=2 * believed.gnss.pos_h_white_sd, pos_v_white_sd=2 * 2.5)
@@ -121,7 +121,7 @@ def test_nis_and_nees_of_a_matched_filter_are_inside_their_bands():
 
 
 def test_gnss_only_finds_its_velocity_by_itself_and_is_consistent():
-    """Without a start: at first it may have any velocity, after ten seconds errors are as claimed."""
+    """Without a start: at first it may have any velocity, after ten seconds errors are as reported."""
     spec = replace(units(baro=None), antenna_b=(0.0, 0.0, 0.0), alignment="level")
     truth = weaving(60.0, rate=50.0)
     worst = []
@@ -160,7 +160,7 @@ def test_without_errors_course_returns_the_attitude():
 
 
 def test_course_errors_are_what_the_covariance_says():
-    """200 draws, crab angles as claimed; positions believed half as noisy fail."""
+    """200 runs, crab angles as reported; positions assumed half as noisy fail."""
     truth, runs = test_alignment.straight(15.0), 200
     drift, nees, tight = 4 * test_alignment.DEG, [], []
     turned = np.random.default_rng(3).normal(scale=drift, size=runs)

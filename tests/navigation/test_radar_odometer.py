@@ -77,7 +77,7 @@ def test_the_row_of_h_is_the_derivative_of_the_prediction(truth, kind):
 
 @pytest.mark.parametrize("estimator", [Loose, Tight])
 def test_a_matched_filter_is_consistent_and_finds_bias_and_scale_factor(truth, estimator):
-    """NIS in its 99.9 % band over four draws; noise 1.4 times that of the datasheet leaves it."""
+    """NIS in its 99.9 % band over four runs; noise 1.4 times that of the datasheet leaves it."""
     spec = on_board(radar=RADAR, odometer=WHEEL)
     spec = replace(spec, gnss=None, assumed=replace(spec.assumed, gnss=None)) if estimator is Tight else spec
     options = {"radar": True, "odometer": True}
@@ -105,7 +105,7 @@ def test_a_matched_filter_is_consistent_and_finds_bias_and_scale_factor(truth, e
 
 
 def test_an_odometer_slows_the_drift_without_gnss(truth):
-    """Eight draws, GNSS lost after 20 s: the horizontal drift at 60 s is smaller with the wheel."""
+    """Eight runs, GNSS lost after 20 s: the horizontal drift at 60 s is smaller with the wheel."""
     spec = replace(on_board(odometer=WHEEL), gnss_outages=((20.0, 60.1),))
     drift = np.zeros((8, 2))
     for run in range(8):
@@ -121,7 +121,7 @@ def test_a_filter_that_asks_for_them_needs_them_and_names_what_it_leaves_out():
     spec = on_board(
         radar=replace(RADAR, quantization=0.1), odometer=replace(WHEEL, quantization=0.01)
     ).assumed
-    assert not any("radar" in text or "odometer" in text for text in Loose().unmodelled(spec))
-    left_out = Loose(radar=True, odometer=True).unmodelled(spec)
+    assert not any("radar" in text or "odometer" in text for text in Loose().unmodeled_errors(spec))
+    left_out = Loose(radar=True, odometer=True).unmodeled_errors(spec)
     assert {"radar altimeter quantization", "odometer quantization"} <= set(left_out)
     assert not {"radar altimeter bias", "odometer scale factor"} & set(left_out)

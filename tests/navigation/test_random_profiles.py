@@ -1,4 +1,4 @@
-"""Random flights with alignment on the move, latency, a lever arm and IMU gaps: the filter stays honest."""
+"""Random flights with alignment on the move, latency, a lever arm, IMU gaps: the filter is consistent."""
 
 from __future__ import annotations
 

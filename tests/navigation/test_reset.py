@@ -1,6 +1,6 @@
-"""A filter that has refused sound fixes for long is reset, and no receiver that errs makes it so.
+"""A filter that has rejected sound fixes for long is reset, and no receiver that errs makes it so.
 
-A start that is wrong by far more than it claims knocks the filter off while GNSS is good.
+A start that is wrong by far more than it reports knocks the filter off while GNSS is good.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def truth():
 
 
 def knocked(truth, run, turn_deg=90.0, off=200.0, **changes):
-    """A draw whose start is off by a heading and a distance north [m], and claims the usual."""
+    """A run whose start is off by a heading and a distance north [m], and covariances the usual."""
     drawn = sensors.sense(truth, replace(units(), **changes), 31, run)
     start = drawn.initial
     q_nb = rotation.multiply(rotation.from_euler(0.0, 0.0, np.deg2rad(turn_deg)), start.q_nb)
@@ -39,7 +39,7 @@ def knocked(truth, run, turn_deg=90.0, off=200.0, **changes):
 
 @pytest.mark.parametrize("use", ["loose-15", "loose-full"])
 def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
-    """Mean NEES of the draws at five instants in the band. Without a reset it is 9,000, 220 and 270.
+    """Mean NEES of the runs at five epochs in the band. Without a reset it is 9,000, 220 and 270.
 
     With the biases that it learnt while it was lost it is 3,000, 150 and 87.
     """
@@ -51,7 +51,7 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
         assert 20.0 <= begin <= 25.0
         assert end <= 36.0
         assert text.startswith(
-            "fixes of 75% of 20 s refused that moved as their velocities say: position and velocity"
+            "fixes of 75% of 20 s rejected that moved as their velocities: position and velocity"
         )
         assert "heading by the course of 10 s" in text
         errors = error_series(truth, solution)
@@ -63,7 +63,7 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
 
 
 def test_a_small_knock_needs_no_reset(truth):
-    """200 m alone: the gate believes the fixes again after its ten seconds."""
+    """200 m alone: the gate assumes the fixes again after its ten seconds."""
     data, start = knocked(truth, 0, turn_deg=0.0)
     solution = load("loose-full", {}).run(data, start)
     assert not len(solution.events.select("reset"))
@@ -71,15 +71,15 @@ def test_a_small_knock_needs_no_reset(truth):
 
 
 def test_in_pieces_and_saved_it_has_the_bits_of_the_whole(truth, tmp_path):
-    """Cut before, in and after the refusals and the alignment; saved and gone on with at every cut."""
+    """Cut before, in and after the rejections and the alignment; saved and gone on with at every cut."""
     data, start = knocked(truth, 1)
     whole = load("loose-15", {}).run(data, start)
     filter_ = bench.open_filter("loose-15", start, {}, look_back=0.5)
     found = []
     for piece in pieces(data, [0.5, 9.0, 14.03, 21.0, 21.6, 25.0, 32.0, 33.3, 80.0]):
-        found.append(filter_.feed(piece))
-        filter_.answer()
-        filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / "filter.npz"))
+        found.append(filter_.update(piece))
+        filter_.current()
+        filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / "filter.npz"))
     found.append(filter_.finish())
     assert_same_solution(joined(found), whole)
     assert sum(len(one.events.select("reset")) for one in found) == 1

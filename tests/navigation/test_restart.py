@@ -1,4 +1,4 @@
-"""After a gap in the IMU record a filter with fixes is as honest as without the gap, and soon as good.
+"""After a gap in the IMU record a filter with fixes is as consistent as without the gap, and soon as good.
 
 On a weaving flight with matched sensors: short gaps are bridged, after long ones the filter coasts on its
 fixes and starts again by the alignment on the move or at rest, with the biases it has learnt.
@@ -18,7 +18,7 @@ import bench
 from bench import pipeline
 from bench.core.mathematics import earth, rotation
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine import timeline
 from bench.navigation.error_state_filter import filter_run
@@ -63,7 +63,7 @@ def window(errors, first, last):
 
 @pytest.mark.parametrize(("start", "length"), [(75.0, 0.1), (52.0, 0.5), (60.0, 5.0), (30.0, 60.0)])
 def test_consistent_and_back_30_s_after_a_gap(truth, draws, whole, start, length):
-    """Eight draws, straight and turning: NEES at most twice that of the same draws without the gap.
+    """Eight runs, straight and turning: NEES at most twice that of the same runs without the gap.
 
     The mean of 8 draws over 90 s, correlated over 20 s, scatters by 10 %. Without a restart it is thousands.
     """
@@ -122,12 +122,12 @@ def test_a_gap_at_the_end_of_a_range_names_it(draws):
     assert f"({count} of {count} samples have the gyro at or beyond its range of 60 deg/s): position" in text
     opened = bench.open_filter("loose-15", draws[0].initial, {}, look_back=0.5)
     edges = [-1.0, 61.0, 63.3, 100.0]
-    found = [opened.feed(bench.take_piece(data, *edge)) for edge in pairwise(edges)]
+    found = [opened.update(bench.slice_sensors(data, *edge)) for edge in pairwise(edges)]
     assert [text for one in found for *_, text in one.events.select("restart")] == [text]
 
 
 def test_what_is_known_in_the_gap_is_claimed(truth, draws):
-    """Coasting over 15 s: position and velocity inside their claims, every fix in use, attitude held."""
+    """Coasting over 15 s: position and velocity inside their covariances, every fix in use, attitude held."""
     ratio = []
     for drawn in draws[:6]:
         solution = FILTER.run(with_gap(drawn.data, 47.0, 15.0), drawn.initial)
@@ -178,7 +178,7 @@ def test_nothing_after_a_gap_is_known_inside_it(draws):
 
 
 def test_two_gaps_one_of_them_in_the_alignment_after_the_other(truth, draws):
-    """Where a second gap cuts the alignment short, the filter coasts on to the next stretch."""
+    """Where a second gap cuts the alignment short, the filter coasts on to the next segment."""
     data = with_gap(with_gap(draws[0].data, 60.0, 5.0), 70.0, 5.0)
     solution = FILTER.run(data, draws[0].initial)
     first, second = solution.events.select("restart")
@@ -203,7 +203,7 @@ def test_without_fixes_after_the_gap_it_does_not_start_again(truth, draws):
 
 @pytest.mark.parametrize("name", ["loose-22", "loose-mems", "classic-22", "ukf", "smoother", "invariant-ekf"])
 def test_every_filter_with_fixes_starts_again(truth, draws, name):
-    """One draw, five seconds without IMU in a turn, then 39 s."""
+    """One run, five seconds without IMU in a turn, then 39 s."""
     drawn = draws[0]
     data = with_gap(drawn.data, 22.0, 5.0)
     data = replace(data, imu=take(data.imu, data.imu.t < 66.0), output_t=data.output_t[data.output_t < 65.5])
@@ -214,7 +214,7 @@ def test_every_filter_with_fixes_starts_again(truth, draws, name):
     rows = window(errors, 57.0, 65.0)
     assert np.sqrt(np.mean(errors.phi_n[rows, :2] ** 2)) < 0.4 * DEG
     assert np.linalg.norm(errors.pos_n[rows], axis=1).max() < 10.0
-    assert errors.nees[rows].mean() < 45.0  # 9 expected, the mean of one draw over 8 s
+    assert errors.nees[rows].mean() < 45.0  # 9 expected, the mean of one run over 8 s
 
 
 @pytest.mark.parametrize("use", ["baro-inertial", "free-inertial"])
@@ -232,7 +232,7 @@ def test_a_filter_without_fixes_ends_at_a_gap_that_it_cannot_bridge(draws, use):
     ((t, t_end, text),) = solution.events.select("ended")
     assert t == 40.0
     assert t_end == pytest.approx(45.0, abs=0.03)
-    assert text == "IMU silent for 5 s: it ends; without fixes nothing tells where it is"
+    assert text == "IMU silent for 5 s: it ends; without fixes its position is unknown"
     twice = load(use, {}).run(with_gap(with_gap(drawn.data, 40.0, 5.0), 60.0, 5.0), drawn.initial)
     assert len(twice.events.select("ended")) == 1
 
@@ -269,7 +269,7 @@ def test_at_rest_it_levels_and_keeps_the_heading():
         drawn = sensors.sense(truth, units(), 33, run)
         solution = FILTER.run(with_gap(drawn.data, 30.0, 20.0), drawn.initial)
         ((*_, text),) = solution.events.select("restart")
-        assert "levelled at rest" in text
+        assert "leveled at rest" in text
         assert "heading given" in text
         errors = error_series(truth, solution)
         late = errors.t > 65.0
@@ -322,13 +322,13 @@ def test_without_a_long_gap_the_filter_gets_the_record_as_it_is(draws):
 
 def test_a_record_with_a_gap_needs_no_second_compilation(draws, monkeypatch):
     """What the kernel is given has the same types with the rows that bridge a gap and without them."""
-    kernel, types = filter_run._fusion_kernel, []
+    kernel, types = filter_run.fusion_kernel, []
 
     def watched(*arguments):
         types.append([numba.typeof(argument) for argument in arguments])
         kernel(*arguments)
 
-    monkeypatch.setattr(filter_run, "_fusion_kernel", watched)
+    monkeypatch.setattr(filter_run, "fusion_kernel", watched)
     for data in (draws[0].data, with_gap(draws[0].data, 52.0, 0.3)):
         FILTER.run(data, draws[0].initial)
     assert types[0] == types[1]
@@ -339,12 +339,12 @@ def test_a_record_with_a_gap_needs_no_second_compilation(draws, monkeypatch):
 
 @pytest.mark.parametrize("unit", ["mpu-9250", "bmi088"])
 def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
-    """Ten draws. In the gap the wandering error of all fixes stays; behind it the gyros are known as a whole.
+    """Ten runs. In the gap the wandering error of all fixes stays; behind it the gyros are known as a whole.
 
     Bias and temperature of an mpu-9250 are 1.7 and 1.6 deg/s; the sum of both is what turns the attitude.
     """
     gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
-    profile = load_profile("figure-eight", {"sensors.imu": unit, "fault": [gap], "evaluation.output_hz": 1.0})
+    profile = read_profile("figure-eight", {"sensors.imu": unit, "fault": [gap], "evaluation.output_hz": 1.0})
     truth = first_rows(truth_of(recorded(profile.flight), 100.0), 30_001)
     inside, after = [], []
     for draw in range(10):
@@ -361,10 +361,10 @@ def test_a_gap_of_a_consumer_unit_is_honest_in_it_and_after_it(recorded, unit):
 
 
 def test_a_smoother_of_a_consumer_unit_starts_again_with_its_gyros_known_as_a_whole(recorded):
-    """Two draws, the 12 s after the restart. With bias and temperature known one by one it is 1e12."""
+    """Two runs, the 12 s after the restart. With bias and temperature known one by one it is 1e12."""
     gap = {"kind": "dropped", "sensor": "imu", "start_s": 200.0, "duration_s": 15.0}
     changes = {"sensors.imu": "mpu-9250", "fault": [gap], "evaluation.output_hz": 1.0}
-    profile = load_profile("figure-eight", changes)
+    profile = read_profile("figure-eight", changes)
     truth, found = first_rows(truth_of(recorded(profile.flight), 100.0), 30_001), []
     for draw in range(2):
         drawn = pipeline.sense(profile, truth, draw)
@@ -380,12 +380,12 @@ def test_a_smoother_of_a_consumer_unit_starts_again_with_its_gyros_known_as_a_wh
 
 @pytest.mark.parametrize("unit", ["adis16475", "bmi088"])
 def test_rolls_and_turns_beyond_a_range_are_claimed_as_unknown(recorded, unit):
-    """Aileron rolls beyond 125 deg/s, turns beyond 3 g: eight draws, at every tenth of a second.
+    """Aileron rolls beyond 125 deg/s, turns beyond 3 g: eight runs, at every tenth of a second.
 
-    Nothing is known of such a motion but the fixes. The NEES, averaged over the draws, has no instant above
+    Nothing is known of such a motion but the fixes. The NEES, averaged over the runs, has no time above
     30, where a model of usual manoeuvres has 1,500.
     """
-    profile = load_profile("high-dynamics", {"sensors.imu": unit})
+    profile = read_profile("high-dynamics", {"sensors.imu": unit})
     truth, found = truth_of(recorded(profile.flight), 100.0), []
     for draw in range(8):
         drawn = pipeline.sense(profile, truth, draw)

@@ -1,4 +1,4 @@
-"""A receiver that comes back: a drift beyond the gate is believed at once, a step of the receiver is not."""
+"""A receiver that comes back: a drift beyond the gate is assumed at once, a step of the receiver is not."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def after(solution, sensor):
 
 
 def error_h(truth, solution):
-    """Instants and horizontal errors [m] of a solution."""
+    """Epochs and horizontal errors [m] of a solution."""
     errors = error_series(truth, solution)
     return errors.t, np.hypot(*errors.pos_n[:, :2].T)
 

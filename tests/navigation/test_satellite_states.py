@@ -1,4 +1,4 @@
-"""What wanders in the ranges has states: honest, and a state goes on to the satellite that rises."""
+"""What wanders in the ranges has states: consistent, and a state goes on to the satellite that rises."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CHANGE, GONE = 60.0, 20.0
 
 @pytest.mark.slow
 def test_ranges_that_wander_are_known_to_their_covariance():
-    """Errors of minutes and metres in 40 runs: all three claims. As white, they are not."""
+    """Errors of minutes and meters in 40 runs: all three covariances. As white, they are not."""
     truth = weaving(300.0)
     brief = {"space_correlation": 75.0, "troposphere_correlation": 75.0}  # drawn anew at each epoch
     sky = replace(WANDERING.sky, **brief)
@@ -51,8 +51,8 @@ def test_ranges_that_wander_are_known_to_their_covariance():
 @pytest.fixture
 def few(monkeypatch):
     """Five states for each constellation, and a sky of which half is seen, then the other half."""
-    monkeypatch.setattr(satellite_states, "_PLACES", np.array([[0, 5], [16, 21], [28, 33], [40, 45]]))
-    monkeypatch.setattr(satellite_states, "_GONE", GONE)
+    monkeypatch.setattr(satellite_states, "PLACES", np.array([[0, 5], [16, 21], [28, 33], [40, 45]]))
+    monkeypatch.setattr(satellite_states, "GONE", GONE)
     truth = weaving(CHANGE + GONE + 60.0)
 
     def sense(run, spec=UNITS):
@@ -93,7 +93,7 @@ def test_a_state_goes_to_the_satellite_that_has_none_once_another_is_gone(few):
 
 @pytest.mark.parametrize("estimator", ["tight", "smoother"])
 def test_what_a_state_knew_of_another_satellite_is_forgotten(few, estimator):
-    """Innovations and errors of 12 draws, where satellites of metres of error exchange their states."""
+    """Innovations and errors of 12 runs, where satellites of meters of error exchange their states."""
     truth, sense = few
     filter_ = load(estimator, {"over": "tight"} if estimator == "smoother" else {})
     nis, nees = [], []

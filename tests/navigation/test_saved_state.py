@@ -27,8 +27,8 @@ def saved(use: str) -> tuple[dict[str, Any], Any]:
     filter_, data = opened(use)
     *begun, following, _ = pieces(data, [0.3, 2.1, 4.24, 6.0])
     for piece in begun:
-        filter_.feed(piece)
-    place = bench.save_filter(filter_, Path(os.environ["PYTEST_SAVED"]) / f"{use}.npz")
+        filter_.update(piece)
+    place = bench.write_filter(filter_, Path(os.environ["PYTEST_SAVED"]) / f"{use}.npz")
     with np.load(place) as file:
         return dict(file), following
 
@@ -45,7 +45,7 @@ def write(path: Path, arrays: dict[str, Any], notes: dict[str, Any] | None = Non
     arrays = {name: one for name, one in arrays.items() if name != "sha256"}
     if notes is not None:
         arrays["notes"] = np.array(json.dumps(notes))
-    np.savez(path, **arrays, sha256=np.array(filter_state._sum(arrays)))
+    np.savez(path, **arrays, sha256=np.array(filter_state.hash_arrays(arrays)))
     return path
 
 
@@ -65,9 +65,9 @@ def test_a_saved_state_imports_nothing_unless_code_is_allowed(tmp_path, monkeypa
     with pytest.raises(
         EstimatorError, match=r"'stranger:Theirs', which runs code .*; allow_code=True permits"
     ):
-        bench.resume_filter(place)
+        bench.read_filter(place)
     assert not (tmp_path / "stranger.ran").exists()
-    assert bench.resume_filter(place, allow_code=True).use == "stranger:Theirs"
+    assert bench.read_filter(place, allow_code=True).use == "stranger:Theirs"
     assert (tmp_path / "stranger.ran").exists()
 
 
@@ -76,9 +76,9 @@ def test_a_filter_of_yours_goes_on_if_its_code_is_allowed(tmp_path):
     use, given = "bench.navigation.models.loose_tight:Loose", {"gnss_markov": False}
     filter_ = bench.open_filter(use, initial, given, look_back=0.5)
     begun, rest = pieces(data, [4.0])
-    filter_.feed(begun)
-    found = bench.resume_filter(bench.save_filter(filter_, tmp_path / "own.npz"), allow_code=True)
-    np.testing.assert_array_equal(found.feed(rest).cov, filter_.feed(rest).cov)
+    filter_.update(begun)
+    found = bench.read_filter(bench.write_filter(filter_, tmp_path / "own.npz"), allow_code=True)
+    np.testing.assert_array_equal(found.update(rest).cov, filter_.update(rest).cov)
 
 
 def put(value: Any, at: int = 0) -> Callable[[Any], Any]:
@@ -189,7 +189,7 @@ def test_an_altered_array_with_the_right_sum_is_refused_in_a_line(tmp_path, case
     arrays, _ = saved(use)
     place = write(tmp_path / "filter.npz", {**arrays, name: change(arrays[name])})
     with pytest.raises(EstimatorError, match=says) as refused:
-        bench.resume_filter(place)
+        bench.read_filter(place)
     assert str(refused.value).startswith(f"{place}: its state is none of {use!r} with these options: ")
     assert "\n" not in str(refused.value)
 
@@ -197,17 +197,17 @@ def test_an_altered_array_with_the_right_sum_is_refused_in_a_line(tmp_path, case
 def test_arrays_too_many_and_too_few_are_refused(tmp_path):
     arrays, _ = saved("loose-15")
     with pytest.raises(EstimatorError, match="more belongs to nothing"):
-        bench.resume_filter(write(tmp_path / "filter.npz", {**arrays, "more": np.zeros(3)}))
+        bench.read_filter(write(tmp_path / "filter.npz", {**arrays, "more": np.zeros(3)}))
     fewer = {name: one for name, one in arrays.items() if name != f"{RUN}/now/dx"}
     with pytest.raises(EstimatorError, match=f"{RUN}/now/dx is missing"):
-        bench.resume_filter(write(tmp_path / "filter.npz", fewer))
+        bench.read_filter(write(tmp_path / "filter.npz", fewer))
 
 
 def test_a_state_of_another_format_is_refused_in_a_line(tmp_path):
     arrays, _ = saved("loose-15")
     place = write(tmp_path / "filter.npz", arrays, notes_of(arrays) | {"format": 2})
     with pytest.raises(EstimatorError) as refused:
-        bench.resume_filter(place)
+        bench.read_filter(place)
     assert str(refused.value) == (
         f"{place} has format 2 of a saved filter, this bench reads format 3: run the record again"
     )
@@ -218,9 +218,9 @@ def test_what_is_packed_or_no_file_is_not_read(tmp_path):
     arrays, _ = saved("loose-15")
     np.savez_compressed(tmp_path / "packed.npz", **arrays)
     with pytest.raises(EstimatorError, match=r"holds no filter that bench saved: it is compressed"):
-        bench.resume_filter(tmp_path / "packed.npz")
+        bench.read_filter(tmp_path / "packed.npz")
     with pytest.raises(ConfigError, match="not a regular file"):
-        bench.resume_filter("/dev/zero")
+        bench.read_filter("/dev/zero")
 
 
 def alter(arrays: dict[str, Any], draw: np.random.Generator) -> dict[str, Any]:
@@ -250,9 +250,9 @@ def test_whatever_is_altered_the_filter_goes_on_or_says_in_a_line_why_not(tmp_pa
         try:
             with warnings.catch_warnings():  # what runs on altered numbers may overflow
                 warnings.simplefilter("ignore", RuntimeWarning)
-                filter_ = bench.resume_filter(place)
-                filter_.feed(following)
-                filter_.answer()
+                filter_ = bench.read_filter(place)
+                filter_.update(following)
+                filter_.current()
         except EstimatorError as error:
             refused.append(str(error))
     assert 20 <= len(refused) < 60

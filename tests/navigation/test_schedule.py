@@ -55,13 +55,13 @@ def take(schedule: Schedule, spec, begin: float, end: float, rng) -> None:
     )
 
 
-SPECS = bench.load_profile("figure-eight").sensors.assumed
+SPECS = bench.read_profile("figure-eight").sensors.assumed
 START, END, NEAR, FAR = 0.5, 1.5, 0.5 * TIME_TOLERANCE, 2.0 * TIME_TOLERANCE
-"""Of the first piece; two instants are the same, and are not."""
+"""Of the first piece; two epochs are the same, and are not."""
 
 
 def piece(begin, end, rows=(), wanted=()):
-    """Samples at 100 Hz, heights (validity, arrival), and instants to answer at."""
+    """Samples at 100 Hz, heights (validity, arrival), and epochs to answer at."""
     t = np.arange(round(begin * 100) + 1, round(end * 100) + 1) / 100
     still, (valid, arrival) = np.zeros((len(t), 3)), np.reshape(rows, (-1, 2)).T
     imu = ImuData(t, np.full(len(t), 0.01), t > 0, still, still)
@@ -69,7 +69,7 @@ def piece(begin, end, rows=(), wanted=()):
     return SimpleNamespace(imu=imu, baro=baro, output_t=np.array(wanted, float), specs=SPECS)
 
 
-def feed(schedule, sensors, last=False):
+def update(schedule, sensors, last=False):
     schedule.take(sensors, last=last)
     schedule.add(BARO, sensors, None, None)
     plan = schedule.plan()
@@ -96,12 +96,12 @@ def opened(compensate=True):
 )
 def test_a_row_belongs_to_the_record_within_the_tolerance_of_time(valid, arrival, used, told):
     schedule = opened()
-    plan = feed(schedule, piece(START, END, [(valid, arrival)]), last=True)
+    plan = update(schedule, piece(START, END, [(valid, arrival)]), last=True)
     assert [text for *_, text, _ in schedule.events] == ([told] if told else [])
     assert len(plan.measured) == used
     waits = opened()  # its arrival lies in the next piece, or beyond the record
-    feed(waits, piece(START, 1.2, [(valid, arrival)]))
-    feed(waits, piece(1.2, END), last=True)
+    update(waits, piece(START, 1.2, [(valid, arrival)]))
+    update(waits, piece(1.2, END), last=True)
     assert [text for *_, text, _ in waits.events] == ([told] if told else [])
 
 
@@ -110,9 +110,9 @@ def test_it_stops_before_the_last_sample_and_takes_nothing_from_before_any_more(
 
     def after(rows=(), wanted=(), compensate=True):
         schedule = opened(compensate)
-        feed(schedule, piece(START, END, [(1.0, 1.0)], [1.2]))
+        update(schedule, piece(START, END, [(1.0, 1.0)], [1.2]))
         assert schedule.t == 1.49
-        return feed(schedule, piece(END, 2.0, rows, wanted))
+        return update(schedule, piece(END, 2.0, rows, wanted))
 
     for t in (1.49 + NEAR, 1.3, 1.2):
         with pytest.raises(EstimatorError, match=rf"a row of baro for {t:.4g} s comes .* on to 1.49 s; open"):
@@ -137,14 +137,14 @@ def test_it_stops_before_the_last_sample_and_takes_nothing_from_before_any_more(
 
 
 def step_at(ends: list[float], now: float, t: float) -> int:
-    """Return the first step that ends at an instant or later, -1 at the start."""
+    """Return the first step that ends at a time or later, -1 at the start."""
     if t < now + TIME_TOLERANCE:
         return -1
     return next((k for k, end in enumerate(ends) if end >= t - TIME_TOLERANCE), len(ends))
 
 
 def test_every_row_is_measured_and_used_at_its_step_in_a_slot_of_its_own():
-    rng, spec = np.random.default_rng(4), bench.load_profile("circuit").sensors.imu
+    rng, spec = np.random.default_rng(4), bench.read_profile("circuit").sensors.imu
     schedule = Schedule(0.0, spec, compensate=True)
     done = []
     for begin, end in ((0.0, 1.1), (1.1, 2.0), (2.0, 3.0)):

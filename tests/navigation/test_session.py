@@ -102,10 +102,10 @@ def test_no_filter_changes_what_it_does_not_declare_and_all_it_declares_is_carri
     cuts = np.quantile(data.imu.t, [0.2, 0.45, 0.5, 0.8]).tolist()
     for k, piece in enumerate(pieces(data, cuts)):
         before = snapshot(filter_)
-        found = filter_.feed(piece, 0.5, last=k == len(cuts))
+        found = filter_.update(piece, 0.5, last=k == len(cuts))
         changed |= undeclared(before, filter_)
         if other is not None:
-            again = other.feed(piece, 0.5, last=k == len(cuts))
+            again = other.update(piece, 0.5, last=k == len(cuts))
             for name in ("t", "lla", "vel_n", "q_nb", "cov", "extra", "extra_sd"):
                 assert_array_equal(getattr(again, name), getattr(found, name), err_msg=name)
             assert again.events.rows() == found.events.rows()

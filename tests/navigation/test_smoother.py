@@ -1,4 +1,4 @@
-"""The smoother: filterpy's on a linear problem, nowhere less sure than its filter, honest."""
+"""The smoother: filterpy's on a linear problem, nowhere less sure than its filter, consistent."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from bench import pipeline
 from bench.core.files import disk_arrays
 from bench.core.mathematics import rotation
 from bench.core.records.data import GnssFixes
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.engine.kept_rows import take_rows
 from bench.navigation.error_state_filter.error_state import StateLayout, less_errors, state_errors
@@ -28,11 +28,11 @@ BASE = np.concatenate(
 
 @pytest.fixture(scope="module")
 def matched():
-    return load_profile("figure-eight-matched")
+    return read_profile("figure-eight-matched")
 
 
 def test_equals_filterpys_smoother_on_a_linear_problem():
-    """Sixteen states of millimetres and microradians, so that the manifold is flat to 1e-9 of them."""
+    """Sixteen states of millimeters and microradians, so that the manifold is flat to 1e-9 of them."""
     rng = np.random.default_rng(3)
     n, steps, size = 16, 40, 1e-4
     Phi = np.eye(n) + 0.1 * rng.normal(size=(steps, n, n)) / np.sqrt(n)
@@ -159,8 +159,8 @@ def test_a_long_record_is_smoothed_in_blocks_with_the_bits_of_the_whole(over, mo
 
 @pytest.mark.slow
 def test_the_smoother_knows_its_errors(five_minutes):
-    """40 seeds of 300 s: all three claims; twice as sure of itself as it is, it would keep none of NEES."""
-    every_second = load_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
+    """40 seeds of 300 s: all three are consistent; with half the sigma none would be."""
+    every_second = read_profile("figure-eight-matched", {"evaluation.output_hz": 1.0})
     result = claims("smoother", every_second, five_minutes, RUNS)
     assert not result.rejected, result.reasons
     assert 2 * result.low > 1.25

@@ -84,7 +84,7 @@ def test_by_its_gyros_a_unit_may_be_shaken_but_neither_turns_nor_swings():
 
 
 def test_a_window_has_no_gap_and_four_samples():
-    """Their instants may be off by up to half an interval."""
+    """Their epochs may be off by up to half an interval."""
     imu = record()
     assert is_still(imu)
     assert not is_still(take(imu, np.delete(np.arange(200), 150)))

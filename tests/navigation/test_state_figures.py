@@ -22,7 +22,7 @@ from bench.core.records.instruments import (
     RadarSpec,
 )
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, ThermalSpec, TriadSpec
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.error_state_filter.aiding_sensors import (
     AIRSPEED,
     BARO,
@@ -278,7 +278,7 @@ def test_errors_are_corrected_forces_first_and_small_ones_of_a_motion_before_tho
 # --- satellites -----------------------------------------------------------------------------------------
 
 SKY = replace(
-    load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss.sky, systems="all", bands=1,
+    read_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss.sky, systems="all", bands=1,
     gps_space_sd=1.0, glonass_space_sd=2.0, galileo_space_sd=0.5, beidou_space_sd=1.5,
     space_correlation=3600.0, ionosphere_sd=3.0, ionosphere_share=1.0, ionosphere_correlation=1800.0,
     troposphere_sd=0.1, troposphere_correlation=600.0, multipath_zenith_sd=0.5, multipath_horizon_sd=1.0,

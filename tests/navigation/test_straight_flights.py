@@ -1,7 +1,7 @@
-"""loose-full is honest where a consumer IMU flies straight out, and its heading is hardly told for minutes.
+"""loose-full is consistent if a consumer IMU flies straight out, its heading hardly observable.
 
 The errors of such a unit are larger than what it measures, and what tells them apart are turns alone: a
-filter that takes a correction for a turn, or a state for another, believes itself and is lost.
+filter that takes a correction for a turn, or a state for another, assumes itself and is lost.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ LEG = {"duration_s": 1500.0, "gnss_outage": [], "leg": [{"kind": "straight", "du
 
 
 def assert_honest(averages, draws=DRAWS):
-    """The NEES of each draw, averaged over time, and their mean, are in the 99.9 % bands of one instant.
+    """The NEES of each run, averaged over time, and their mean, are in the 99.9 % bands of one time.
 
-    An average over time scatters less than one instant does, so the bands are wide.
+    An average over time scatters less than one time does, so the bands are wide.
     """
     assert len(averages) == draws
     assert max(averages) < chi2.ppf(1.0 - 1e-3 / draws, 9)
@@ -74,7 +74,7 @@ def assert_honest(averages, draws=DRAWS):
     ],
 )
 def test_honest_straight_out_with_a_consumer_imu(recorded, profile, changes, use, seed):
-    flown = bench.load_profile(profile, {**changes, "evaluation.output_hz": 1.0})
+    flown = bench.read_profile(profile, {**changes, "evaluation.output_hz": 1.0})
     if profile == "climb-cruise-descend":  # which others look at, too
         truth = truth_of(recorded(flown.flight), flown.flight.rate)
     else:
@@ -89,8 +89,8 @@ def test_honest_straight_out_with_a_consumer_imu(recorded, profile, changes, use
 @pytest.mark.slow
 @pytest.mark.parametrize("use", ["loose-15", "loose-full"])
 def test_honest_after_a_step_of_the_radar_altimeter(use, figure_eight_truth):
-    """60 m for a minute: refused, believed with an open bias, and found again; judged while it lasts, too."""
-    flown = bench.load_profile(
+    """60 m for a minute: rejected, re-admitted with an inflated bias, found again; evaluated throughout."""
+    flown = bench.read_profile(
         "figure-eight-matched", {"sensors.radar": "matched-radar", "evaluation.output_hz": 1.0}
     )
     step = Fault("radar-step", "radar", 200.0, 260.0, "60 m for a minute", step=(60.0,), ramp=(0.0,))
@@ -120,7 +120,7 @@ noise_ug_sqrt_hz = 230.0
 turn_on_bias_sd_mg = 2.0
 """
 _CRUISE = """
-title = "ten minutes straight on, the antenna metres ahead of the IMU"
+title = "ten minutes straight on, the antenna meters ahead of the IMU"
 aircraft = "jet747"
 rate_hz = 200
 seed = 5077
@@ -134,13 +134,13 @@ evaluation = { output_hz = 1.0 }
 
 
 def test_noise_of_the_gyros_does_not_tell_their_scale_factor(tmp_path):
-    """Nothing turns, and an antenna metres ahead of the IMU shows the noise of a sample at every fix.
+    """Nothing turns, and an antenna meters ahead of the IMU shows the noise of a sample at every fix.
 
     So the scale factors stay what they were: within half of what is not known of them.
     """
     (tmp_path / "noisy.toml").write_text(_NOISY)
     (tmp_path / "cruise.toml").write_text(_CRUISE)
-    flown = bench.load_profile(str(tmp_path / "cruise.toml"))
+    flown = bench.read_profile(str(tmp_path / "cruise.toml"))
     truth = bench.fly(flown)
     for run in range(4):
         sensed = pipeline.sense(flown, truth, run)

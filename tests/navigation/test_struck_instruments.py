@@ -79,7 +79,7 @@ def struck(sensor, fault, run):
 
 
 def judge(use, options, sensor, fault, runs):
-    """Return the NEES at the end, of all blocks that the estimator gives, and their states."""
+    """Return the NEES at the end, of all blocks that the filter gives, and their states."""
     switch = {} if sensor in ("gnss", "baro") else {OPTIONS[sensor]: True}
     found = []
     for run in range(runs):
@@ -92,7 +92,7 @@ def judge(use, options, sensor, fault, runs):
 
 
 FAMILIES = [
-    # estimator, options, states of its NEES, draws, sensors, kinds of faults
+    # filter, options, states of its NEES, runs, sensors, kinds of faults
     ("loose-15", {}, 9, 4, ("gnss", *UNITS), (*KINDS, "step")),
     ("loose-full", {}, 9, 1, ("gnss", *UNITS), ("frozen", "step")),
     ("ukf", {"covariance_hz": 2.0}, 9, 1, ("gnss", *UNITS), ("step",)),
@@ -112,7 +112,7 @@ def choose_faults(sensor, kinds):
     ("use", "options", "states", "runs", "instruments", "kinds"), FAMILIES, ids=[one[0] for one in FAMILIES]
 )
 def test_a_filter_is_honest_after_every_fault(use, options, states, runs, instruments, kinds):
-    """The largest mean NEES of all cases, each of ``runs`` draws, below the 99.9 % bound of the largest."""
+    """The largest mean NEES of all cases, each of ``runs`` runs, below the 99.9 % bound of the largest."""
     found = {
         (sensor, fault.kind): judge(use, options, sensor, fault, runs)
         for sensor in instruments

@@ -19,7 +19,7 @@ BAD = replace(IMU, gyro=replace(IMU.gyro, turn_on_bias_sd=30 * IMU.gyro.turn_on_
 
 
 def drift(start, bad=0):
-    """Return drift [m] and e' P^-1 e of cuts of 60 s; ``bad`` units are worse than believed."""
+    """Return drift [m] and e' P^-1 e of cuts of 60 s; ``bad`` units are worse than assumed."""
     truth = weaving(120.0, rate=50.0)
     found = []
     for run in range(RUNS):

@@ -1,4 +1,4 @@
-"""Tight coupling: H is the Jacobian of what satellites measure, the filter is honest, three are enough.
+"""Tight coupling: H is the Jacobian of what satellites measure, the filter is consistent, three are enough.
 
 The register's B-12 and B-14b in the filter. What is left of a single fault on one satellite is told.
 """
@@ -39,8 +39,8 @@ from tests.navigation.test_error_state import plain
 from tests.synthetic import still
 from tests.weaving import units, weaving
 
-SKY = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
-MEMS = config.load_profile("figure-eight").sensors.imu
+SKY = config.read_profile("figure-eight", {"sensors.gnss": "sky-l1"}).sensors.gnss
+MEMS = config.read_profile("figure-eight").sensors.imu
 ERROR_FREE = dict.fromkeys(
     (
         "gps_space_sd", "glonass_space_sd", "ionosphere_sd", "ionosphere_share", "troposphere_sd",
@@ -64,10 +64,10 @@ def taken(o, rows):
     return GnssObservations(**columns)
 
 
-def shifted(o, rows, metres):
+def shifted(o, rows, meters):
     """Pseudoranges of some rows moved."""
     pseudorange = o.pseudorange.copy()
-    pseudorange[rows] += np.reshape(metres, (-1, 1))
+    pseudorange[rows] += np.reshape(meters, (-1, 1))
     return GnssObservations(**{f.name: getattr(o, f.name) for f in fields(o)} | {"pseudorange": pseudorange})
 
 
@@ -118,7 +118,7 @@ class Epoch:
 def test_h_is_the_jacobian_of_ranges_and_rates(sensed):
     """Central differences of z in every state, lever arm and clocks too.
 
-    Left out of H: how the delays change with the place (3e-3 per metre at 5 deg), the Earth rate on the arm.
+    Left out of H: how the delays change with the place (3e-3 per meter at 5 deg), the Earth rate on the arm.
     """
     epoch = Epoch(sensed)
     n = epoch.n
@@ -161,7 +161,7 @@ def test_the_troposphere_is_that_of_the_height_from_the_ground_to_12_km(sensed, 
 @pytest.mark.parametrize("receiver", ["sky-l1", "sky-l1l2"])
 def test_rows_are_those_of_one_carrier_or_of_the_combination_of_two(receiver):
     """B-11: without ionosphere, and the errors of two carriers in it by their squares."""
-    gnss = config.load_profile("figure-eight", {"sensors.gnss": receiver}).sensors.gnss
+    gnss = config.read_profile("figure-eight", {"sensors.gnss": receiver}).sensors.gnss
     sensed = sensors.sense(weaving(2.0, rate=50.0), units(gnss=gnss), 1, 0)
     o, epoch = sensed.data.observations, Epoch(sensed, gnss)
     squares, sky = o.frequency**2, epoch.sky
@@ -181,7 +181,7 @@ def test_rows_are_those_of_one_carrier_or_of_the_combination_of_two(receiver):
 
 
 def test_with_the_true_state_the_ranges_leave_nothing_but_their_noise(truth, sensed):
-    """First innovations after the clock is known: NIS of ranges and rates is that of their claimed noise."""
+    """First innovations after the clock is known: NIS of ranges and rates is that of their reported noise."""
     solution = Tight().run(sensed.data, sensed.initial)
     table = solution.innovations
     for sensor in ("pseudorange", "range_rate"):
@@ -211,12 +211,12 @@ def test_it_keeps_the_contract_with_satellites(sensed):
         bench.check_estimator(load("tight", options), sensed.data, sensed.initial)
 
 
-# --- honesty --------------------------------------------------------------------------------------------
+# --- consistency --------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_tight_knows_its_errors():
-    """40 matched runs of 300 s: all three claims; a covariance a third too small keeps none of NEES."""
+    """40 matched runs of 300 s: all three covariances; a covariance a third too small keeps none of NEES."""
     truth = weaving(300.0)
     estimator = load("tight", {})
     found = ensemble(estimator, truth, lambda run: sensors.sense(truth, UNITS, 5, run), 40, 60.0)
@@ -230,7 +230,7 @@ def test_tight_knows_its_errors():
 
 
 def highest(o, count, after):
-    """GPS only: all rows up to an instant, and of each later epoch those of the highest satellites."""
+    """GPS only: all rows up to a time, and of each later epoch those of the highest satellites."""
     o = taken(o, o.system == GPS)
     keep = o.t <= after
     for k in range(len(o.epoch_start) - 1):
@@ -304,7 +304,7 @@ def test_a_step_of_100_m_is_refused_at_its_first_epoch(sensed):
     rows = np.flatnonzero((which == sat) & (o.t >= 30.0))
     data = replace(sensed.data, observations=shifted(o, rows, 100.0))
     solution = Tight().run(data, sensed.initial)
-    assert refused(solution, names[sat]) == [(30.0, f"{names[sat]} range: 31 in a row refused")]
+    assert refused(solution, names[sat]) == [(30.0, f"{names[sat]} range: 31 in a row rejected")]
     assert len(solution.events.select("refused")) == 1  # and no other with it
     sound = Tight().run(sensed.data, sensed.initial)
     assert np.abs(earth.difference_n(solution.lla[-1], sound.lla[-1])).max() < 2.0
@@ -328,7 +328,7 @@ def test_a_step_of_all_ranges_is_believed_after_ten_seconds_and_the_clock_takes_
 def test_a_ramp_is_told_with_its_delay_or_not_at_all(sensed):
     """1 m/s on one satellite: its own range rate does not move, and the gate of one epoch sees it late.
 
-    A ramp ten times as steep is seen sooner; none of another satellite is refused.
+    A ramp ten times as steep is seen sooner; none of another satellite is rejected.
     """
     o = sensed.data.observations
     names, which = satellite_states.name_satellites(o)
@@ -364,13 +364,13 @@ def scripted(truth, sensed, step, ramp, start, end, **options):
 
 
 def test_a_scripted_step_is_scored_as_detected_at_once(truth, sensed):
-    """One refusal for each of its ten epochs, none before, after, or of another satellite."""
+    """One rejection for each of its ten epochs, none before, after, or of another satellite."""
     found, solution, name = scripted(truth, sensed, 100.0, 0.0, 30.0, 40.0)
     assert found["fault_1_detected"] == 1.0
     assert found["fault_1_delay_s"] == pytest.approx(0.0, abs=1e-6)
     assert found["false_alarms_pseudorange"] == found["false_alarms_range_rate"] == 0.0
     told = solution.events.select("refused")
-    assert [(t, end, text) for t, end, text in told] == [(30.0, 39.0, f"{name} range: 10 in a row refused")]
+    assert [(t, end, text) for t, end, text in told] == [(30.0, 39.0, f"{name} range: 10 in a row rejected")]
     started_between = scripted(truth, sensed, 100.0, 0.0, 30.25, 40.0)[0]
     assert started_between["fault_1_delay_s"] == pytest.approx(0.75, abs=1e-6)
 
@@ -409,7 +409,7 @@ def test_satellites_that_are_not_finite_are_counted_and_left_out(sensed):
 
 
 def test_the_offset_of_glonass_is_found(sensed):
-    """Without GLONASS its state keeps its variance; with it the offset drawn is found to a metre."""
+    """Without GLONASS its state keeps its variance; with it the offset drawn is found to a meter."""
     solution = Tight().run(sensed.data, sensed.initial)
     at = solution.extra_names.index("glonass_offset_m")
     assert solution.extra_sd[-1, at] < 1.0
@@ -419,7 +419,7 @@ def test_the_offset_of_glonass_is_found(sensed):
 
 
 def test_what_tight_does_not_model_is_named():
-    named = Tight().unmodelled(units(gnss=SKY).assumed)
+    named = Tight().unmodeled_errors(units(gnss=SKY).assumed)
     for text in ("g-sensitivity of the receiver's clock",):
         assert text in named
     for text in (
@@ -430,7 +430,7 @@ def test_what_tight_does_not_model_is_named():
     ):
         assert text not in named
     steady = replace(SKY, sky=replace(SKY.sky, clock_h_m1=0.0))
-    assert "flicker of the receiver's clock" not in Tight().unmodelled(units(gnss=steady).assumed)
+    assert "flicker of the receiver's clock" not in Tight().unmodeled_errors(units(gnss=steady).assumed)
     assert not [text for text in named if "GNSS" in text]
 
 
@@ -487,7 +487,9 @@ def test_fixes_without_satellites_are_told_not_used(truth):
     assert [text for *_, text in solution.events.select("aiding")] == [
         "tight coupling: asked for, but the record holds nothing for it"
     ]
-    assert "GNSS at all: tight coupling needs a receiver with [sky]" in Tight().unmodelled(drawn.data.specs)
+    assert "GNSS at all: tight coupling needs a receiver with [sky]" in Tight().unmodeled_errors(
+        drawn.data.specs
+    )
 
 
 def test_tight_needs_a_receiver_with_a_sky(sensed):

@@ -1,4 +1,4 @@
-"""The offset of the clock of fixes: found, claimed as it is, without loss elsewhere, and on a real drive.
+"""The offset of the clock of fixes: found, reported as it is, without loss elsewhere, and on a real drive.
 
 H is held against the filter's own prediction in `test_linearization`.
 """
@@ -45,7 +45,7 @@ def draw(truth, run, sd=SD):
 
 
 def measure(truth, options, runs, use="loose-15"):
-    """Return the sums of squared errors by their claim at the end: of the offset, of the nine others."""
+    """Return the sums of squared errors by their covariance at the end: of the offset, of the nine others."""
     offsets, nees, sd = 0.0, 0.0, []
     for run in range(runs):
         drawn, offset = draw(truth, run)

@@ -276,9 +276,9 @@ def test_imu_rows_and_spans_by_hand(sensed):
 
 
 def test_what_a_gap_adds_is_the_integral_of_a_wandering_rate():
-    """Monte Carlo of a Gauss-Markov rate less its value at the start: 4000 draws, 99.9 % of chi-square."""
+    """Monte Carlo of a Gauss-Markov rate less its value at the start: 4000 runs, 99.9 % of chi-square."""
     rng = np.random.default_rng(3)
-    tau, sd, dt, n = timeline._BRIDGE_CORRELATION, timeline._BRIDGE_RATE_SD, 0.02, 400
+    tau, sd, dt, n = timeline.BRIDGE_CORRELATION, timeline.BRIDGE_RATE_SD, 0.02, 400
     x = sd * rng.normal(size=4000)
     start, total, got = x.copy(), np.zeros(4000), []
     for k in range(n):
@@ -327,7 +327,7 @@ def test_output_beyond_the_imu_is_absent(sensed):
     ],
     ids=["nothing at all", "a bridge", "at the start, before a NaN", "before the run", "after the run"],
 )
-def test_epochs_without_satellites_lie_between_their_neighbours(t, epoch_start, span):
+def test_epochs_without_satellites_lie_between_their_neighbors(t, epoch_start, span):
     ((first, last, kind, text, _),) = timeline.empty_epochs(np.array(t), np.array(epoch_start), 10.0, 20.0)
     assert (first, last) == span
     assert kind == "timeline"

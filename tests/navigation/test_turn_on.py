@@ -18,7 +18,7 @@ from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec
 from bench.evaluation.errors.error_series import DIVERGED_SIGMAS, error_series
 from bench.navigation.built_in import load
 from bench.navigation.engine.piecewise import join_solutions
-from bench.navigation.engine.record_cuts import nothing_known, take_head, take_piece
+from bench.navigation.engine.record_cuts import nothing_known, slice_sensors, take_head
 from bench.navigation.error_state_filter.state_blocks import WIND_WALK
 from bench.navigation.start import steady_course, turn_on, turning_start
 from bench.simulation.flight import fly
@@ -46,8 +46,8 @@ def with_biases_alone(profile):
 
 @pytest.mark.parametrize("standing", [False, True])
 def test_the_mean_rate_of_a_straight_or_a_standstill_is_the_bias(figure_eight_truth, standing):
-    """In flight to a quarter of a degree per second, at rest to hundredths, over 12 draws of 6.7 deg/s."""
-    profile = bench.load_profile("figure-eight", MPU)
+    """In flight to a quarter of a degree per second, at rest to hundredths, over 12 runs of 6.7 deg/s."""
+    profile = bench.read_profile("figure-eight", MPU)
     truth = first_rows(figure_eight_truth, 5001)
     if standing:  # to hundredths the g-sensitivity shows, too; without air there is no temperature
         profile = with_biases_alone(profile)
@@ -74,17 +74,17 @@ def test_what_a_datasheet_leaves_open_of_a_bias_and_of_its_warming():
     )
     for height, change in ((1400.0, 15.0), (400.0, 18.9)):
         heights = np.array([1000.0, np.nan, height])
-        warming = turn_on._warming_sd(50.0, heights, spec, start)
+        warming = turn_on.warming_sd(50.0, heights, spec, start)
         assert warming == pytest.approx(1e-4 * change * (1 - np.exp(-0.5)))
         at_once = replace(spec, thermal=replace(spec.thermal, time_constant=0.0))
-        assert turn_on._warming_sd(50.0, heights, at_once, start) == pytest.approx(
+        assert turn_on.warming_sd(50.0, heights, at_once, start) == pytest.approx(
             6.5e-7 * abs(height - 1000.0)
         )
 
 
 def test_a_slow_turn_that_the_course_shows_is_no_bias(figure_eight_truth):
-    """0.4 deg/s, 8 deg in the stretch: the same gyros in straight flight have the same bias."""
-    profile = bench.load_profile("figure-eight", MPU)
+    """0.4 deg/s, 8 deg in the segment: the same gyros in straight flight have the same bias."""
+    profile = bench.read_profile("figure-eight", MPU)
     sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 5001))
     straight = turn_on.find_turn_on(sensed.data, sensed.initial)
     rate = np.array([0.0, 0.0, np.deg2rad(0.4)])
@@ -102,10 +102,10 @@ def test_a_slow_turn_that_the_course_shows_is_no_bias(figure_eight_truth):
 
 
 def test_nothing_is_learnt_of_a_small_bias_or_in_a_turn(figure_eight_truth):
-    small = bench.load_profile("figure-eight")
+    small = bench.read_profile("figure-eight")
     sensed = pipeline.sense(small, first_rows(figure_eight_truth, 5001))
     assert turn_on.find_turn_on(sensed.data, sensed.initial) is None
-    large = pipeline.sense(bench.load_profile("figure-eight", MPU), first_rows(figure_eight_truth, 5001))
+    large = pipeline.sense(bench.read_profile("figure-eight", MPU), first_rows(figure_eight_truth, 5001))
     fixes = large.data.fixes
     course = 0.2 * fixes.t  # a circle in half a minute
     speed = np.hypot(fixes.vel_n[:, 0], fixes.vel_n[:, 1])
@@ -125,7 +125,7 @@ BANK = np.deg2rad(25.0)  # of the turns that are made here
 
 def coordinated(bias_b, bank=BANK):
     """Return the record of a turn that goes on, with a bias of the gyros, and its start; a car is level."""
-    profile = with_biases_alone(bench.load_profile("figure-eight", MPU))
+    profile = with_biases_alone(bench.read_profile("figure-eight", MPU))
     sensed = pipeline.sense(profile, at_rest(12.0, 200.0, np.array([0.8, 0.2, 500.0])))
     imu, fixes, start = sensed.data.imu, sensed.data.fixes, sensed.initial
     rate = STANDARD_GRAVITY * np.tan(BANK) / 25.0
@@ -166,7 +166,7 @@ def test_a_car_that_starts_in_a_turn_errs_by_the_bank_it_does_not_have():
 
 
 def test_a_straight_flight_is_no_start_in_a_turn(figure_eight_truth):
-    sensed = pipeline.sense(bench.load_profile("figure-eight", MPU), first_rows(figure_eight_truth, 3001))
+    sensed = pipeline.sense(bench.read_profile("figure-eight", MPU), first_rows(figure_eight_truth, 3001))
     assert turning_start.find_bias(sensed.data, sensed.initial, 15.0, np.zeros(3)) is None
     data, start = coordinated(np.zeros(3))
     slow = replace(data, fixes=replace(data.fixes, vel_n=0.1 * data.fixes.vel_n))
@@ -189,8 +189,8 @@ def test_a_bias_that_no_unit_has_is_none():
 
 
 def test_a_filter_that_starts_in_a_turn_is_honest(turning):
-    """16 draws of 6.7 deg/s: none is lost. Without the first turn most are, heading and bias alike."""
-    profile = replace(bench.load_profile("figure-eight", MPU), seed=23)
+    """16 runs of 6.7 deg/s: none is lost. Without the first turn most are, heading and bias alike."""
+    profile = replace(bench.read_profile("figure-eight", MPU), seed=23)
     nees, plain = [], []
     for run in range(16):
         sensed = pipeline.sense(profile, turning, run)
@@ -205,7 +205,7 @@ def test_a_filter_that_starts_in_a_turn_is_honest(turning):
 
 
 def test_a_smoother_that_starts_in_a_turn_is_honest(turning):
-    profile = replace(bench.load_profile("figure-eight", MPU), seed=29)
+    profile = replace(bench.read_profile("figure-eight", MPU), seed=29)
     nees = []
     for run in range(4):
         sensed = pipeline.sense(profile, turning, run)
@@ -216,7 +216,7 @@ def test_a_smoother_that_starts_in_a_turn_is_honest(turning):
 
 def test_what_a_short_stretch_tells_gives_way_to_the_first_turn(turning):
     """The first seconds may be the begin of a turn; the longer that goes on, the better it tells the bias."""
-    sensed = pipeline.sense(bench.load_profile("figure-eight", MPU), turning)
+    sensed = pipeline.sense(bench.read_profile("figure-eight", MPU), turning)
     data = replace(sensed.data, output_t=np.array([2.0, 30.0]))
     solution = load("loose-full", {}).run(data, sensed.initial)
     texts = [text for *_, text in solution.events.select("alignment")]
@@ -229,7 +229,7 @@ def test_what_a_short_stretch_tells_gives_way_to_the_first_turn(turning):
 
 def test_a_unit_that_is_shaken_on_the_ground_learns_its_bias():
     """By the gyros, which may be shaken at 9 Hz, too; not while they swing as of what hovers."""
-    profile = with_biases_alone(bench.load_profile("figure-eight", {"sensors.imu": "lsm6dsl"}))
+    profile = with_biases_alone(bench.read_profile("figure-eight", {"sensors.imu": "lsm6dsl"}))
     truth = at_rest(12.0, 200.0, np.array([0.8, 0.2, 500.0]))
     for turn_deg_s, hz in ((0.0, 9.0), (1.0, 9.0), (1.0, 0.7)):
         wave = np.sin(2 * np.pi * hz * truth.t[1:])[:, None] / 200.0
@@ -250,7 +250,7 @@ def test_a_unit_that_is_shaken_on_the_ground_learns_its_bias():
 
 def test_a_roll_is_no_bias(figure_eight_truth):
     """60 deg/s about the nose is more than any such unit errs, though the course stays."""
-    profile = bench.load_profile("figure-eight", MPU)
+    profile = bench.read_profile("figure-eight", MPU)
     sensed = pipeline.sense(profile, first_rows(figure_eight_truth, 5001))
     imu = sensed.data.imu
     roll = np.outer(imu.dt, np.deg2rad([60.0, 0.0, 0.0]))
@@ -260,8 +260,8 @@ def test_a_roll_is_no_bias(figure_eight_truth):
 
 
 def test_the_first_seconds_are_honest_with_a_bias_of_degrees_per_second(figure_eight_truth):
-    """16 draws; all seconds of a draw may err together. A filter that learns after 20 s has 20 and more."""
-    profile = replace(bench.load_profile("figure-eight", {"sensors.imu": "mpu-9250"}), seed=11)
+    """16 runs; all seconds of a run may err together. A filter that learns after 20 s has 20 and more."""
+    profile = replace(bench.read_profile("figure-eight", {"sensors.imu": "mpu-9250"}), seed=11)
     truth = first_rows(figure_eight_truth, 4401)
     nees = []
     for run in range(16):
@@ -278,10 +278,10 @@ def test_the_first_seconds_are_honest_with_a_bias_of_degrees_per_second(figure_e
 @pytest.mark.parametrize(("start", "unit"), [("straight", "mpu-9250"), ("turn", "mpu-6050")])
 def test_in_pieces_it_begins_again_with_the_same_bits(start, unit, figure_eight_truth, turning, tmp_path):
     """Cut into 0.7 s, saved and gone on with between."""
-    profile = bench.load_profile("figure-eight", {"sensors.imu": unit})
+    profile = bench.read_profile("figure-eight", {"sensors.imu": unit})
     truth = first_rows(turning, 1201) if start == "turn" else first_rows(figure_eight_truth, 2401)
     sensed = pipeline.sense(profile, truth)
-    fixes = sensed.data.fixes  # some arrive after a look at the stretch and are valid before it
+    fixes = sensed.data.fixes  # some arrive after a look at the segment and are valid before it
     t = np.where(np.arange(len(fixes)) == 7, np.nan, fixes.t)  # one says no time
     late = replace(sensed.data, fixes=replace(fixes, t=t, t_arrival=fixes.t_arrival + 1.2))
     sensed = replace(sensed, data=late)
@@ -289,10 +289,10 @@ def test_in_pieces_it_begins_again_with_the_same_bits(start, unit, figure_eight_
     assert len(whole.events.select("alignment")) >= 2
     filter_, found, begin = bench.open_filter("loose-full", sensed.initial, look_back=1.3), [], -np.inf
     for k, end in enumerate(np.arange(0.7, 14.1, 0.7)):
-        found.append(filter_.feed(bench.take_piece(sensed.data, begin, end)))
+        found.append(filter_.update(bench.slice_sensors(sensed.data, begin, end)))
         begin = end
         if k % 4 == 1:
-            filter_ = bench.resume_filter(bench.save_filter(filter_, tmp_path / f"{k}.npz"))
+            filter_ = bench.read_filter(bench.write_filter(filter_, tmp_path / f"{k}.npz"))
     joined = join_solutions([*found, filter_.finish()])
     np.testing.assert_array_equal(joined.lla, whole.lla)
     np.testing.assert_array_equal(joined.cov, whole.cov)
@@ -301,8 +301,8 @@ def test_in_pieces_it_begins_again_with_the_same_bits(start, unit, figure_eight_
 
 @pytest.mark.slow
 def test_loose_full_is_honest_with_a_bias_of_degrees_per_second(figure_eight_truth):
-    """6 draws of 5 minutes; without such a start the first turn loses the heading."""
-    profile = replace(bench.load_profile("figure-eight", {**MPU, "evaluation.output_hz": 1.0}), seed=31)
+    """6 runs of 5 minutes; without such a start the first turn loses the heading."""
+    profile = replace(bench.read_profile("figure-eight", {**MPU, "evaluation.output_hz": 1.0}), seed=31)
     truth = first_rows(figure_eight_truth, 60_001)
     uses = [("loose-full", {})]
     (found,) = honesty.judge_draws(profile, truth, "mpu-6050", uses, range(6))
@@ -317,15 +317,15 @@ def test_loose_full_is_honest_with_a_bias_of_degrees_per_second(figure_eight_tru
 
 @pytest.mark.parametrize("unit", ["mpu-6050", "icm-42688-p"])
 def test_what_is_left_of_a_bias_is_learnt_while_the_course_stays(unit):
-    """Ten minutes straight on in six draws: the heading stays known to a few degrees, and the bias is found.
+    """Ten minutes straight on in six runs: the heading stays known to a few degrees, and the bias is found.
 
     Without the course both are off by more than they say: 0.2 deg/s turns the heading around in half an hour.
     """
-    profile = with_biases_alone(bench.load_profile("long-cruise", {"sensors.imu": unit, **LEG}))
+    profile = with_biases_alone(bench.read_profile("long-cruise", {"sensors.imu": unit, **LEG}))
     truth = first_rows(bench.fly(profile), 120_201)
     for run in range(6):
         sensed = pipeline.sense(profile, truth, run)
-        data = bench.take_piece(sensed.data, -1.0, 600.0)
+        data = bench.slice_sensors(sensed.data, -1.0, 600.0)
         solution = load("loose-full", {}).run(replace(data, output_t=np.array([30.0, 590.0])), sensed.initial)
         errors = error_series(truth, solution)
         now = np.searchsorted(sensed.truth.t, solution.t)
@@ -446,7 +446,7 @@ def test_what_is_slow_and_turns_does_not_stand(turning_s, measured):
     assert_allclose(found, measured)
 
 
-# --- the stretch by hand ------------------------------------------------------------------------------------
+# --- the segment by hand ------------------------------------------------------------------------------------
 
 
 def straight_on(bias_b, rate=0.0, unit_sd=0.1):
@@ -539,7 +539,7 @@ class Watched:
     def __init__(self, log, sd):
         self.log, self.sd, self.end = log, sd, 0.0
 
-    def feed(self, piece, look_back, *, last):
+    def update(self, piece, look_back, *, last):
         self.end = max(self.end, piece.imu.t.max(initial=0.0))
         mean = piece.imu.dtheta_b.sum(axis=0) / max(piece.imu.dt.sum(), 1e-9)
         self.log.append((self.sd, self.end, look_back, last, np.rad2deg(mean)))
@@ -564,7 +564,7 @@ def test_a_filter_begins_again_whenever_the_stretch_tells_more():
     data, start = straight_on(BIAS)
     filter_, log = watch(data, start)
     edges = np.arange(0.0, 25.5, 0.9)
-    found = [filter_.feed(take_piece(data, *edge), 0.2, last=False) for edge in pairwise(edges)]
+    found = [filter_.update(slice_sensors(data, *edge), 0.2, last=False) for edge in pairwise(edges)]
     spans = np.array([1.0, 2.0, 4.0, 9.0, 19.0])  # until 1.5 s there is one fix
     texts = [row for one in found for row in one.events.rows()]
     assert [row[3] for row in texts] == [
@@ -585,7 +585,7 @@ def test_a_filter_begins_again_whenever_the_stretch_tells_more():
     mean, sd = filter_.steady_errors()
     assert_allclose(mean, np.arange(6.0) + np.append(BIAS, np.zeros(3)))
     assert_allclose(sd, 1.0)
-    assert len(filter_.record.imu) == 0  # is not kept beyond the stretch
+    assert len(filter_.record.imu) == 0  # is not kept beyond the segment
     assert filter_.end == pytest.approx(25.2)
 
 
@@ -594,7 +594,7 @@ def test_what_is_looked_at_counts_from_the_start():
     data, start = straight_on(BIAS)
     start = replace(start, t=3.0)
     filter_, log = watch(data, start)
-    filter_.feed(take_piece(data, 2.9, 5.4), 0.2, last=False)
+    filter_.update(slice_sensors(data, 2.9, 5.4), 0.2, last=False)
     assert [one[0] for one in log] == [None, *[pytest.approx(np.deg2rad(5.0))] * 2]
     assert [one[1] for one in log[:2]] == [pytest.approx(4.5, abs=0.021)] * 2
     found = turn_on.find_turn_on(data, start)
@@ -603,14 +603,14 @@ def test_what_is_looked_at_counts_from_the_start():
 
 
 def test_a_filter_begins_as_before_where_the_course_leaves_at_once():
-    """What a second of a stretch told is taken back; the turn tells nothing of gyros known so well."""
+    """What a second of a segment told is taken back; the turn tells nothing of gyros known so well."""
     data, start = straight_on(BIAS)
     data = turned_at(data, 4.0, by_deg=170.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(turn_on, "find_turning", lambda *_: None)
         filter_, log = watch(data, start)
-        found = [filter_.feed(take_piece(data, -1.0, 2.9), 0.2, last=False)]
-        found.append(filter_.feed(take_piece(data, 2.9, 6.0), 0.2, last=False))
+        found = [filter_.update(slice_sensors(data, -1.0, 2.9), 0.2, last=False)]
+        found.append(filter_.update(slice_sensors(data, 2.9, 6.0), 0.2, last=False))
     texts = [row for one in found for row in one.events.rows()]
     assert texts[-1][:4] == (
         0.0,
@@ -625,24 +625,24 @@ def test_a_filter_begins_as_before_where_the_course_leaves_at_once():
 def test_a_better_estimate_of_a_bias_replaces_one_of_its_kind():
     filter_, _ = watch(*straight_on(BIAS))
     plain, turning = turn_on.TurnOn(BIAS, 0.02, 5.0), turn_on.TurnOn(BIAS, 0.9, 5.0, turning=True)
-    assert not filter_._is_other(None)
-    assert filter_._is_other(plain)
+    assert not filter_.is_other(None)
+    assert filter_.is_other(plain)
     filter_.found = plain
-    assert filter_._is_other(None)
-    assert filter_._is_other(turning)
-    assert filter_._is_other(replace(plain, sd=0.019))
-    assert not filter_._is_other(replace(plain, sd=0.02))
+    assert filter_.is_other(None)
+    assert filter_.is_other(turning)
+    assert filter_.is_other(replace(plain, sd=0.019))
+    assert not filter_.is_other(replace(plain, sd=0.02))
     filter_.found = turning
-    assert filter_._is_other(plain)
-    assert not filter_._is_other(replace(turning, sd=0.95))
+    assert filter_.is_other(plain)
+    assert not filter_.is_other(replace(turning, sd=0.95))
 
 
 def test_another_antenna_ends_the_search_for_a_bias():
     """The record from the start on is that of the one before."""
     data, start = straight_on(BIAS)
     filter_, log = watch(data, start)
-    filter_.feed(take_piece(data, -1.0, 2.0), 0.2, last=False)
-    filter_.feed(replace(take_piece(data, 2.0, 9.0), antenna_b=np.ones(3)), 0.2, last=False)
+    filter_.update(slice_sensors(data, -1.0, 2.0), 0.2, last=False)
+    filter_.update(replace(slice_sensors(data, 2.0, 9.0), antenna_b=np.ones(3)), 0.2, last=False)
     assert [one[0] for one in log] == [None, None]
 
 
@@ -651,7 +651,7 @@ def test_a_smoother_knows_the_whole_stretch_from_its_first_answer_on():
     log = []
 
     def run(piece, initial, sd):
-        return Watched(log, sd).feed(piece, 0.0, last=True)
+        return Watched(log, sd).update(piece, 0.0, last=True)
 
     solution, bias_b = turn_on.smooth_from_turn_on(run, data, start)
     assert_allclose(bias_b, BIAS, atol=1e-9)

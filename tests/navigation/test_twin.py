@@ -48,7 +48,7 @@ def distance(answer, solution):
     turned = rotation.to_rotvec(rotation.from_matrix(answer.C_nb @ np.swapaxes(C_nb, 1, 2)))
     return np.array(
         [
-            np.abs((answer.lla - solution.lla) * twin.metres(solution.lla)).max(),
+            np.abs((answer.lla - solution.lla) * twin.meters(solution.lla)).max(),
             np.abs(answer.vel_n - solution.vel_n).max(),
             np.linalg.norm(turned, axis=1).max(),
         ]
@@ -85,7 +85,7 @@ def short():
 @pytest.fixture(scope="module")
 def figure_eight():
     """The sensors of the shipped profile, flown."""
-    profile = config.load_profile("figure-eight")
+    profile = config.read_profile("figure-eight")
     return pipeline.sense(profile, pipeline.fly(profile))
 
 
@@ -109,7 +109,7 @@ def test_the_filter_and_its_twin_agree_on_the_first_80_s_of_the_figure_eight(fig
 @pytest.mark.long
 def test_the_filter_and_its_twin_agree_on_the_whole_figure_eight(recorded):
     """600 s at 100 Hz with a minute without GNSS."""
-    profile = config.load_profile("figure-eight")
+    profile = config.read_profile("figure-eight")
     sensed = pipeline.sense(profile, truth_of(recorded(profile.flight), 100.0))
     solution = Loose(covariance_hz=None).run(sensed.data, sensed.initial)
     assert_same(twin.navigate(sensed.data, sensed.initial), solution)
@@ -126,7 +126,7 @@ def test_without_aiding_and_without_baro_they_agree_too():
 def satellites_at_end(sensed):
     """The states of satellites, in the order of the twin, and their sd, which are no part of an answer."""
     passage = Passage(Tight(covariance_hz=None), sensed.data, sensed.initial, [])
-    passage.feed(sensed.data, 0.0, last=True)
+    passage.update(sensed.data, 0.0, last=True)
     o, run = sensed.data.observations, passage.run
     own, _ = Channels().give_states(o, np.arange(len(o.t)))
     of = dict(zip(zip(o.system, o.sat, strict=True), own + RANGES[0] * o.system, strict=True))
@@ -177,7 +177,7 @@ def test_tight_and_its_twin_agree_over_a_quarter_of_a_minute(wander):
 
 
 def test_they_refuse_and_readmit_the_same_fixes(short):
-    """A jump of 200 m north from 15 s to 25 s: the gate refuses it, and readmits after three seconds."""
+    """A jump of 200 m north from 15 s to 25 s: the gate rejects it, and readmits after three seconds."""
     sensed, _ = short
     fixes = sensed.data.fixes
     lla = fixes.lla.copy()
@@ -205,7 +205,7 @@ def test_the_order_of_phi_both_share_is_high_enough(short, monkeypatch):
     answer = twin.navigate(sensed.data, sensed.initial)
     sd = np.sqrt(np.einsum("kii->ki", solution.cov))
     moved = np.concatenate(
-        [(answer.lla - solution.lla) * twin.metres(solution.lla), answer.vel_n - solution.vel_n], axis=1
+        [(answer.lla - solution.lla) * twin.meters(solution.lla), answer.vel_n - solution.vel_n], axis=1
     )
     assert (np.abs(moved) / sd[:, :6]).max() < 1e-4
     assert distance(answer, solution)[2] < 1e-4 * sd[:, 6:].min()
@@ -223,7 +223,7 @@ def test_what_both_take_for_the_errors_of_the_antenna_is_its_central_difference(
     for k, row in enumerate(np.diag(twin.STEP)):
         ends = [
             twin.antenna(
-                lla + d[:3] / twin.metres(lla),
+                lla + d[:3] / twin.meters(lla),
                 vel + d[3:6],
                 twin.rotation_matrix(d[6:9]) @ C,
                 lever,
@@ -231,7 +231,7 @@ def test_what_both_take_for_the_errors_of_the_antenna_is_its_central_difference(
             )
             for d in (row, -row)
         ]
-        found[:3, k] = (ends[0][0] - ends[1][0]) * twin.metres(lla) / (2 * twin.STEP[k])
+        found[:3, k] = (ends[0][0] - ends[1][0]) * twin.meters(lla) / (2 * twin.STEP[k])
         found[3:, k] = (ends[0][1] - ends[1][1]) / (2 * twin.STEP[k])
     arm = np.linalg.norm(lever)
     np.testing.assert_allclose(found[:3], H[:3], rtol=0, atol=1e-6)  # the arm over the radius of the Earth

@@ -1,4 +1,4 @@
-"""A start with an unknown heading: honest while the aircraft stands, and once motion has told the heading."""
+"""A start with an unknown heading: consistent at rest, and once motion has shown the heading."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from bench.core.mathematics import rotation
 from bench.core.records.data import InitialState
 from bench.core.records.instruments import MagSpec
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 from bench.navigation.mechanization import propagate
 from bench.navigation.models.loose_tight import Loose
@@ -25,7 +25,7 @@ from tests.weaving import DEG, GNSS, units, weaving
 
 REST, AWAY = 60.0, 60.0
 DRAWS = 20
-"""Headings around the circle, one draw of the sensors each."""
+"""Headings around the circle, one run of the sensors each."""
 
 
 def take_off(heading, rest=REST, away=AWAY):
@@ -39,7 +39,7 @@ def take_off(heading, rest=REST, away=AWAY):
 
 
 def squares(estimator, spec, draws=DRAWS, options=None, **motion):
-    """Instants (M,), and the NEES (draws, M, 3) of tilt, heading and all nine states."""
+    """Epochs (M,), and the NEES (runs, M, 3) of tilt, heading and all nine states."""
     found = []
     for draw in range(draws):
         truth = take_off(2 * np.pi * draw / draws + 0.1, **motion)
@@ -88,14 +88,14 @@ def assert_honest(t, found, at_rest=(35.0, 45.0, 55.0, 59.0), later=(65.0, 70.0,
     ],
 )
 def test_tilt_is_honest_at_rest_and_the_heading_is_after_the_first_motion(estimator, start, options):
-    """20 draws, 99.9 % bands. One linear filter: tilt NEES of 16 while it stands, 900 once it moves."""
+    """20 runs, 99.9 % bands. One linear filter: tilt NEES of 16 while it stands, 900 once it moves."""
     gnss = MATCHED if estimator == "tight" else GNSS
     t, found = squares(estimator, spec_of(start, gnss), options=options)
     assert_honest(t, found)
 
 
 def test_one_filter_with_a_wide_heading_is_not_honest(monkeypatch):
-    """What the hypotheses are for: with them off the same draws are far out of the band."""
+    """What the hypotheses are for: with them off the same runs are far out of the band."""
     monkeypatch.setattr(headings, "heading_is_unknown", lambda initial: False)
     t, found = squares("loose-15", spec_of("level"), draws=6)
     late = t > REST + 20
@@ -127,12 +127,12 @@ def straight_on():
     """The first 150 s of s-turns, matched sensors, a heading known to 30 deg: first it flies straight on."""
     changes = {"sensors.imu": "matched-mems", "sensors.gnss": "matched-white"}
     changes |= {"initial_error_sd.heading_deg": 30.0, "evaluation.output_hz": 1.0}
-    profile = load_profile("s-turns", changes)
+    profile = read_profile("s-turns", changes)
     return profile, first_rows(pipeline.fly(profile), 30_001)
 
 
 def mean_nees(profile, truth, draws):
-    """Mean NEES of each draw from 30 s on."""
+    """Mean NEES of each run from 30 s on."""
     found = []
     for draw in draws:
         sensed = pipeline.sense(profile, truth, draw)
@@ -142,7 +142,7 @@ def mean_nees(profile, truth, draws):
 
 
 def test_a_start_in_flight_with_a_rough_heading_is_honest(straight_on):
-    """The mean of 12 draws within its 99.9 % band."""
+    """The mean of 12 runs within its 99.9 % band."""
     found = mean_nees(*straight_on, range(12))
     assert abs(found.mean() - 9.0) < student(12) * found.std(ddof=1) / 12**0.5
 
@@ -153,7 +153,7 @@ def test_one_filter_from_a_rough_heading_is_not_honest(straight_on, monkeypatch)
 
 
 def test_an_outlier_while_the_heading_is_found_decides_nothing():
-    """The fix one second into the take-off is 300 m off: refused, and the heading is found all the same."""
+    """The fix one second into the take-off is 300 m off: rejected, and the heading is found all the same."""
     truth = take_off(2.2)
     sensed = sensors.sense(truth, spec_of("level"), 7, 0)
     fixes = sensed.data.fixes
@@ -197,7 +197,7 @@ def test_the_jacobian_carries_an_error_over_a_large_rotation():
     d *= (rng.uniform(0.01, 3.1, 50) / np.linalg.norm(d, axis=1))[:, None]
     e = 1e-6 * rng.normal(size=(50, 3))
     both = rotation.multiply(rotation.from_rotvec(d), rotation.from_rotvec(e))
-    J = headings._inverse_jacobian(d)
+    J = headings.inverse_jacobian(d)
     assert_allclose(rotation.to_rotvec(both) - d, np.einsum("kij,kj->ki", J, e), rtol=1e-3, atol=1e-9)
 
 
@@ -230,7 +230,7 @@ def test_another_heading_feels_the_same_force_over_ground(turn_deg):
 @pytest.mark.parametrize("unit", ["bmi088", "mpu-9250"])
 def test_a_hand_launch_beyond_the_range_of_its_accelerometer_says_why_and_goes_on(unit):
     """Of 16 headings some are lost in a push of 30 g; none of them takes the run with it."""
-    imu = load_profile("figure-eight", {"sensors.imu": unit}).sensors.imu
+    imu = read_profile("figure-eight", {"sensors.imu": unit}).sensors.imu
     spec = replace(units(imu=imu), initial_heading_sd=np.pi, output_rate=1.0)
     duration, rate = 60.0, 100.0
     base = weaving(duration, rate=rate)

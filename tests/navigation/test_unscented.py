@@ -62,7 +62,7 @@ def test_the_covariance_step_is_that_of_the_linear_filter_for_small_errors(sense
 def test_six_seeds_over_a_minute_are_consistent(minute):
     """Mean NEES and mean NIS in their 99.9 % bands.
 
-    A receiver believed to have half the noise it has leaves the bands.
+    A receiver assumed to have half the noise it has leaves the bands.
     """
 
     def draw(run):
@@ -81,9 +81,9 @@ def test_six_seeds_over_a_minute_are_consistent(minute):
 
 
 def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
-    """60 deg of heading sd, 8 draws of a minute: the headings after 30 s in units of what is claimed.
+    """60 deg of heading sd, 8 runs of a minute: the headings after 30 s in units of what is reported.
 
-    One filter, without the hypotheses that it starts with from such a heading. Of 8 honest draws two are
+    One filter, without the hypotheses that it starts with from such a heading. Of 8 consistent runs two are
     beyond 3.29 sigma once in 36,000 times.
     """
     monkeypatch.setattr(headings, "LINEAR", np.inf)
@@ -100,7 +100,7 @@ def test_a_heading_that_is_hardly_known_is_found(monkeypatch):
 
 @pytest.mark.parametrize(("spread", "least"), [(0.2, True), (0.5, True), (0.9, False)])
 def test_no_covariance_of_the_points_turns_indefinite(sensed, spread, least):
-    """No weight is negative: where the beta of a Gaussian, 2, would leave the centre below 0, it has 0."""
+    """No weight is negative: where the beta of a Gaussian, 2, would leave the center below 0, it has 0."""
     model = state_model(sensed.initial, sensed.data.specs, [BARO_BIAS])
     flight = ukf.SigmaPointFlight(Unscented(spread=spread).options, model, sensed.initial, np.zeros((4, 3)))
     points = flight.points()
@@ -163,7 +163,7 @@ def test_the_kernel_is_its_own_python(sensed):
     nav = np.concatenate([initial.lla, initial.vel_n, initial.q_nb])
     start = np.hstack([np.tile(nav, (3, 1)), 1e-3 * np.arange(18.0).reshape(3, 6)])
     results = []
-    for kernel in (ukf._carry_kernel, ukf._carry_kernel.py_func):
+    for kernel in (ukf.carry_kernel, ukf.carry_kernel.py_func):
         points, before, work = start.copy(), np.zeros((3, 7)), np.empty((5, 3))
         kernel(points, before, imu.dt[:20], imu.dtheta_b[:20], imu.dvel_b[:20], work, np.empty((3, 3)))
         results.append(np.hstack([points, before]))
@@ -190,9 +190,9 @@ def test_a_filter_of_nan_is_a_result(sensed):
 
 def test_the_root_is_one_of_a_singular_matrix_and_no_other():
     a = np.array([[4.0, 2e-3], [2e-3, 1e-6]])
-    assert_allclose(ukf._root(a).T @ ukf._root(a), a, rtol=1e-12)
+    assert_allclose(ukf.root(a).T @ ukf.root(a), a, rtol=1e-12)
     with pytest.raises(np.linalg.LinAlgError, match="eigenvalue"):
-        ukf._root(a * [[1.0, 1.1], [1.1, 1.0]])
+        ukf.root(a * [[1.0, 1.1], [1.1, 1.0]])
 
 
 @pytest.mark.parametrize(

@@ -100,8 +100,8 @@ def test_a_bad_first_fix_harms_no_other_and_a_gap_begins_anew():
 
 
 def test_gnss_faults_are_detected_the_filter_recovers_and_is_honest_outside():
-    """During faults detection and error are judged, after the last one recovery, before the first NEES."""
-    profile = bench.load_profile("gnss-faults")
+    """During faults detection and error are evaluated, after the last one recovery, before the first NEES."""
+    profile = bench.read_profile("gnss-faults")
     truth = bench.fly(profile)
     one = built_in.load("loose-full", {"integrity": ["nis", "velocity"]})
     plain = built_in.load("loose-full", {})

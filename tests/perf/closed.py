@@ -41,20 +41,20 @@ def least(work: Callable[[], object]) -> float:
 def feed_and_answer(sensed: Sensed) -> float:
     """Return the cost of a piece of 50 ms and of an answer after it [s]."""
     edges = [-np.inf, *np.arange(1.0, 41.0, PIECE)]
-    pieces = [bench.take_piece(sensed.data, *ends) for ends in pairwise(edges)]
+    pieces = [bench.slice_sensors(sensed.data, *ends) for ends in pairwise(edges)]
 
     def work() -> None:
         filter_ = bench.open_filter("loose-15", sensed.initial)
         for piece in pieces:
-            filter_.feed(piece)
-            filter_.answer()
+            filter_.update(piece)
+            filter_.current()
 
     return least(work) / len(pieces)
 
 
 def fly(rate: float) -> tuple[float, float]:
     """Return the cost of an approach by ``loose-15`` with so many answers a second, and its length [s]."""
-    profile = config.load_profile("approach-closed", {"guidance.period_s": 1.0 / rate})
+    profile = config.read_profile("approach-closed", {"guidance.period_s": 1.0 / rate})
     flown = []
     return least(lambda: flown.append(closed_loop.fly(profile).truth.t[-1])), float(flown[-1])
 
@@ -89,11 +89,11 @@ def serve_straight() -> tuple[float, float]:
 
 def measure() -> list[tuple[str, float, float, str, bool]]:
     """Return the rows of `tests.perf.ratios`: what, value, limit, unit, whether higher is better."""
-    profile = config.load_profile("figure-eight")
+    profile = config.read_profile("figure-eight")
     sensed = pipeline.sense(profile, pipeline.fly(profile))
     (slow, length), (fast, _), (served, flown) = fly(5.0), fly(20.0), serve_straight()
     hour = 3600.0 / length
-    turns = "bench serve with judging, 20 turns a second: flight time over CPU time"
+    turns = "bench serve with evaluation, 20 turns a second: flight time over CPU time"
     whole = APPROACHES * slow / CORES / 60.0
     return [
         ("loose-15, 50 ms fed and answered", 1e3 * feed_and_answer(sensed), 0.4, "ms CPU", False),

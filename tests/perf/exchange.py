@@ -36,7 +36,7 @@ def measure_time(work: Callable[[], object]) -> float:
 
 def measure() -> tuple[float, float]:
     """Return what a flight and a piece take longer in a process of its own [s]."""
-    profile = bench.load_profile("figure-eight")
+    profile = bench.read_profile("figure-eight")
     sensed = pipeline.sense(profile, bench.fly(profile))
     pair = [
         pipeline.build_estimator(EstimatorChoice("attacks:Walks", "walks", guard=Guard(in_process=here)))
@@ -49,7 +49,7 @@ def measure() -> tuple[float, float]:
         ]
     )[1:]  # without the one that starts and loads
     edges = [-np.inf, *np.arange(1.0, 60.0, 0.05)]
-    pieces = [bench.take_piece(sensed.data, *ends) for ends in pairwise(edges)]
+    pieces = [bench.slice_sensors(sensed.data, *ends) for ends in pairwise(edges)]
     spent = np.empty((SLICES, len(pieces), 2))
     for part in spent:
         filters = [
@@ -57,7 +57,7 @@ def measure() -> tuple[float, float]:
             for here in (True, False)
         ]
         for piece, row in zip(pieces, part, strict=True):
-            row[:] = [measure_time(lambda one=one, piece=piece: one.feed(piece)) for one in filters]
+            row[:] = [measure_time(lambda one=one, piece=piece: one.update(piece)) for one in filters]
     beyond = np.median(np.diff(spent[:, 50:, :], axis=2), axis=(1, 2)).min()
     return float(np.diff(flights).min()), float(beyond)
 

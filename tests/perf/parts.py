@@ -85,7 +85,7 @@ def step_parts(sensed: Sensed) -> dict[str, tuple[Callable[[], object], int]]:
 
 def main() -> None:
     """Print the parts."""
-    profile = config.load_profile("figure-eight-matched")
+    profile = config.read_profile("figure-eight-matched")
     sensed = pipeline.sense(profile, pipeline.fly(profile))
     data, start, imu = sensed.data, sensed.initial, sensed.data.imu
     last = replace(data, output_t=data.output_t[-1:])
@@ -105,9 +105,9 @@ def main() -> None:
         "strapdown": (strapdown, len(imu.t)),
         "every sample": run(data, covariance_hz=None),
     }
-    compiled, filter_run._fusion_kernel = filter_run._fusion_kernel, lambda *_: None
+    compiled, filter_run.fusion_kernel = filter_run.fusion_kernel, lambda *_: None
     prepared = epoch_costs({"prepared": run(last, baro=False, covariance_hz=1.0)}, 11)["prepared"]
-    filter_run._fusion_kernel = compiled
+    filter_run.fusion_kernel = compiled
     cost = epoch_costs(works, 11)
     whole, heights, answers, steps, rest, _ = (cost[name] for name in works)
     for what, share in {

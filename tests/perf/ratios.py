@@ -137,7 +137,7 @@ def flying(profile: Profile) -> list[Figure]:
 
 def turning(name: str) -> FlightSpec:
     """Return three minutes of straights and turns with the aircraft of a profile, at its first trim."""
-    spec = config.load_profile(name).flight
+    spec = config.read_profile(name).flight
     assert isinstance(spec, FlightSpec)
     alt, speed = spec.aircraft.trims[0]
     turns = (Turn(side * np.pi / 4, np.radians(20.0)) for side in (1, -1))
@@ -175,7 +175,7 @@ def sky_cost(profile: Profile, truth: Trajectory, unit: Callable[[], object]) ->
     from bench.simulation.sensors.draws import SensorDraws
     from bench.simulation.sensors.measurement_level import sky
 
-    spec = config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}).sensors
+    spec = config.read_profile(profile.name, {"sensors.gnss": "sky-l1"}).sensors
     return ratio(lambda: sky.measure(truth, spec.gnss, spec.antenna_b, (), SensorDraws(1, 0)), unit, 31)
 
 
@@ -202,7 +202,7 @@ def navigating(profile: Profile, matched: Profile) -> list[Figure]:
     """The filters in units of `tests.perf.dense`, and of the strapdown and of each other."""
     truth = pipeline.fly(matched)
     sensed = pipeline.sense(matched, truth)
-    satellites = pipeline.sense(config.load_profile(profile.name, {"sensors.gnss": "sky-l1"}), truth)
+    satellites = pipeline.sense(config.read_profile(profile.name, {"sensors.gnss": "sky-l1"}), truth)
     epochs = len(sensed.data.imu.t)
 
     def run(use: str, sky: bool = False, **options: object) -> tuple[Callable[[], object], int]:
@@ -346,7 +346,7 @@ def against_python_ins(truth: Trajectory, sensed: Sensed, seconds: float = 60.0)
 
 
 def reporting(profile: Profile) -> list[Figure]:
-    """The report of a run with the estimators of its profile, in units of a slice of `tests.perf.dense`."""
+    """The report of a run with the filters of its profile, in units of a slice of `tests.perf.dense`."""
     result = bench.run(profile)
     cost = ratio(lambda: page.make_page(profile.name, result), dense)
     return [Figure(f"report of {profile.name} / {EPOCHS} epochs of dense", cost, 1.5, "x")]
@@ -421,7 +421,7 @@ for name in sys.argv[2:] or [use for use, row in BUILT_IN.items() if row.package
 
 def starting(truth: Trajectory) -> list[Figure]:
     """First answers to two seconds of a record, each in a process of its own: compiling, and compiled."""
-    sensed = pipeline.sense(config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"}), truth)
+    sensed = pipeline.sense(config.read_profile("figure-eight", {"sensors.gnss": "sky-l1"}), truth)
     imu = sensed.data.imu
     begun = {f.name: getattr(imu, f.name)[:400] for f in fields(imu)}
     data = replace(sensed.data, imu=replace(imu, **begun), output_t=sensed.data.output_t[:21])
@@ -442,14 +442,14 @@ def starting(truth: Trajectory) -> list[Figure]:
         first = process(cache)
         warm = float(np.median([process(cache, "loose-22") for _ in range(3)]))
     return [
-        Figure("all built-in estimators, first ever, compiling", first, 40.0, "s CPU"),
+        Figure("all built-in filters, first ever, compiling", first, 40.0, "s CPU"),
         Figure("loose-22, kernels warm: start of Python to first answer", warm, 1.5, "s CPU"),
     ]
 
 
 def main() -> None:
-    profile = config.load_profile("figure-eight")
-    matched = config.load_profile("figure-eight-matched")
+    profile = config.read_profile("figure-eight")
+    matched = config.read_profile("figure-eight-matched")
     truth = pipeline.fly(profile)
     sensed = pipeline.sense(profile, truth)
     figures = [

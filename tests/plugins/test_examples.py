@@ -90,10 +90,14 @@ def test_all_are_listed_with_their_packages_and_none_is_imported(capsys):
     (rows,) = json.loads(capsys.readouterr().out).values()
     assert {row["name"]: (row["kind"], row["title"]) for row in rows} == ADDED
     assert main(["list"]) == 0
+    assert ["packages", str(len(ADDED))] in [
+        line.split()[:2] for line in capsys.readouterr().out.splitlines()
+    ]
+    assert main(["list", "packages"]) == 0
     out = " ".join(capsys.readouterr().out.split())
     assert all(f"{kind} {name} {title}" in out for name, (kind, title) in ADDED.items())
     assert main(["--help"]) == 0
-    assert "sheet of sheet-verb 0.3" in " ".join(capsys.readouterr().out.split())
+    assert "sheet package sheet-verb 0.3" in " ".join(capsys.readouterr().out.split())
     assert main(["study", "--help"]) == 0
     assert "lever of lever-study 0.3" in " ".join(capsys.readouterr().out.split())
     assert not {"trail_log", "kepler_table", "lever_study", "sheet_verb"} & set(sys.modules)
@@ -106,7 +110,7 @@ def test_a_file_that_only_a_package_knows_gets_a_log_and_runs(tmp_path, capsys):
     drive = ["navigate", "drive.rec", "-e", "loose-15", "-o", "out", "--outages", "none"]
     assert main([*drive, "--no-rrd", "--no-report"]) in (0, 1)
     assert "drive.rec: imu, gnss" in capsys.readouterr().out
-    result = bench.load("out")
+    result = bench.read_result("out")
     assert result.metrics["loose-15"]["converged"]
     used = np.column_stack([result.sensors.fixes.lla, result.sensors.fixes.vel_n])
     assert len(used) > 200  # some are withheld
@@ -205,11 +209,11 @@ LOOKS = "from bench.io.logs.log_contents import Contents\nlook = lambda path: Co
             '"A question."\nfrom bench.experiments.studies.study import StudyOptions as Options\nrun = print',
             "run gives no Findings, but NoneType",
         ),
-        ("sheet_verb", "sheet = print", "sheet_verb:sheet is no click.Command"),
-        ("kepler_table", "recognises = bool", "kepler_table has no function read_almanac"),
+        ("sheet_verb", "sheet = print", "sheet_verb:sheet is not a click.Command"),
+        ("kepler_table", "recognizes = bool", "kepler_table has no function read_almanac"),
         (
             "kepler_table",
-            "recognises = bool\nread_almanac = lambda *given: 3",
+            "recognizes = bool\nread_almanac = lambda *given: 3",
             "read_almanac gives no KeplerSets, but int",
         ),
     ],

@@ -126,7 +126,7 @@ def show_in_browser(
     folder: Path, scratch: Path, width: int = WIDTH, height: int = 810
 ) -> Iterator[tuple[str, bytes]]:
     """Yield the name of each tab of a results folder, and a picture of it as `bench view --web` serves it."""
-    result = bench.load(folder)
+    result = bench.read_result(folder)
     content = gather_content(result)
     assert content is not None
     names = ["Overview", *(tab.name for tab in TABS if any(map(any, tab.plots(content).values())))]

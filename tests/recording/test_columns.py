@@ -36,12 +36,12 @@ DEG_H, MG = 3600.0 * 180.0 / np.pi, 1e3 / 9.80665
 
 @pytest.fixture(scope="module")
 def profile():
-    return bench.load_profile("all-sensors", CHANGES, estimators=["loose-full", "free-inertial"])
+    return bench.read_profile("all-sensors", CHANGES, estimators=["loose-full", "free-inertial"])
 
 
 @pytest.fixture(scope="module")
 def folder(profile, tmp_path_factory) -> Path:
-    return bench.save(bench.run(profile), tmp_path_factory.mktemp("columns") / "run", report=False)
+    return bench.write_result(bench.run(profile), tmp_path_factory.mktemp("columns") / "run", report=False)
 
 
 @pytest.fixture(scope="module")
@@ -364,7 +364,7 @@ def test_every_entity_holds_its_columns(recorded, tables):
 
 
 def test_recordings_of_equal_runs_hold_equal_entities_times_and_values(profile, folder, tmp_path):
-    again = bench.save(bench.run(profile), tmp_path / "again", report=False)
+    again = bench.write_result(bench.run(profile), tmp_path / "again", report=False)
     tool = Path(rerun_cli.__file__).parent / "rerun"
     both = (folder / "flight.rrd", again / "flight.rrd")
     done = subprocess.run([tool, "rrd", "compare", *both], capture_output=True, text=True, timeout=60)

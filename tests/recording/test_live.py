@@ -37,7 +37,7 @@ def shown(tmp_path):
 
 def test_truth_and_estimate_are_shown_as_they_fly_and_no_bit_changes(tmp_path, shown):
     (tmp_path / "closed.toml").write_text(PROFILE)
-    profile = config.load_profile(tmp_path / "closed.toml")
+    profile = config.read_profile(tmp_path / "closed.toml")
     flight, stream, path = shown
     seen = []
 
@@ -66,7 +66,7 @@ def test_truth_and_estimate_are_shown_as_they_fly_and_no_bit_changes(tmp_path, s
 def test_a_flight_by_the_truth_is_shown_whether_it_is_flown_or_comes_from_the_cache(tmp_path, shown):
     text = PROFILE.replace('[guidance]\nnavigation = "loose-15"\n', "")
     (tmp_path / "open.toml").write_text(text)
-    profile = config.load_profile(tmp_path / "open.toml")
+    profile = config.read_profile(tmp_path / "open.toml")
     flight, stream, path = shown
     seen = []
 
@@ -99,11 +99,9 @@ class Heard:
 
 def test_a_line_of_a_long_flight_goes_on_in_the_next_one():
     """What is sent again each second does not grow with the flight."""
-    heard = Heard()
-    flight = live.LiveFlight(heard)
-    flight._origin = origin = np.array([0.8, 0.2, 1000.0])
-    for k in range(130):
-        flight._show("truth", float(k), origin + np.array([0.0, 0.0, k]), (0, 0, 0))
+    heard, t = Heard(), np.arange(130.0)
+    lla = np.column_stack([np.full(130, 0.8), np.full(130, 0.2), 1000.0 + t])
+    live.LiveFlight(heard)(SimpleNamespace(t=t, lla=lla), None)
     assert heard.lines == {f"/world/truth/path/{k}": points for k, points in enumerate((60, 61, 11))}
 
 
@@ -134,8 +132,8 @@ def show_in(monkeypatch, tmp_path):
         program.write_text(f"#!{sys.executable}\n{script}\n")
         program.chmod(0o755)
         monkeypatch.setenv("DISPLAY", ":0")
-        monkeypatch.setattr(viewer, "_find_viewer", lambda: program)
-        monkeypatch.setattr(viewer, "_PATIENCE", 1.0)
+        monkeypatch.setattr(viewer, "find_viewer", lambda: program)
+        monkeypatch.setattr(viewer, "PATIENCE", 1.0)
         monkeypatch.setattr(subprocess, "Popen", keep)
         console = PlainConsole(file=io.StringIO())
         with viewer.show_live("a, b", console) as flight:
@@ -156,7 +154,7 @@ def test_the_real_viewer_reads_the_flight_at_its_standard_input_and_rerun_says_n
 ):
     """It keeps what it reads, because a window needs a display."""
     part, kept = str(tmp_path / "part.rrd"), tmp_path / "kept.rrd"
-    command = f"[{str(viewer._find_viewer())!r}, *sys.argv[1:], '--save', {part!r}]"
+    command = f"[{str(viewer.find_viewer())!r}, *sys.argv[1:], '--save', {part!r}]"
     script = "import os, subprocess, sys, time"
     script += f"\nsubprocess.run({command})\nos.rename({part!r}, {str(kept)!r})\ntime.sleep(60)"
     assert show_in(script) == ""
@@ -183,7 +181,7 @@ def test_a_viewer_that_takes_nothing_does_not_hold_the_run(show_in, capfd, scrip
 
 def test_a_viewer_that_cannot_be_started_is_a_line(tmp_path, monkeypatch):
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(viewer, "_find_viewer", lambda: tmp_path / "none")
+    monkeypatch.setattr(viewer, "find_viewer", lambda: tmp_path / "none")
     console = PlainConsole(file=io.StringIO())
     with viewer.show_live("figure-eight", console) as flight:
         assert flight is None

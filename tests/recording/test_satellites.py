@@ -23,7 +23,7 @@ BANK = np.deg2rad(60.0)  # right wing down: what the antenna loses is to the lef
 @pytest.fixture(scope="module")
 def profile():
     fault = Fault("jamming", "gnss", 50.0, 55.0, "jamming of gnss", loss=60.0)
-    read = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"})
+    read = config.read_profile("figure-eight", {"sensors.gnss": "sky-l1"})
     return replace(read, sensors=replace(read.sensors, gnss_outages=(), faults=(fault,)))
 
 
@@ -118,7 +118,7 @@ def test_the_recording_holds_them(profile, truth, sensed, tmp_path):
 
 
 def test_the_sky_plot_has_north_up_and_east_right():
-    places = sky_view._place(
+    places = sky_view.place(
         np.array([0.0, 0.0, np.pi / 2, np.pi / 4]), np.array([0.0, np.pi / 2, 1.0, np.pi])
     )
     assert_allclose(places, [[0, -1], [1, 0], [0, 0], [0, 0.5]], atol=1e-12)  # the viewer's y points down

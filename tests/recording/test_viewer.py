@@ -22,7 +22,7 @@ def viewer_there() -> None:
 
 
 def check_views(result, folder) -> None:
-    path, end = bench.save(result, folder, report=False) / "flight.rrd", float(result.truth.t[-1])
+    path, end = bench.write_result(result, folder, report=False) / "flight.rrd", float(result.truth.t[-1])
     with open_viewer(path) as viewer:
         views = viewer.get_state().views
         assert len(views) > 10
@@ -50,7 +50,7 @@ def find_cursor(picture: bytes) -> float:
 @pytest.mark.usefixtures("viewer_there")
 def test_a_recording_of_five_estimators_opens(tmp_path):
     names = ["loose-15", "loose-22", "gnss-only", "baro-inertial", "free-inertial"]
-    profile = bench.load_profile("figure-eight", SHORT, seed=3, estimators=names)
+    profile = bench.read_profile("figure-eight", SHORT, seed=3, estimators=names)
     check_views(bench.run(profile), tmp_path / "five")
 
 

@@ -1,4 +1,4 @@
-"""The report in Chromium: no error, no request, no sideways scrolling, readable colours."""
+"""The report in Chromium: no error, no request, no sideways scrolling, readable colors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ MEASURE = (Path(__file__).parent / "measure.js").read_text(encoding="utf-8")
 def result():
     outage = {**SHORT, "gnss_outage": [{"start_s": 10.0, "duration_s": 5.0}]}
     names = ["loose-15", "loose-22", "gnss-only", "baro-inertial", "free-inertial"]
-    profile = bench.load_profile("figure-eight", outage, seed=3, estimators=names)
+    profile = bench.read_profile("figure-eight", outage, seed=3, estimators=names)
     return bench.run(profile)
 
 
@@ -49,7 +49,7 @@ def check_moved(found, result):
     t, drawn = (np.array(column, float) for column in zip(*found["line"], strict=True))
     size = np.hypot(*errors.pos_n[:, :2].T)
     shown = (t > 5.0) & np.isfinite(drawn)
-    # a pixel holds several epochs: what is drawn lies between the least and the greatest of its neighbours
+    # a pixel holds several epochs: what is drawn lies between the least and the greatest of its neighbors
     near = [size[np.abs(errors.t - at) < 0.05] for at in t[shown]]
     off = [max(min(one) / v, v / max(one)) for one, v in zip(near, drawn[shown], strict=True)]
     assert max(off) < 1.01

@@ -35,7 +35,7 @@ def test_a_study_shows_its_answer_its_tables_and_its_figures(answer):
     np.testing.assert_array_equal(line.get_ydata(), np.linspace(0.0, 10.0, 11) ** 2)
     with pytest.raises(ConfigError, match=r"(?s)'drfit' has no plots.*'drift'"):
         answer.plot("drfit")
-    with pytest.raises(ConfigError, match="only the plots of a run belong to an estimator"):
+    with pytest.raises(ConfigError, match="only the plots of a run belong to a filter"):
         answer.plot("drift", estimator="loose-15")
 
 

@@ -55,7 +55,7 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def result():
     outage = {**SHORT, "gnss_outage": [{"start_s": 10.0, "duration_s": 5.0}]}
-    profile = bench.load_profile("figure-eight", outage, seed=3, estimators=["loose-15", "free-inertial"])
+    profile = bench.read_profile("figure-eight", outage, seed=3, estimators=["loose-15", "free-inertial"])
     return bench.run(profile)
 
 
@@ -65,7 +65,7 @@ def text(result):
 
 
 def test_a_recording_made_of_a_folder_is_that_of_the_run(result, tmp_path, capsys):
-    folder = bench.save(result, tmp_path / "flight", report=False)
+    folder = bench.write_result(result, tmp_path / "flight", report=False)
     first = (folder / "flight.rrd").read_bytes()
     (folder / "flight.rrd").unlink()
     assert main(["record", str(folder)]) == 0
@@ -184,7 +184,7 @@ def test_a_band_holds_its_edges_and_ends_where_they_are_unknown():
 
 def test_a_title_from_a_stranger_is_text(result):
     profile = {**result.profile, "title": HOSTILE, "aircraft": HOSTILE}
-    metrics = {HOSTILE: dict(result.metrics["loose-15"], verdict_text=HOSTILE, unmodelled=[HOSTILE])}
+    metrics = {HOSTILE: dict(result.metrics["loose-15"], verdict_text=HOSTILE, unmodeled=[HOSTILE])}
     solutions = {HOSTILE: result.solutions["loose-15"]}
     errors = {HOSTILE: result.errors["loose-15"]}
     text = page.make_page(
@@ -198,12 +198,14 @@ def test_a_title_from_a_stranger_is_text(result):
 
 def test_run_writes_a_report_and_the_verb_writes_it_again(result, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    folder = bench.save(result, "runs/short", recording=False)
+    folder = bench.write_result(result, "runs/short", recording=False)
     first = (folder / "report.html").read_text(encoding="utf-8")
     assert main(["report", "runs/short"]) == 0
     again = (folder / "report.html").read_text(encoding="utf-8")
     assert svg_of(first) == svg_of(again)
-    bench.save(result, folder, recording=False, report=False, force=True)  # the report was the bench's own
+    bench.write_result(
+        result, folder, recording=False, report=False, force=True
+    )  # the report was the bench's own
     assert not (folder / "report.html").exists()
     assert main(["report", "runs"]) == 0
     index = (tmp_path / "runs/index.html").read_text(encoding="utf-8")
@@ -228,7 +230,7 @@ def test_figures_for_a_paper_hold_the_data_and_are_the_same_twice(result, tmp_pa
     assert figure.get_figwidth() == pytest.approx(60.0 / 25.4)
     for axes, error in zip(figure.axes, result.errors["free-inertial"].pos_n.T, strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), error)
-    folder = bench.save(result, "short", recording=False, report=False)
+    folder = bench.write_result(result, "short", recording=False, report=False)
     written = bench.write_figures(folder, "a", "svg")
     assert {path.name for path in written} >= {"loose-15-position.svg", "comparison.svg", "flight.svg"}
     assert main(["report", "short", "--figures", "svg", "-o", "b"]) == 0
@@ -258,7 +260,7 @@ def test_a_legend_covers_neither_lines_nor_titles(result, tab, width):
 
 def test_an_index_written_elsewhere_names_the_folders_relative_to_itself(result, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    bench.save(result, "runs/short")
+    bench.write_result(result, "runs/short")
     (tmp_path / "pages").mkdir()
     assert main(["report", "runs", "-o", str(tmp_path / "pages" / "index.html")]) == 0
     text = (tmp_path / "pages" / "index.html").read_text(encoding="utf-8")
@@ -304,16 +306,16 @@ def test_ratios_are_drawn_where_they_are_and_open_ends_reach_the_edge():
     ],
 )  # fmt: skip
 def test_numbers_beside_an_axis_have_room(value, text):
-    assert svg._format_mark(value) == text
+    assert svg.format_mark(value) == text
 
 
 def test_a_narrow_logarithmic_axis_has_round_numbers_of_a_plain_one():
     """Between 13.9 and 14.1 mm no 1, 2 or 5 of a decade lies: steps of 0.05 mm."""
-    at, numbers = svg._round_marks(np.log10(0.0139), np.log10(0.0141), 5, log=True)
+    at, numbers = svg.round_marks(np.log10(0.0139), np.log10(0.0141), 5, log=True)
     assert numbers == pytest.approx([0.0139, 0.01395, 0.014, 0.01405, 0.0141])
     assert at == pytest.approx(np.log10(numbers))
-    assert svg._round_marks(np.log10(0.9), np.log10(6.0), 5, log=True)[1].tolist() == [1.0, 2.0, 5.0]
-    assert svg._round_marks(-3.0, 5.0, 5, log=True)[1].tolist() == [1e-3, 1e-1, 1e1, 1e3, 1e5]
+    assert svg.round_marks(np.log10(0.9), np.log10(6.0), 5, log=True)[1].tolist() == [1.0, 2.0, 5.0]
+    assert svg.round_marks(-3.0, 5.0, 5, log=True)[1].tolist() == [1e-3, 1e-1, 1e1, 1e3, 1e5]
 
 
 def test_one_table_is_the_same_on_a_terminal_and_on_a_page():

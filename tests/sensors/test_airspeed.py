@@ -49,7 +49,7 @@ def test_without_errors_it_reads_the_true_airspeed():
 
 @pytest.mark.parametrize("speed", [10.0, 20.0, 40.0, 240.0])
 def test_pressure_noise_is_speed_noise_over_density_and_speed(speed):
-    """sd(V) = sd(p) / (rho V), a fifth less at Mach 0.72; the record claims it. Twice the noise fails."""
+    """sd(V) = sd(p) / (rho V), a fifth less at Mach 0.72; the record reports it. Twice the noise fails."""
     truth = flown(lambda t: speed + 0 * t)
     record = airspeed.measure(truth, replace(OFF, pressure_white_sd=2.0), SensorDraws(1, 0))[0]
     density = 87700.0 / (287.05287 * 280.0)

@@ -261,7 +261,7 @@ def test_named_satellites_are_lost_and_no_other(turn, plain):
 
 
 def test_jamming_lowers_every_signal_and_what_is_below_the_threshold_is_lost(turn, plain):
-    """The noise is the same draw, as much larger as the formulas of the loops say for the lower C/N0."""
+    """The noise is the same run, as much larger as the formulas of the loops say for the lower C/N0."""
     from bench.simulation.sensors.measurement_level.loops import code_sd, doppler_sd
 
     loss, prompt = 12.0, replace(SKY, sky=replace(SKY.sky, reacquisition=0.0))
@@ -494,7 +494,7 @@ PROFILE = {
 def wrong(gnss="sky-l1", **fault):
     row = {"start_s": 10.0, "duration_s": 5.0, **fault}
     with pytest.raises(ConfigError) as caught:
-        config.load_profile("figure-eight", {**PROFILE, "sensors.gnss": gnss, "fault": [row]})
+        config.read_profile("figure-eight", {**PROFILE, "sensors.gnss": gnss, "fault": [row]})
     return str(caught.value)
 
 
@@ -529,7 +529,7 @@ def test_a_fault_that_cannot_be_gets_one_line(fault, said):
 def test_every_fault_of_a_sensor_on_board_is_taken(level, kind, keys):
     units = {"sensors.gnss": {"sky": "sky-l1", "position": "matched-white"}[level], "gnss_outage": []}
     row = {"kind": kind, "start_s": 10.0, "duration_s": 5.0, **keys}
-    (fault,) = config.load_profile("all-sensors", {**units, "fault": [row]}).sensors.faults
+    (fault,) = config.read_profile("all-sensors", {**units, "fault": [row]}).sensors.faults
     assert (fault.kind, fault.start, fault.end) == (kind, 10.0, 15.0)
     assert fault.sensor == keys.get("sensor", {"baro-step": "baro"}.get(kind, fault.sensor))
 
@@ -543,24 +543,24 @@ def test_a_fault_of_a_sensor_that_is_not_on_board_or_of_a_noise_it_has_not(tmp_p
     (tmp_path / "own.toml").write_text(text)
     row = {"kind": "baro-step", "start_s": 10.0, "duration_s": 5.0, "step_m": 5.0}
     with pytest.raises(ConfigError, match=r"\[\[fault\]\] 1 \(baro-step\): there is no baro in \[sensors\]"):
-        config.load_profile(str(tmp_path / "own.toml"), {"fault": [row]})
+        config.read_profile(str(tmp_path / "own.toml"), {"fault": [row]})
     ideal = 'source = "none"\n[accel]\nnoise_ug_sqrt_hz = 5.0\n'
     (tmp_path / "ideal.toml").write_text(ideal)
     row = {"kind": "noise-burst", "sensor": "gyro", "start_s": 10.0, "duration_s": 5.0, "times": 5.0}
     overrides = {"sensors.imu": str(tmp_path / "ideal.toml"), "fault": [row]}
     with pytest.raises(ConfigError, match=r"ideal.* has no white noise in its gyro to multiply"):
-        config.load_profile(str(tmp_path / "own.toml"), overrides)
+        config.read_profile(str(tmp_path / "own.toml"), overrides)
 
 
 def test_the_same_fault_twice_at_a_time_is_refused():
     row = {"kind": "jamming", "start_s": 10.0, "duration_s": 5.0, "cn0_loss_db": 5.0}
     overrides = {**PROFILE, "sensors.gnss": "sky-l1", "fault": [row, {**row, "start_s": 12.0}]}
     with pytest.raises(ConfigError, match=r"start_s = 12 s overlaps \[\[fault\]\] 1, the same fault"):
-        config.load_profile("figure-eight", overrides)
+        config.read_profile("figure-eight", overrides)
     rows = [{**row, "kind": "pseudorange", "satellites": [s]} for s in ("G06", "G07")]
     for r in rows:
         del r["cn0_loss_db"]
         r["step_m"] = 5.0
-    taken = config.load_profile("figure-eight", {**overrides, "fault": rows})
+    taken = config.read_profile("figure-eight", {**overrides, "fault": rows})
     assert [f.satellites for f in taken.sensors.faults] == [((0, 6),), ((0, 7),)]
     assert taken.document["fault"][0]["satellites"] == ["G06"]

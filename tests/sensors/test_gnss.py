@@ -78,7 +78,7 @@ def test_without_errors_a_fix_is_the_antenna(turn):
     lever_e = np.einsum("kij,kj->ki", C_en, rotation.rotate(turn.q_nb, np.array(LEVER)))
     assert_allclose(earth.to_ecef(fixes.lla), (earth.to_ecef(turn.lla) + lever_e)[rows], rtol=0, atol=1e-6)
 
-    rows = rows[:-1]  # the last instant has no later neighbour
+    rows = rows[:-1]  # the last time has no later neighbor
     rate_e = (lever_e[rows + 1] - lever_e[rows - 1]) / (turn.t[rows + 1] - turn.t[rows - 1])[:, None]
     lever_rate_n = np.einsum("kji,kj->ki", C_en[rows], rate_e)
     assert_allclose(fixes.vel_n[:-1] - turn.vel_n[rows], lever_rate_n, rtol=0, atol=2e-5)
@@ -86,8 +86,8 @@ def test_without_errors_a_fix_is_the_antenna(turn):
     assert earth.EARTH_RATE * np.linalg.norm(LEVER) > 5 * 2e-5
 
 
-def test_the_turn_rate_of_an_instant_is_centred_on_it(turn):
-    """Under a steady roll acceleration the mean of both neighbours is exact; one alone is dt / 2 late."""
+def test_the_turn_rate_of_an_instant_is_centerd_on_it(turn):
+    """Under a steady roll acceleration the mean of both neighbors is exact; one alone is dt / 2 late."""
     acceleration = 2.0
     ramp = acceleration * 0.5 * (turn.t[1:] ** 2 - turn.t[:-1] ** 2)
     still_rate = replace(turn, dtheta_b=np.zeros_like(turn.dtheta_b))
@@ -165,7 +165,7 @@ def test_every_noise_has_a_stream_and_none_is_drawn_for_nothing(turn, streams_dr
     ]
 
 
-def test_white_errors_have_their_size_in_metres_on_every_axis():
+def test_white_errors_have_their_size_in_meters_on_every_axis():
     """At 47 degrees latitude, so that a missing cosine would be seen on the east axis."""
     white = replace(FULL, pos_h_markov_sd=0.0, pos_v_markov_sd=0.0, vel_markov_sd=0.0)
     pos, vel = errors(still(3000.0, 1.0), white)
@@ -259,7 +259,7 @@ def test_doubling_the_rate_doubles_the_fixes(turn):
 def test_a_rate_the_truth_cannot_give_is_refused(turn):
     with pytest.raises(ValueError, match="gnss: rate 400 Hz is above the 200 Hz of the truth"):
         measure(turn, replace(FULL, rate=400.0))
-    assert len(measure(turn, replace(FULL, rate=0.01))) == 0  # `sense` refuses what never says anything
+    assert len(measure(turn, replace(FULL, rate=0.01))) == 0  # `sense` rejects what never says anything
 
 
 JUMPS = {

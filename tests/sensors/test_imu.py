@@ -351,8 +351,8 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     )
     compiled, plain = np.empty((n, 3)), np.empty((n, 3))
     flags = np.ones((2, n), bool)
-    imu._measure_kernel(*arguments, np.zeros(3), compiled, flags[0])
-    imu._measure_kernel.py_func(*arguments, np.zeros(3), plain, flags[1])
+    imu.measure_kernel(*arguments, np.zeros(3), compiled, flags[0])
+    imu.measure_kernel.py_func(*arguments, np.zeros(3), plain, flags[1])
     assert_allclose(compiled, plain, rtol=0, atol=1e-13)
     assert_array_equal(flags[0], flags[1])
 
@@ -360,6 +360,6 @@ def test_compiled_kernels_agree_with_their_own_python(turn):
     noise = np.random.default_rng(5).normal(size=(50, 2, 3))
     plain = np.zeros((50, 3))
     decay = np.exp(-np.concatenate([[np.inf], dt])[:, None] / correlation)
-    processes._gauss_markov_kernel.py_func(decay, sd, noise, np.zeros((2, 3)), plain)
+    processes.gauss_markov_kernel.py_func(decay, sd, noise, np.zeros((2, 3)), plain)
     simulated = processes.simulate_gauss_markov(dt, correlation, sd, np.random.default_rng(5))
     assert_allclose(simulated, plain, rtol=0, atol=1e-13)

@@ -196,7 +196,7 @@ def test_a_figure_of_one_axis_acts_on_that_axis_alone(figure):
 
 
 def test_adding_terms_leaves_the_noise_of_the_others_bit_identical(streams_drawn):
-    """Streams are named by term: with all of them on, each draws what it draws alone."""
+    """Streams are named by term: with all of them on, each runs what it draws alone."""
     turn = turning(5.0, 200.0)
     figures = {**EXTRA, **GYRO_ONLY}
     seen = {}
@@ -355,7 +355,7 @@ def test_the_bias_of_a_skewed_triad_is_reported_in_the_body():
     assert_allclose((record.dvel_b - quiet.dvel_b) * 100.0, np.tile(bias.accel_b[0], (1000, 1)), atol=1e-12)
 
 
-def test_an_accelerometer_off_the_centre_feels_the_rotation():
+def test_an_accelerometer_off_the_center_feels_the_rotation():
     """B-0: arm 0.5 m, 10 deg/s and 20 deg/s^2: 0.015 and 0.175 m/s^2; twice the arm, twice the force."""
     spin, gain = np.deg2rad(10.0), np.deg2rad(20.0)
     t = (np.arange(200) + 0.5) / RATE
@@ -450,7 +450,7 @@ def test_the_bias_follows_the_air_and_the_own_heat():
 
 
 def test_without_air_data_the_air_is_that_of_the_standard_atmosphere():
-    """By ISO 2533: 15 degC at sea level, 6.5 K less each kilometre, and -56.5 degC from 11 to 20 km."""
+    """By ISO 2533: 15 degC at sea level, 6.5 K less each kilometer, and -56.5 degC from 11 to 20 km."""
     truth = replace(made(np.zeros((160, 3)), np.zeros((160, 3)), 20.0), air=no_air())
     climb = np.interp(truth.t, [0.0, 4.0, 8.0], [0.0, 4002.52, 12_000.0])  # 4002.5 m are 4000 geopotential
     truth = replace(truth, lla=np.column_stack([truth.lla[:, :2], climb]))
@@ -474,10 +474,10 @@ def test_speed_and_strength_of_the_shaking_are_lines_between_instants_of_the_air
         rng.normal(size=4),
     )
     found, angle, turned = np.empty(60), np.empty(60), np.array([3.0])
-    vibration._interpolate_kernel(t, at, values, found)
+    vibration.interpolate_kernel(t, at, values, found)
     line = np.interp(t, at, values)
     assert_allclose(found, line, rtol=0, atol=1e-12)
-    vibration._engine_angle_kernel(t, at, values, turned, angle)
+    vibration.engine_angle_kernel(t, at, values, turned, angle)
     expected = 3.0 + np.append(0.0, np.cumsum(0.5 * (line[1:] + line[:-1]) * np.diff(t)))
     assert_allclose(angle, expected, rtol=0, atol=1e-12)
     assert turned[0] == angle[-1]
@@ -544,7 +544,7 @@ def test_the_engine_shakes_from_a_drawn_phase_and_gusts_along_a_drawn_direction(
     cosine = np.cos(w * truth.t[:, None, None] + phases)
     drawn = stream(1, 0, "shape").standard_normal((2, 3))
     displacement, draws = np.empty(n + 1), SensorDraws(1, 0)
-    vibration._simulate_mode(truth.t, gusts, draws, displacement)
+    vibration.simulate_mode(truth.t, gusts, draws, displacement)
     gust = np.interp(truth.t, air.t, vibration.compute_gust_rms(air, draws))
     for spec, figures in ((engine, (0.02, 3.0)), (gusts, (0.01, 0.5))):
         shaken = vibration.shake(truth, spec, SensorDraws(1, 0))
@@ -558,7 +558,7 @@ def test_the_engine_shakes_from_a_drawn_phase_and_gusts_along_a_drawn_direction(
 
 
 def test_gusts_are_the_spread_of_the_wind_in_the_last_ten_seconds():
-    """About its own mean, at every instant; a steady wind is no gust."""
+    """About its own mean, at every time; a steady wind is no gust."""
     air = weather(25.0, wind=50.0 + np.random.default_rng(9).normal(size=(501, 3)) * [1.0, 3.0, 0.2])
     found = vibration.compute_gust_rms(replace(air, t=air.t + 100.0), SensorDraws(1, 0))
     for k, rms in enumerate(found):
@@ -572,7 +572,7 @@ def test_the_mode_has_the_covariance_of_a_stationary_oscillator():
 
     def displace(draws):
         out = np.empty(len(t))
-        vibration._simulate_mode(t, spec, draws, out)
+        vibration.simulate_mode(t, spec, draws, out)
         return out
 
     response, w = respond("gust", 14, displace), 2 * np.pi * 3.0
@@ -640,19 +640,19 @@ def test_compiled_kernels_agree_with_their_own_python():
     step = imu_terms.compute_oscillator_step(30.0, 0.7, 0.01)
     coarse = np.linspace(0.0, 0.5, 8)
     for kernel, arguments, out in [
-        (imu_terms._along_kernel, (x, v, np.diff(t), nine, nine, 0, np.empty((3, 3))), np.empty((n, 3))),
+        (imu_terms.along_kernel, (x, v, np.diff(t), nine, nine, 0, np.empty((3, 3))), np.empty((n, 3))),
         (
-            imu_terms._response_kernel,
+            imu_terms.response_kernel,
             (x, 2.3, 30.0, step, 0.01, 0.05, False, v[:3].copy(), v[:2].copy()),
             np.empty((n, 3)),
         ),
-        (imu_terms._motion_errors_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
+        (imu_terms.motion_errors_kernel, (t, x, v, three, three, three, nine, nine, 2.0), np.empty((n, 3))),
         (processes.lag_kernel, (t, values, 1.0, 0.2), np.empty(n + 1)),
-        (imu_terms._rotate_rows_kernel, (nine, x), np.empty((n, 3))),
-        (vibration._interpolate_kernel, (t, coarse, values[:8]), np.empty(n + 1)),
-        (vibration._mode_kernel, (step, step, rng.normal(size=(n, 2)), np.array([0.1, 0.2])), np.empty(n)),
+        (imu_terms.rotate_rows_kernel, (nine, x), np.empty((n, 3))),
+        (vibration.interpolate_kernel, (t, coarse, values[:8]), np.empty(n + 1)),
+        (vibration.mode_kernel, (step, step, rng.normal(size=(n, 2)), np.array([0.1, 0.2])), np.empty(n)),
         (
-            vibration._shake_kernel,
+            vibration.shake_kernel,
             (t, x, values, values, values, three, three, values, values, three),
             np.empty((n, 3)),
         ),

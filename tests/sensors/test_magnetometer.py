@@ -78,7 +78,7 @@ def test_the_matrix_and_the_offset_found_from_the_readings_are_those_of_the_figu
     for run in range(400):
         x, *_ = np.linalg.lstsq(A, reading(tumble, spec, run) - true, rcond=None)
         found.append(x.T / getattr(spec, figure))
-    drawn = magnetometer._draw_calibration(sampling.Sampler("mag", tumble, spec, SensorDraws(1, 399)), spec)
+    drawn = magnetometer.draw_calibration(sampling.Sampler("mag", tumble, spec, SensorDraws(1, 399)), spec)
     assert_allclose(found[-1] * getattr(spec, figure), np.column_stack(drawn), rtol=1e-6, atol=1e-9)
     found = np.array(found)
     M, offset = found[:, :, :3], found[:, :, 3]
@@ -133,10 +133,10 @@ def test_least_bit_range_rate_and_latency(turn):
 
 
 def test_the_date_moves_the_field(turn):
-    """At 47 deg north it grows by tens of nT in a year; a date without a model is refused."""
+    """At 47 deg north it grows by tens of nT in a year; a date without a model is rejected."""
     year = magnetometer.measure(turn, OFF, DATE + 1.0, SensorDraws(1, 0))[0].field_b - reading(turn, OFF)
     assert 10e-9 < np.linalg.norm(year, axis=1).min() < 200e-9
-    with pytest.raises(ValueError, match="modelled from 2010 to 2030"):
+    with pytest.raises(ValueError, match="modeled from 2010 to 2030"):
         magnetometer.measure(turn, OFF, 2031.0, SensorDraws(1, 0))
 
 

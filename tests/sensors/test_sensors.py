@@ -1,4 +1,4 @@
-"""One draw of all sensors: what the estimators get, when, and from where they start."""
+"""One run of all sensors: what the filters get, when, and from where they start."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ def test_outputs_are_wanted_every_tenth_and_at_both_ends_of_an_outage(turn):
 
 
 def test_a_flight_that_begins_at_another_instant_is_sensed_alike(turn):
-    """Later by 128 s, with faults and outages as much later: the same draws at the same epochs."""
+    """Later by 128 s, with faults and outages as much later: the same runs at the same epochs."""
     step = Fault("baro-step", "baro", 40.0, 45.0, "", step=(9.0,), ramp=(1.0,))
     gnss = replace(GNSS, pos_h_markov_sd=2.0, pos_decay_time=0.01, tracking_bandwidth=2.0)
     imu = ImuSpec(

@@ -284,7 +284,7 @@ def test_each_range_error_has_its_size(rest, term):
 
 
 def test_the_assumed_size_of_an_error_is_the_root_of_the_sum_of_its_parts():
-    """Of a range those of the sources; without any error a centimetre, and 0.1 mm/s of a range rate."""
+    """Of a range those of the sources; without any error a centimeter, and 0.1 mm/s of a range rate."""
     short = still(2.0, 1.0, attitude=(0.0, 0.0, 0.3))
     figures = {name: value for term in TERMS.values() for name, value in term.items()}
     o = measure(short, replace(QUIET, **figures), (0.0, 0.0, 0.0)).observations
@@ -342,7 +342,7 @@ def test_the_second_band_is_weaker_and_has_noise_of_its_own(rest):
 def test_slow_errors_remember(rest):
     """Correlation at one correlation time is 1/e: of the multipath, 80 s, over 13 satellites and 5 runs.
 
-    About 20 independent stretches of 600 s each hold 7 correlation times: 0.37 +- 0.25. White noise has 0.
+    About 20 independent segments of 600 s each hold 7 correlation times: 0.37 +- 0.25. White noise has 0.
     """
     what, products, squares = replace(QUIET, **TERMS["multipath.1"]), [], []
     clean = measure(rest, QUIET).observations
@@ -370,7 +370,7 @@ def test_the_clock_has_the_allan_deviation_of_its_coefficients():
         second = x[2 * tau :: tau] - 2 * x[tau:-tau:tau] + x[: -2 * tau : tau]
         variance = np.mean(second**2) / (2 * tau**2)
         expected = h_0 / (2 * tau) + 2 * np.pi**2 / 3 * h_m2 * tau
-        spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbours of second differences are correlated
+        spread = 3.29 * np.sqrt(3.0 / len(second))  # neighbors of second differences are correlated
         assert abs(variance / expected - 1) < spread
     one, two = (simulate_clock(truth, rows, replace(QUIET, clock_h_0=h))[0] for h in (2e-19, 8e-20))
     assert_allclose(two, one * np.sqrt(0.4), rtol=1e-9)  # an OCXO is quieter
@@ -388,7 +388,7 @@ def test_the_flicker_of_the_clock_is_flat_at_its_floor():
     what = replace(QUIET, clock_h_m1=h_m1)
     runs = [simulate_clock(truth, rows, what, run) for run in range(24)]
     taus = np.geomspace(0.1, 1e4, 41)
-    stages = zip(fit_flat_deviation(clock._STAGES, *clock._FLAT), clock._STAGES, strict=True)
+    stages = zip(fit_flat_deviation(clock.STAGES, *clock.FLAT_TIMES), clock.STAGES, strict=True)
     flat = np.sqrt(sum(allan.gauss_markov_deviation(taus, sd, c) ** 2 for sd, c in stages))
     assert np.abs(flat - 1).max() < 0.016
     for tau in 2 ** np.arange(11):
@@ -442,7 +442,7 @@ def test_a_stage_of_flicker_and_its_integral_have_the_covariance_of_a_stationary
     columns = []
     for number in np.eye(20):
         out = np.zeros((5, 2))
-        clock._flicker_kernel(dt, T, sd, number.reshape(5, 2, 2), False, np.zeros((2, 2)), out)
+        clock.flicker_kernel(dt, T, sd, number.reshape(5, 2, 2), False, np.zeros((2, 2)), out)
         columns.append(out.T.ravel())
     response = np.array(columns).T
     t = np.cumsum(dt).astype(np.longdouble)
@@ -471,7 +471,7 @@ def test_a_slow_error_is_a_line_between_gauss_markov_values():
     epochs, which = np.arange(9).repeat(2), np.tile([0, 1], 9)
 
     def drawn(draws):
-        return sky._Errors(np.arange(9.0), epochs, which, 2, 1.0, draws).draw_markov("slow", 80.0)
+        return sky.SkyErrors(np.arange(9.0), epochs, which, 2, 1.0, draws).draw_markov("slow", 80.0)
 
     response = respond("gnss.sky.slow", 12, drawn).reshape(9, 2, 12)
     at = response[::2]
@@ -484,7 +484,7 @@ def test_a_slow_error_is_a_line_between_gauss_markov_values():
 
 def test_orbits_are_fitted_again_where_a_flight_goes_beyond_them(monkeypatch):
     """Both fits have the bits of each other where both hold, and reach to the end of the piece."""
-    monkeypatch.setattr(view, "_AHEAD", 1000.0)
+    monkeypatch.setattr(view, "AHEAD", 1000.0)
     draws, state, found = SensorDraws(1, 0), np.empty((2, 8)), []
     for t in (np.array([20.0, 30.0]), np.array([30.0, 1010.0]), np.array([1010.0, 2990.0])):
         *_, track = view.find_track(QUIET, t, draws)
@@ -503,7 +503,7 @@ def test_orbits_are_fitted_again_where_a_flight_goes_beyond_them(monkeypatch):
 def test_antipodal_glonass_satellites_share_a_channel():
     """Nominal orbits: the channels of the ICD, four to a plane of eight."""
     number = np.arange(1, 25)
-    found = view._find_channels(orbits.make_nominal(GLONASS), number)
+    found = view.find_channels(orbits.make_nominal(GLONASS), number)
     assert_array_equal(found, [*[-7, -6, -5, -4] * 2, *[-3, -2, -1, 0] * 2, *[1, 2, 3, 4] * 2])
 
 
@@ -582,9 +582,9 @@ def test_one_error_more_leaves_the_others_their_bits(turn, term):
 
 
 def test_full_errors_match_what_the_receiver_claims(rest):
-    """Normalised squared position error over 300 runs at one instant, three degrees of freedom each.
+    """Normalized squared position error over 300 runs at one time, three degrees of freedom each.
 
-    Sds claimed 1.5 times too small would be seen.
+    Sds reported 1.5 times too small would be seen.
     """
     short = still(5.0, 1.0, attitude=(0.0, 0.0, 0.3))
     squares = []
@@ -598,8 +598,8 @@ def test_full_errors_match_what_the_receiver_claims(rest):
 
 
 def test_the_prediction_does_not_change_the_fix(turn):
-    """From the sensor's own prediction or from the centre of the Earth: within 2 cm, as the delays are
-    those of the prediction or of the receiver's own height, metres away."""
+    """From the sensor's own prediction or from the center of the Earth: within 2 cm, as the delays are
+    those of the prediction or of the receiver's own height, meters away."""
     found = measure(turn, FULL)
     again = receiver_solution.solve_fixes(found.observations, sky.make_processing(FULL))
     assert np.abs(earth.difference_n(again.fixes.lla, found.fixes.lla)).max() < 0.02
@@ -693,13 +693,13 @@ def test_a_profile_flies_with_it(short_truth, tmp_path):
     from bench.navigation.models.loose_tight import Loose
     from bench.simulation.sensors import sense
 
-    profile = config.load_profile("figure-eight", {"sensors.gnss": "sky-l1"})
+    profile = config.read_profile("figure-eight", {"sensors.gnss": "sky-l1"})
     sensed = sense(short_truth, replace(profile.sensors, gnss_outages=()), 1, 0)
     assert sensed.data.observations is not None
     solution = Loose().run(sensed.data, sensed.initial)
     errors, _ = pipeline.measure(replace(profile, evaluation=EvaluationWindow(20.0)), short_truth, solution)
     assert np.abs(errors.pos_n[-1]).max() < 15
-    facts = results.result_folder._describe_record(sensed.data.observations, sensed.data)
+    facts = results.result_folder.describe_record(sensed.data.observations, sensed.data)
     path = tmp_path / results.result_folder.OBSERVATIONS
     results.result_folder.parquet.write(path, sensed.data.observations, **facts)
     back = results.load_observations(tmp_path)

@@ -106,7 +106,7 @@ def test_the_port_errs_by_a_share_of_the_dynamic_pressure(field, air_column, val
     assert_allclose(moved[2], 4 * moved[1], rtol=5e-3)
 
 
-def test_a_port_away_from_the_centre_of_gravity_reads_its_own_height():
+def test_a_port_away_from_the_center_of_gravity_reads_its_own_height():
     """5 m aft in a climb attitude: lower by 5 sin(pitch); the height follows the attitude."""
     for pitch in (0.0, 0.3):
         truth = level()
@@ -132,15 +132,15 @@ def test_a_lag_reads_a_climb_behind_by_its_time():
 def test_pressure_noise_and_its_least_bit_become_altitude():
     """1 Pa is 1 / (rho g) of altitude: 0.092 m at 1000 m."""
     truth = level()
-    metre_per_pascal = 1 / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
+    meter_per_pascal = 1 / (air.standard_atmosphere(air.to_geopotential(1000.0))[2] * 9.80665)
     exact = read(truth).alt_baro
     noise = read(truth, replace(NONE, pressure_white_sd=1.2)).alt_baro - exact
     low, high = band(len(noise))
-    assert low < np.mean(noise**2) / (1.2 * metre_per_pascal) ** 2 < high
+    assert low < np.mean(noise**2) / (1.2 * meter_per_pascal) ** 2 < high
     climb = flown(lambda t: 1000.0 + 5.0 * t)
     rounded = read(climb, replace(NONE, quantization=20.0)).alt_baro - read(climb).alt_baro
-    assert np.abs(rounded).max() <= 10.0 * metre_per_pascal * 1.03
-    assert_allclose(rounded.std(), 20.0 * metre_per_pascal / np.sqrt(12), rtol=0.1)
+    assert np.abs(rounded).max() <= 10.0 * meter_per_pascal * 1.03
+    assert_allclose(rounded.std(), 20.0 * meter_per_pascal / np.sqrt(12), rtol=0.1)
 
 
 @pytest.mark.parametrize(

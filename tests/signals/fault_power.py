@@ -1,9 +1,9 @@
 """How often a fault of one satellite is found and left out, on real ranges and as the covariance predicts.
 
-``python -m tests.signals.fault_power OBSERVATIONS NAVIGATION`` adds ``--fault`` metres to each satellite in
+``python -m tests.signals.fault_power OBSERVATIONS NAVIGATION`` adds ``--fault`` meters to each satellite in
 turn at each epoch with eight or more. Predicted: the same test on errors drawn from the covariance of the
 ranges. At most: what a test finds in these that knows the size of the fault and has as many false alarms; no
-test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by draws of
+test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by runs of
 whole epochs, whose satellites share their errors; the epochs of a day hang together besides.
 """
 
@@ -50,7 +50,7 @@ def predict(
     """Return the chance (F,) of each trial by the covariance, and that of a test that knows the size."""
     o = solved.seen
     lla = solved.fixes.lla
-    near = receiver_solution._look_around(o, earth.to_ecef(lla), processing)
+    near = receiver_solution.look_around(o, earth.to_ecef(lla), processing)
     shared = share_errors(near, o.frequency[:, 0], processing)
     common = shared.ionosphere**2 + shared.troposphere**2
     own = np.maximum(o.sd_pseudorange**2 - common, (0.1 * o.sd_pseudorange) ** 2)
@@ -89,7 +89,7 @@ def find_odds(w: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def resample(values: FloatArray, epochs: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 99.9 % interval of the mean by draws of whole epochs."""
+    """Return the 99.9 % interval of the mean by runs of whole epochs."""
     _, which = np.unique(epochs, return_inverse=True)
     total, count = np.bincount(which, values), np.bincount(which)
     drawn = rng.integers(0, len(count), (4000, len(count)))

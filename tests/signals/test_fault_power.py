@@ -11,7 +11,7 @@ OPEC = ("OPEC00NOR_S_20220010000_04H_600S_MO.rnx.gz", "OPEC00NOR_S_20220010000_0
 
 
 def test_hidden_faults_are_found_as_often_as_predicted_and_no_more_than_any_test_could():
-    """The likeliest row finds more than the largest normalised residual (94.1 %); no test finds 98 %."""
+    """The likeliest row finds more than the largest normalized residual (94.1 %); no test finds 98 %."""
     solved = bench.solve_rinex(*map(stored_gnss_file, OPEC), systems="beidou")
     processing = Processing(systems="beidou")
     trials, found = fault_power.try_faults(solved, processing, 15.0)

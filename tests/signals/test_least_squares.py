@@ -1,4 +1,4 @@
-"""Fixes: exact without noise from the centre of the Earth, DOP predicts the error, faults are found.
+"""Fixes: exact without noise from the center of the Earth, DOP predicts the error, faults are found.
 
 Statistical bounds are two-sided 99.9 % bands of their statistic at fixed seeds.
 """
@@ -81,13 +81,13 @@ def epoch_of(seen):
     return np.repeat(np.arange(len(seen.epoch_start) - 1), np.diff(seen.epoch_start))
 
 
-def test_from_the_centre_of_the_earth_in_six_steps(both):
-    """B-13, #56: 1e-8 m after at most 6 steps; every epoch starts at the centre here."""
+def test_from_the_center_of_the_earth_in_six_steps(both):
+    """B-13, #56: 1e-8 m after at most 6 steps; every epoch starts at the center here."""
     clock = np.array([5000.0, -3000.0])
     measured = both.distance + clock[both.system]
-    centre = np.zeros((len(both.epoch_start) - 1, 3))
+    center = np.zeros((len(both.epoch_start) - 1, 3))
     fix = least_squares.solve_positions(
-        both.epoch_start, both.pos_e, measured, np.ones(len(measured)), both.system, start_e=centre
+        both.epoch_start, both.pos_e, measured, np.ones(len(measured)), both.system, start_e=center
     )
     assert fix.steps.max() <= 6
     apart = np.linalg.norm(fix.pos_e - earth.to_ecef(THERE), axis=1)
@@ -264,7 +264,7 @@ def test_a_fault_is_found_and_left_out(both):
     assert 0 <= alarms <= 10  # binomial(288, 0.01): 0 to 10 hold 99.9 %
 
 
-def test_normalised_residuals_are_those_of_their_formula(both):
+def test_normalized_residuals_are_those_of_their_formula(both):
     """Six satellites, of which some have little redundancy: v / sqrt(diag(R - H (H' W H)^-1 H')) by NumPy."""
     draw, here, count = np.random.default_rng(12), earth.to_ecef(THERE), 80
     gps = np.flatnonzero(both.system == 0)
@@ -285,7 +285,7 @@ def test_normalised_residuals_are_those_of_their_formula(both):
         part = np.diag(cov) / np.diag(R)
         told = part > 1e-4
         expected = np.abs(fix.residual[k]) / np.sqrt(np.abs(np.diag(cov)))
-        assert_allclose(fix.normalised[k][told], expected[told], rtol=1e-3)
+        assert_allclose(fix.normalized[k][told], expected[told], rtol=1e-3)
         least = min(least, part[told].min())
     assert least < 0.02
 
@@ -343,7 +343,7 @@ SKY = [orbits.make_nominal(GPS), orbits.make_nominal(GLONASS)]
 def test_shared_errors_of_ranges_are_in_the_weights_the_covariance_and_the_tests():
     """Monte Carlo of an ionosphere correlated over the pierce points and a troposphere for all, 2000 epochs.
 
-    NEES over 3 is 1, and normalised residuals have a variance of 1, within 99.9 % of these statistics; taken
+    NEES over 3 is 1, and normalized residuals have a variance of 1, within 99.9 % of these statistics; taken
     as independent errors of the same size, the NEES is outside; weights by the covariance beat them.
     """
     draw, count = np.random.default_rng(7), 2000
@@ -376,7 +376,7 @@ def test_shared_errors_of_ranges_are_in_the_weights_the_covariance_and_the_tests
     assert abs(nees["shared"] - 1) < half
     assert abs(nees["alone"] - 1) > 3 * half
     assert rms["shared"] < rms["alone"]
-    size = solve(own, tiled).normalised.reshape(count, n) ** 2
+    size = solve(own, tiled).normalized.reshape(count, n) ** 2
     assert np.abs(size.mean(axis=0) - 1).max() < 4.2 * np.sqrt(2 / count)  # the largest of n = 15
 
 
@@ -494,7 +494,7 @@ def test_two_ranges_that_agree_on_a_false_place_do_not_win(count, robust):
 
 
 def test_as_many_ranges_are_left_out_as_the_others_can_tell(both):
-    """Faults of some hundred metres: k of them need 2 k redundant satellites, and no more."""
+    """Faults of some hundred meters: k of them need 2 k redundant satellites, and no more."""
     draw, here = np.random.default_rng(11), earth.to_ecef(THERE)
     spare = np.diff(both.epoch_start) - 5
     for k in (1, 2, 3):

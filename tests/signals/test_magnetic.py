@@ -1,4 +1,4 @@
-"""The magnetic field: NOAA's own test values, and an interpolation that nobody notices."""
+"""The magnetic field: NOAA's own test values, and an interpolation that nobody detects."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ NT = 1e-9
 
 @pytest.mark.parametrize("row", PUBLISHED, ids=lambda row: f"{row[0]}-{row[2]:g}-{row[1]:g}km")
 def test_the_published_test_values(row):
-    """To their last digit, and half a digit of interpolation; a year or a kilometre wrong is 20 nT."""
+    """To their last digit, and half a digit of interpolation; a year or a kilometer wrong is 20 nT."""
     date, height, lat, lon, *published = row
     lla = np.array([[np.deg2rad(lat), np.deg2rad(lon), 1000.0 * height]])
     assert_allclose(wmm(*lla[0], date) / NT, published, rtol=0, atol=0.05 + 1e-6)
@@ -58,7 +58,7 @@ def test_between_the_corners_of_the_grid_it_is_the_model(lat):
 
 @pytest.mark.parametrize("date", [FIRST_YEAR - 0.1, LAST_YEAR + 0.1, np.nan])
 def test_a_date_without_a_model_is_refused(date):
-    with pytest.raises(ValueError, match="modelled from 2010 to 2030; got the date"):
+    with pytest.raises(ValueError, match="modeled from 2010 to 2030; got the date"):
         field_n([[0.8, 0.2, 0.0]], date)
 
 

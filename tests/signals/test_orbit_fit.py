@@ -1,4 +1,4 @@
-"""Messages fitted to satellites: nominal orbits come back exactly, broadcast ones to a millimetre."""
+"""Messages fitted to satellites: nominal orbits come back exactly, broadcast ones to a millimeter."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def distances(sets, sat, middle, span):
 
 @pytest.mark.parametrize("system", [GPS, GALILEO, BEIDOU])
 def test_nominal_orbits_come_back_exactly(system):
-    """Circles, over a message and over an instant; those of BeiDou geostationary and inclined, too."""
+    """Circles, over a message and over a time; those of BeiDou geostationary and inclined, too."""
     nominal = orbits.make_nominal(system)
     for sat in nominal.sat:
         for span in (0.0, 300.0):
@@ -56,7 +56,7 @@ def test_an_instant_away_from_the_reference_time_tells_a_circle(system):
 @pytest.mark.parametrize(
     ("system", "span"), [(GPS, 300.0), (GALILEO, 300.0), (BEIDOU, 300.0), (GLONASS, 120.0)]
 )
-def test_broadcast_orbits_come_back_to_two_millimetres(system, span):
+def test_broadcast_orbits_come_back_to_two_millimeters(system, span):
     """With their harmonics and clocks, anywhere in their hours: a few of each constellation."""
     sets = BROADCAST[system][0]
     for sat in np.unique(sets.sat[sets.healthy])[::4]:
@@ -87,7 +87,7 @@ def test_an_instant_of_glonass_far_from_the_reference_time_needs_no_acceleration
 
 
 def test_an_eccentricity_is_never_negative():
-    """Instants that run fast by 1e-7 make a circle an ellipse; its other apsis is the perigee."""
+    """Epochs that run fast by 1e-7 make a circle an ellipse; its other apsis is the perigee."""
     nominal, t = orbits.make_nominal(GPS), 45000.0 + np.linspace(-150.0, 150.0, 31)
     signs = set()
     for row, sat in list(enumerate(nominal.sat.tolist()))[::3]:

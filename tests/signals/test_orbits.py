@@ -153,7 +153,7 @@ def test_the_runge_kutta_step_is_small_enough(monkeypatch):
     rows, t = np.zeros(3, np.int64), np.array([-900.0, 450.0, 900.0])
     found = {}
     for step in (10.0, 60.0, 300.0):
-        monkeypatch.setattr(orbits, "_STEP_PZ", step)
+        monkeypatch.setattr(orbits, "STEP_PZ", step)
         clock = orbits.compute_states(sets, rows, t).clock
         found[step] = orbits.compute_states(sets, rows, t).pos_e
     assert np.abs(found[60.0] - found[10.0]).max() < 1e-3

@@ -1,4 +1,4 @@
-"""Heights of the ground by a file: rows from north to south, bilinear, level at a runway; what is refused."""
+"""Heights of the ground by a file: rows from north to south, bilinear, level at a runway; bad files."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_tile_runs_from_north_to_south(tmp_path):
     )
 
 
-def test_corners_are_half_a_cell_from_centres_and_the_date_line_is_none(tmp_path, describe):
+def test_corners_are_half_a_cell_from_centers_and_the_date_line_is_none(tmp_path, describe):
     spec = describe([[1, 2], [3, 4]], south=-0.5, west=179.5, cell=1.0)
     assert_allclose(look(spec, 0.0, np.array([180.0, -180.0, -179.75])), [2.5, 2.5, 2.75], atol=1e-9)
     path = tmp_path / "corner.asc"
@@ -158,14 +158,14 @@ def test_a_file_that_changed_is_not_used(describe, tmp_path):
         (("xllcenter", "yllcorner"), "grid.asc: an ESRI ASCII grid begins with ncols"),
         (
             ("xllcenter 10.8", "xllcenter 680000"),
-            "not degrees of latitude and longitude; a map projection is not",
+            "map projections are not",
         ),
-        (("cellsize 0.01", "cellsize -1"), "not degrees of latitude and longitude"),
-        (("cellsize 0.01", "cellsize nan"), "not degrees of latitude and longitude"),
+        (("cellsize 0.01", "cellsize -1"), "expected latitude and longitude"),
+        (("cellsize 0.01", "cellsize nan"), "expected latitude and longitude"),
         (("1 2 3", "1 zwei 3"), "grid.asc: a height is not a number"),
         (("1 2 3", "1 inf 3"), "grid.asc: a height of inf m; ground is within 12000 m of the ellipsoid"),
         (("1 2 3", "1 2 -32768"), "grid.asc: a height of -32768 m; ground is within"),
-        (("1 2 3\n4 5 6", "-9999 " * 6), "grid.asc: it holds no height"),
+        (("1 2 3\n4 5 6", "-9999 " * 6), "grid.asc: it contains no height"),
         (("1 2 3", "1 2 \xb3"), "grid.asc: not an ASCII file"),
     ],
 )
@@ -183,7 +183,7 @@ def test_a_grid_that_is_none_is_refused_in_a_line(tmp_path, change, said):
 def test_a_tile_of_another_size_or_name_is_refused(tmp_path):
     for name, size, said in (
         ("N47E011.hgt", 100, "100 bytes; a tile has 2884802"),
-        ("alps.hgt", 2884802, "the name of a tile is that of its south-west corner: N47E011.hgt"),
+        ("alps.hgt", 2884802, "the name of a tile must be its south-west corner: N47E011.hgt"),
         ("gone.hgt", None, "no such file"),
     ):
         if size is not None:

@@ -80,7 +80,7 @@ def truth() -> Trajectory:
 
 @pytest.fixture(scope="module")
 def spec() -> FlightSpec:
-    return config.load_profile("figure-eight").flight
+    return config.read_profile("figure-eight").flight
 
 
 def solution(m: int, extra: tuple[str, ...], innovations: Innovations) -> NavSolution:
@@ -104,7 +104,7 @@ def solution(m: int, extra: tuple[str, ...], innovations: Innovations) -> NavSol
 
 @pytest.fixture(scope="module")
 def sensed(truth: Trajectory) -> Sensed:
-    n, m, profile = len(truth) - 1, 5, config.load_profile("figure-eight")
+    n, m, profile = len(truth) - 1, 5, config.read_profile("figure-eight")
     t = np.arange(m) * 1.0
     flags = np.array([True, True, False, True, True])
     data = SensorData(
@@ -190,7 +190,7 @@ def saved(tmp_path, result) -> Path:
 
 
 def test_what_is_saved_comes_back(saved, result, truth, sensed):
-    again = results.load(saved)
+    again = results.read_result(saved)
     for name in ("profile", "seed", "run", "metrics", "provenance"):
         assert getattr(again, name) == getattr(result, name)
     assert set(again.solutions) == set(again.errors) == {"loose-15", "free"}
@@ -211,10 +211,10 @@ def test_what_is_saved_comes_back(saved, result, truth, sensed):
 
 @pytest.mark.parametrize("values", [1, 300])
 def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, result, truth, sensed, values):
-    monkeypatch.setattr(results.parquet, "_GROUP", values)
+    monkeypatch.setattr(results.parquet, "GROUP", values)
     monkeypatch.setattr(disk_arrays, "LARGE", 0)
     results.save(tmp_path, result)
-    again = results.load(tmp_path)
+    again = results.read_result(tmp_path)
     equal(again.solutions["loose-15"], result.solutions["loose-15"])
     equal(again.errors["loose-15"], result.errors["loose-15"])
     equal(again.truth, truth)
@@ -224,7 +224,7 @@ def test_what_is_saved_in_groups_of_rows_comes_back(tmp_path, monkeypatch, resul
 def test_a_csv_written_in_groups_of_rows_is_that_written_at_once(tmp_path, monkeypatch, sensed):
     imu, written = sensed.data.imu, []
     for values in (1 << 21, 1000):
-        monkeypatch.setattr(results.parquet, "_GROUP", values)
+        monkeypatch.setattr(results.parquet, "GROUP", values)
         results.parquet.write_csv(tmp_path / "imu.csv", imu, results.parquet.layout_of(imu))
         written.append((tmp_path / "imu.csv").read_bytes())
     assert written[0] == written[1]
@@ -402,24 +402,25 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
     path = saved / "result.json"
     text = path.read_text()
     summary = json.loads(text)
-    assert summary["format"] == 1
+    assert summary["format"] == 2
     assert summary["provenance"]["versions"]["bench"] == "0"
+    old = json.dumps({key: value for key, value in summary.items() if key != "format"})
     wrong = {
+        old: "format 1, expected format 2. Run: bench upgrade",
         "[]": "not written by bench",
         "{": "not written by bench",
-        '{"metrics": {}}': "not written by bench",
-        '{"profile": {"title": "a", "evaluation": {"output_hz": 10}}, "seed": 1, "run": 0, "metrics": {}, '
+        '{"format": 2, "metrics": {}}': "not written by bench",
+        '{"format": 2, "profile": {"title": "a", "evaluation": {"output_hz": 10}}, "seed": 1, "run": 0, '
+        '"metrics": {}, '
         '"provenance": {}}': "profile.evaluation.from_s must be a number",
         "[" * 100_000: "not written by bench",
-        json.dumps(
-            {**summary, "format": 2}
-        ): f"written by bench 0 in format 2; this is bench {bench.__version__}",
+        json.dumps({**summary, "format": 3}): "format 3, expected format 2: written by a newer bench",
         json.dumps({key: value for key, value in summary.items() if key != "seed"}): "it has no 'seed'",
     }
     for content, reason in wrong.items():
         path.write_text(content)
         with pytest.raises(BenchError, match=reason) as caught:
-            results.load(saved)
+            results.read_result(saved)
         assert "\n" not in str(caught.value)
     path.unlink()
     for folder, reason in (
@@ -428,7 +429,7 @@ def test_only_results_of_a_bench_not_newer_are_read(saved):
         (saved / "truth.parquet", "is a file; name its folder"),
     ):
         with pytest.raises(BenchError, match=reason):
-            results.load(folder)
+            results.read_result(folder)
 
 
 def test_a_copy_of_results_holds_only_files_of_bench(saved, tmp_path):
@@ -439,7 +440,7 @@ def test_a_copy_of_results_holds_only_files_of_bench(saved, tmp_path):
     assert names(tmp_path / "copy") == [
         name for name in names(saved) if name not in ("notes.txt", "flight.rrd", ".bench.json")
     ]
-    results.load(tmp_path / "copy")
+    results.read_result(tmp_path / "copy")
 
 
 def test_provenance_names_what_can_move_a_number():
@@ -449,9 +450,9 @@ def test_provenance_names_what_can_move_a_number():
 
 
 def test_the_hash_of_sensors_moves_with_every_figure_and_with_nothing_else():
-    sensors = config.load_profile("figure-eight").sensors
+    sensors = config.read_profile("figure-eight").sensors
     said = results.hash_spec(sensors)
-    assert said == results.hash_spec(config.load_profile("figure-eight").sensors)
+    assert said == results.hash_spec(config.read_profile("figure-eight").sensors)
     for name, figure in (("imu", "accel_arms"), ("gnss", "latency"), ("baro", "bias_sd")):
         spec = getattr(sensors, name)
         before = getattr(spec, figure)
@@ -517,7 +518,7 @@ def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
     results.cached_truth(spec, Flights(truth))
     (entry,) = cache.iterdir()
     whole = {path.name: path.read_bytes() for path in entry.iterdir()}
-    for name, array in truth_cache._get_columns(truth).items():
+    for name, array in truth_cache.get_columns(truth).items():
         np.save(cache / "column.npy", array)
         assert whole[f"{name}.npy"] == (cache / "column.npy").read_bytes(), name
     (cache / "column.npy").unlink()
@@ -529,7 +530,7 @@ def test_pieces_become_the_files_that_the_whole_becomes(cache, spec, truth):
 
 @pytest.mark.parametrize("size", [7, 100, 400, 6000])
 def test_a_truth_is_read_in_pieces(cache, spec, truth, monkeypatch, size):
-    monkeypatch.setattr(truth_cache, "_PIECE", size)
+    monkeypatch.setattr(truth_cache, "PIECE", size)
     flights = Flights(*cut(truth, 250))
     for _ in range(2):
         pieces = list(results.truth_pieces(spec, flights))
@@ -625,7 +626,7 @@ def test_nothing_is_unpickled(cache, spec, truth):
     (entry,) = cache.iterdir()
     np.save(entry / "lla.npy", np.array([print], dtype=object), allow_pickle=True)
     index = cache_size.read_hashed(entry / "index.json")
-    index["lla.npy"] = truth_cache._hash_file(entry / "lla.npy")
+    index["lla.npy"] = truth_cache.hash_file(entry / "lla.npy")
     cache_size.write_hashed(entry / "index.json", index)
     equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
@@ -651,7 +652,7 @@ def test_a_failed_flight_or_write_leaves_no_entry(cache, spec, truth, monkeypatc
     with pytest.raises(RuntimeError):
         results.cached_truth(spec, crash_later)
     assert list(cache.iterdir()) == []
-    monkeypatch.setattr(truth_cache._GrowingColumn, "append", full)
+    monkeypatch.setattr(truth_cache.GrowingColumn, "append", full)
     equal(results.cached_truth(spec, Flights(*cut(truth, 100))), truth)
     assert list(cache.iterdir()) == []
     assert "No space left on device" in caplog.text
@@ -663,7 +664,7 @@ MAKE_NO_TRUTH = {
     "bench.core.files.disk_arrays": "where arrays lie, not what they hold",
     "bench.core.files.durable": "writes files",
     "bench.core.words.exceptions": "messages",
-    "bench.core.files.file_checks": "refuses files",
+    "bench.core.files.file_checks": "rejects files",
     "bench.core.compilation.inner_numba": "makes machine code of functions that are listed",
     "bench.core.records.instruments": "of the sensors",
     "bench.core.records.orbit_sets": "of the receivers",
@@ -672,6 +673,7 @@ MAKE_NO_TRUTH = {
     "bench.core.files.scratch": "folders for a while",
     "bench.core.files.spawned": "starts processes",
     "bench.core.compilation.vector_rows": "makes machine code of functions that are listed",
+    "bench.core.words.renames": "messages",
     "bench.core.words.wording": "messages",
 }
 """Modules that flights and tracks import and truth does not depend on -> why."""
@@ -688,7 +690,7 @@ def test_every_module_that_makes_truth_counts_in_the_key():
         if name not in found and name != "bench":
             found.add(name)
             todo += imported(name, known[name], known)
-    sources = [places.locate_source(name) for name in truth_cache._SOURCES]
+    sources = [places.locate_source(name) for name in truth_cache.SOURCES]
     uncounted = {name for name in found if not {known[name], *known[name].parents} & {*sources}}
     assert uncounted == set(MAKE_NO_TRUTH)
 
@@ -736,15 +738,15 @@ def test_the_key_follows_every_module_that_makes_truth(spec, tmp_path, monkeypat
     shutil.copytree(PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__", "*.png", "guide"))
     monkeypatch.setattr(places, "PACKAGE", package)
     seen = {truth_cache.truth_key(spec, flown_by)}
-    for name in (*truth_cache._SOURCES, *(truth_cache._LOOP if flown_by else ())):
+    for name in (*truth_cache.SOURCES, *(truth_cache.LOOP_SOURCES if flown_by else ())):
         place = places.locate_source(name)
         for file in [place] if place.is_file() else sorted(place.rglob("*.py"))[-1:]:
             file.write_bytes(file.read_bytes() + b"\n")
             key = truth_cache.truth_key(spec, flown_by)
             assert key not in seen, name
             seen.add(key)
-    places.locate_source(truth_cache._SOURCES[-1]).unlink()
-    with pytest.raises(ImportError, match=truth_cache._SOURCES[-1]):
+    places.locate_source(truth_cache.SOURCES[-1]).unlink()
+    with pytest.raises(ImportError, match=truth_cache.SOURCES[-1]):
         truth_cache.truth_key(spec, flown_by)
 
 
@@ -769,7 +771,7 @@ def test_an_index_that_was_changed_and_a_file_that_it_does_not_name_change_nothi
     assert flights.count == 1
     text = (entry / "index.json").read_text()
     _flip(entry / "lla.npy")
-    code = truth_cache._hash_file(entry / "lla.npy")
+    code = truth_cache.hash_file(entry / "lla.npy")
     (entry / "index.json").write_text(re.sub(r'("lla.npy": )"\w+"', rf'\1"{code}"', text))
     equal(results.cached_truth(spec, flights), truth)
     assert flights.count == 2
@@ -805,7 +807,7 @@ def test_the_least_recently_used_flights_go_first(cache, spec, truth, three, mon
 
 
 def test_a_flight_that_is_being_read_stays(cache, spec, truth, three, monkeypatch):
-    monkeypatch.setattr(truth_cache, "_PIECE", 100)
+    monkeypatch.setattr(truth_cache, "PIECE", 100)
     pieces = results.truth_pieces(dataclasses.replace(spec, speed=25.0), Flights(truth))
     first = next(pieces)
     results.trim_cache(0)
@@ -836,7 +838,7 @@ def folder(tmp_path_factory):
 
 def test_every_file_of_a_folder_is_a_table_of_the_result(folder):
     """The columns of the table are those of the file, in value and metadata."""
-    loaded = bench.load(folder)
+    loaded = bench.read_result(folder)
     names = {"truth": "truth", "truth-air": "air", "truth-controls": "controls"}
     for path in folder.glob("*.parquet"):
         kind, _, name = path.stem.partition("-")
@@ -887,7 +889,7 @@ def test_what_is_not_there_is_said_with_what_is(result):
 @pytest.mark.parametrize("name", ["all-sensors", "circuit", "gnss-faults"])
 def test_the_start_and_the_datasheets_come_back(name, tmp_path):
     """Of a sky what a receiver does not know is not stored."""
-    specs = bench.load_profile(name, {"sensors.imu.gyro.noise_deg_sqrt_h.x": 0.7}).sensors.assumed
+    specs = bench.read_profile(name, {"sensors.imu.gyro.noise_deg_sqrt_h.x": 0.7}).sensors.assumed
     assert specs.imu.gyro.axes
     initial = InitialState(
         0.0, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), np.diag(np.full(9, np.inf)), "course"
@@ -907,11 +909,11 @@ def test_the_start_and_the_datasheets_come_back(name, tmp_path):
 
 def test_a_filter_runs_on_a_loaded_folder_as_on_the_run(folder):
     made, sensed = make_run(folder.parent / "again")
-    loaded = bench.load(folder)
+    loaded = bench.read_result(folder)
     equal(loaded.truth, made)
     for label in ("loose-15", "free-inertial"):
-        first = bench.navigate(label, sensed.data, sensed.initial)
-        equal(bench.navigate(label, loaded.sensors, loaded.sensed.initial), first)
+        first = bench.run_filter(label, sensed.data, sensed.initial)
+        equal(bench.run_filter(label, loaded.sensors, loaded.sensed.initial), first)
 
 
 def test_a_result_shows_itself_in_a_line_and_as_a_table(result):
@@ -919,4 +921,4 @@ def test_a_result_shows_itself_in_a_line_and_as_a_table(result):
     shown = result._repr_html_()
     assert "<td>nees_mean</td><td>9.5</td><td>-</td>" in shown
     assert "<td>converged</td><td>True</td><td>False</td>" in shown
-    assert "cep50_m" not in shown  # no estimator has it
+    assert "cep50_m" not in shown  # no filter has it

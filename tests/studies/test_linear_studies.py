@@ -24,12 +24,10 @@ from bench.evaluation.linear.quantities import QUANTITIES, compare_run, root_mea
 from bench.experiments.studies import bound as bound_study
 from bench.experiments.studies import budget as budget_study
 from bench.experiments.studies import observability
-from bench.experiments.studies.budget import _give_colours
+from bench.experiments.studies.budget import give_colors
 from bench.experiments.studies.drawn_errors import key_instants, output_times, split_draws
-from bench.experiments.studies.linear_flight import _CLIMB as CLIMB
-from bench.experiments.studies.linear_flight import _STEADY as STEADY
-from bench.experiments.studies.linear_flight import GRADES, LOST, LinearFlight
-from bench.io.config import load_profile
+from bench.experiments.studies.linear_flight import CLIMB, GRADES, LOST, STEADY, LinearFlight
+from bench.io.config import read_profile
 from tests.studies.made_units import write_unit
 
 FLIGHT = """
@@ -82,12 +80,12 @@ def flight(tmp_path_factory):
 
 def test_an_outage_is_looked_at_before_the_first_fix_that_ends_it():
     """Fixes are missing from 400 s to 460 s: at 460 s there is one again."""
-    rows = key_instants(np.arange(0.0, 601.0), load_profile("figure-eight"))
+    rows = key_instants(np.arange(0.0, 601.0), read_profile("figure-eight"))
     assert rows == {"460 s, end of the outage": 459, "600 s, end of the flight": 600}
 
 
 def test_the_budget_of_a_short_flight(flight):
-    found = bench.study("budget", profiles=flight, estimator="loose-15", draws=140, jobs=1)
+    found = bench.study("budget", profiles=flight, estimator="loose-15", runs=140, jobs=1)
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t
@@ -108,13 +106,13 @@ def test_the_budget_of_a_short_flight(flight):
 
 
 def make_budget(variances):
-    """Return a budget of one instant: variance by source, the same of every state."""
+    """Return a budget of one time: variance by source, the same of every state."""
     names, values = tuple(variances), np.array(list(variances.values()))
     return Budget(np.array([10.0]), names, np.tile(values, (1, 9, 1)), np.full((1, 9), values.sum()))
 
 
 def test_draws_and_covariance_agree_by_an_interval_that_can_fail():
-    """Of 200 draws a ratio of variances of 1.1 agrees and one of 1.6 does not; 2 draws tell nothing."""
+    """Of 200 draws a ratio of variances of 1.1 agrees and one of 1.6 does not; 2 runs tell nothing."""
     budget = make_budget({"gyro": 4.0, "noise": 1.0, "small": 0.001})
     at = {"the end": 0}
     drawn = {"gyro": 4.0, "noise": 1.6, "all sources": 1.1 * 5.001, "small": 9.0}
@@ -129,28 +127,30 @@ def test_draws_and_covariance_agree_by_an_interval_that_can_fail():
     assert_allclose((rows["covariance"][k], rows["drawn"][k]), np.sqrt([2.0, 3.2]))  # horizontal: two states
     few = budget_study.pair_variances(budget, squares, at, 2)
     assert set(few["agrees"]) == {"cannot tell"}
-    told = budget_study._compare(few, 2)
+    told = budget_study.compare(few, 2)
     assert "agree in 0 of 15 figures" in told[0]
-    assert "In 15 figures 2 draws cannot tell" in told[1]
-    assert any("They disagree on noise, heading at 10 s" in text for text in budget_study._compare(rows, 200))
+    assert "In 15 figures 2 runs cannot tell" in told[1]
+    assert any("They disagree on noise, heading at 10 s" in text for text in budget_study.compare(rows, 200))
 
 
 def test_the_ranking_and_the_worst_claim_are_said():
-    """By hand: shares of 4, 1 and 0.001, and a filter that claims a ninth of the variance of its heading."""
+    """By hand: shares of 4, 1 and 0.001, and a filter that reports a ninth of the variance of its heading."""
     budget = make_budget({"noise": 1.0, "gyro": 4.0, "small": 0.001})
     claimed = np.full((1, 9), 5.001)
     claimed[0, 8] /= 9.0
     budget = replace(budget, claimed=claimed)
-    said = budget_study._rank(budget, 0, "10 s")
+    said = budget_study.rank(budget, 0, "10 s")
     assert said.startswith(
         f"At 10 s, of the variance: horizontal position {np.sqrt(10.002):.3g} m by gyro 80 %"
     )
     assert "gyro 80 % and noise 20 %" in said
-    told = budget_study._judge_claim(budget, {"10 s": 0}, "mine", 3)
-    assert told[0] == "The worst claims of mine: at 10 s, its heading error is 3 times what it claims."
-    assert "refused 3 scalar measurements" in told[1]
-    assert len(budget_study._judge_claim(budget, {"10 s": 0}, "mine", 0)) == 1
-    table = budget_study._tabulate(budget, {"10 s": 0}, "mine").columns
+    told = budget_study.judge_claim(budget, {"10 s": 0}, "mine", 3)
+    assert (
+        told[0] == "The worst reported sigmas of mine: at 10 s, its heading error is 3 times what it reports."
+    )
+    assert "rejected 3 scalar measurements" in told[1]
+    assert len(budget_study.judge_claim(budget, {"10 s": 0}, "mine", 0)) == 1
+    table = budget_study.tabulate_budget(budget, {"10 s": 0}, "mine").columns
     assert table["source"] == ["gyro", "noise", "small"]
     assert_allclose(table["share_percent"], 100.0 * np.array([4.0, 1.0, 0.001]) / 5.001)
     sd = np.sqrt([4.0, 1.0, 0.001])
@@ -158,10 +158,10 @@ def test_the_ranking_and_the_worst_claim_are_said():
     assert_allclose(table["velocity_mps"], np.sqrt(2.0) * sd)
     assert_allclose(table["tilt_deg"], np.rad2deg(np.sqrt(2.0) * sd))
     assert_allclose(table["heading_deg"], np.rad2deg(sd))
-    assert budget_study._find_sources(budget, [0]) == ["noise", "gyro"]
+    assert budget_study.find_sources(budget, [0]) == ["noise", "gyro"]
     axes = np.array([[1.0, 1.0, 9.0, 1, 1, 1, 1, 1, 1], [4.0, 4.0, 1.0, 1, 1, 1, 1, 1, 1]]).T[None]
     uneven = Budget(np.array([10.0]), ("gyro", "noise"), axes, axes.sum(axis=2))
-    table = budget_study._tabulate(uneven, {"10 s": 0}, "mine").columns
+    table = budget_study.tabulate_budget(uneven, {"10 s": 0}, "mine").columns
     assert (table["source"], table["share_percent"]) == (["noise", "gyro"], pytest.approx([80.0, 20.0]))
     squares = {name: axes[:, :, s] for s, name in enumerate(uneven.sources)}
     rows = budget_study.pair_variances(uneven, squares, {"10 s": 0}, 200)
@@ -170,17 +170,17 @@ def test_the_ranking_and_the_worst_claim_are_said():
 
 def test_a_budget_of_few_draws_is_undecided(flight):
     found = bench.study(
-        "budget", profiles=flight, draws=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
+        "budget", profiles=flight, runs=4, jobs=1, seed=3, overrides={"sensors.baro": "bmp390"}
     )
     assert found.findings.undecided
     assert found.findings.good
-    assert "--draws 4" in found.command
+    assert "--runs 4" in found.command
     assert "--seed 3" in found.command
     assert "--set 'sensors.baro=\"bmp390\"'" in found.command
 
 
 def test_the_bound_of_a_short_flight(flight):
-    found = bench.study("bound", profiles=flight, draws=6, jobs=1)
+    found = bench.study("bound", profiles=flight, runs=6, jobs=1)
     table = found.tables["bound"].columns
     assert set(table["estimator"]) == {"loose-full", "smoother"}
     for name, low, ratio, high in zip(
@@ -251,12 +251,12 @@ def test_what_has_no_linear_model_is_refused(flight):
         ({"units": "grade-9"}, "study budget: units: imu = 'grade-9' is not in the catalog"),
     ):
         with pytest.raises(ConfigError, match=message):
-            bench.study("budget", profiles=flight, draws=2, jobs=1, **given)
+            bench.study("budget", profiles=flight, runs=2, jobs=1, **given)
     with pytest.raises(ConfigError, match="position level"):
-        bench.study("bound", profiles="gnss-jammed", draws=2, jobs=1)
+        bench.study("bound", profiles="gnss-jammed", runs=2, jobs=1)
     behind = {"sensors.gnss.tracking_bandwidth_hz": 2.0}
     with pytest.raises(ConfigError, match="no lag of the receiver; set tracking_bandwidth_hz = 0"):
-        bench.study("bound", profiles=flight, draws=2, jobs=1, overrides=behind)
+        bench.study("bound", profiles=flight, runs=2, jobs=1, overrides=behind)
 
 
 def test_the_observability_of_a_short_flight(flight):
@@ -297,31 +297,32 @@ def test_the_observability_of_a_short_flight(flight):
 
 
 def test_the_words_and_pictures_of_a_budget_by_hand():
-    """Two sources of variance 9 and 16 of every state, and a claim of a quarter of their sum, 25."""
+    """Two sources of variance 9 and 16 of every state, and a covariance of a quarter of their sum, 25."""
     variance = np.tile([9.0, 16.0], (2, 9, 1)) * np.array([1.0, 4.0])[:, None, None]
     claimed = variance.sum(axis=2) / 4.0
     claimed[:, 2] /= 4.0
     made = Budget(np.array([10.0, 20.0]), ("gyro", "noise"), variance, claimed)
-    text = budget_study._rank(made, 1, "20 s")
+    text = budget_study.rank(made, 1, "20 s")
     assert text.startswith(
         "At 20 s, of the variance: horizontal position 14.1 m by noise 64 % and gyro 36 %;"
     )
     assert "height 10 m by noise 64 % and gyro 36 %" in text
     assert "heading 573 deg by noise 64 %" in text
-    (told,) = budget_study._judge_claim(made, {"10 s": 0, "20 s": 1}, "mine", 0)
+    (told,) = budget_study.judge_claim(made, {"10 s": 0, "20 s": 1}, "mine", 0)
     assert told == (
-        "The worst claims of mine: at 10 s, its height error is 4 times what it claims; at 20 s, its height "
-        "error is 4 times what it claims."
+        "The worst reported sigmas of mine: at 10 s, its height error is 4 times what it reports; at 20 s, "
+        "its height "
+        "error is 4 times what it reports."
     )
-    assert "refused 3 scalar" in budget_study._judge_claim(made, {"10 s": 0}, "mine", 3)[1]
-    table = budget_study._tabulate(made, {"20 s": 1}, "mine").columns
+    assert "rejected 3 scalar" in budget_study.judge_claim(made, {"10 s": 0}, "mine", 3)[1]
+    table = budget_study.tabulate_budget(made, {"20 s": 1}, "mine").columns
     assert table["source"] == ["noise", "gyro"]
     assert_allclose(table["share_percent"], [64.0, 36.0])
     assert_allclose(table["height_m"], [8.0, 6.0])
-    plots = {one.path[1]: one for one in budget_study._plot(made, "mine")}
+    plots = {one.path[1]: one for one in budget_study.plot_budget(made, "mine")}
     actual, claim = plots["height"].series
     assert_allclose((actual.t, actual.values[:, 0], claim.values[:, 0]), ([10, 20], [5, 10], [1.25, 2.5]))
-    assert actual.colours != claim.colours
+    assert actual.colors != claim.colors
     first, edge, second, last = plots["height-shares"].series
     assert_allclose(last.values[:, 0], 100.0)
     assert_allclose(first.values, [[64.0, 0.0]] * 2)
@@ -333,53 +334,53 @@ def test_what_is_known_before_and_after_turns_by_hand():
     """Straight, a turn of ten seconds, straight; a turn of two seconds is none."""
     t = np.arange(30.0)
     turning = ((t >= 10.0) & (t < 20.0)) | ((t >= 25.0) & (t < 27.0))
-    smooth = observability._smooth_phases(turning, t)
+    smooth = observability.smooth_phases(turning, t)
     assert smooth.tolist() == ((t >= 10.0) & (t < 20.0)).tolist()
-    phases = observability._split_phases(smooth)
+    phases = observability.split_phases(smooth)
     assert phases == [("straight", 0, 10), ("turn", 10, 20), ("straight", 20, 29)]
     states = np.array([1.0, 2.0, 4.0, 3.0, 1.0, 2.0, 1.0, 3.0, 2.0])
     units = np.repeat([DEG, DEG / HOUR, 1e-6 * STANDARD_GRAVITY], 3)
     left = np.column_stack([np.full(30, 0.1), np.linspace(1.0, 0.42, 30)])
     directions = np.tile(np.eye(9)[:, [5, 2]], (30, 1, 1))
     seen = Observed(t, (40.0 - t)[:, None] * states * units, left, directions)
-    table = observability._tabulate_phases(seen, phases).columns
+    table = observability.tabulate_phases(seen, phases).columns
     assert (table["from_s"], table["to_s"]) == ([0.0, 10.0, 20.0], [10.0, 20.0, 29.0])
     for name, size in (("heading_%s_deg", 4), ("tilt_%s_deg", 2), ("gyro_%s_deg_h", 3), ("accel_%s_ug", 3)):
         assert_allclose(table[name % "before"], size * np.array([40.0, 30.0, 20.0]))
         assert_allclose(table[name % "after"], size * np.array([30.0, 20.0, 11.0]))
-    rows = observability._tabulate_directions(seen, phases).columns
+    rows = observability.tabulate_directions(seen, phases).columns
     assert rows["t_s"] == [10.0, 15.0, 20.0, 29.0]
     assert_allclose(rows["left_percent"], 100.0 * left[[10, 15, 20, 29], 1])
     assert_allclose(rows["best_percent"], 10.0)
     assert_allclose(rows["condition"], left[[10, 15, 20, 29], 1] / 0.1)
     assert (rows["least_observable"][0], rows["best"][0]) == ("heading 1.00", "gyro bias z 1.00")
-    told = observability._tell("made", seen, phases)
+    told = observability.tell_observed("made", seen, phases)
     assert told[0] == (
         "On made the heading is known to 160 deg at the start, 120 deg before the first turn at 10 s, 80 deg "
         "after it, and 44 deg at the end."
     )
     assert told[1].startswith("A turn leaves 67 % of the heading uncertainty, straight flight after it 55 %")
     assert told[-1].endswith("is heading 1.00: 42 % of its uncertainty at the start; condition 4.")
-    (alone,) = observability._tell("made", seen, [("straight", 0, 29)])[:1]
+    (alone,) = observability.tell_observed("made", seen, [("straight", 0, 29)])[:1]
     assert alone == "On made there is no turn: the heading goes from 160 to 44 deg."
-    plots = {one.path[1]: one for one in observability._plot(seen, smooth)}
+    plots = {one.path[1]: one for one in observability.plot_observed(seen, smooth)}
     known, foot = plots["heading"].series
-    assert (known.colours, foot.widths) == (series.ESTIMATORS[:1], (2.0,))
+    assert (known.colors, foot.widths) == (series.ESTIMATORS[:1], (2.0,))
     assert_allclose(known.values[:, 0], 4.0 * (40.0 - t))
     assert_allclose(foot.t, t[10:20])
     assert_allclose(foot.values, 0.8 * 44.0)
     most, least = plots["directions"].series
     assert_allclose(most.values[:, 0], 100.0 * left[:, 1])
     assert_allclose(least.values[:, 0], 10.0)
-    assert most.colours != least.colours
+    assert most.colors != least.colors
     three = replace(
         seen,
         left=np.column_stack([left[:, 0], np.full(30, 0.3), left[:, 1]]),
         directions=np.tile(np.eye(9)[:, [5, 4, 2]], (30, 1, 1)),
     )
-    rows = observability._tabulate_directions(three, phases).columns
+    rows = observability.tabulate_directions(three, phases).columns
     assert (rows["least_observable"][0], rows["best"][0]) == ("heading 1.00", "gyro bias z 1.00")
-    most, least = observability._plot(three, smooth)[-1].series
+    most, least = observability.plot_observed(three, smooth)[-1].series
     assert_allclose([most.values[:, 0], least.values[:, 0]], [100.0 * left[:, 1], np.full(30, 10.0)])
 
 
@@ -408,14 +409,14 @@ def test_directions_of_a_standing_start():
     )  # fmt: skip
 
 
-def test_a_source_keeps_its_colour_unless_two_of_one_figure_have_the_same():
-    colours = {}
+def test_a_source_keeps_its_color_unless_two_of_one_figure_have_the_same():
+    colors = {}
     for names in (["gyro bias", "heading"], ["white noise", "tilt"], ["gyro bias", "tilt"]):
-        _give_colours(colours, names)
+        give_colors(colors, names)
     first, second, *_ = series.ESTIMATORS
-    assert (colours["gyro bias"], colours["heading"], colours["tilt"]) == (first, second, second)
-    _give_colours(colours, ["gyro bias", "white noise"])
-    assert colours["gyro bias"] != colours["white noise"]
+    assert (colors["gyro bias"], colors["heading"], colors["tilt"]) == (first, second, second)
+    give_colors(colors, ["gyro bias", "white noise"])
+    assert colors["gyro bias"] != colors["white noise"]
 
 
 def test_each_unit_of_ones_own_is_asked_alone(flight, tmp_path):
@@ -472,24 +473,24 @@ def test_instants_of_a_study_are_whole_seconds_and_the_last_without_gnss():
 
 def test_four_sources_are_named_and_layers_lie_by_share_and_by_size():
     """Of 35, 25, 20, 15 and 5 % the fifth is not told. What is large at its worst lies below."""
-    text = budget_study._rank(make_budget({"a": 97.0, "b": 2.1, "c": 0.9}), 0, "10 s")
+    text = budget_study.rank(make_budget({"a": 97.0, "b": 2.1, "c": 0.9}), 0, "10 s")
     assert "by a 97 % and b 2 %;" in text  # none of less than 2 %
     parts = dict(zip("abcde", (20.0, 35.0, 5.0, 25.0, 15.0), strict=True))
-    said = budget_study._rank(make_budget(parts), 0, "10 s")
+    said = budget_study.rank(make_budget(parts), 0, "10 s")
     assert "by b 35 %, d 25 %, a 20 % and e 15 %;" in said
     size = np.array([[0.9, 0.1], [30.0, 70.0]])[:, None, :] * np.ones((1, 9, 1))
     made = Budget(np.array([0.0, 1.0]), ("early", "late"), size, size.sum(axis=2))
-    shares = next(one for one in budget_study._plot(made, "mine") if one.path[1] == "heading-shares")
+    shares = next(one for one in budget_study.plot_budget(made, "mine") if one.path[1] == "heading-shares")
     assert [one.names[0] for one in shares.series if one.band is not None] == ["late", "early"]
 
 
 @pytest.mark.parametrize(("size", "good"), [(2.0, True), (0.1, False)])
 def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
-    """Errors of so many sigma in 20 draws: of the causal bound, 1, or that of smoothers, 0.5."""
+    """Errors of so many sigma in 20 runs: of the causal bound, 1, or that of smoothers, 0.5."""
     n = np.tile(np.eye(9), (4, 1, 1))
     bound = Bound(np.arange(4.0), (), np.empty((6, 0)), np.eye(9), n, 0.25 * n)
     signs = np.where(np.random.default_rng(1).integers(0, 2, (20, 4, 9)), 1.0, -1.0)
-    signs *= np.sqrt(np.tile([0.5, 1.5], 10))[:, None, None]  # draws differ, their mean square is 1
+    signs *= np.sqrt(np.tile([0.5, 1.5], 10))[:, None, None]  # runs differ, their mean square is 1
     errors = {"filter": size * signs, "smoother": size * signs, "lost": np.nan * signs}
     smoothing = {"filter": False, "smoother": True, "lost": False}
     phases = {
@@ -514,13 +515,15 @@ def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
     wide = replace(bound, causal=np.where(np.arange(9)[:, None] < 6, n, np.nan))
     held = bound_study.hold_draws(wide, {"low": 0.1 * signs}, {"low": False}, phases)[0]
     assert held["quantity"] == ["horizontal position", "height", "horizontal velocity"] * 2
-    table = bound_study._tabulate(bound, [1, 3]).columns
+    table = bound_study.tabulate_bound(bound, [1, 3]).columns
     assert table["t_s"] == [1.0, 3.0]
     assert_allclose(table["horizontal_m"], np.sqrt(2.0))
     assert_allclose(table["horizontal_smoothed_m"], np.sqrt(0.5))
     assert_allclose(table["heading_smoothed_deg"], 0.5 / DEG)
     plot = next(
-        one for one in bound_study._plot(bound, {"filter": errors["filter"]}, smoothing) if "tilt" in one.path
+        one
+        for one in bound_study.plot_bound(bound, {"filter": errors["filter"]}, smoothing)
+        if "tilt" in one.path
     )
     drawn, least, smoothed = plot.series
     assert_allclose(drawn.values, size * np.sqrt(2.0) / DEG)
@@ -529,7 +532,7 @@ def test_an_estimator_is_held_against_its_own_bound_by_hand(size, good):
 
 
 def test_the_reference_heading_by_hand():
-    """Headings that fall from 5 and 7 deg, and from twice as much: four figures, lines and colours."""
+    """Headings that fall from 5 and 7 deg, and from twice as much: four figures, lines and colors."""
     t = np.arange(1801.0)
     grown = {"grade-3": 5.0, "MEMS": 7.0}
     headings = {
@@ -537,10 +540,10 @@ def test_the_reference_heading_by_hand():
         for name in GRADES
         for turns in (True, False)
     }
-    table, plot = observability._tabulate_reference(headings)
+    table, plot = observability.tabulate_reference(headings)
     k = list(GRADES).index("MEMS")
     found = [column[k] for name, column in table.columns.items() if name != "grade"]
     assert_allclose(found, [7.0 * (1.0 - at / 3600.0) for at in (240, 400, 1800)] + [7.0])
     assert [one.key for one in plot.series] == ["grade-3", "grade-3 straight", "MEMS", "MEMS straight"]
     assert [one.values[0, 0] for one in plot.series] == [5.0, 10.0, 7.0, 14.0]
-    assert len({one.colours for one in plot.series}) == 4
+    assert len({one.colors for one in plot.series}) == 4

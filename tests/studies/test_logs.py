@@ -14,7 +14,7 @@ from bench.cli.verbs.log_campaign import are_logs
 from bench.core.words.exceptions import DONE, NEGATIVE, WRONG
 from bench.experiments.studies import recorded_logs
 from bench.experiments.studies.recorded_logs import LogResult, compare_filters, name_logs
-from bench.io.results.study_folder import load_study
+from bench.io.results.study_folder import read_study
 from tests.exchange import drives
 
 LABELS = ("first", "second")
@@ -92,11 +92,9 @@ def test_filters_run_side_by_side_on_a_folder_of_logs(tmp_path, capsys):
     assert "loose-15, 3 logs:" in said
     assert "two: " in said
     assert "imu.csv" in said.partition("two: ")[2]
-    table = load_study(out).tables["logs"].columns
+    table = read_study(out).tables["logs"].columns
     assert table["log"] == ["one", "one", "two", "three", "three"]
-    plain = bench.navigate_log(
-        bench.read_log(folder / "one" / "one.toml", estimators=["loose-15"]), outages=None
-    )
+    plain = bench.navigate(bench.read_log(folder / "one" / "one.toml", estimators=["loose-15"]), outages=None)
     assert table["horizontal_m"][0] == pytest.approx(plain.metrics["loose-15"]["pos_rmse_h_m"])
     assert (out / "report.html").is_file()
 
@@ -104,7 +102,10 @@ def test_filters_run_side_by_side_on_a_folder_of_logs(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        (["{log}", "figure-eight", "-o", "x"], "figure-eight is no log; several profiles go into a CAMPAIGN"),
+        (
+            ["{log}", "figure-eight", "-o", "x"],
+            "figure-eight is not a log. Put several profiles into CAMPAIGN",
+        ),
         (["{log}", "--runs", "3", "-o", "x"], "--runs is for profiles, not for logs"),
         (["{log}", "--timeout", "3", "-o", "x"], "--timeout is for profiles, not for logs"),
         (["{log}"], "name the folder for the results of logs: -o DIR"),
@@ -136,7 +137,7 @@ def test_a_recording_that_cannot_be_read_is_a_row_with_status_1(tmp_path, capsys
     given = ["campaign", str(tmp_path), "-e", "gnss-only", "--jobs", "1", "-o", str(tmp_path / "o")]
     assert main(given) == NEGATIVE
     assert "broken.ulg" in capsys.readouterr().out
-    table = load_study(tmp_path / "o").tables["logs"].columns
+    table = read_study(tmp_path / "o").tables["logs"].columns
     assert dict(zip(table["log"], table["verdict"], strict=True))["broken"] == "no result"
 
 
@@ -171,7 +172,7 @@ def test_a_change_names_the_logs_of_a_folder_that_got_worse(tmp_path, capsys):
     assert main(given) == NEGATIVE
     said = capsys.readouterr().out
     assert "worse on 1 of 2 (two)" in said
-    assert "the flight is not that" not in said
+    assert "the flight differs from" not in said
     (folder / "empty").mkdir()
     assert main(["check", str(folder / "empty")]) == WRONG
     assert "no LOG.toml here" in capsys.readouterr().err
@@ -199,7 +200,7 @@ def test_values_of_a_log_are_those_that_are_known():
         for seconds in (10.0, 25.0, 60.0)
     ]
     metrics = {"pos_rmse_h_m": 2.0, "pos_rmse_d_m": None, "vel_rmse_3d_mps": np.inf}
-    found = dict(recorded_logs._list_values("first", metrics, drifts))
+    found = dict(recorded_logs.list_values("first", metrics, drifts))
     assert found == {"horizontal_m": 2.0, "drift_10_s_m": 100.0, "drift_60_s_m": 600.0}, "25 s is no cut"
 
 
@@ -217,7 +218,7 @@ def test_words_tables_and_pictures_of_logs_by_hand():
         ("velocity_mps", "second", ratio, 4, "better"),
         ("drift_10_s_m", "second", ratio, 3, "undecided"),
     ]
-    assert list(recorded_logs._tell(found, LABELS, 3, told)) == [
+    assert list(recorded_logs.tell_logs(found, LABELS, 3, told)) == [
         "first, 3 logs: consistent on 2.",
         "second, 3 logs: overconfident on 1, diverged on 1.",
         "second: horizontal error 2 (1.5 to 3) times that of first on 5 logs: worse.",
@@ -226,11 +227,11 @@ def test_words_tables_and_pictures_of_logs_by_hand():
         "b, second: 1 km off",
         "c: it is empty",
     ]
-    few = list(recorded_logs._tell(found[:1], LABELS, 1, []))
+    few = list(recorded_logs.tell_logs(found[:1], LABELS, 1, []))
     assert few[0] == "first, 1 log: consistent on 1."
     assert few[-1] == "Fewer than 3 logs have results of both filters: nothing is compared."
-    assert not [text for text in recorded_logs._tell(found[:1], LABELS[:1], 1, []) if "Fewer" in text]
-    logs, pairs = recorded_logs._fill(found, told)
+    assert not [text for text in recorded_logs.tell_logs(found[:1], LABELS[:1], 1, []) if "Fewer" in text]
+    logs, pairs = recorded_logs.tabulate_logs(found, told)
     assert list(logs.columns) == [
         "log",
         "estimator",
@@ -243,13 +244,13 @@ def test_words_tables_and_pictures_of_logs_by_hand():
     assert logs.columns["velocity_mps"] == [0.2, None, None, None, None]
     assert pairs.columns["quantity"] == ["horizontal error", "velocity error", "drift in 10 s without GNSS"]
     assert (pairs.columns["low"][0], pairs.columns["high"][0], pairs.columns["logs"][0]) == (1.5, 3.0, 5)
-    assert len(list(recorded_logs._fill(found, []))) == 1
-    plots = {one.path[1]: one for one in recorded_logs._plot(found, LABELS, ["a", "b", "c"])}
+    assert len(list(recorded_logs.tabulate_logs(found, []))) == 1
+    plots = {one.path[1]: one for one in recorded_logs.plot_logs(found, LABELS, ["a", "b", "c"])}
     assert list(plots) == ["horizontal", "velocity_mps"], "a drift of 0 has no place on a logarithm"
     first, second = plots["horizontal"].series
     assert (first.t.tolist(), first.values.tolist()) == ([1.0, 2.0], [[1.0], [2.0]])
     assert (second.t.tolist(), second.values.tolist()) == ([1.0], [[3.0]])
-    assert first.colours != second.colours
+    assert first.colors != second.colors
     assert plots["horizontal"].title == "horizontal error [m]"
     assert plots["velocity_mps"].title == "velocity error [m/s]"
     assert plots["horizontal"].ticks == ((1.0, "a"), (2.0, "b"), (3.0, "c"))

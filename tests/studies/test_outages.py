@@ -37,7 +37,7 @@ PHASES_FLOWN = get_args(Phase)
 
 
 def make_drift(sizes, law=None):
-    """Return the drift of R draws whose north error grows as sizes (R, D) by the second, claimed as 2 m."""
+    """Return the drift of R runs whose north error grows as sizes (R, D) by the second, reported as 2 m."""
     grid = np.arange(1.0, sizes.shape[1] + 1.0)
     grown = np.zeros((*sizes.shape, 5))
     grown[:, :, 0], grown[:, :, 3], grown[:, :, 4] = sizes, sizes**2, 4.0
@@ -55,7 +55,7 @@ def test_a_convex_drift_reaches_its_limit_where_it_does():
 
 
 def test_the_drift_of_draws_that_are_known():
-    """Two draws of t and 7 t: 5 t RMS, median 4 t; one is lost and in nothing."""
+    """Two runs of t and 7 t: 5 t RMS, median 4 t; one is lost and in nothing."""
     t = np.arange(1.0, 11.0)
     lost = np.full(10, np.nan)
     drift = make_drift(np.array([t, lost, 7.0 * t]))
@@ -116,7 +116,7 @@ def test_units_are_paired_from_the_best_on_and_one_with_a_lost_draw_is_not():
 
 
 def test_tables_words_and_pictures_of_a_drift_by_hand():
-    """Four draws of 1, 2, 3 and 4 m/s, claimed as 2 m/s; the closed form has 0.3 and 0.4 m/s."""
+    """Four runs of 1, 2, 3 and 4 m/s, reported as 2 m/s; the closed form has 0.3 and 0.4 m/s."""
     t, speeds = np.arange(1.0, 61.0), np.array([1.0, 2.0, 3.0, 4.0])[:, None]
     drift = make_drift(speeds * t, {"gyro bias": 0.3 * t, "receiver velocity": 0.4 * t})
     drift.grown[:, :, 4] = np.square(2.0 * t)
@@ -156,7 +156,7 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     assert claims.endswith("in 0 of 2 cases; not in, by unit: my/own.toml 2.")
     error, ratio = outage_tables.plot_drifts(["my/own.toml"], ["straight"], drifts)
     band, dots = error.series
-    assert (band.key, dots.key) == ("own.toml", "own.toml claimed")
+    assert (band.key, dots.key) == ("own.toml", "own.toml reported")
     assert (band.widths, dots.widths) == ((1.5, 1.0, 1.0), (3.0,))
     assert_allclose(band.values[:, 0], rms * t)
     assert_allclose(dots.values[:, 0], 2.0 * dots.t)
@@ -202,7 +202,7 @@ def test_every_draw_is_in_the_drift_of_its_unit_and_phase(monkeypatch, own):
     phases, made = own or ("straight", "climb"), {}
     options = outage_drift.Options(
         units=("grade-1", "stim300", "adis16475"), phases=("straight", "climb"), profiles=own,
-        outages_s=(20.0, 5.0), draws=3, error_m=7.0,
+        outages_s=(20.0, 5.0), runs=3, error_m=7.0,
     )  # fmt: skip
     elapsed, said = (5.0, 20.0), []
 
@@ -294,15 +294,15 @@ def matched():
     """A unit and a receiver whose every error the filter models."""
     return bench.study(
         "outages", units="matched-mems", phases="straight", outages_s="60,300,600", gnss="matched-white",
-        estimator="loose-15", draws=DRAWS, jobs=1,
+        estimator="loose-15", runs=DRAWS, jobs=1,
     )  # fmt: skip
 
 
 @pytest.mark.slow
 def test_47_monte_carlo_lies_in_the_band_of_the_covariance(matched):
-    """The squares of a matched filter over its variance: chi-square, of one to two axes for each draw.
+    """The squares of a matched filter over its variance: chi-square, of one to two axes for each run.
 
-    A claim of half the size leaves the 99.9 % band.
+    A covariance of half the size leaves the 99.9 % band.
     """
     columns = {name: np.array(values) for name, values in matched.tables["claims"].columns.items()}
     ratio = np.square(columns["error_m"] / columns["claimed_m"])
@@ -354,7 +354,7 @@ def test_a_wrong_name_is_one_line(given, message):
 
 
 def test_pictures_of_the_grades_begin_a_second_after_the_loss():
-    """Three phases of two grades, and each bias alone once: all instants but the first, which has no log."""
+    """Three phases of two grades, and each bias alone once: all epochs but the first, which has no log."""
     t = np.arange(4.0)
     grades = [
         Grown(name, phase, t, size * t, 2.0 * size * t, 3.0 * size * t)
@@ -384,7 +384,7 @@ def test_the_end_of_an_outage_is_measured_before_the_fix_that_ends_it():
 
 
 def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
-    """Errors of 3, 4, 10 m at the loss and 1, 2, 3 m/s from there on; claims of 5 and 7 m^2."""
+    """Errors of 3, 4, 10 m at the loss and 1, 2, 3 m/s from there on; covariances of 5 and 7 m^2."""
     profile = SimpleNamespace(
         estimators=["mine"], sensors=SimpleNamespace(gnss_outages=((20.0, 25.0),)), flight=None
     )
@@ -410,7 +410,7 @@ def test_growth_is_the_error_less_that_at_the_loss(monkeypatch):
     monkeypatch.setattr(outage_drift, "error_series", judge)
     monkeypatch.setattr(outage_drift, "replace", lambda data, output_t: SimpleNamespace(output_t=output_t))
     made_data = SimpleNamespace()
-    found = outage_drift.measure_growth(outage_drift._Task(profile, "key", 0, (1.0, 2.0)))
+    found = outage_drift.measure_growth(outage_drift.DriftRun(profile, "key", 0, (1.0, 2.0)))
     assert_allclose(found, [[1.0, 2.0, 3.0, 16.0 + 36.0, 12.0], [2.0, 4.0, 6.0, 25.0 + 64.0, 12.0]])
     assert ends == [30.0]
 
@@ -435,7 +435,7 @@ def test_growth_by_grade_is_that_since_the_loss_and_each_bias_by_its_law():
 
 
 def test_the_better_unit_is_that_of_the_smaller_drift_and_not_of_the_smaller_limit():
-    """4 m in every draw, and 5 m RMS of draws from 0.1 to 10 m, whose interval begins below."""
+    """4 m in every run, and 5 m RMS of runs from 0.1 to 10 m, whose interval begins below."""
     t, sizes = np.ones(61), np.array([0.1, 0.2, 0.1, 10.0])[:, None]
     drifts = {
         ("wide", "turn"): make_drift(sizes * t),

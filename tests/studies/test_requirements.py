@@ -80,11 +80,11 @@ def test_the_answer_says_how_well_closed_form_and_strapdown_agree(found, columns
     )
 
 
-def test_closed_form_and_strapdown_lie_on_each_other_in_two_colours(found, columns):
+def test_closed_form_and_strapdown_lie_on_each_other_in_two_colors(found, columns):
     assert len(found.figures) == 2
     for figure, limit in zip(found.figures.values(), ("accel_ug", "gyro_deg_h"), strict=True):
         line, dots = figure.series
-        assert line.colours + dots.colours == series.ESTIMATORS[:2]
+        assert line.colors + dots.colors == series.ESTIMATORS[:2]
         assert dots.widths == (3.0,)
         there = np.interp(np.log(columns["outage_s"]), np.log(line.t), line.values[:, 0])
         assert_allclose(there, columns[limit], rtol=0.01)
@@ -113,7 +113,7 @@ def test_each_error_of_its_size_moves_a_pendulum_by_what_is_allowed(T):
     """The pendulum by quadrature of its impulse responses, and its largest deflection up to the time."""
     w, g = np.sqrt(STANDARD_GRAVITY / 6_371_000.0), STANDARD_GRAVITY
     s = np.linspace(0.0, T, 200_001)
-    by_force = np.sin(w * s) / w  # of a jerk of velocity: metres per m/s
+    by_force = np.sin(w * s) / w  # of a jerk of velocity: meters per m/s
     by_tilt = g * (1.0 - np.cos(w * s)) / w**2
     moved = {
         "accel": cumulative_trapezoid(by_force, s, initial=0.0),

@@ -21,7 +21,7 @@ from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import ConfigError
 from bench.experiments.studies import rnp, stanford
 from bench.experiments.studies.watched_flights import WatchedFlight
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.simulation.flight.guidance.off_track import measure_off_track
 from bench.simulation.flight.legs.tracks import Waypoint, Waypoints
 
@@ -69,11 +69,11 @@ def flight(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def result(flight):
-    return bench.study("rnp", jobs=1, profiles=flight, draws=2, vertical_limit_m=60.0)
+    return bench.study("rnp", jobs=1, profiles=flight, runs=2, vertical_limit_m=60.0)
 
 
 def test_a_satellite_that_runs_away_is_left_out_and_misleads_nobody(flight, result):
-    one = rnp.watch_run(rnp._Run(rnp.Options(profiles=flight), 0))
+    one = rnp.watch_run(rnp.RnpRun(rnp.Options(profiles=flight), 0))
     assert not one.alarm.any()
     assert (one.error < one.level).all()
     assert np.isfinite(one.level).all()
@@ -83,14 +83,14 @@ def test_a_satellite_that_runs_away_is_left_out_and_misleads_nobody(flight, resu
 
 
 def test_a_satellite_that_creeps_away_is_followed_by_its_own_state(tmp_path):
-    """0.3 m/s, 12 m after 40 s: no range of it is far enough off to be refused, and the position stays."""
+    """0.3 m/s, 12 m after 40 s: no range of it is far enough off to be rejected, and the position stays."""
     errors = []
     start, _, rest = FLIGHT.partition("[[fault]]")
     sound = start + rest[rest.index("[initial_error_sd]") :]
     for name, text in (("creeps", FLIGHT.replace("ramp_mps = 20.0", "ramp_mps = 0.3")), ("sound", sound)):
         path = tmp_path / f"{name}.toml"
         path.write_text(text)
-        one = rnp.watch_run(rnp._Run(rnp.Options(profiles=str(path)), 0))
+        one = rnp.watch_run(rnp.RnpRun(rnp.Options(profiles=str(path)), 0))
         assert not one.alarm.any()
         assert (one.error < one.level).all()
         errors.append(one.error)
@@ -98,7 +98,7 @@ def test_a_satellite_that_creeps_away_is_followed_by_its_own_state(tmp_path):
 
 
 def test_levels_of_a_filter_that_trusts_its_fixes_do_not_allow_for_the_fault(flight):
-    one = rnp.watch_run(rnp._Run(rnp.Options(profiles=flight, estimator="loose-22"), 0))
+    one = rnp.watch_run(rnp.RnpRun(rnp.Options(profiles=flight, estimator="loose-22"), 0))
     assert not one.alarm.any()
     assert np.isfinite(one.level).all()
 
@@ -110,8 +110,8 @@ def ask(monkeypatch, across, off, level=10.0, error=2.0, crashes=(), **more):
     """
     truth = SimpleNamespace(t=np.arange(0.0, 100.0))
     made = SimpleNamespace(name="made", evaluation=EvaluationWindow())
-    monkeypatch.setattr(rnp, "_read", lambda options: made)
-    monkeypatch.setattr(rnp, "_load", lambda *args: (made, truth, None))
+    monkeypatch.setattr(rnp, "make_profile", lambda options: made)
+    monkeypatch.setattr(rnp, "load_flight", lambda *args: (made, truth, None))
 
     def fly(number):
         t = truth.t[:40] if number in crashes else truth.t
@@ -138,7 +138,7 @@ def test_60_flights_far_within_meet_what_60_flights_can_show(monkeypatch):
     assert words(found) == {
         "time with TSE within RNP": "met", "availability, horizontal": "met", "availability, vertical": "met",
     }  # fmt: skip
-    assert (found.good, found.undecided, found.draws) == (True, False, 60)
+    assert (found.good, found.undecided, found.runs) == (True, False, 60)
     assert (
         "RNP 0.3 (556 m): met; across track, turns included, the total error is below 4 m"
         in found.verdicts[0]
@@ -147,7 +147,7 @@ def test_60_flights_far_within_meet_what_60_flights_can_show(monkeypatch):
 
 def test_what_hours_cannot_show_is_undecided_and_says_how_many_would(monkeypatch):
     found = ask(monkeypatch, lambda k: 3.0, lambda k: -1.0, hours=5.0)
-    assert found.draws == 180
+    assert found.runs == 180
     assert (found.good, found.undecided) == (True, True)
     assert words(found)["TSE beyond twice RNP, per hour"] == "undecided"
     assert words(found)["hazardously misleading, per hour, vertical"] == "undecided"
@@ -219,29 +219,31 @@ def test_flights_have_turbulence_of_their_own_if_there_is_any(monkeypatch):
     monkeypatch.setattr(rnp.pipeline, "fly", fly)
     for severity, seeds in (("none", [3]), ("light", [3, 4, 5])):
         flown.clear()
-        rnp._load.cache_clear()
+        rnp.load_flight.cache_clear()
         options = rnp.Options(
             profiles="waypoints", estimator="loose-15", seed=3, units="stim300",
             overrides={"wind.turbulence": severity},
         )  # fmt: skip
-        loaded = [rnp._load(options, k)[0] for k in range(3)]
+        loaded = [rnp.load_flight(options, k)[0] for k in range(3)]
         assert flown == seeds
         assert loaded[2].sensors.imu.gyro.bias_instability > 0.0
-        assert all(len(rnp._load(options, k)[1].t) == 1000 for k in range(3))
-    rnp._load.cache_clear()
+        assert all(len(rnp.load_flight(options, k)[1].t) == 1000 for k in range(3))
+    rnp.load_flight.cache_clear()
 
 
-def test_levels_and_limits_of_kilometres_have_no_power_of_ten(monkeypatch):
-    found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, level=2345.0, alert_limit_m=18520.0, draws=2)
+def test_levels_and_limits_of_kilometers_have_no_power_of_ten(monkeypatch):
+    found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, level=2345.0, alert_limit_m=18520.0, runs=2)
     text = "median 2340 m, alert limit 18520 m; the error was larger than the level in 0 of 2 flights"
     assert any(text in one for one in found.verdicts)
 
 
 def test_the_filter_that_flies_is_that_of_the_option():
-    with pytest.raises(ConfigError, match=r"^study rnp: --set guidance\.navigation: --estimator says what"):
+    with pytest.raises(ConfigError, match=r"^study rnp: --set guidance\.navigation: --estimator sets the"):
         bench.study("rnp", profiles="waypoints-closed", overrides={"guidance.navigation": "loose-22"}, jobs=1)
     whole = {"guidance": {"navigation": "loose-22", "period_s": 0.5}}
-    profile = rnp._read(rnp.Options(profiles="waypoints-closed", estimator="loose-15", overrides=whole))
+    profile = rnp.make_profile(
+        rnp.Options(profiles="waypoints-closed", estimator="loose-15", overrides=whole)
+    )
     assert (profile.guidance.navigation.use, profile.guidance.period) == ("loose-15", 0.5)
 
 
@@ -256,13 +258,13 @@ def test_without_satellites_tight_is_refused(tmp_path, monkeypatch):
         FLIGHT.partition("[[fault]]")[0].replace("sky-l1", "l1-code") + "[[estimator]]\nuse = 'loose-15'\n"
     )
     with pytest.raises(ConfigError, match="--gnss sky-l1"):
-        bench.study("rnp", jobs=1, profiles=str(path), draws=2)
+        bench.study("rnp", jobs=1, profiles=str(path), runs=2)
     bare = SimpleNamespace(name="bare", sensors=SimpleNamespace(gnss=None))
-    monkeypatch.setattr(rnp, "load_profile", lambda *_: bare)
+    monkeypatch.setattr(rnp, "read_profile", lambda *_: bare)
     with pytest.raises(ConfigError, match="bare has none"):
-        rnp._read(rnp.Options(profiles="bare"))
+        rnp.make_profile(rnp.Options(profiles="bare"))
     bare.sensors.gnss, bare.guidance = SimpleNamespace(sky=object()), None
-    assert rnp._read(rnp.Options(profiles="bare")) is bare
+    assert rnp.make_profile(rnp.Options(profiles="bare")) is bare
 
 
 def fly_by_hand(side, apart, wind_layers=()):
@@ -320,14 +322,14 @@ def test_with_a_wind_that_changes_with_height_turns_have_no_track():
 
 
 def test_where_a_filter_flies_the_total_error_is_that_of_the_truth_and_the_parts_add_up_to_it(tmp_path):
-    """FTE anew, from the believed positions themselves, and NSE by the positions of both: within 1 mm."""
+    """FTE anew, from the assumed positions themselves, and NSE by the positions of both: within 1 mm."""
     text = (Path(bench.__file__).parent / "profiles" / "waypoints-closed.toml").read_text()
     points = text.index("  { north_m = -1900.0, east_m = 1000.0 }"), text.index("]\n\n[[leg]]")
     path = tmp_path / "short.toml"
     path.write_text((text[: points[0]] + text[points[1] :]).replace("rate_hz  = 200", "rate_hz  = 100"))
     options = rnp.Options(profiles=str(path), estimator="loose-15", lines="accuracy")
-    one = rnp.watch_run(rnp._Run(options, 1))
-    profile, truth, steered = rnp._load(options, 1)
+    one = rnp.watch_run(rnp.RnpRun(options, 1))
+    profile, truth, steered = rnp.load_flight(options, 1)
     assert profile.guidance.navigation.use == "loose-15"
     rows = np.searchsorted(truth.t, one.t - 1e-6)
     off, course = measure_off_track(profile.flight, truth, rows)
@@ -344,11 +346,11 @@ def test_where_a_filter_flies_the_total_error_is_that_of_the_truth_and_the_parts
     assert both.sum() > 20
     assert_allclose(one.off[both], believed[both], atol=0.01)
     assert np.abs(one.across[on]).max() > 0.3
-    rnp._load.cache_clear()
+    rnp.load_flight.cache_clear()
 
 
-def test_waypoints_are_flown_within_metres():
-    profile = load_profile("waypoints", {}, None, ("loose-15",))
+def test_waypoints_are_flown_within_meters():
+    profile = read_profile("waypoints", {}, None, ("loose-15",))
     truth = pipeline.fly(profile)
     off, _ = measure_off_track(profile.flight, truth, np.arange(0, len(truth.t), 200))
     assert np.isfinite(off).mean() > 0.7
@@ -356,16 +358,16 @@ def test_waypoints_are_flown_within_metres():
 
 
 def test_levels_over_time_are_the_least_and_errors_the_largest_of_all_flights(monkeypatch):
-    found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, error=lambda k: 1.0 + k, draws=3)
+    found = ask(monkeypatch, lambda k: 0.0, lambda k: 0.0, error=lambda k: 1.0 + k, runs=3)
     for plane, limit in (("horizontal", 555.6), ("vertical", 50.0)):
         (plot,) = [one for one in found.figures if one.path[1] == f"levels-{plane}"]
         for line, value in zip(plot.series, (10.0, 3.0, limit), strict=True):
             assert_allclose(line.t, np.arange(100.0))
             assert_allclose(line.values, value)
-        assert len({line.colours for line in plot.series}) == 3
+        assert len({line.colors for line in plot.series}) == 3
         (plot,) = [one for one in found.figures if one.path[1] == f"stanford-{plane}"]
         dots, equal, most = plot.series
-        assert (dots.colours, dots.widths) == (series.ESTIMATORS[:1], (1.2,))
+        assert (dots.colors, dots.widths) == (series.ESTIMATORS[:1], (1.2,))
         assert_allclose(np.sort(dots.t), np.repeat([1.0, 2.0, 3.0], 100))
         assert_allclose(dots.values, 10.0)
         assert_allclose(equal.t, [1.0, 1.5 * limit])
@@ -378,8 +380,8 @@ def test_instants_are_the_rows_of_whole_seconds_whatever_their_last_digits():
     t = np.arange(601) / 100.0
     t[300], t[400] = 3.0 - 1e-9, 4.0 + 1e-9
     profile = SimpleNamespace(evaluation=SimpleNamespace(begin=1.2))
-    assert rnp._choose_rows(SimpleNamespace(t=t), profile).tolist() == [200, 300, 400, 500, 600]
-    later = rnp._choose_rows(SimpleNamespace(t=t[250:550]), profile)
+    assert rnp.choose_rows(SimpleNamespace(t=t), profile).tolist() == [200, 300, 400, 500, 600]
+    later = rnp.choose_rows(SimpleNamespace(t=t[250:550]), profile)
     assert later.tolist() == [50, 150, 250]
 
 
@@ -387,7 +389,7 @@ def test_steering_errors_are_those_of_the_answer_at_the_instant(monkeypatch):
     t = np.array([0.0, 1.0 + 1e-9, 2.0 - 1e-9, 3.0])
     errors = SimpleNamespace(t=t, pos_n=np.outer(np.arange(4.0), [1.0, 2.0, 3.0]))
     monkeypatch.setattr(rnp, "error_series", lambda *_: errors)
-    found = rnp._find_steering_errors(None, None, np.array([1.0, 2.0, 2.5, 4.0]))
+    found = rnp.find_steering_errors(None, None, np.array([1.0, 2.0, 2.5, 4.0]))
     assert found[:, 0].tolist() == [1.0, 2.0, 3.0, 3.0]
 
 
@@ -399,7 +401,7 @@ def test_alerts_of_one_flight_come_together_and_may_decide_less(monkeypatch, eve
     met = rnp.JudgedFigure(rnp.Estimate(0.0, 0.0, 1e-5), "met", 2.0)
     monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds: (begun, lost))
     monkeypatch.setattr(rnp, "judge_rate", lambda count, tried, most: met)
-    rows = list(rnp._list_continuity([None, None], rnp.Options(profiles="waypoints")))
+    rows = list(rnp.list_continuity([None, None], rnp.Options(profiles="waypoints")))
     assert [row["figure"] for row in rows] == [f"risk of an alert in 15 s, {plane}" for plane in rnp.PLANES]
     for row in rows:
         assert row["word"] == word
@@ -423,12 +425,12 @@ def test_a_flight_is_watched_in_the_plane_and_in_height_by_hand(monkeypatch, ste
         return SimpleNamespace(t=solution.t, pos_n=np.tile([3.0, 4.0, -12.0], (n, 1)))
 
     level = SimpleNamespace(level=np.full((3, 2), 20.0), alarm=np.zeros(3, bool))
-    monkeypatch.setattr(rnp, "_load", lambda options, number: (profile, truth, answers))
+    monkeypatch.setattr(rnp, "load_flight", lambda options, number: (profile, truth, answers))
     monkeypatch.setattr(rnp.pipeline, "sense", lambda *given: sensed)
-    monkeypatch.setattr(rnp, "_navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
+    monkeypatch.setattr(rnp, "navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
     monkeypatch.setattr(rnp, "error_series", measure)
     monkeypatch.setattr(rnp, "protect_fault_free", lambda solution: level)
-    found = rnp.watch_run(rnp._Run(rnp.Options(profiles="made", estimator="loose-15"), 0))
+    found = rnp.watch_run(rnp.RnpRun(rnp.Options(profiles="made", estimator="loose-15"), 0))
     assert_allclose(found.t, [1.0, 2.3, 3.0] if steered else [1.0, 2.0, 3.0, 4.0])
     assert_allclose(found.error, [[5.0, 12.0]] * len(found.t))
     assert np.isnan(found.across).all()
@@ -444,13 +446,13 @@ def test_errors_across_track_are_those_to_the_right_of_the_course_by_hand(monkey
     path = SimpleNamespace(right=np.full(4, 7.0), course=np.full(4, np.deg2rad(30.0)))
     level = SimpleNamespace(level=np.full((4, 2), 20.0), alarm=np.zeros(4, bool))
     answers = SimpleNamespace(t=truth.t) if steered else None
-    monkeypatch.setattr(rnp, "_load", lambda options, number: (profile, truth, answers))
+    monkeypatch.setattr(rnp, "load_flight", lambda options, number: (profile, truth, answers))
     monkeypatch.setattr(rnp.pipeline, "sense", lambda *given: None)
-    monkeypatch.setattr(rnp, "_navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
+    monkeypatch.setattr(rnp, "navigate", lambda profile, sensed, t: SimpleNamespace(t=t))
     monkeypatch.setattr(rnp, "error_series", lambda truth, solution: apart)
     monkeypatch.setattr(rnp, "protect_fault_free", lambda solution: level)
     monkeypatch.setattr(rnp, "measure_off_path", lambda flight, truth, rows: path)
-    found = rnp.watch_run(rnp._Run(rnp.Options(profiles="made", estimator="loose-15"), 0))
+    found = rnp.watch_run(rnp.RnpRun(rnp.Options(profiles="made", estimator="loose-15"), 0))
     across = 4.0 * np.sqrt(0.75) - 3.0 * 0.5
     assert_allclose(found.across, across)
     assert_allclose(found.off, 7.0 + across if steered else 7.0)
@@ -465,7 +467,7 @@ def test_each_subfilter_is_without_one_satellite_and_has_all_others(monkeypatch)
     monkeypatch.setattr(rnp, "take_rows", lambda o, kept: kept)
     monkeypatch.setattr(rnp, "replace", lambda one, **new: next(iter(new.values())))
     sensed = SimpleNamespace(data=SimpleNamespace(observations=SimpleNamespace(system=system, sat=sat)))
-    for (lost, number), kept in zip(seen, rnp._leave_out(sensed), strict=True):
+    for (lost, number), kept in zip(seen, rnp.leave_out(sensed), strict=True):
         assert kept.tolist() == [(a, b) != (lost, number) for a, b in zip(system, sat, strict=True)]
 
 
@@ -475,15 +477,15 @@ def test_a_risk_is_undecided_without_an_operation_and_never_above_one(monkeypatc
     options = rnp.Options(profiles="waypoints")
     for windows in (None, (begun, begun)):
         monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds, windows=windows: windows)
-        for row in rnp._list_continuity([None, None], options):
+        for row in rnp.list_continuity([None, None], options):
             assert (row["word"], row["value"], row["more_h"]) == ("undecided", None, None)
     begun[:4] = True
     monkeypatch.setattr(rnp, "count_windows", lambda watched, seconds: (begun, begun))
-    assert [row["high"] for row in rnp._list_continuity([None, None], options)] == [1.0, 1.0]
+    assert [row["high"] for row in rnp.list_continuity([None, None], options)] == [1.0, 1.0]
 
 
 def test_the_parts_of_the_stanford_diagram_by_hand():
-    """Two flights of four instants: bounded, beyond the limit of 50 m, misleading, hazardous; an alarm."""
+    """Two flights of four epochs: bounded, beyond the limit of 50 m, misleading, hazardous; an alarm."""
     error = np.array([[1.0, 1.0, 20.0, 60.0], [1.0, 1.0, 1.0, 60.0]])
     level = np.array([[10.0, 51.0, 10.0, 10.0], [10.0, 10.0, 10.0, 10.0]])
     alarm = np.array([[False] * 4, [False, False, False, True]])

@@ -20,17 +20,17 @@ METRIC = "pos_rmse_h_m"
 
 
 def test_the_drift_of_a_free_ins_at_rest_is_linear_in_the_bias_of_its_gyros(tmp_path):
-    """A-2.4.7, the same draws: twice the bias makes twice the error, but for what the rest of it makes."""
+    """A-2.4.7, the same runs: twice the bias makes twice the error, but for what the rest of it makes."""
     text = (PACKAGE / "profiles" / "static.toml").read_text().replace("rate_hz  = 200", "rate_hz = 100")
     short = tmp_path / "rest.toml"
     short.write_text(text.replace("duration_s = 600.0", "duration_s = 150.0"))
     key = "sensors.imu.gyro.turn_on_bias_sd_deg_h"
-    asked = {"key": key, "values": "300,600", "estimators": "free-inertial", "draws": 2}
+    asked = {"key": key, "values": "300,600", "estimators": "free-inertial", "runs": 2}
     result = bench.study("sensitivity", profiles=str(short), jobs=1, **asked)
     table = result.tables["sensitivity"].columns
     error = [v for v, name in zip(table["value"], table["metric"], strict=True) if name == "pos_rmse_h_m"]
     assert error[1] / error[0] == pytest.approx(2.0, rel=0.1)
-    given = "--values 300,600 --estimators free-inertial --draws 2"
+    given = "--values 300,600 --estimators free-inertial --runs 2"
     assert result.command == f"bench study sensitivity {short} {key} {given}"
     assert result.figures["pos_rmse_h_m"].across == "deg/h"
 
@@ -50,24 +50,24 @@ def ask(law, **more):
         ]  # fmt: skip
         return SimpleNamespace(runs=SimpleNamespace(to_pylist=lambda: rows))
 
-    options = Options(profiles="s-turns", key="rate_hz", values="1,2", draws=4, most_draws=9, **more)
-    return sensitivity._ask(options, SimpleNamespace(campaign=campaign)), flown
+    options = Options(profiles="s-turns", key="rate_hz", values="1,2", runs=4, max_runs=9, **more)
+    return sensitivity.ask_profile(options, SimpleNamespace(campaign=campaign)), flown
 
 
 def test_draws_are_added_until_the_ends_are_told_apart():
-    """By hand: twice the error on every draw is decided at once; what is alike by noise never is."""
+    """By hand: twice the error on every run is decided at once; what is alike by noise never is."""
     noise = np.random.default_rng(1).uniform(1.0, 3.0, (3, 9))
     found, flown = ask(lambda value, run: value * noise[0, run])
     assert flown == [(0, 4)]
-    assert (found.good, found.draws) == (True, 4)
-    assert "on the same draws 1 over 2 0.5 (0.5 to 0.5): better" in found.verdicts[0]
+    assert (found.good, found.runs) == (True, 4)
+    assert "on the same runs 1 over 2 0.5 (0.5 to 0.5): better" in found.verdicts[0]
     rms = [np.sqrt(np.mean(np.square(value * noise[0, :4]))) for value in (1.0, 2.0)]
     assert f"mine: {METRIC} from {rms[0]:.3g} (" in found.verdicts[0]
     assert f"at 1 Hz to {rms[1]:.3g} (" in found.verdicts[0]
     assert_allclose(found.figures[0].series[0].values[:, 0], rms)
     found, flown = ask(lambda value, run: noise[int(value), run])
     assert flown == [(0, 4), (4, 8), (8, 9)]
-    assert found.draws == 9
+    assert found.runs == 9
     found, _ = ask(lambda value, run: np.nan if (value, run) == (2, 3) else value * noise[0, run])
     assert not found.good
 
@@ -106,7 +106,7 @@ def test_the_ends_of_three_values_have_a_third_of_the_error_each():
     pair, alone = compare_ends(swept, METRIC, 0.03), compare_ends(swept[::2], METRIC, 0.01)
     assert pair == alone
     assert (pair.first, pair.second) == ("0", "2")
-    table = sensitivity._fill(
+    table = sensitivity.tabulate_sweep(
         Options(profiles="s-turns", key="sensors.gnss.rate_hz"), {"mine": swept}
     ).columns
     assert list(table) == ["estimator", "rate_hz", "metric", "value", "low", "high", "runs", "lost"]

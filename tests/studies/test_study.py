@@ -28,7 +28,7 @@ from bench.experiments.studies.conducting import find_study
 from bench.experiments.studies.outage_study import outage_drift
 from bench.experiments.studies.study import UnitOptions, ask_each, format_estimate, make_command, read_options
 from bench.io import results
-from bench.io.results.study_folder import save_study
+from bench.io.results.study_folder import write_study
 from bench.plugins.papers import alignment_errors, mechanization_costs
 from bench.views.report import study_page, svg
 from bench.views.report.study_page import format_cell
@@ -45,7 +45,7 @@ def folder(tmp_path_factory):
 
 def test_a_folder_is_read_back(folder):
     begun = time.perf_counter()
-    made, read = bench.study("requirements", error_m=10.0, **SHORT), bench.load_study(folder)
+    made, read = bench.study("requirements", error_m=10.0, **SHORT), bench.read_study(folder)
     assert 0.0 < made.wall_s < time.perf_counter() - begun
     assert read.command == "bench study requirements --error-m 10 --outages-s 60,300"
     assert read.verdicts == made.verdicts
@@ -68,12 +68,12 @@ def test_a_folder_is_not_replaced_unless_asked(folder):
     with pytest.raises(ConfigError, match="--force replaces it"):
         bench.study("requirements", out=folder, **SHORT)
     with pytest.raises(ConfigError, match="no study"):
-        bench.load_study(folder.parent)
+        bench.read_study(folder.parent)
 
 
 def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
     page = bench.write_report(folder).read_text(encoding="utf-8")
-    read = bench.load_study(folder)
+    read = bench.read_study(folder)
     for text in (read.question, read.command, *read.verdicts):
         assert text in page
     assert re.search(r"<span>written \d{4}-\d\d-\d\d \d\d:\d\d</span>", page)
@@ -83,17 +83,17 @@ def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
 
 
 def test_options_left_out_are_not_listed(folder):
-    read = bench.load_study(folder)
-    chosen = {"alert_limit_m": None, "draws": 20, "outages_s": [60.0, 300.0]}
+    read = bench.read_study(folder)
+    chosen = {"alert_limit_m": None, "runs": 20, "outages_s": [60.0, 300.0]}
     page = study_page.make_page(dataclasses.replace(read, options=chosen))
     options = dict(re.findall("<dt>(.*?)</dt><dd>(.*?)</dd>", page))
-    assert (options["draws"], options["outages_s"]) == ("20", "60, 300")
+    assert (options["runs"], options["outages_s"]) == ("20", "60, 300")
     assert "alert_limit_m" not in options
 
 
 def test_text_stands_on_the_left_of_its_column_and_numbers_on_the_right(folder):
     columns = {"grade": ["one"], "gyro_deg_h": [0.5], "unit": ["deg/h"], "remark": ["word " * 12]}
-    read = bench.load_study(folder)
+    read = bench.read_study(folder)
     found = dataclasses.replace(read.findings, tables=(FindingTable("t", "Title", columns),))
     page = study_page.make_page(dataclasses.replace(read, findings=found))
     heads = dict(re.findall(r'<th scope="col" class="(\w+)" title="(\w+)">', page))
@@ -157,8 +157,8 @@ def test_names_of_dots_and_places_and_what_is_undecided_are_read_back(tmp_path):
     )
     made = bench.study("requirements", **SHORT)
     findings = dataclasses.replace(made.findings, figures=(plot,), undecided=True)
-    save_study(tmp_path / "asked", dataclasses.replace(made, findings=findings))
-    read = bench.load_study(tmp_path / "asked")
+    write_study(tmp_path / "asked", dataclasses.replace(made, findings=findings))
+    read = bench.read_study(tmp_path / "asked")
     assert read.findings.undecided
     (again,) = read.figures.values()
     assert again.ticks == plot.ticks
@@ -176,7 +176,7 @@ def test_names_of_dots_and_places_and_what_is_undecided_are_read_back(tmp_path):
     broken["figures"][0]["series"][0]["labels"].pop()
     (tmp_path / "asked" / "figures.json").write_text(json.dumps(broken))
     with pytest.raises(ConfigError):
-        bench.load_study(tmp_path / "asked")
+        bench.read_study(tmp_path / "asked")
 
 
 def test_an_unknown_study_names_the_known():
@@ -246,12 +246,12 @@ def test_a_power_law_is_a_straight_line_on_logarithmic_axes():
 
 
 def test_findings_of_several_cases_are_one_and_as_bad_as_the_worst(tmp_path):
-    one = Findings(("a",), (FindingTable("t", "T", {"x": [1]}),), (), draws=5)
-    other = dataclasses.replace(one, draws=7, good=False, undecided=True)
+    one = Findings(("a",), (FindingTable("t", "T", {"x": [1]}),), (), runs=5)
+    other = dataclasses.replace(one, runs=7, good=False, undecided=True)
     for both in (join_findings({"p": one, "q": other}), join_findings({"p": other, "q": one})):
         assert both.verdicts == ("p: a", "q: a")
         assert [(table.name, table.title) for table in both.tables] == [("t-p", "p: T"), ("t-q", "q: T")]
-        assert (both.draws, both.good, both.undecided) == (7, False, True)
+        assert (both.runs, both.good, both.undecided) == (7, False, True)
     assert join_findings({"": one}) is one
     options = UnitOptions(
         profiles=("a/f.toml", "b/f.toml"), units="stim300,vn-100", overrides={"rate_hz": 50}

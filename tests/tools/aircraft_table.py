@@ -10,14 +10,14 @@ import math
 import sys
 from pathlib import Path
 
-from bench.cli.new_files.new_aircraft import _find_shipped, find_design
+from bench.cli.new_files.new_aircraft import find_design, find_shipped
 from bench.core.words.exceptions import FlightError
 from bench.io.config.external_truth import find_jsbsim_root, list_root_aircraft
 
 
 def make_row(name: str) -> str:
     """The row of the guide, or the reason."""
-    raw, _, _ = _find_shipped(name)
+    raw, _, _ = find_shipped(name)
     try:
         design, accepted, _ = find_design(raw)
     except FlightError as error:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import bench
-from bench.cli.verbs.guide import FOLDER, read_topics
+from bench.cli.verbs.guide import FOLDER, find_pages
 from bench.core.files.places import PACKAGE
 from bench.core.mathematics import earth
 from bench.core.records.findings import series
@@ -36,7 +36,7 @@ _LIGHTBOX = re.compile(r'\w+\(\w+\("\.glightbox",e\)\),')
 _CONFIG = """\
 [project]
 site_name = "bench"
-site_description = "Where an INS/GNSS navigation filter is judged on realistic flights"
+site_description = "Where an INS/GNSS navigation filter is evaluated on realistic flights"
 docs_dir = "pages"
 site_dir = "site"
 use_directory_urls = false
@@ -118,8 +118,21 @@ def keep_brackets(text: str) -> str:
 
 
 def _list_nav() -> Iterator[str]:
-    names = ["index", *read_topics(), "gallery", "api"]
-    return (f'  {{ "{"guide" if name == "index" else name}" = "{name}.md" }},' for name in names)
+    """Yield the entries of the navigation: the headings of the guide, below each the titles of its pages."""
+    yield '  { "bench" = "index.md" },'
+    for heading, entries in _GROUP.findall((FOLDER / "README.md").read_text(encoding="utf-8")):
+        pages = (find_pages()[topic] for topic in _TOPIC.findall(entries))
+        titles = (
+            (path.stem, path.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")) for path in pages
+        )
+        rows = ", ".join(f'{{ "{title}" = "{name}.md" }}' for name, title in titles)
+        yield f'  {{ "{heading}" = [{rows}] }},'
+    yield '  { "Flights" = "gallery.md" },'
+    yield '  { "Python API" = "api.md" },'
+
+
+_GROUP = re.compile(r"^## (.+)\n\n((?:- .+\n)+)", re.MULTILINE)
+_TOPIC = re.compile(r"^- \[([\w-]+)\]", re.MULTILINE)
 
 
 def _take_off_network(site: Path) -> Path:

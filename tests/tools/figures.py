@@ -1,6 +1,6 @@
 """Every metric of every shipped profile: write them down, change the code, compare.
 
-    python -m tests.tools.figures record BEFORE.json                 all profiles, and all estimators on one
+    python -m tests.tools.figures record BEFORE.json                 all profiles, and all filters on one
     python -m tests.tools.figures record BEFORE.json survey static   only these
     python -m tests.tools.figures compare BEFORE.json AFTER.json     exit status 1 when a figure moved
 
@@ -24,11 +24,11 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.records.specs import EstimatorChoice
-from bench.io.config import list_profiles, load_profile
+from bench.io.config import list_profiles, read_profile
 from bench.navigation.built_in import BUILT_IN
 
 EVERY_ESTIMATOR = "all-sensors"
-"""The profile that every built-in estimator flies, those that its file does not name included."""
+"""The profile that every built-in filter flies, those that its file does not name included."""
 TOLERANCE = {"ukf": 1e-7}
 USUAL = 1e-9
 COUNTS = ("events_", "updates_", "rejected_", "false_alarms_", "nees_states")
@@ -55,8 +55,8 @@ def digest(record: Any) -> str:
 
 
 def record(name: str) -> dict[str, Any]:
-    """Return metrics by estimator, and digests of what the estimators saw."""
-    profile = load_profile(name)
+    """Return metrics by filter, and digests of what the filters saw."""
+    profile = read_profile(name)
     if name == EVERY_ESTIMATOR:
         named = {choice.use for choice in profile.estimators}
         others = (
@@ -96,9 +96,7 @@ def compare(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
         inputs = ("truth", "sensors", "streams")
         lines += [f"{name}: {kind} changed" for kind in inputs if before[name][kind] != after[name][kind]]
         old, new = before[name]["metrics"], after[name]["metrics"]
-        lines += [
-            f"{name}: estimator {use} is only in one recording" for use in sorted(old.keys() ^ new.keys())
-        ]
+        lines += [f"{name}: filter {use} is only in one recording" for use in sorted(old.keys() ^ new.keys())]
         for use in sorted(old.keys() & new.keys()):
             lines += _moved(old[use], new[use], TOLERANCE.get(use, USUAL), f"{name} {use}")
     return lines

@@ -16,8 +16,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from PIL import Image
-from rich.console import Console
-from rich.text import Text
 
 import bench
 from bench.cli.verbs.guide import FOLDER, find_pages
@@ -47,7 +45,7 @@ def main(*names: str) -> None:
 
 
 def shrink(picture: bytes) -> bytes:
-    """Return a picture as a PNG; if it needs more room, of 256 colours, and smaller."""
+    """Return a picture as a PNG; if it needs more room, of 256 colors, and smaller."""
     with Image.open(io.BytesIO(picture)) as image:
         whole = image.convert("RGB")
     for part in (None, 1.0, 0.9, 0.8, 0.7):
@@ -71,7 +69,7 @@ def make(name: str, command: tuple[str, ...], option: str = "-o") -> Path:
 
 
 def run(*command: str) -> str:
-    """Return what a command of bench prints on a terminal of 80 columns, in colours."""
+    """Return what a command of bench prints on a terminal of 80 columns, in colors."""
     there = {"COLUMNS": "80", "FORCE_COLOR": "1", "TTY_INTERACTIVE": "0", "TERM": "xterm-256color"}
     done = subprocess.run(
         [sys.executable, "-m", "bench", *command], cwd=ROOT, env=os.environ | there, text=True,
@@ -80,23 +78,6 @@ def run(*command: str) -> str:
     if done.returncode not in (0, 1):  # 1: a verdict is negative
         raise RuntimeError(f"bench {' '.join(command)}: status {done.returncode}\n{done.stdout}")
     return done.stdout
-
-
-def show_terminal(scratch: Path) -> bytes:
-    printed = run(*_RUN, "--force", "-o", str(make("run", _RUN)))
-    shown = Text.from_ansi(
-        f"$ bench {' '.join(_RUN)}\n\n{printed.replace(str(BUILD / 'run'), 'runs/figure-eight')}"
-    )
-    console = Console(record=True, width=80, file=io.StringIO(), legacy_windows=False)
-    console.print(shown)
-    style = (
-        "body {{ margin: 12px; background: #fff; }} pre {{ font: 14px/19px 'DejaVu Sans Mono', monospace; }}"
-    )
-    page = f"<meta charset='utf-8'><style>{style} {{stylesheet}}</style><pre>{{code}}</pre>"
-    path = scratch / "terminal.html"
-    path.write_text(console.export_html(code_format=page), encoding="utf-8")
-    lines = len(shown.wrap(console, 80))
-    return take_picture(path.as_uri(), scratch, 80 * 9 - 20, 19 * lines + 50)
 
 
 def show_page(page: Path, scratch: Path, height: int = _HEIGHT) -> bytes:
@@ -114,7 +95,7 @@ def show_card(scratch: Path) -> bytes:
 
 
 def show_budget(scratch: Path) -> bytes:
-    study = bench.load_study(make("budget", _BUDGET))
+    study = bench.read_study(make("budget", _BUDGET))
     stream = io.BytesIO()
     name = next(
         name for name, plot in study.figures.items() if "heading" in plot.title and "share" in plot.title
@@ -133,7 +114,6 @@ def show_docs(scratch: Path) -> bytes:
 
 
 PICTURES: Mapping[str, Callable[[Path], bytes]] = {
-    "terminal": show_terminal,
     "report": lambda scratch: show_page(make("run", _RUN) / "report.html", scratch),
     "figure-eight": lambda scratch: show_tab(0, scratch),
     "comparison": lambda scratch: show_tab(1, scratch),

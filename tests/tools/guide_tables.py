@@ -157,11 +157,11 @@ def drop_unit(words: str) -> str:
     return re.sub(r" \[[^]]*\](?=[.;])", "", words)
 
 
-# --- estimators -----------------------------------------------------------------------------------------
+# --- filters -----------------------------------------------------------------------------------------
 
 
 def write_estimators() -> Lines:
-    """Yield every built-in estimator with what it needs and the options that are fixed."""
+    """Yield every built-in filter with what it needs and the options that are fixed."""
     rows = [
         (
             code([name]),
@@ -175,7 +175,7 @@ def write_estimators() -> Lines:
 
 
 def write_options() -> Lines:
-    """Yield the options, those of each class of declarations under the estimators that have them."""
+    """Yield the options, those of each class of declarations under the filters that have them."""
     models = [*vars(options).values(), *(row.options for row in BUILT_IN.values())]
     for model in dict.fromkeys(one for one in models if isinstance(one, type)):
         if not issubclass(model, options.Options):
@@ -335,7 +335,7 @@ def write_statuses() -> Lines:
 
 
 TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
-    "estimators": {"built-in estimators": write_estimators, "options": write_options},
+    "estimators": {"built-in filters": write_estimators, "options": write_options},
     "profiles": {
         "tables": lambda: write_tables(ProfileTable, ("leg", "fault")),
         "antenna": lambda: write_keys("key of `[antenna]`", list_keys(AntennaTable)),

@@ -1,7 +1,7 @@
-"""How honest a filter is in and after a gap of the IMU: ``python -m tests.tools.imu_gaps [DRAWS [NAME...]]``.
+"""Consistency in and after a gap of the IMU: ``python -m tests.tools.imu_gaps [DRAWS [NAME...]]``.
 
 `figure-eight` from 200 s on without its IMU for 5, 15 or 60 s, with its own unit and with a consumer one.
-Mean NEES of nine states over all draws and instants, in the gap and in the 12 s after the filter has started
+Mean NEES of nine states over all runs and epochs, in the gap and in the 12 s after the filter has started
 again; of a smoother in the same seconds.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from bench import pipeline
 from bench.cli.api import fly
 from bench.evaluation.errors.error_series import error_series
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation.built_in import load
 
 START, LENGTHS, AFTER = 200.0, (5.0, 15.0, 60.0), 12.0  # [s]
@@ -25,13 +25,13 @@ AGAIN = 13.0  # after the end of a gap, where no event tells when the filter has
 
 
 def judge(unit: str, length: float, use: str, draws: int) -> tuple[list[float], list[float]]:
-    """Return the mean NEES of each draw in the gap and after it."""
+    """Return the mean NEES of each run in the gap and after it."""
     gap = {"kind": "dropped", "sensor": "imu", "start_s": START, "duration_s": length}
     changes: dict[str, Any] = {"rate_hz": 100, "fault": [gap], "evaluation.output_hz": 1.0}
     if unit != "own":
         changes["sensors.imu"] = unit
-    profile = load_profile("figure-eight", changes)
-    truth, inside, after = fly(load_profile("figure-eight", {"rate_hz": 100})), list[float](), list[float]()
+    profile = read_profile("figure-eight", changes)
+    truth, inside, after = fly(read_profile("figure-eight", {"rate_hz": 100})), list[float](), list[float]()
     for draw in range(draws):
         drawn = pipeline.sense(profile, truth, draw)
         solution = load(use, {}).run(drawn.data, drawn.initial)

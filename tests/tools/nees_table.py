@@ -1,7 +1,7 @@
 """Write the NEES table of the guide from the campaigns of ``tests/campaign_files``.
 
 Each is run by ``bench campaign tests/campaign_files/nees.toml -o campaigns/nees`` and alike, with ``--runs``
-for fewer draws and ``--resume`` to go on; ``python -m tests.tools.nees_table campaigns`` prints the rows.
+for fewer runs and ``--resume`` to go on; ``python -m tests.tools.nees_table campaigns`` prints the rows.
 Epochs during faults and the minute after them do not count, as in `tests.navigation.honesty`.
 """
 
@@ -36,7 +36,7 @@ TABLES = (
     ("invariant-ekf", "graph-smoother"),
     ("fixed-gain", "complementary", "least-squares"),
 )
-"""Estimators of each table, few enough for a terminal."""
+"""Filters of each table, few enough for a terminal."""
 LEFT_OUT = {
     "airliner",
     "alpine-approach",
@@ -59,15 +59,15 @@ MOST_RUNS = 1000
 
 @dataclass(frozen=True)
 class Row:
-    """Mean NEES of an estimator on a profile."""
+    """Mean NEES of a filter on a profile."""
 
     profile: str
     label: str
     states: int
-    draws: int  # judged
+    draws: int  # evaluated
     lost: int  # did not converge
     mean: float
-    half: float  # of the interval that is shown; NaN from one draw
+    half: float  # of the interval that is shown; NaN from one run
 
     @property
     def word(self) -> str:
@@ -99,7 +99,7 @@ def summarize(profile: str, label: str, states: int, lost: int, averages: np.nda
 
 
 def measure(file: Path, folder: Path) -> Iterator[Row]:
-    """Yield a row for each profile and estimator of a campaign file, from the journal in its folder."""
+    """Yield a row for each profile and filter of a campaign file, from the journal in its folder."""
     plan = plan_runs(str(file), MOST_RUNS)
     with Journal(folder / NAME) as journal:
         for group in gather(plan, journal):
@@ -114,7 +114,7 @@ def read_stamp(folder: Path) -> str:
 
 
 def judge(group: Group, profile: Profile) -> Row:
-    """Return the row of a group of runs; instants at which any of them has no NEES do not count."""
+    """Return the row of a group of runs; epochs at which any of them has no NEES do not count."""
     chosen = choose_instants(profile, group.kept_t) & (group.kept_t >= group.evaluation.first)
     nees = group.kept[group.converged][:, chosen, list(CHANNELS).index("nees")].astype(float)
     nees = nees[:, np.isfinite(nees).all(axis=0)]
@@ -124,7 +124,7 @@ def judge(group: Group, profile: Profile) -> Row:
 
 
 def write_cell(row: Row | None) -> str:
-    """Return mean, half of the interval and a mark, as a cell; of few draws their number instead."""
+    """Return mean, half of the interval and a mark, as a cell; of few runs their number instead."""
     if row is None or not row.draws:
         return ""
     scale, ending = (1e-6, "e6") if row.mean >= 1e6 else (1.0, "")
@@ -137,9 +137,9 @@ def write_cell(row: Row | None) -> str:
 
 
 def write_table(rows: Sequence[Row], labels: Sequence[str]) -> Iterator[str]:
-    """Yield the lines of a table of some estimators, a line for each profile."""
+    """Yield the lines of a table of some filters, a line for each profile."""
     by = {(row.profile, row.label): row for row in rows}
-    yield f"| profile | draws | {' | '.join(f'`{label}`' for label in labels)} |"
+    yield f"| profile | runs | {' | '.join(f'`{label}`' for label in labels)} |"
     yield "|---" * (2 + len(labels)) + "|"
     for profile in sorted({row.profile for row in rows}):
         found = [by.get((profile, label)) for label in labels]

@@ -162,7 +162,7 @@ def list_cases(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     source.write_text(SHORT, encoding="utf-8")
     flights = {}
     for name, changes in UNITS.items():
-        profile = bench.load_profile(str(source), changes)
+        profile = bench.read_profile(str(source), changes)
         truth = bench.fly(profile)
         flights[name] = profile, truth, bench.sense(profile, truth, run=1)
         yield f"truth {name}", lambda name=name: flights[name][1]
@@ -175,8 +175,8 @@ def list_cases(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
             def solve(
                 use: str = use, sensed: Any = sensed, profile: Any = profile, truth: Any = truth
             ) -> Any:
-                solution = bench.navigate(use, sensed.data, sensed.initial)
-                return solution, bench.judge(profile, truth, solution, sensed)
+                solution = bench.run_filter(use, sensed.data, sensed.initial)
+                return solution, bench.evaluate(profile, truth, solution, sensed)
 
             yield f"{use} {name}", solve
     options: list[tuple[str, dict[str, Any]]] = [
@@ -189,13 +189,13 @@ def list_cases(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     for use, chosen in options:
         yield (
             f"{use} {chosen}",
-            lambda use=use, chosen=chosen: bench.navigate(use, sensed.data, sensed.initial, chosen),
+            lambda use=use, chosen=chosen: bench.run_filter(use, sensed.data, sensed.initial, chosen),
         )
-    profile = bench.load_profile(
+    profile = bench.read_profile(
         str(source), {"alignment": {"kind": "course", "duration_s": 12.0}, "evaluation.from_s": 14.0}
     )
     told = bench.sense(profile, flights["usual"][1], run=0)
-    yield "aligned by course", lambda: bench.navigate("loose-full", told.data, told.initial)
+    yield "aligned by course", lambda: bench.run_filter("loose-full", told.data, told.initial)
     for name, use in (
         ("usual", "loose-full"),
         ("ranges", "tight"),
@@ -208,9 +208,9 @@ def list_cases(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
             filter_ = bench.open_filter(use, given.initial, {}, look_back=0.5)
             found, ends = [], [-np.inf, 3.0, 17.5, 31.0, np.inf]
             for k in range(len(ends) - 1):
-                found.append(filter_.feed(bench.take_piece(given.data, ends[k], ends[k + 1])))
+                found.append(filter_.update(bench.slice_sensors(given.data, ends[k], ends[k + 1])))
                 if save:
-                    filter_ = bench.resume_filter(bench.save_filter(filter_, folder / f"{use}.npz"))
+                    filter_ = bench.read_filter(bench.write_filter(filter_, folder / f"{use}.npz"))
             return [*found, filter_.finish()]
 
         yield f"pieces of {use} {name}", in_pieces
@@ -219,15 +219,15 @@ def list_cases(folder: Path) -> Iterator[tuple[str, Callable[[], Any]]]:
     def gap() -> Any:
         imu = sensed.data.imu
         lost = replace(imu, valid=imu.valid & ~((imu.t > 20.0) & (imu.t < 24.0)))
-        return bench.navigate("loose-full", replace(sensed.data, imu=lost), sensed.initial)
+        return bench.run_filter("loose-full", replace(sensed.data, imu=lost), sensed.initial)
 
     yield "a gap of the IMU", gap
     for name in ("drive.toml",):
-        yield f"log {name}", lambda name=name: bench.navigate_log(str(LOGS / name)).solutions
+        yield f"log {name}", lambda name=name: bench.navigate(str(LOGS / name)).solutions
     rinex = [str(DATA / f"ESBC00DNK_2020177_GR_{one}.rnx.gz") for one in ("360s", "MN")]
     yield "fixes of RINEX", lambda: bench.solve_rinex(*rinex)
     for name in ("figure-eight", "approach", "gate-to-gate", "gnss-faults"):
-        yield f"profile {name}", lambda name=name: bench.load_profile(name)
+        yield f"profile {name}", lambda name=name: bench.read_profile(name)
     for screen in SCREENS:
         yield f"bench {screen}", lambda screen=screen: command(screen)
     place = folder / "run"

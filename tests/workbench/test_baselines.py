@@ -37,7 +37,7 @@ from tests.cli import test_cli
 
 
 def usual(k, scale=1.0, scatter=0.0, nees=9.0):
-    """The metrics of draw k: an RMSE about 2 m that differs by 30 % between draws."""
+    """The metrics of run k: an RMSE about 2 m that differs by 30 % between runs."""
     noise = stream(1, k, "test").normal(size=4)
     rmse = 2.0 * np.exp(0.3 * noise[0]) * scale * np.exp(scatter * noise[1])
     return {
@@ -49,7 +49,7 @@ def usual(k, scale=1.0, scatter=0.0, nees=9.0):
 
 @pytest.fixture
 def measure(monkeypatch):
-    """Replace flights by made-up metrics of draw k; return the draws that were measured."""
+    """Replace flights by made-up metrics of run k; return the runs that were measured."""
     measured = []
 
     def install(
@@ -85,7 +85,7 @@ def words(verdicts):
 
 @pytest.fixture
 def recorded(measure, tmp_path):
-    """The folder of a baseline of 80 draws of `usual`."""
+    """The folder of a baseline of 80 runs of `usual`."""
     measure()
     record_baselines(["survey.toml"], directory=tmp_path)
     return tmp_path
@@ -115,7 +115,7 @@ def test_another_processor_is_the_same_even_without_a_tolerance(recorded, measur
         ({"scale": 1.10, "scatter": 0.05}, "worse"),
         ({"scale": 0.90, "scatter": 0.05}, "better"),
         ({"scale": 1.01}, "same"),  # within 2 %
-        ({"scale": 1.03}, "worse"),  # on every draw: nothing else explains it
+        ({"scale": 1.03}, "worse"),  # on every run: nothing else explains it
     ],
 )
 def test_a_change_has_its_word(recorded, measure, change, word):
@@ -163,7 +163,7 @@ def test_a_new_divergence_on_the_same_draw_is_worse_and_named(recorded, measure)
     verdicts = check(directory=recorded)
     assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
     (row,) = (row for row in verdicts if row.word == "worse")
-    assert row.note == "lost in draw 13, 15, draw 13: failed: run() raised ValueError"
+    assert row.note == "lost in run 13, 15, run 13: failed: run() raised ValueError"
     assert (row.old, row.new) == (1.0, 0.9)
 
 
@@ -177,11 +177,11 @@ def test_a_draw_that_ends_its_process_is_lost_and_the_others_count(recorded, mea
     assert len(measured) == 19
     assert words(verdicts) == {**dict.fromkeys(words(verdicts), "same"), "converged": "worse"}
     (row,) = (row for row in verdicts if row.word == "worse")
-    assert (row.draws, row.note) == (20, "lost in draw 3, draw 3: ended by SIGSEGV")
+    assert (row.draws, row.note) == (20, "lost in run 3, run 3: ended by SIGSEGV")
 
 
 class FailsAtTimes(Loose):
-    """Raises in some draws of the noise."""
+    """Raises in some runs of the noise."""
 
     def run(self, sensors, initial):
         if fails_in_draw(sensors.imu.dtheta_b[0, 0]):
@@ -194,7 +194,7 @@ def fails_in_draw(rate):
 
 
 def every_metric(k, worse=0.0):
-    """A value of each metric in draw k; ``worse`` moves it away from what it should be."""
+    """A value of each metric in run k; ``worse`` moves it away from what it should be."""
     found = {}
     for metric, noise in zip(METRICS, stream(1, k, "every").normal(size=len(METRICS)), strict=True):
         name = metric.name.format("1")
@@ -206,7 +206,7 @@ def every_metric(k, worse=0.0):
 
 
 def test_every_metric_is_judged_or_said_not_to_be(measure, tmp_path):
-    judged = [m.name.format("1") for m in METRICS if m.direction != "not judged"]
+    judged = [m.name.format("1") for m in METRICS if m.direction != "not evaluated"]
     watched = {name for name in every_metric(0) if baseline_draws.is_watched(name)}
     assert watched == set(judged)
     measure(lambda k: {name: every_metric(k)[name] for name in judged})
@@ -246,7 +246,7 @@ def test_a_draw_in_which_the_filter_raises_counts_and_the_others_are_flown(tmp_p
 
 def test_an_estimator_that_fails_in_every_draw_has_no_baseline(measure, tmp_path):
     measure(lambda k: {"pos_rmse_h_m": None}, converged=lambda k: False, reason="failed: no such thing")
-    message = "survey: loose-15 has no value in 80 draws, nothing to compare with; draw 0: failed: no such"
+    message = "survey: loose-15 has no value in 80 runs, nothing to compare with; run 0: failed: no such"
     with pytest.raises(ConfigError, match=message):
         record_baselines(["survey.toml"], directory=tmp_path)
     assert not list(tmp_path.iterdir())
@@ -255,13 +255,13 @@ def test_an_estimator_that_fails_in_every_draw_has_no_baseline(measure, tmp_path
 def test_a_metric_that_is_lost_is_worse(recorded, measure):
     measure(lambda k: usual(k) | ({"nees_mean": None} if k == 4 else {}))
     (row,) = (row for row in check(directory=recorded) if row.metric == "nees_mean")
-    assert (row.word, row.note) == ("worse", "no value in draw 4")
+    assert (row.word, row.note) == ("worse", "no value in run 4")
 
 
 def test_an_estimator_that_is_gone_is_worse(recorded, measure):
     measure(labels=("other",))
     (row,) = check(directory=recorded)
-    assert (row.word, row.note) == ("worse", "the profile has no such estimator")
+    assert (row.word, row.note) == ("worse", "the profile has no such filter")
 
 
 def with_fault(k, noticed, delay=3.0):
@@ -277,7 +277,7 @@ def test_faults_are_counts_and_their_delay_counts_where_both_noticed_them(measur
     record_baselines(["survey.toml"], directory=tmp_path)
     measure(lambda k: with_fault(k, k != 5))
     verdicts = {row.metric: row for row in check(directory=tmp_path, runs=40)}
-    assert verdicts["fault_1_detected"].note == "lost in draw 5, gained in draw 0"
+    assert verdicts["fault_1_detected"].note == "lost in run 5, gained in run 0"
     assert verdicts["fault_1_detected"].word == "same"  # as many as before
     assert verdicts["fault_1_delay_s"].draws == 38
     assert verdicts["fault_1_delay_s"].word == "same"
@@ -304,7 +304,7 @@ def test_a_flight_that_moved_is_said_loudly_where_every_figure_is_the_same(recor
     assert {(row.paired, row.note) for row in rows} == {(False, OTHER_TRUTH)}
     console = Console(width=80, record=True, file=io.StringIO())
     print_verdicts(console, rows)
-    assert "survey: the flight is not that of the baseline" in console.export_text().replace("\n", " ")
+    assert "survey: the flight differs from the baseline" in console.export_text().replace("\n", " ")
     (line,) = annotate(rows, Path("base"), {"GITHUB_ACTIONS": "true"})
     assert line.startswith(
         "::warning file=base/survey.json,title=survey%3A another flight::survey: the flight"
@@ -327,9 +327,9 @@ def test_what_is_not_paired_or_needs_more_draws_is_said_once(measure, tmp_path):
     console = Console(width=80, record=True, file=io.StringIO())
     print_verdicts(console, check(directory=tmp_path))
     text = console.export_text().replace("\n", " ")
-    assert f"(20 draws; {UNPAIRED})" in text
+    assert f"(20 runs; {UNPAIRED})" in text
     assert text.count("not paired") == 1
-    assert "Baselines of 80 draws would decide more" in text
+    assert "Baselines of 80 runs would decide more" in text
 
 
 def test_a_changed_unit_is_paired_by_seed_and_it_is_said(recorded, measure):
@@ -353,7 +353,7 @@ def test_a_divergence_of_another_unit_is_a_count(recorded, measure):
     measure(sensors=lambda k: f"noisier {k}", converged=lambda k: k != 3)
     rows = {row.metric: row for row in check(directory=recorded)}
     assert rows["converged"].word == "undecided"
-    assert "lost in draw 3" in rows["converged"].note
+    assert "lost in run 3" in rows["converged"].note
 
 
 def test_values_that_are_set_are_kept_with_the_baseline(measure, tmp_path, monkeypatch):
@@ -373,7 +373,7 @@ def test_values_that_are_set_are_kept_with_the_baseline(measure, tmp_path, monke
 
 @pytest.mark.parametrize(("factor", "word"), [(1.15, "same"), (1.6, "worse"), (0.5, "better")])
 def test_cpu_time_is_judged_with_a_tolerance_of_its_own(measure, tmp_path, factor, word):
-    """It may miss in the first draw of each process; a busy machine is no loss."""
+    """It may miss in the first run of each process; a busy machine is no loss."""
 
     def timed(k, factor=1.0, first=0):
         return {**usual(k), CPU: None if k == first else 5.0 * factor * (1 + 0.1 * (k % 3))}
@@ -477,7 +477,7 @@ def test_changes_says_what_moved_and_why(recorded, measure):
     measure(lambda k: usual(k, 0.505))
     record_baselines(directory=recorded)
     first, second, third = (recorded / "CHANGES.md").read_text().splitlines()[-3:]
-    assert first.endswith(" loose-15, survey: first record, 80 draws.*")
+    assert first.endswith(" loose-15, survey: first record, 80 runs.*")
     assert " loose-15, survey: pos_rmse_h_m 2." in second
     assert second.endswith("; tighter gate.*")
     assert third.endswith(
@@ -499,10 +499,10 @@ def test_programs_of_a_baseline_need_permission(measure, tmp_path):
     ("text", "message"),
     [
         ("{", "survey.json: not valid JSON"),
-        ("[]", "survey.json: must hold one JSON object"),
+        ("[]", "survey.json: must contain one JSON object"),
         (('"seed": 7', '"seed": 7.5'), "survey.json: seed = 7.5 must be a whole number"),
         (('"tolerance": 0.02', '"tolerance": -1'), "tolerance = -1 must not be negative"),
-        (('"sensors": ["0", ', '"sensors": ['), "converged must have 79 values, one for each draw; got 80"),
+        (('"sensors": ["0", ', '"sensors": ['), "converged must have 79 values, one for each run; got 80"),
         (('"truth"', '"trut"'), "survey.json: unknown key 'trut'. Did you mean 'truth'?"),
     ],
 )
@@ -521,7 +521,7 @@ def test_what_is_not_there_is_named(recorded, measure, tmp_path):
         check(directory=tmp_path / "nowhere")
     with pytest.raises(ConfigError, match=r"no baseline 'survy'\. Did you mean 'survey'\?"):
         check(["survy"], directory=recorded)
-    with pytest.raises(ConfigError, match=r"no estimator 'loose-16'\. Did you mean 'loose-15'"):
+    with pytest.raises(ConfigError, match=r"no filter 'loose-16'\. Did you mean 'loose-15'"):
         check(directory=recorded, estimators=["loose-16"])
     with pytest.raises(ConfigError, match="runs = 1 must be at least 2"):
         check(directory=recorded, runs=1)
@@ -563,7 +563,7 @@ def test_junit_is_xml_whatever_a_profile_is_called(measure, tmp_path):
             {"GITHUB_ACTIONS": "true"},
             [
                 "::error file=base/50%25%3Aa%2Cb.json,title=loose-15%3A pos_rmse_h_m is worse::worse: "
-                "loose-15 on 50%25:a,b, pos_rmse_h_m 2 -> 3 m, +50.0%25 (+40.0%25 to +60.0%25) in 20 draws"
+                "loose-15 on 50%25:a,b, pos_rmse_h_m 2 -> 3 m, +50.0%25 (+40.0%25 to +60.0%25) in 20 runs"
             ],
         ),
         (
@@ -571,7 +571,7 @@ def test_junit_is_xml_whatever_a_profile_is_called(measure, tmp_path):
             [
                 "##vso[task.logissue type=error;sourcepath=base/50%AZP25:a,b.json]worse: "
                 "loose-15 on 50%AZP25:a,b, pos_rmse_h_m 2 -> 3 m, +50.0%AZP25 "
-                "(+40.0%AZP25 to +60.0%AZP25) in 20 draws"
+                "(+40.0%AZP25 to +60.0%AZP25) in 20 runs"
             ],
         ),
     ],
@@ -592,7 +592,7 @@ def test_the_verdict_survives_80_columns(recorded, measure):
     console = Console(width=80, record=True, file=io.StringIO())
     print_verdicts(console, check(directory=recorded))
     text = console.export_text()
-    assert "survey, loose-15: 2 worse, 2 same (20 draws)" in text
+    assert "survey, loose-15: 2 worse, 2 same (20 runs)" in text
     assert sum("worse " in line and "_" in line for line in text.splitlines()) >= 2
     assert "coverage" not in text
 
@@ -625,7 +625,7 @@ def test_a_recording_is_cut_into_stretches(monkeypatch):
         estimators={"x": None},
     )
     monkeypatch.setattr(baseline_draws.log_pipeline, "read_log", lambda *a, **k: log)
-    monkeypatch.setattr(baseline_draws.log_pipeline, "navigate_log", lambda log: result)
+    monkeypatch.setattr(baseline_draws.log_pipeline, "navigate", lambda log: result)
     recording = baseline_draws.Recording("drive.toml", None, False, DEFAULT_GUARD)
     assert (recording.name, recording.draws) == ("drive", 20)
     row = recording.measure(1).estimators["x"]

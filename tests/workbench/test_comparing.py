@@ -1,4 +1,4 @@
-"""Finished results are compared draw by draw, whatever their order, and what differs is said."""
+"""Finished results are compared run by run, whatever their order, and what differs is said."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def test_runs_are_paired_by_seed_and_number(draws):
     keys = [f"seed 1, run {k}" for k in range(20)]
     turned = np.random.default_rng(5).permutation(20)
     other = make_side("other", after[turned], [keys[k] for k in turned])
-    found = comparing._compare_sides(make_side("first", before, keys), other)
+    found = comparing.compare_sides(make_side("first", before, keys), other)
     assert {row.word for row in found.verdicts if row.metric != "converged"} == {"worse"}
-    assert found.differences == ("draws: 20 and 20, 20 in both",)
+    assert found.differences == ("runs: 20 and 20, 20 in both",)
     check_sentence(found, "other is worse")
     lost = make_side("other", after[turned], [f"seed 2, run {k}" for k in turned])
-    unpaired = comparing._compare_sides(make_side("first", before, keys), lost)
+    unpaired = comparing.compare_sides(make_side("first", before, keys), lost)
     assert {row.word for row in unpaired.verdicts if row.metric != "converged"} == {"undecided"}
-    assert "draws: 20 and 20, none in both" in unpaired.differences
+    assert "runs: 20 and 20, none in both" in unpaired.differences
     check_sentence(unpaired, "undecided")
 
 
@@ -62,7 +62,7 @@ def test_another_unit_is_paired_by_seed_and_it_is_said(draws):
     first, other = make_side("first", before, keys), make_side("other", after, keys)
     for side, unit in ((first, "stim300"), (other, "mpu-9250")):
         side.documents["flight"]["sensors"] = {"imu": unit, "assumed": {"imu": "stim300"}}
-    found = comparing._compare_sides(first, other)
+    found = comparing.compare_sides(first, other)
     assert {row.note for row in found.verdicts} == {BY_SEED}
     assert {row.word for row in found.verdicts if row.metric != "converged"} == {"worse"}
     assert found.differences == ("sensors.imu: stim300 and mpu-9250",)
@@ -70,7 +70,7 @@ def test_another_unit_is_paired_by_seed_and_it_is_said(draws):
     assert sentence.endswith("by 20 pairs, other sensor data, paired by seed")
     other.documents["flight"]["sensors"]["imu"] = "stim300"  # what the filter assumes is its own
     other.documents["flight"]["sensors"]["assumed"] = {"imu": "mpu-9250"}
-    assert {row.note for row in comparing._compare_sides(first, other).verdicts} == {""}
+    assert {row.note for row in comparing.compare_sides(first, other).verdicts} == {""}
 
 
 def check_sentence(found, said):
@@ -92,7 +92,7 @@ def test_a_sentence_claims_no_more_than_its_row_among_many():
     for side, values in ((first, before), (other, before * np.exp(rng.normal(0.0, 0.5, 20)))):
         metrics = side.draws["flight"].estimators["mine"].metrics
         metrics |= {f"drift_{k}m_percent": tuple(values) for k in range(60)}
-    alone, low, high = comparing._compare_sides(first, other), *find_interval(before, ratio)
+    alone, low, high = comparing.compare_sides(first, other), *find_interval(before, ratio)
     assert low * high > 0.0
     check_sentence(alone, "undecided")
 
@@ -106,7 +106,7 @@ def find_interval(before, ratio):
 def test_another_truth_gives_no_pairs(draws):
     before, after = draws
     keys = [f"seed 1, run {k}" for k in range(20)]
-    found = comparing._compare_sides(
+    found = comparing.compare_sides(
         make_side("first", before, keys), make_side("other", after, keys, truth="b")
     )
     assert not any(row.paired for row in found.verdicts)
@@ -117,12 +117,12 @@ def test_a_single_estimator_of_each_is_compared_whatever_its_label(draws):
     before, after = draws
     keys = [f"seed 1, run {k}" for k in range(20)]
     first = make_side("first", before, keys, label="loose-15")
-    found = comparing._compare_sides(first, make_side("other", after, keys, label="mine"))
+    found = comparing.compare_sides(first, make_side("other", after, keys, label="mine"))
     assert {row.estimator for row in found.verdicts} == {"loose-15, mine"}
     two = make_side("two", after, keys, label="mine")
     two.draws["flight"].estimators["third"] = two.draws["flight"].estimators["mine"]
-    with pytest.raises(ConfigError, match="has no estimator in common with first: mine, third and loose-15"):
-        comparing._compare_sides(first, two)
+    with pytest.raises(ConfigError, match="has no filter in common with first: mine, third and loose-15"):
+        comparing.compare_sides(first, two)
 
 
 @pytest.mark.parametrize("count", [1, 20])
@@ -133,10 +133,10 @@ def test_what_did_not_converge_is_told_with_the_reason(draws, count):
     mine = other.draws["flight"].estimators["mine"]
     lost = {"converged": (*mine.converged[1:], False), "reasons": ("",) * (count - 1) + ("900 m off",)}
     other.draws["flight"].estimators["mine"] = mine.model_copy(update=lost)
-    found = comparing._compare_sides(make_side("first", before, keys), other)
-    assert found.sentences[-1] == f"mine: in other 1 of {count} draws did not converge, the first: 900 m off"
+    found = comparing.compare_sides(make_side("first", before, keys), other)
+    assert found.sentences[-1] == f"mine: in other 1 of {count} runs did not converge, the first: 900 m off"
     notes = [row.note for row in found.verdicts if row.metric == "converged"]
-    assert notes == ["lost in draw 19, draw 19: 900 m off"] * (count > 1)
+    assert notes == ["lost in run 19, run 19: 900 m off"] * (count > 1)
 
 
 def test_estimators_of_one_side_alone_are_named(draws):
@@ -146,8 +146,8 @@ def test_estimators_of_one_side_alone_are_named(draws):
     )
     (own,) = other.draws["flight"].estimators
     other.draws["flight"].estimators["third"] = other.draws["flight"].estimators[own]
-    assert "only in other: third" in comparing._compare_sides(first, other).differences
-    assert "only in other: third" in comparing._compare_sides(other, first).differences
+    assert "only in other: third" in comparing.compare_sides(first, other).differences
+    assert "only in other: third" in comparing.compare_sides(other, first).differences
 
 
 @pytest.fixture(scope="module")
@@ -159,8 +159,8 @@ def folder(tmp_path_factory):
         ("c", {"sensors.imu": "stim300"}, {"estimators": ["loose-15"]}),
         ("d", {"start.alt_m": 900.0}, {"estimators": ["loose-15"]}),
     ):
-        profile = bench.load_profile("figure-eight", {**SHORT, **changes}, seed=3, **options)
-        bench.save(bench.run(profile), place / name, recording=False, report=False)
+        profile = bench.read_profile("figure-eight", {**SHORT, **changes}, seed=3, **options)
+        bench.write_result(bench.run(profile), place / name, recording=False, report=False)
     return place
 
 
@@ -178,9 +178,11 @@ def test_folders_are_compared_and_laid_over_each_other(folder, monkeypatch, caps
     (found,) = json.loads(out)
     assert found["other"] == "c"
     assert "loose-15: horizontal error" in err
-    merged = bench.load("both")
+    merged = bench.read_result("both")
     assert list(merged.metrics) == ["loose-15, a", "gnss-only, a", "loose-15, c"]
-    assert np.array_equal(merged.solutions["loose-15, c"].lla, bench.load("c").solutions["loose-15"].lla)
+    assert np.array_equal(
+        merged.solutions["loose-15, c"].lla, bench.read_result("c").solutions["loose-15"].lla
+    )
     assert (folder / "both" / "flight.rrd").is_file()
     page = (folder / "both" / "report.html").read_text(encoding="utf-8")
     assert all(f"<li>{text}</li>" in page for text in (*other.sentences, *other.differences))
@@ -193,5 +195,5 @@ def test_what_cannot_be_compared_is_said_in_a_line(folder, tmp_path, monkeypatch
     monkeypatch.chdir(folder)
     with pytest.raises(ConfigError, match="at least two folders"):
         bench.compare_results(["a"])
-    with pytest.raises(ConfigError, match="holds no results"):
+    with pytest.raises(ConfigError, match="contains no results"):
         bench.compare_results(["a", tmp_path])

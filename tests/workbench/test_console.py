@@ -88,7 +88,7 @@ def say(capsys, *arguments: str) -> str:
     return text
 
 
-SAID = EVIL.replace("\x00", "")  # a file with this character is refused
+SAID = EVIL.replace("\x00", "")  # a file with this character is rejected
 NAME = SAID.replace("\x08", "")
 
 
@@ -134,10 +134,11 @@ def test_hostile_names_in_the_answer_of_every_verb(here, capsys, monkeypatch):
 def test_a_hostile_title_is_one_line_of_a_result(here, capsys):
     """A title and a label that a results folder holds, printed with metrics by bench score."""
     make_run(here / "run")
-    run = results.load(here / "run")
+    run = results.read_result(here / "run")
     summary = results.read_summary(here / "run")
     results.write_json(
-        here / "run" / "result.json", summary | {"profile": run.profile | {"title": f"{EVIL}\nx"}}
+        here / "run" / "result.json",
+        summary | {"format": 2, "profile": run.profile | {"title": f"{EVIL}\nx"}},
     )
     assert main(["export", "run", "--to", "csv", "-o", "out", "--with", "solution:made"]) == 0
     capsys.readouterr()

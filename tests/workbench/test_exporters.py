@@ -422,7 +422,7 @@ def test_gyros_that_nothing_explains_are_asked_for(tmp_path, capsys):
     fixes = {"t": t[::100], "lla": np.tile(drives.sensed()["gnss"]["lla"][0], (40, 1))}
     drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(fixes | {"vel_n": np.zeros((40, 3))}))
     assert main(["new", "log", str(tmp_path / "imu.csv")]) == WRONG
-    assert "gyrx, gyry, gyrz: rad or deg? Neither their names nor" in capsys.readouterr().err
+    assert "gyrx, gyry, gyrz: rad or deg? Neither names nor" in capsys.readouterr().err
     assert not (tmp_path / "imu.toml").exists()
     assert main(["new", "log", str(tmp_path / "imu.csv"), "--rates", "deg"]) == 0
     found = read_records(load_log(str(tmp_path / "imu.toml")))

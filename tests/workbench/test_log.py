@@ -1,4 +1,4 @@
-"""A recording somebody made: read as it is, checked against itself, navigated, judged by withheld fixes.
+"""A recording somebody made: read as it is, checked against itself, navigated, evaluated by withheld fixes.
 
 The recording is that of `tests/exchange/drives.py`, whose truth and errors are known.
 """
@@ -124,7 +124,7 @@ def test_an_estimator_that_cannot_start_on_a_log_has_failed_where_another_can(fo
     assert metrics["gnss-only"]["converged"]
     capsys.readouterr()
     assert main(["navigate", log, *options]) == 2
-    assert capsys.readouterr().err.startswith("error: estimator 'loose-15': alignment course needs 600 s")
+    assert capsys.readouterr().err.startswith("error: filter 'loose-15': alignment course needs 600 s")
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -235,7 +235,7 @@ def test_a_defect_of_a_recording_is_said(tmp_path, change, name, words):
 
 
 def test_the_standard_deviation_of_the_clock_shift_is_honest():
-    """Of 20 recordings the shift is unbiased and scatters no more than claimed (99.95 % of chi-square)."""
+    """Of 20 recordings the shift is unbiased and scatters no more than reported (99.95 % of chi-square)."""
     found = []
     for seed in range(20):
         made = drives.sensed(seed)
@@ -249,7 +249,7 @@ def test_the_standard_deviation_of_the_clock_shift_is_honest():
         found.append((shift.value, sd))
     shifts, sds = np.array(found).T
     ratio = np.var(shifts, ddof=1) / np.mean(np.square(sds))
-    assert 0.1 < ratio < chi2.ppf(0.9995, 19) / 19  # the claim is up to three times too careful
+    assert 0.1 < ratio < chi2.ppf(0.9995, 19) / 19  # the covariance is up to three times too careful
     assert abs(np.mean(shifts)) < 3.3 * np.std(shifts) / np.sqrt(20) + 5e-4  # and level arms are assumed
 
 
@@ -288,8 +288,8 @@ def test_a_recording_is_navigated_and_judged_like_a_run(folder, tmp_path, capsys
     assert metrics["nees_mean"] == pytest.approx(6.0, abs=1.5)
     rows = {row["duration_s"]: row for row in printed["outages"]}
     assert rows[5.0]["median_h_m"] < rows[20.0]["median_h_m"]
-    assert rows[20.0]["median_h_m"] < 10 * rows[20.0]["closed_form_median_h_m"]
-    result = results.load(out)
+    assert rows[20.0]["median_h_m"] < 10 * rows[20.0]["predicted_median_h_m"]
+    result = results.read_result(out)
     assert set(result.solutions) == {"loose-15"}
     error = result.errors["loose-15"]
     assert np.isfinite(error.pos_n[error.t > 40.0]).all()
@@ -459,15 +459,15 @@ def test_a_table_without_velocities_is_navigated_by_its_positions(tmp_path, caps
         assert 2.0 < metrics["nees_mean"] < 4.0
         assert metrics.get("vel_rmse_3d_mps") is None
         assert ("nis_mean_gnss_velocity" in metrics) == (lacking == "some")
-    events = results.load(tmp_path / "out").solutions["loose-15"].events.select("timeline")
+    events = results.read_result(tmp_path / "out").solutions["loose-15"].events.select("timeline")
     assert sum("fixes without velocity" in text for _, _, text in events) == 1
 
 
 def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_path, capsys):
-    """What loose-15 said, written as a table: the same errors where the table has the same instants."""
+    """What loose-15 said, written as a table: the same errors where the table has the same epochs."""
     first = tmp_path / "first"
     assert main(["navigate", str(folder / "drive.toml"), "-o", str(first), "--no-rrd"]) == 0
-    solution = results.load(first).solutions["loose-15"]
+    solution = results.read_result(first).solutions["loose-15"]
     angles = np.rad2deg(np.column_stack(rotation.to_euler(solution.q_nb)))
     good = np.isfinite(angles).all(axis=1)
     columns = {"t_s": solution.t, "lat_deg": np.rad2deg(solution.lla[:, 0])}
@@ -479,7 +479,7 @@ def test_a_solution_of_a_file_is_judged_beside_the_built_in_filters(folder, tmp_
     np.savetxt(table, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.14g")
     arguments = ["navigate", str(folder / "drive.toml"), "-e", "loose-15", "-e", f"file:{table}"]
     main([*arguments, "-o", str(tmp_path / "out"), "--no-rrd"])
-    errors = results.load(tmp_path / "out").errors
+    errors = results.read_result(tmp_path / "out").errors
     late = errors["loose-15"].t > 40.0
     assert_allclose(errors["mine"].pos_n[late], errors["loose-15"].pos_n[late], atol=1e-3)
 
@@ -489,7 +489,7 @@ def test_a_log_without_any_attitude_has_results_and_no_recording(folder, tmp_pat
     main(["navigate", str(folder / "drive.toml"), "-e", "gnss-only", "-o", str(out)])
     said, err = capsys.readouterr()
     assert err == ""
-    assert "No recording: no estimator has position, velocity and attitude" in said
+    assert "No recording: no filter has position, velocity and attitude" in said
     assert (out / "result.json").is_file()
     assert not (out / "flight.rrd").exists()
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -529,7 +529,7 @@ def test_a_figure_of_the_assumed_datasheet_is_replaced(folder):
 
 
 def test_the_closed_form_is_the_spread_of_integrated_noise_and_biases(folder):
-    """Euler sums of white noise and constants, 4000 draws: the variance within its 99.9 % band."""
+    """Euler sums of white noise and constants, 4000 runs: the variance within its 99.9 % band."""
     imu = load_log(str(folder / "drive.toml")).assumed.imu
     imu = replace(
         imu,
@@ -662,7 +662,7 @@ def test_mat_files_that_pickle_bomb_or_are_of_another_kind_are_refused(folder, t
 def test_a_log_that_cannot_be_says_what_would_be_right(folder, tmp_path, capsys, change, words):
     path = rewritten(folder, tmp_path, change)
     status = main(["navigate", str(path), "-o", str(tmp_path / "out"), "--no-rrd"])
-    if words is None:  # a result, but one that says it cannot be judged
+    if words is None:  # a result, but one that says it cannot be evaluated
         assert status == 1
         assert "metrics begin at 25 s" in " ".join(capsys.readouterr().out.split())
         return
@@ -734,7 +734,7 @@ def test_the_drive_is_navigated_as_well_as_the_guide_says(tmp_path):
         low, high = medians[row["estimator"]][row["duration_s"]]
         assert row["places"] == 16
         assert low < row["median_h_m"] < high
-        assert row["median_h_low_m"] < row["claimed_median_h_m"] < 1.2 * row["median_h_high_m"]
+        assert row["median_h_low_m"] < row["reported_median_h_m"] < 1.2 * row["median_h_high_m"]
     assert "nis_mean_nonholonomic" in result["metrics"]["wheels"]
 
 

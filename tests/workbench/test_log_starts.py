@@ -11,7 +11,7 @@ from bench.cli.new_files.log_starts import find_impact
 
 
 def record(wild, speeds, last=100.0):
-    """A record of 100 s that turns wildly at some instants [s], with a speed [m/s] each second."""
+    """A record of 100 s that turns wildly at some epochs [s], with a speed [m/s] each second."""
     t = np.arange(0.01, last, 0.01)
     dtheta = np.zeros((len(t), 3))
     for at in wild:

@@ -112,7 +112,7 @@ def test_a_log_read_in_blocks_has_the_bits_of_one_read_at_once(tmp_path, in_bloc
 
 
 def test_a_longer_log_takes_hardly_more_memory(tmp_path, monkeypatch):
-    """To read, check, navigate and judge it: blocks of 4096 rows, not 65,536, 10 stretches, not 150.
+    """To read, check, navigate and evaluate it: blocks of 4096 rows, not 65,536, 10 segments, not 150.
 
     What grows with each row: times and their steps in the checks, a few arrays of 8 B at a time, and some
     hundred B for each of the fixes and answers, every 50 rows. Read as a whole it is 150 B and more, and a
@@ -120,7 +120,7 @@ def test_a_longer_log_takes_hardly_more_memory(tmp_path, monkeypatch):
     """
     monkeypatch.setattr(disk_arrays, "ROWS", 4096)
     monkeypatch.setattr(disk_arrays, "LARGE", 1 << 17)
-    monkeypatch.setattr(motion_fit, "_MOST", 10)
+    monkeypatch.setattr(motion_fit, "MOST_SEGMENTS", 10)
     peaks = []
     for minutes in (2, 4, 14):  # the first compiles what the others use
         folder = tmp_path / str(minutes)
@@ -133,7 +133,7 @@ def test_a_longer_log_takes_hardly_more_memory(tmp_path, monkeypatch):
         del data
         if minutes > 2:
             tracemalloc.start()
-        log_pipeline.navigate_log(log_pipeline.read_log(folder / "log.toml"))
+        log_pipeline.navigate(log_pipeline.read_log(folder / "log.toml"))
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     more = (peaks[2] - peaks[1]) / (60 * 10 * 50)

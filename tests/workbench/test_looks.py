@@ -43,10 +43,10 @@ def print_table(table, width=80):
 
 
 @pytest.mark.parametrize(("word", "code"), [("undecided", "33"), ("worse", "1;31"), ("met", "32")])
-def test_a_word_in_any_table_has_its_colour_and_others_have_none(word, code):
-    _, coloured = print_table(FindingTable("x", "", {"unit": ["a", "b"], "told": [word, f"{word} by far"]}))
-    assert f"\x1b[{code}m{word}" in coloured
-    assert coloured.count(f"\x1b[{code}m") == 1
+def test_a_word_in_any_table_has_its_color_and_others_have_none(word, code):
+    _, colored = print_table(FindingTable("x", "", {"unit": ["a", "b"], "told": [word, f"{word} by far"]}))
+    assert f"\x1b[{code}m{word}" in colored
+    assert colored.count(f"\x1b[{code}m") == 1
 
 
 def verdict_row(metric, word, note=""):
@@ -68,5 +68,5 @@ def test_verdicts_are_one_table_for_check_and_compare():
 
 
 def test_single_draws_are_compared_without_a_word():
-    table = tabulate_verdicts([verdict_row("a", "undecided", "one draw: no interval")])
+    table = tabulate_verdicts([verdict_row("a", "undecided", "one run: no interval")])
     assert list(table.columns) == ["metric", "before", "now"]

@@ -193,7 +193,7 @@ def test_new_check_leaves_a_repository_whose_check_passes(here, capsys, monkeypa
     (job,) = re.findall(r"run: (bench check .*)", Path(".github/workflows/accuracy.yml").read_text())
     status, out, _ = say(capsys, *job.split()[1:], "--jobs", "1")
     assert (status, Path("accuracy.xml").is_file()) == (0, True)
-    assert re.fullmatch(r"short, loose-15: \d+ same \(20 draws\)\n", out)
+    assert re.fullmatch(r"short, loose-15: \d+ same \(20 runs\)\n", out)
     status, _, err = say(capsys, "new", "check")
     assert status == 2
     assert err.startswith(
@@ -218,5 +218,5 @@ def test_schemas_are_written_again_over_schemas_and_over_nothing_else(tmp_path, 
     assert Path("schemas/imu.json").read_text() == first
     Path("schemas/log.json").write_text("{}")
     assert main(["new", "schemas"]) == 2
-    assert "schemas/log.json: exists already, is no schema" in capsys.readouterr().err
+    assert "schemas/log.json: exists and is not a schema" in capsys.readouterr().err
     assert Path("schemas/log.json").read_text() == "{}"

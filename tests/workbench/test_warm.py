@@ -37,7 +37,7 @@ def test_what_is_compiled_ahead_is_there_in_a_run(tmp_path):
 
 
 def test_where_nothing_is_left_to_compile_it_says_so(monkeypatch, capsys):
-    monkeypatch.setattr(warm_verb, "_run_shortly", lambda *arguments: None)
+    monkeypatch.setattr(warm_verb, "run_shortly", lambda *arguments: None)
     assert main(["warm"]) == 0
     assert capsys.readouterr().out.startswith("All kernels were compiled already: ")
 
@@ -46,7 +46,7 @@ def test_where_nothing_is_left_to_compile_it_says_so(monkeypatch, capsys):
     ("arguments", "message"),
     [
         (["figure-eigth"], "no shipped profile 'figure-eigth'"),
-        (["figure-eight", "-e", "command:./filter"], "no built-in estimator"),
+        (["figure-eight", "-e", "command:./filter"], "no built-in filter"),
     ],
 )
 def test_what_cannot_be_compiled_is_said(arguments, message, capsys):

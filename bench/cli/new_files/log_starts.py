@@ -1,4 +1,4 @@
-"""Choose how the filters of a recording start, and where it is judged: what bench new log writes."""
+"""Choose how the filters of a recording start, and where it is evaluated: what bench new log writes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ from bench.pipeline.log_pipeline import Session
 
 _SILENT = 0.5  # an IMU silent for longer is a new start [s]
 _EARLY = 1.0 / 3.0  # part of a recording in which a start in the air is looked for [1]
-_SETTLES, _SHARE = 60.0, 0.25  # time after a start that is not judged: at most [s], and of a short record [1]
+_SETTLES, _SHARE = (
+    60.0,
+    0.25,
+)  # time after a start that is not evaluated: at most [s], and of a short record [1]
 _TUMBLES = 20.0  # angular rate of an impact [rad/s]
 _LIES = 2.0  # ground speed that a wreck does not reach [m/s]
 _WRECKED = 3.0  # time from an impact to rest [s]
@@ -41,7 +44,7 @@ class ChosenStart:
 def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
     """Return a start that the record allows: at rest, else in steady flight; None if there is none.
 
-    It lies in the longest stretch that the IMU covers without a gap. The heading is that of the magnetometer;
+    It lies in the longest segment that the IMU covers without a gap. The heading is that of the magnetometer;
     without one it is unknown, and several are tried until motion shows which is right.
     """
     begin, end = _find_covered(records)
@@ -63,7 +66,7 @@ def choose_start(spec: LogSpec, records: LogRecords) -> ChosenStart | None:
 
 
 def _find_covered(records: LogRecords) -> tuple[float, float]:
-    """Return the longest stretch without a gap of the IMU, between the first and the last fix [s]."""
+    """Return the longest segment without a gap of the IMU, between the first and the last fix [s]."""
     imu, fixes = records.imu, records.fixes
     t = imu.t[imu.valid]
     usable = fixes.t[fixes.valid & (fixes.t >= t[0]) & (fixes.t <= t[-1])]
@@ -94,7 +97,7 @@ def find_impact(records: LogRecords) -> float | None:
 
 
 def _holds(spec: LogSpec, records: LogRecords, kind: str, at: float, duration: float, heading: str) -> bool:
-    """Tell whether the estimators can start so."""
+    """Tell whether the filters can start so."""
     start = StartSpec(
         alignment=kind,
         at=at,

@@ -42,8 +42,8 @@ from bench.simulation.flight.guidance.gain_design import (
 
 _Result = TypeVar("_Result")
 _PATTERN = "c172x"  # where what is not designed comes from: the guidance system
-_PATIENCE = 120.0  # CPU time for a design, or time without any [s]; a model of others may never return
-_LOOK = 0.5  # time between two looks at it [s]
+PATIENCE = 120.0  # CPU time for a design, or time without any [s]; a model of others may never return
+LOOK = 0.5  # time between two looks at it [s]
 _BEGUN = 12.0  # after the start of a leg, in which it is settled [s]
 _LAST = 15.0  # of a straight leg in which nothing may swing any more [s]
 
@@ -99,7 +99,7 @@ def new_aircraft(name: str, *, console: Console) -> None:
     FlightError
         If it does not load, or no design is accepted: the reason of the best one.
     """
-    raw, path, shown = _find_own(Path(name)) if {"/", os.sep} & set(name) else _find_shipped(name)
+    raw, path, shown = _find_own(Path(name)) if {"/", os.sep} & set(name) else find_shipped(name)
     if path.exists() or path.is_symlink():
         raise ConfigError(f"{path}: exists already and is not replaced")
     design, accepted, flown = find_design(raw, lambda text: console.print(text, soft_wrap=True))
@@ -114,7 +114,7 @@ def new_aircraft(name: str, *, console: Console) -> None:
     console.print(f'Wrote {path}. Next: a profile beside {beside} with aircraft = "{shown}"', soft_wrap=True)
 
 
-def _find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
+def find_shipped(name: str) -> tuple[AircraftSpec, Path, str]:
     """Return an aircraft of the wheel, its file, and its name in a profile."""
     name = name.removeprefix(JSBSIM)
     root = find_jsbsim_root(None, Path())
@@ -166,16 +166,16 @@ def find_design(
 
     ``tell`` is called with the reason of each that is not. What no design can change ends the search.
     """
-    raw = _run_in_child(raw.name, "loaded", prepare_aircraft, raw)
+    raw = run_in_child(raw.name, "loaded", prepare_aircraft, raw)
     reason, fewest = "", 99
     for attempt in attempts():
         try:
-            design = _run_in_child(raw.name, "trimmed", design_gains, raw, *attempt)
+            design = run_in_child(raw.name, "trimmed", design_gains, raw, *attempt)
         except FlightError as error:
             reason = reason or str(error)
             tell(str(error))
             continue
-        aircraft = _equip(raw, design)
+        aircraft = equip(raw, design)
         try:
             accepted = measure_acceptance(_fly(aircraft, design), design)
         except FlightError as error:
@@ -191,24 +191,25 @@ def find_design(
     raise FlightError(reason if reason.startswith("aircraft") else f"aircraft {raw.name}: {reason}")
 
 
-def _run_in_child(name: str, done: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
+def run_in_child(name: str, done: str, work: Callable[..., _Result], *arguments: Any) -> _Result:
     """Return what a call that a model may end or never come back from returns."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         answer, spent, used = pool.submit(work, *arguments), 0.0, 0.0
         (child,) = pool._processes.values()
-        while spent < _PATIENCE:
+        while spent < PATIENCE:
             try:
-                return answer.result(timeout=_LOOK)
+                return answer.result(timeout=LOOK)
             except BrokenProcessPool:
                 raise FlightError(f"aircraft {name}: JSBSim ends the process while it is {done}") from None
             except TimeoutError:
                 before, used = used, measure_cpu(child.pid or 0)
-                spent += count_work(before, used, _LOOK)
+                spent += count_work(before, used, LOOK)
         child.kill()
-        raise FlightError(f"aircraft {name}: not {done} within {_PATIENCE:g} s of CPU time")
+        raise FlightError(f"aircraft {name}: not {done} within {PATIENCE:g} s of CPU time")
 
 
-def _equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
+def equip(raw: AircraftSpec, design: GainDesign) -> AircraftSpec:
+    """Return an aircraft with the gains of a design and the limits of its speed."""
     heavy = design.mass > 15_000
     return replace(
         raw,
@@ -280,7 +281,7 @@ def _sheet_lines(
 ) -> Iterator[str]:
     of_wheel = shown.startswith(JSBSIM)
     whose = "of JSBSim" if of_wheel else "as its folder has it"
-    rest = "; the model and its licence stay with JSBSim" if of_wheel else ""
+    rest = "; the model and its license stay with JSBSim" if of_wheel else ""
     yield f"# Found by bench new aircraft for {shown}{rest}."
     trim = design.trim
     words = (

@@ -35,7 +35,7 @@ def test_contract_and_accuracy():
     sensed = bench.sense("figure-eight", truth)
     bench.check_estimator({cls}(), sensed.data, sensed.initial)
     solution = {cls}().run(sensed.data, sensed.initial)
-    _, metrics = bench.judge("figure-eight", truth, solution)
+    _, metrics = bench.evaluate("figure-eight", truth, solution)
     assert metrics["converged"], metrics["reason"]
     assert metrics["pos_rmse_h_m"] < 30.0
 '''
@@ -82,7 +82,7 @@ use = "{use}"
 """
 
 _WORKFLOW = """\
-# Fails if a change makes the estimator worse than tests/baselines says.
+# Fails if a change makes the filter worse than tests/baselines says.
 name: accuracy
 on: [push, pull_request]
 jobs:
@@ -104,23 +104,23 @@ jobs:
 
 
 def new_check(use: str, *, console: Console, draws: int = 40) -> None:
-    """Write a short profile, record its baseline with an estimator, and write a CI workflow.
+    """Write a short profile, record its baseline with a filter, and write a CI workflow.
 
     Parameters
     ----------
     use : str
         The estimator: a built-in name or ``module:Class``.
     draws : int
-        Number of noise draws of the baseline.
+        Number of runs of the baseline.
 
     Raises
     ------
     bench.BenchError
-        If a file is there already, or the estimator cannot be built; nothing is left behind then.
+        If a file is there already, or the filter cannot be built; nothing is left behind then.
     """
     profile, workflow = DIRECTORY / "short.toml", Path(".github/workflows/accuracy.yml")
     if not re.fullmatch(r"[A-Za-z0-9_.:-]+", use):
-        raise ConfigError(f"{use!r}: must be a built-in estimator or module:Class")
+        raise ConfigError(f"{use!r}: must be a built-in filter or module:Class")
     option = " --allow-code" if is_code(use) else ""
     requirement, remark = find_requirement()
     steps = _WORKFLOW.format(
@@ -131,7 +131,7 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
         if path.exists() or path.is_symlink():
             raise ConfigError(
                 f"{path}: exists already and is not replaced; 'bench check {profile} -e {use} --record' "
-                "records an estimator on it"
+                "records a filter on it"
             )
     for path in texts:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -142,7 +142,7 @@ def new_check(use: str, *, console: Console, draws: int = 40) -> None:
 
 
 def new_estimator(name: str, *, console: Console) -> None:
-    """Write ``NAME.py`` with an estimator and ``test_NAME.py`` with its test.
+    """Write ``NAME.py`` with a filter and ``test_NAME.py`` with its test.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def new_estimator(name: str, *, console: Console) -> None:
 def new_schemas(*, console: Console) -> None:
     """Write the JSON schema of each kind of TOML file into the folder ``schemas``.
 
-    Schemas of an older bench are replaced; a file that is none is refused.
+    Schemas of an older bench are replaced; a file that is none is rejected.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def new_schemas(*, console: Console) -> None:
     }
     for path in texts:
         if path.exists() and DIALECT not in path.read_text(encoding="utf-8", errors="replace"):
-            raise ConfigError(f"{path}: exists already, is no schema, and is not replaced")
+            raise ConfigError(f"{path}: exists and is not a schema; it is not replaced")
     Path("schemas").mkdir(exist_ok=True)
     for path, text in texts.items():
         durable.write(path, text)

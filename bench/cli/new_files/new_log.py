@@ -52,7 +52,7 @@ _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offs
 _SAME_UNIT = 0.25  # how far the scale of gyros in the right unit may be off [1]
 _FASTEST = 15.0  # angular rate that no vehicle keeps for a hundredth of the time [rad/s]
 _ALIGNS = 10.0  # that an alignment takes [s]
-_SHARE = 0.25  # of a short record that passes before it is judged
+_SHARE = 0.25  # of a short record that passes before it is evaluated
 
 
 def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
@@ -169,7 +169,7 @@ def _write_flight(path: Path, form: str, log: Path, console: Console) -> None:
     for line in clocks.values():
         console.print(f"  {line}", soft_wrap=True)
     if start is not None and start.until is not None:
-        console.print(f"  it tumbles and lies still: judged until {start.until:.1f} s", soft_wrap=True)
+        console.print(f"  it tumbles and lies still: evaluated until {start.until:.1f} s", soft_wrap=True)
     console.print(f"Wrote {log}. Lines with a question are for you.", soft_wrap=True)
     console.print(f"Next: bench navigate {log}", soft_wrap=True)
 
@@ -324,8 +324,8 @@ def _settle_rates(
     if rates is None:
         names = ", ".join(given.columns[name] for name in given.doubtful)
         raise ConfigError(
-            f"{given.path.name}: {names}: rad or deg? Neither their names nor the motion tells; "
-            "say it with --rates deg or --rates rad"
+            f"{given.path.name}: {names}: rad or deg? Neither names nor motion show the unit. "
+            "Pass --rates deg or --rates rad"
         )
     records, settled = read[rates]
     others = [line for line in given.guessed if given.columns[given.doubtful[0]] not in line]

@@ -5,17 +5,19 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from textwrap import wrap
 from typing import Any
 
 from rich.console import Console
 from rich.text import Text
 
+from bench.cli.verbs.card_screen import print_card
 from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.flight_verbs import find_own_estimators
 from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
+from bench.core.records.findings.looks import find_look
 from bench.core.records.specs import Guard
+from bench.core.words.notebook import ShownFigure
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.experiments.campaigns import plan, running
@@ -39,7 +41,7 @@ CAMPAIGNS, CARDS = Path("campaigns"), Path("cards")
 """Default folders for campaigns, and for the runs of cards."""
 
 _IN_ROWS = ("pos_rmse_h_m", "heading_rmse_deg")  # of the table of conditions
-_IN_WORDS = {"pos_rmse_h_m": "horizontal error", "pos_rmse_d_m": "height", "heading_rmse_deg": "heading"}
+_IN_WORDS = {"pos_rmse_h_m": "horizontal", "heading_rmse_deg": "heading"}
 _MOST_FAILURES = 5  # that are printed
 
 
@@ -81,9 +83,9 @@ def run_campaign(
         write_requirements(junit, Path(profile).stem, result.requirements)
     print_campaign(console, result)
     if (folder / running.PRINTED).is_file():
-        console.print(f"What filters printed is in {folder / running.PRINTED}.", soft_wrap=True)
+        console.print(f"Output of filters: {folder / running.PRINTED}", soft_wrap=True)
     if report:
-        console.print(f"Report: {folder / results.REPORT}", soft_wrap=True)
+        console.print(f"         {folder / results.REPORT}  report, one file to share", soft_wrap=True)
     return result
 
 
@@ -121,15 +123,14 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     several = len({one.condition for one in result.outcomes}) > 1
     if result.outcomes and (several or table):
         print_table(console, _tabulate(result, several=several))
-    for one in () if several or table else result.outcomes:
-        for text in wrap(_summarize(one), console.width, subsequent_indent="  "):
-            console.print(text)
+    if result.outcomes and not (several or table):
+        print_table(console, _summarize(result.outcomes))
     if result.outcomes:
-        console.print("Over all runs that converged, with 95 % intervals (ANEES 99.5 %).", style="dim")
+        console.print("Pooled over all runs that converged; 95 % intervals (NEES 99.5 %).", style="dim")
     sentences = [one.sentence for one in result.requirements] if several else result.sentences
     lost = [f"{one.condition}: {one.sentences[0]}" for one in result.outcomes if one.lost] if several else []
     if several:
-        console.print(f"The sentences on each condition are in {results.CAMPAIGN_RESULT}.", style="dim")
+        console.print(f"{results.CAMPAIGN_RESULT} has the verdicts of each condition.", style="dim")
     print_findings(console, sentences)
     _print_failures(console, lost, f"conditions have such runs; {results.CAMPAIGN_RESULT} says why.")
     failures = [f"failed: {reason}; {command}" for command, reason in result.failed.items()]
@@ -137,14 +138,14 @@ def print_campaign(console: Console, result: Campaign, *, table: bool = False) -
     missing = result.planned - result.finished
     done = f"{result.finished} of {result.planned} runs" if missing else f"{result.finished} runs"
     if not table:
-        console.print(f"Wrote {result.folder}: {done} in {result.timing['wall_s']:.1f} s.", soft_wrap=True)
-        console.print(f"All figures: bench show {result.folder}", soft_wrap=True)
+        console.print(f"Results  {result.folder}: {done} ({result.timing['wall_s']:.1f} s)", soft_wrap=True)
+        console.print(f"Next     bench show {result.folder}  all metrics", soft_wrap=True)
     if missing:
-        console.print("The same command with --resume continues.")
+        console.print("Continue with the same command and --resume.")
 
 
 def _tabulate(result: Campaign, *, several: bool) -> FindingTable:
-    """Return a column for each estimator, or a row for each condition and estimator."""
+    """Return a column for each filter, or a row for each condition and estimator."""
     ran = result.outcomes
     found = _IN_ROWS if several else dict.fromkeys(name for one in ran for name in one.errors)
     names = {name_metric(name): name for name in found}
@@ -156,15 +157,31 @@ def _tabulate(result: Campaign, *, several: bool) -> FindingTable:
     return FindingTable("estimators", "", {"": list(names), **columns})
 
 
-def _summarize(one: Outcome) -> str:
-    """Return the main errors of an estimator, and how its claim holds, with their intervals."""
-    parts = []
+def _summarize(outcomes: Sequence[Outcome]) -> FindingTable:
+    """Return the main errors of each filter, their intervals and the verdict."""
+    columns: dict[str, list[Any]] = {
+        "filter": [one.label for one in outcomes],
+        "converged": [ShownFigure(f"{one.converged_runs}/{one.runs}") for one in outcomes],
+    }
     for metric, words in _IN_WORDS.items():
-        if found := one.show(metric, 3):
-            parts.append(f"{words} {found} {find_words(metric).unit}")
-    if found := one.show(RATIO, 3):
-        parts.append(f"{RATIO} {found}, 1 is right")
-    return f"{one.label}: {'; '.join(parts) or 'fewer than two runs converged'}"
+        shown = [one.show(metric, 3) for one in outcomes]
+        if any(shown):
+            columns[f"{words}\nRMS [{find_words(metric).unit}]"] = [
+                ShownFigure(
+                    "-"
+                    if each is None
+                    else f"{each.text} ({each.bounds})"
+                    if metric == "pos_rmse_h_m"
+                    else each.text
+                )
+                for each in shown
+            ]
+    found = [one.consistency.word if one.consistency else "" for one in outcomes]
+    if any(found):
+        ratios = [one.show(RATIO, 3) for one in outcomes]
+        columns["NEES\n/ideal"] = [ShownFigure(one.text if one else "-") for one in ratios]
+        columns["verdict"] = [f"{find_look(word).mark} {word}" if word else "–" for word in found]
+    return FindingTable("filters", "", columns)
 
 
 def run_card(
@@ -177,10 +194,12 @@ def run_card(
     force: bool,
     runs: Path | None,
     resume: bool,
+    table: bool = False,
     **options: Any,
 ) -> Card:
-    """Make the card of an estimator, print it and write it; options are those of `bench.make_card`.
+    """Make the card of a filter, print it and write it; options are those of `bench.make_card`.
 
+    ``table`` prints every line of the card.
     Runs are kept in ``cards/<label>-<extent>`` or in ``runs``; only ``resume`` takes those that are there.
     """
     find_own_estimators()
@@ -204,12 +223,9 @@ def run_card(
         card_page.write_card(html, card)
     if junit is not None:
         write_requirements(junit, card.estimator, card.findings)
-    head = f"{card.estimator}, beside {card.against}: {describe_suite(card)}"
-    print_findings(console, [head, card.summary, *card.sentences])
-    failures = [
-        f"lost: {one.flight}, draw {one.draw}: {one.reason[:200]}; {one.command}" for one in card.lost
-    ]
-    _print_failures(console, failures, "draws are lost; --json and -o name them.")
+    print_card(console, card)
+    if table:
+        print_findings(console, card.sentences)
     for path in (out, html):
         if path is not None:
             console.print(f"Wrote {path}.")
@@ -231,7 +247,7 @@ def check_card(path: Path, guard: Guard, jobs: int | None, *, console: Console) 
         found = verify_card(card, guard=guard, jobs=jobs, progress=progress)
     print_findings(
         console,
-        [Text(one, "red") for one in found] or [f"{path}: the repeated runs are those of the card."],
+        [Text(one, "red") for one in found] or [f"{path}: the repeated runs equal the card."],
     )
     return found
 
@@ -239,7 +255,7 @@ def check_card(path: Path, guard: Guard, jobs: int | None, *, console: Console) 
 def write_sensors(folder: Path, *, quick: bool, console: Console) -> None:
     """Write the sensor data of the suite, and print the next step."""
     write_suite(folder, quick=quick)
-    written = f"Wrote {folder}: a folder for each draw, with its tables in sensors/."
+    written = f"Wrote {folder}: a folder for each run, with its tables in sensors/."
     extent = " --quick" if quick else ""
     print_findings(
         console, [written, f"Next: solution.csv into each, then bench card -e file:{folder}{extent}"]

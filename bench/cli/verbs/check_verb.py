@@ -102,11 +102,11 @@ def check(
 def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
     """Provide a function that shows the current draw of a profile."""
     with PlainConsole(stderr=True).status("") as status:
-        yield lambda name, k, n: status.update(Text(f"{name}: draw {min(k + 1, n)} of {n}"))
+        yield lambda name, k, n: status.update(Text(f"{name}: run {min(k + 1, n)} of {n}"))
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
-    """Print a table of the metrics that are better or worse for each estimator; name the undecided."""
+    """Print a table of the metrics that are better or worse for each filter; name the undecided."""
     groups = dict.fromkeys((row.profile, row.estimator) for row in verdicts)
     for profile, estimator in groups:
         rows = [row for row in verdicts if (row.profile, row.estimator) == (profile, estimator)]
@@ -116,7 +116,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
         words = ", ".join(f"{counts[word]} {word}" for word in _WORDS if counts[word])
         draws = max(row.draws for row in rows)
         how = next((f"; {match}" for match in MATCHES if any(row.note.endswith(match) for row in rows)), "")
-        console.print(f"{profile}, {estimator}: {words} ({draws} draws{how})", soft_wrap=True)
+        console.print(f"{profile}, {estimator}: {words} ({draws} runs{how})", soft_wrap=True)
         if proven:
             print_table(console, tabulate_verdicts(proven))
         if undecided:
@@ -126,7 +126,7 @@ def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:
     for profile in dict.fromkeys(row.profile for row in verdicts if row.note.endswith(OTHER_TRUTH)):
         console.print(MOVED.format(profile), style="yellow", soft_wrap=True)
     if any(row.word == "undecided" and row.draws < LOOKS[-1] for row in verdicts):
-        console.print(f"Baselines of {LOOKS[-1]} draws would decide more: --record with the code of before.")
+        console.print(f"Baselines of {LOOKS[-1]} runs would decide more: --record with the code of before.")
     worse = [row for row in verdicts if row.word == "worse"]
     print_findings(console, [row.sentence for row in worse[:5]])
     if len(worse) > 5:
@@ -152,7 +152,7 @@ def _count_profiles(verdicts: Sequence[Verdict], profiles: Sequence[str]) -> str
 def tabulate_verdicts(
     rows: Sequence[Verdict], title: str = "", heads: tuple[str, str] = ("before", "now")
 ) -> FindingTable:
-    """Return a table of verdicts; one draw each makes no word."""
+    """Return a table of verdicts; one run each makes no word."""
     columns: dict[str, Sequence[Any]] = {
         "metric": [row.metric for row in rows],
         heads[0]: [row.old for row in rows],

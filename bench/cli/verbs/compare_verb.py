@@ -11,7 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from bench.cli.saving import save
+from bench.cli.saving import write_result
 from bench.cli.verbs.check_verb import tabulate_verdicts
 from bench.cli.verbs.flight_verbs import print_end
 from bench.cli.verbs.printing import print_findings, print_table
@@ -23,7 +23,7 @@ from bench.evaluation.metrics.key_figures import is_key_figure
 from bench.evaluation.metrics.metric_words import name_metric
 from bench.experiments.baselines.comparing import ONE_DRAW, Compared, compare_results
 from bench.experiments.campaigns.merging import merge_campaigns
-from bench.experiments.campaigns.stored import load_campaign
+from bench.experiments.campaigns.stored import read_campaign
 from bench.io import results
 from bench.views.plots.overlay import merge_results
 from bench.views.report import campaign_page
@@ -90,7 +90,7 @@ def _write_overlay(
     force: bool,
     say: Callable[[str], object],
 ) -> None:
-    """Write a results folder with the estimators of all; of campaigns, a folder with the report alone."""
+    """Write a results folder with the filters of all; of campaigns, a folder with the report alone."""
     names = [folder.resolve().name for folder in folders]
     if len(set(names)) < len(names):
         names = [str(folder) for folder in folders]
@@ -98,14 +98,14 @@ def _write_overlay(
     tables = [_describe_comparison(one) for one in compared]
     of_campaigns = {(folder / results.CAMPAIGN_RESULT).is_file() for folder in folders}
     if of_campaigns == {True}:
-        merged = merge_campaigns({name: load_campaign(folder) for name, folder in by_name.items()})
+        merged = merge_campaigns({name: read_campaign(folder) for name, folder in by_name.items()})
         with results.make_folder(out, force=force) as partial:
             text = campaign_page.make_page(" and ".join(names), merged, tables)
             durable.write(partial / results.REPORT, text)
     elif of_campaigns == {False}:
-        result = merge_results({name: results.load(folder) for name, folder in by_name.items()})
+        result = merge_results({name: results.read_result(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})
-        save(result, out, force=force, say=say)
+        write_result(result, out, force=force, say=say)
     else:
         raise ConfigError(f"{out}: a campaign and a single run are not drawn over each other; leave -o out")
 
@@ -119,9 +119,9 @@ def _describe_comparison(one: Compared) -> dict[str, Any]:
         "sentences": list(one.sentences),
         "differences": list(one.differences),
         "single": single,
-        "meaning": "One draw each: no interval, and chance is not told from a difference"
+        "meaning": "One run each: no interval, so chance is not separated from a difference"
         if single
-        else "Pooled over the draws. Change: of the second from the first, with its interval; above 0 is "
+        else "Pooled over the runs. Change: of the second from the first, with its interval; above 0 is "
         "worse. 99 % confidence over all rows",
         "rows": [
             {

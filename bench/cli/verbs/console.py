@@ -18,7 +18,7 @@ class PlainConsole(Console):
     """A console for texts of other people: without markup, and without control and bidirectional characters.
 
     Titles, names and messages may come from a file. Whatever they hold, they cannot move the cursor, change
-    the colours or turn the direction of writing.
+    the colors or turn the direction of writing.
     """
 
     def __init__(self, *, stderr: bool = False, **options: Any) -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import sys
+import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,13 @@ from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import print_findings
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
+from bench.core.records.specs import EvaluationWindow
 from bench.core.words.stages import FLYING, Stage, Watcher
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import judge_result
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.io import config, results
+from bench.io.config.listing import KINDS
 
 RUNS = Path("runs")
 """Default folder for results."""
@@ -41,19 +44,19 @@ def run(
     live: Callable[[str], contextlib.AbstractContextManager[ShowFlight | None]] | None = None,
     **profile_options: Any,
 ) -> tuple[RunResult, Path]:
-    """Fly one profile, evaluate its estimators, write the results folder, and print a screen of it.
+    """Fly one profile, evaluate its filters, write the results folder, and print a screen of it.
 
-    If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the draw is not 0.
+    If ``out`` is None the folder is ``runs/<profile>-<seed>``, with ``-run<draw>`` if the run is not 0.
     ``bound`` and ``causes`` are those of `bench.run`, ``profile_options`` those of
-    `bench.io.config.load_profile`. ``table`` prints every main metric, too. ``junit`` is a file for what is
+    `bench.io.config.read_profile`. ``table`` prints every main metric, too. ``junit`` is a file for what is
     required. ``live`` gives what shows the flight of a profile while it flies.
     """
     find_own_estimators()
-    profile = config.load_profile(name, **profile_options)
+    profile = config.read_profile(name, **profile_options)
     check_required(junit, profile.document.get("requirement"))
     folder = out or RUNS / (f"{profile.name}-{profile.seed}" + (f"-run{draw}" if draw else ""))
     results.check_folder(folder, force=force)
-    console.print(describe_run(profile.title, profile.seed, draw, profile.evaluation))
+    console.print(describe_run(profile.name, profile.document, profile.seed, draw, profile.evaluation))
     from bench import pipeline  # what takes half a second comes after the first line
 
     begun = time.perf_counter()
@@ -71,16 +74,16 @@ def run(
 def write_first(console: Console, result: RunResult, folder: Path, **options: Any) -> Iterator[None]:
     """Write a result before what is printed about it, which is printed even where it cannot be written.
 
-    ``options`` are those of `bench.save`.
+    ``options`` are those of `bench.write_result`.
     """
-    from bench.cli.saving import save
+    from bench.cli.saving import write_result
 
     notes: list[str] = []
     results.leave_out_pandas()
     try:
         with show_stages() as watch:
             watch(Stage("writing"))
-            save(result, folder, say=notes.append, **options)
+            write_result(result, folder, say=notes.append, **options)
     except Exception:
         yield
         raise
@@ -89,9 +92,25 @@ def write_first(console: Console, result: RunResult, folder: Path, **options: An
         console.print(note, soft_wrap=True)
 
 
-def describe_run(title: str, seed: int, draw: int, evaluation: object) -> str:
-    """Return the two lines that a run begins with: what is flown, and what its figures count."""
-    return f"{one_line(title)}\nseed {seed}, run {draw}, {evaluation}\n"
+def describe_run(
+    name: str, document: Mapping[str, Any], seed: int, draw: int, evaluation: EvaluationWindow
+) -> str:
+    """Return the three lines that a run begins with: the flight, the sensors, and the noise and errors."""
+    sensors = [
+        f"{_KINDS.get(kind, kind)} {one}" for kind, one in document["sensors"].items() if kind in KINDS
+    ]
+    outages = [
+        f"{one['start_s']:g}-{one['start_s'] + one['duration_s']:g}" for one in document["gnss_outage"]
+    ]
+    lost = f", GNSS outage {', '.join(outages[:3])}{', ...' if len(outages) > 3 else ''} s" if outages else ""
+    first = f"{name}: {one_line(document['title'])}"
+    flown = [f"aircraft {document['aircraft']}"] if "aircraft" in document else []
+    noise = f"seed {seed}, run {draw}{lost}; {evaluation}"
+    lines = (first, f"{'; '.join([*flown, 'sensors: ' + ', '.join(sensors)])}", noise)
+    return "\n".join(textwrap.fill(line, 80, subsequent_indent="  ") for line in lines) + "\n"
+
+
+_KINDS = {"imu": "IMU", "gnss": "GNSS"}
 
 
 def print_result(console: Console, result: RunResult, *, table: bool) -> None:
@@ -101,7 +120,7 @@ def print_result(console: Console, result: RunResult, *, table: bool) -> None:
     if table:
         result_table.print_metrics(console, result.metrics, result.solutions)
     else:
-        result_table.print_headlines(console, result.metrics, result.solutions)
+        result_table.print_screen(console, result.metrics, result.solutions)
     result_table.print_bound(console, result.metrics)
     if "log" not in result.more:
         show.print_sanity(console, result.events.select("sanity"))
@@ -113,16 +132,20 @@ def print_end(console: Console, folder: Path, begun: float | None = None, *, tab
     """Print the folder of the results, how long they took, and the next commands."""
     console.print()
     for path in sorted(folder.glob(results.PRINTED.format("*"))):
-        console.print(f"What a filter printed is in {path}.", soft_wrap=True)
-    if begun is not None:
-        console.print(f"Wrote {folder} in {time.perf_counter() - begun:.1f} s.", soft_wrap=True)
+        console.print(f"Output of a filter: {path}", soft_wrap=True)
+    took = "" if begun is None else f" ({time.perf_counter() - begun:.1f} s)"
+    console.print(f"Results  {folder}{took}", soft_wrap=True)
     page = folder / results.REPORT
-    if page.is_file():
-        console.print(f"Report: {page}", soft_wrap=True)
-    if not table:
-        console.print(f"All figures: bench show {folder}", soft_wrap=True)
-    if (folder / results.RECORDING).is_file():
-        console.print(f"Next: bench view {folder}", soft_wrap=True)
+    following = {
+        f"bench view {folder}": (folder / results.RECORDING).is_file() and "3D recording",
+        f"bench show {folder}": not table and "all metrics",
+        str(page): page.is_file() and "report, one file to share",
+    }
+    head, width = "Next", max(map(len, following))
+    for command, what in following.items():
+        if what:
+            console.print(f"{head:<9}{command:<{width}}  {what}", soft_wrap=True)
+            head = ""
 
 
 def find_own_estimators() -> None:
@@ -132,11 +155,11 @@ def find_own_estimators() -> None:
 
 
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
-    """Fly the truth of one profile into the cache, and print its legs and extremes; no estimator is run."""
+    """Fly the truth of one profile into the cache, and print its legs and extremes; no filter is run."""
     from bench.cli import api
     from bench.cli.verbs import show
 
-    profile = config.load_profile(name, allow_code=True, **profile_options)
+    profile = config.read_profile(name, allow_code=True, **profile_options)
     with show_stages() as watch:
         length = profile.flight.duration
 

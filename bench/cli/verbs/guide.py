@@ -23,7 +23,7 @@ FOLDER = PACKAGE / "guide"
 _WIDEST = 100  # columns of a rendered page
 _PAGES = 3  # that are named where a word is no topic
 _ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?:[./\w]+/)?(?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
-_LINK = re.compile(r"\[([^]\n]+)\]\([^)\s]+\.md\)")  # to another page, which a terminal cannot follow
+_LINK = re.compile(r"\[([^]\n]+)\]\((?:[^)\s]*/)?([\w-]+)\.md\)")  # which a terminal cannot follow
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
 
 
@@ -66,9 +66,15 @@ def show_topic(topic: str, console: Console) -> None:
     if not console.is_terminal:
         console.print(text, soft_wrap=True, end="")
         return
-    page = Markdown(_COMMENT.sub("", _LINK.sub(r"\1", text)), code_theme="ansi_dark")
-    with console.pager(_ColourPager(), styles=True):
+    page = Markdown(_COMMENT.sub("", _LINK.sub(_name_topic, text)), code_theme="ansi_dark")
+    with console.pager(_ColorPager(), styles=True):
         console.print(page, width=min(console.width, _WIDEST))
+
+
+def _name_topic(link: re.Match[str]) -> str:
+    """Return the words of a link, with the topic behind them if they are not its name."""
+    words, topic = link.groups()
+    return words if topic in (words, "README") else f"{words} (bench guide {topic})"
 
 
 def _tell_pages(word: str, topics: Iterable[str]) -> str:
@@ -80,8 +86,8 @@ def _tell_pages(word: str, topics: Iterable[str]) -> str:
     return f". It is written of in: {', '.join(most)}" if most else ""
 
 
-class _ColourPager(Pager):
-    """The pager of the user; less shows colours, and quits at once if the page fits the screen."""
+class _ColorPager(Pager):
+    """The pager of the user; less shows colors, and quits at once if the page fits the screen."""
 
     def show(self, content: str) -> None:
         os.environ.setdefault("LESS", "FRX")

@@ -37,7 +37,7 @@ def are_logs(sources: Sequence[str]) -> bool:
     if len(sources) > 1 and not all(logs):
         other = sources[logs.index(False)]
         raise ConfigError(
-            f"campaign: {other} is no log; several profiles go into a CAMPAIGN.toml (bench guide campaigns)"
+            f"campaign: {other} is not a log. Put several profiles into CAMPAIGN.toml (bench guide campaigns)"
         )
     return all(logs)
 
@@ -79,7 +79,7 @@ def run_logs(
     logs = [str(path) for source in found for path in list_recordings(source, console)]
     if not logs:
         raise ConfigError(f"campaign: no LOG.toml in this folder, nor a recording: {sources[0]}")
-    filters = {"estimators": tuple(estimators)} if estimators else {}
+    filters: dict[str, Any] = {"estimators": tuple(estimators)} if estimators else {}
     return run_study(
         "logs", console=console, out=out, report=report, jobs=jobs, force=force, logs=tuple(logs),
         allow_code=allow_code, overrides=overrides, **filters,

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import takewhile
+from textwrap import fill
 from typing import NamedTuple
 
 from rich import box
 from rich.console import Console, JustifyMethod
-from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -37,6 +38,11 @@ def print_findings(
         console.print(sentence, soft_wrap=True)
 
 
+def print_wrapped(console: Console, text: str, style: str = "") -> None:
+    """Print a sentence as wide as the console, with its further lines indented."""
+    console.print(Text(fill(text, console.width, subsequent_indent="    "), style=style))
+
+
 def print_tables(console: Console, tables: Iterable[FindingTable], most: int | None = None) -> None:
     """Print tables below each other, as :func:`print_table` does one, with one blank line between two."""
     below = False
@@ -45,14 +51,21 @@ def print_tables(console: Console, tables: Iterable[FindingTable], most: int | N
         below = bool(table.columns)
 
 
+def measure_table(console: Console, table: FindingTable) -> int:
+    """Return the width of a table [characters]."""
+    drawn = _draw(_show(name, values) for name, values in table.columns.items())
+    return console.measure(drawn, options=console.options.update(max_width=10_000)).maximum
+
+
 def print_table(
-    console: Console, table: FindingTable, most: int | None = None, *, below: bool = False
+    console: Console, table: FindingTable, most: int | None = None, *, below: bool = False, last: bool = False
 ) -> None:
     """Print a table, or the first rows of one that is written whole to a folder.
 
     Verdicts have their look, and a row with a name alone is a heading. If the table is too wide, intervals
     stand below their figures; if it still is, each part has the columns that name a row, and as many others
-    as there is room for. ``below``: another table, and its blank line, stands above.
+    as there is room for. ``below``: another table, and its blank line, stands above. ``last``: no blank line
+    follows.
     """
     if table.title:
         console.print(table.title, style="table.title")
@@ -61,16 +74,16 @@ def print_table(
     columns = {name: values[:most] for name, values in table.columns.items()}
     if table.title or not below:
         console.print()
-    whole = _draw(_show(name, values) for name, values in columns.items())
-    if console.measure(whole, options=console.options.update(max_width=10_000)).maximum <= console.width:
-        console.print(whole)
-        console.print()
+    if measure_table(console, replace(table, columns=columns)) <= console.width:
+        console.print(_draw(_show(name, values) for name, values in columns.items()))
+        if not last:
+            console.print()
     else:
         narrow = {name: _show(name, values, narrow=True) for name, values in columns.items()}
         for part in _divide(narrow, _find_keys(columns), console.width):
             shown = {name: narrow[name] for name in part}
             longest = max(part, key=lambda name: _measure([name, *map(format_cell, columns[name])]))
-            spare = max(0, console.width - 1 - sum(one.width + _GAP for one in shown.values()))
+            spare = max(0, console.width - sum(one.width + _GAP for one in shown.values()))
             shown[longest] = shown[longest]._replace(width=shown[longest].width + spare)
             console.print(_draw(shown.values()))
             console.print()
@@ -163,7 +176,7 @@ def _divide(columns: Mapping[str, _Shown], keys: Sequence[str], room: int) -> It
     yield part
 
 
-def _draw(columns: Iterable[_Shown]) -> Padding:
+def _draw(columns: Iterable[_Shown]) -> Table:
     drawn: Collection[_Shown] = list(columns)
     table = Table(box=box.SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False, show_edge=False)
     for one in drawn:
@@ -174,4 +187,4 @@ def _draw(columns: Iterable[_Shown]) -> Padding:
         name, *others = row
         heading = others and not any(cell.plain for cell in others)
         table.add_row(*row, style="bold" if heading and name.plain else None)
-    return Padding(table, (0, 1), expand=False)
+    return table

@@ -9,7 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
-from bench.cli import api
+from bench.cli import api, exchanging
 from bench.cli.new_files.new_log import new_log
 from bench.cli.verbs import result_table
 from bench.cli.verbs.flight_verbs import (
@@ -20,14 +20,14 @@ from bench.cli.verbs.flight_verbs import (
     show_stages,
     write_first,
 )
-from bench.cli.verbs.printing import print_findings
+from bench.cli.verbs.printing import print_findings, print_wrapped
 from bench.core.records.findings import FindingTable
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
-from bench.evaluation.metrics.outages import DRIFT_MEANING, tabulate_drifts
+from bench.evaluation.metrics.outages import DRIFT_MEANING, describe_drift, tabulate_drifts
 from bench.evaluation.motion.noise_curves import SHOWN_UNITS, AllanCurve, fit_noise, format_noise_figures
 from bench.io import config, results
 from bench.io.config.checks import is_code
@@ -48,12 +48,12 @@ def navigate_log(
     rates: str | None = None,
     **log_options: Any,
 ) -> dict[str, Any]:
-    """Check a recording, run estimators on it, print a screen of it, and write the results folder.
+    """Check a recording, run filters on it, print a screen of it, and write the results folder.
 
     ``name`` is a log, or a recording, for which one is written beside it unless it is there. If ``out`` is
     None the folder is ``runs/<log>``. ``table`` prints every check and every main metric, too.
     ``log_options`` are those of `bench.read_log`.
-    Returns ``metrics`` by estimator, ``validity`` and ``outages``, as in ``result.json``.
+    Returns ``metrics`` by filter, ``validity`` and ``outages``, as in ``result.json``.
     """
     find_own_estimators()
     name = _find_log(name, console, rates)
@@ -64,11 +64,11 @@ def navigate_log(
     title = one_line(log.spec.title)
     ends = ", seconds of a week that ends in them" if log.records.week_ends else ""
     zero = f"{log.records.origin:.9g} s on the clock of the files{ends}"
-    console.print(f"{title}: t = 0 is {zero}", soft_wrap=True)
+    console.print(f"{title}, as {name} describes it: t = 0 is {zero}", soft_wrap=True)
     for note in log.records.notes if table else ():
         console.print(f"  {note}")
     with show_stages() as watch:
-        result = log_pipeline.navigate_log(log, outages=outages, places=places, progress=watch)
+        result = log_pipeline.navigate(log, outages=outages, places=places, progress=watch)
     with write_first(console, result, folder, recording=recording, report=report, force=force):
         print_log(console, result, table=table, cuts=outages is None)
     print_end(console, folder, begun, table=table)
@@ -76,30 +76,44 @@ def navigate_log(
 
 
 def print_log(console: Console, result: RunResult, *, table: bool, cuts: bool = False) -> None:
-    """Print what a recording looked like, its judge, and what the estimators made of it.
+    """Print what the filters made of a recording, then the checks of the recording.
 
-    ``cuts``: outages were cut where there was room. Without ``table`` of the checks those that are not good,
-    and of the drift the verdict.
+    ``cuts``: outages were simulated if there was room. Without ``table`` only the failed checks are printed,
+    and a sentence for each length of the outages.
     """
     checks, document = result.more["validity"], result.profile
-    for check in checks:
-        if table or not check["good"]:
-            mark, style = ("  ", None) if check["good"] else ("! ", "yellow")
-            console.print(mark + check["text"], style=style, soft_wrap=table)
-    good = sum(check["good"] for check in checks)
-    if not table and good:
-        console.print(f"{good} of {len(checks)} checks of the recording are good.")
-    judge = "judged by the fixes kept from the filters"
+    judge = "evaluated by withheld GNSS fixes"
     if "reference" in document:
-        judge = f"judged by the reference, {document['reference']['file']}"
-    console.print(f"{judge}, {result.evaluation}", soft_wrap=True)
+        judge = f"evaluated by the reference, {document['reference']['file']}"
+    console.print(f"{judge}; {result.evaluation}", soft_wrap=True)
     print_result(console, result, table=table)
-    if result.more["outages"]:
-        print_findings(console, [DRIFT_MEANING], [tabulate_drifts(result.more["outages"])])
+    outages = result.more["outages"]
+    if outages and table:
+        print_findings(console, [DRIFT_MEANING], [tabulate_drifts(outages)])
+    elif outages:
+        console.print()
+        for row in outages:
+            print_wrapped(console, describe_drift(row))
     elif cuts and "reference" not in document:
         console.print(
-            "Withheld fixes tell little of the IMU; the recording is too short for cuts without GNSS"
+            "The log is too short to simulate outages: its fixes evaluate the receiver, not the IMU."
         )
+    failed = [check for check in checks if not check["good"]]
+    for check in checks if table else failed[:MOST_CHECKS]:
+        mark, style = ("  ", "") if check["good"] else ("! ", "yellow")
+        text = mark + check["text"]
+        if table:
+            console.print(text, style=style, soft_wrap=True)
+        else:
+            print_wrapped(console, text, style)
+    if not table:
+        more = len(failed) - MOST_CHECKS
+        rest = f"{more} more; all: bench show" if more > 0 else "all: bench show"
+        console.print(f"{len(checks) - len(failed)} of {len(checks)} checks of the log passed ({rest})")
+
+
+MOST_CHECKS = 3
+"""Failed checks on the screen of a log."""
 
 
 def _find_log(name: str, console: Console, rates: str | None) -> str:
@@ -107,9 +121,7 @@ def _find_log(name: str, console: Console, rates: str | None) -> str:
     path, log = Path(name), Path(name).with_suffix(".toml")
     if path.suffix == ".toml" or not path.exists():
         return name
-    if log.exists():
-        console.print(f"{log} says how to read {path}.", soft_wrap=True)
-    else:
+    if not log.exists():
         new_log(name, console=console, rates=rates)
     return str(log)
 
@@ -128,9 +140,9 @@ def find_runs(folder: Path, which: Sequence[str]) -> dict[str, str] | None:
     """Return the commands of runs of a campaign by name; None if the folder is not that of a campaign."""
     if not (folder / results.CAMPAIGN_RESULT).is_file():
         return None
-    from bench.experiments.campaigns.stored import choose_runs, load_campaign
+    from bench.experiments.campaigns.stored import choose_runs, read_campaign
 
-    return choose_runs(load_campaign(folder), [name.strip() for name in which])
+    return choose_runs(read_campaign(folder), [name.strip() for name in which])
 
 
 def record_runs(
@@ -145,7 +157,7 @@ def record_runs(
     """Fly runs of a campaign again, and record them side by side.
 
     Each run has ``profile``, ``draw``, and the ``seed``, ``estimators``, ``overrides`` and ``guard`` of
-    `config.load_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
+    `config.read_profile`. What a campaign names may be the code of a stranger: it needs ``allow_code``.
     """
     from bench.views import recording
     from bench.views.plots.overlay import merge_results
@@ -162,7 +174,7 @@ def record_runs(
                 "--allow-code permits it"
             )
         given = {key: options[key] for key in ("overrides", "seed", "estimators", "guard")}
-        profile = config.load_profile(options["profile"], **given, allow_code=allow_code)
+        profile = config.read_profile(options["profile"], **given, allow_code=allow_code)
         flown[name] = api.run(profile, run=options["draw"])
     recording.write(path, folder.resolve().name, merge_results(flown))
     console.print(f"Wrote {path}: {'; '.join(flown)}.", soft_wrap=True)
@@ -191,33 +203,33 @@ def measure_allan(
     """Print and draw the Allan deviation of an IMU or a log; return whether the model is within its bands."""
     source = log.stem if log else Path(unit).stem if unit and unit.endswith(".toml") else unit
     picture = out or Path(f"allan-{source}.png")
-    measured = api.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
+    measured = exchanging.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
     fits = [_describe_fit(curve) for curve in measured.curves if log is not None]
     outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band (!)."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
-    print_findings(console, sentences, map(_tabulate_allan, measured.curves))
+    print_findings(console, sentences, map(tabulate_allan, measured.curves))
     return measured.held
 
 
 def export_run(folder: Path, *, console: Console, **options: Any) -> None:
-    """Export a run and print the names of the files; options as for `bench.cli.api.export_run`."""
-    out = api.export_run(folder, **options)
+    """Export a run and print the names of the files; options as for `bench.cli.exchanging.export_run`."""
+    out = exchanging.export_run(folder, **options)
     names = sorted(path.name for path in out.glob("[!.]*"))
     console.print(f"{out}: {', '.join(names)}", soft_wrap=True)
 
 
 def score_solution(solution: Path, folder: Path, *, console: Console, **options: Any) -> dict[str, Any]:
-    """Judge a solution on a run, print its metrics beside those of the run, and return them.
+    """Evaluate a solution on a run, print its metrics beside those of the run, and return them.
 
-    ``options`` are those of `bench.cli.api.score_solution`.
+    ``options`` are those of `bench.cli.exchanging.score_solution`.
     """
-    score = api.score_solution(solution, folder, **options)
+    score = exchanging.score_solution(solution, folder, **options)
     run, label = score.run, score.label
     console.print(f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, {run.evaluation}")
     result_table.print_metrics(
         console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
     )
-    instants = f"{len(score.solution)} instants, {score.rows} rows"
+    instants = f"{len(score.solution)} epochs, {score.rows} rows"
     console.print(f"{label} covers {100 * score.coverage:.4g} % of the {instants}")
     for kind in ("table", "interpolated"):
         for _, _, text in score.solution.events.select(kind):
@@ -228,13 +240,13 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
 
 
 def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
-    """Send the sensor data of a run, and print address and timing; options as for `api.stream_run`."""
-    sent = api.stream_run(folder, say=console.print, **options)
+    """Send the sensor data of a run, and print address and timing; options as for `exchanging.stream_run`."""
+    sent = exchanging.stream_run(folder, say=console.print, **options)
     pace = "" if sent.latest is None else f", none more than {1e3 * sent.latest:.3g} ms late"
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 
 
-def _tabulate_allan(curve: AllanCurve) -> FindingTable:
+def tabulate_allan(curve: AllanCurve) -> FindingTable:
     """Return a curve beside that of the datasheet, if it has one."""
     unit, factor = SHOWN_UNITS[curve.triad]
     columns: dict[str, list[Any]] = {"tau [s]": curve.tau.tolist()}

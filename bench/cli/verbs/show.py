@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -105,7 +106,7 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
 
 
 def list_exports() -> list[CatalogEntry]:
-    """Return every format of `bench.cli.api.list_exports`."""
+    """Return every format of `bench.cli.exchanging.list_exports`."""
     from bench.io.exports import list_formats
 
     return [CatalogEntry(name, title, "export") for name, title in list_formats().items()]
@@ -129,9 +130,31 @@ _BETTER = {
     "lower": "lower is better",
     "matched": "its expected value is best",
     "zero": "0 is best",
-    "not judged": "bench check does not judge it",
+    "not evaluated": "bench check does not compare it",
 }
 """Direction of a metric -> what it says to a reader."""
+
+_EXAMPLES = {
+    "profiles": ("figure-eight", "approach", "survey"),
+    "aircraft": ("aerosonde", "navion", "jet747"),
+    "legs": ("straight", "turn", "climb"),
+    "estimators": ("loose-15", "loose-full", "tight"),
+    "exports": ("csv", "rinex", "rosbag2"),
+    "studies": ("sensors", "outages", "budget"),
+    "metrics": ("pos_rmse_h_m", "nees_mean"),
+}
+"""Kind -> names in the overview."""
+_USES = {
+    "profiles": "bench run NAME",
+    "aircraft": 'aircraft = "NAME"',
+    "legs": '[[leg]] kind = "NAME"',
+    "sensors": '[sensors] imu = "NAME"',
+    "estimators": "bench run ... -e NAME",
+    "exports": "bench export DIR --to NAME",
+    "studies": "bench study NAME",
+    "metrics": "[[requirement]] metric",
+    "packages": "added by installed packages",
+}
 
 _SHELVES: Mapping[str, tuple[str, Callable[[], list[CatalogEntry]]]] = {
     "profiles": ("bench run NAME", config.list_profiles),
@@ -162,11 +185,12 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
     """Print the entries of `list_catalog`.
 
     With a kind, aircraft and sensors also show their figures and sources and what is assumed, legs their
-    keys, estimators their options.
+    keys, filters their options.
     """
+    if kind is None:
+        _print_overview(console)
+        return
     for name, entries in list_catalog(kind).items():
-        if name == "packages" and not (kind or entries):
-            continue
         if kind == "legs":
             for entry in entries:
                 rows = [_describe_key(key) for key in entry.keys]
@@ -174,12 +198,34 @@ def print_catalog(console: Console, kind: str | None = None) -> None:
             continue
         rows = []
         for entry in entries:
-            what = f"{entry.title}: {entry.note}" if kind and entry.note else entry.title
+            what = f"{entry.title}: {entry.note}" if entry.note else entry.title
             rows.append((entry.kind, entry.name, what) if name in _OF_KINDS else (entry.name, what))
         heads = ("kind", "name", "what") if name in _OF_KINDS else ("name", "what")
         _print_rows(console, f"{name.capitalize()} ({_SHELVES[name][0]})", heads, rows)
     if kind == "estimators":
         _print_options(console)
+    _print_problems(console)
+
+
+def _print_overview(console: Console) -> None:
+    """Print one row for each kind: how many there are, some names, how one is selected."""
+    rows = []
+    for kind, entries in list_catalog().items():
+        names = [entry.name for entry in entries]
+        shown = [name for name in _EXAMPLES.get(kind, ()) if name in names] or names[:3]
+        counts = Counter(entry.kind for entry in entries).most_common(3)
+        texts = [f"{number} {name}" for name, number in counts] if kind == "sensors" else shown
+        if names:
+            rows.append((kind, ShownFigure(str(len(names))), ", ".join(texts), _USES[kind]))
+    print_table(console, make_table("kinds", "", ("kind", "count", "for example", "use"), rows))
+    console.print("Details     bench list KIND             names, one line each")
+    console.print("            bench list sensors --long   all datasheet values in one table")
+    console.print("Your own    a profile or datasheet is a .toml file: give its path,")
+    console.print("            a filter is MODULE:CLASS, file:SOLUTION or 'command:PROGRAM ...'")
+    _print_problems(console)
+
+
+def _print_problems(console: Console) -> None:
     for line in list_plugin_problems():
         console.print(one_line(line), style="yellow")
 
@@ -215,7 +261,7 @@ def _describe_key(key: KeyEntry) -> tuple[str, ...]:
 
 
 def _print_options(console: Console) -> None:
-    """Print the options of the built-in estimators; those that share options are shown together."""
+    """Print the options of the built-in filters; those that share options are shown together."""
     from bench.navigation.options import Options, described
 
     owners: dict[type[Options], list[str]] = {}

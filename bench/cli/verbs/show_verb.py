@@ -23,16 +23,16 @@ def show_results(folder: Path | None, *, console: Console) -> None:
     folder = folder or _find_newest()
     if (folder / results.CAMPAIGN_RESULT).is_file():
         from bench.cli.verbs.campaign_verb import print_campaign
-        from bench.experiments.campaigns.stored import load_campaign
+        from bench.experiments.campaigns.stored import read_campaign
 
-        print_campaign(console, load_campaign(folder), table=True)
+        print_campaign(console, read_campaign(folder), table=True)
     elif (folder / results.STUDY_RESULT).is_file():
         from bench.cli.verbs.study_verb import print_study
-        from bench.io.results.study_folder import load_study
+        from bench.io.results.study_folder import read_study
 
-        print_study(console, load_study(folder))
+        print_study(console, read_study(folder), table=True)
     else:
-        result = results.load(folder)
+        result = results.read_result(folder)
         title = str(result.profile.get("title", folder.name))
         if "log" in result.more:
             console.print(f"{one_line(title)}\n{result.evaluation}\n")
@@ -40,7 +40,9 @@ def show_results(folder: Path | None, *, console: Console) -> None:
 
             print_log(console, result, table=True)
         else:
-            console.print(describe_run(title, result.seed, result.run, result.evaluation))
+            console.print(
+                describe_run(result.name, result.profile, result.seed, result.run, result.evaluation)
+            )
             print_result(console, result, table=True)
     print_end(console, folder)
 

@@ -25,7 +25,7 @@ from bench.core.records.data import ShowFlight
 from bench.core.words.exceptions import ConfigError, ViewerError
 from bench.io.results import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 
-_PATIENCE = 5.0  # between SIGTERM and SIGKILL, and until the viewer has taken a flight [s]
+PATIENCE = 5.0  # between SIGTERM and SIGKILL, and until the viewer has taken a flight [s]
 _LOOK = 0.5  # between looks at the parent [s]
 _MAGIC = b"RRF"  # first bytes of a recording of rerun; its version follows
 _MOST_BYTES = 1 << 40  # of a recording, which the viewer reads [byte]
@@ -52,7 +52,7 @@ def view(path: Path | None, *, web: bool, console: Console) -> None:
         If the viewer cannot be started or fails.
     """
     recording = find_recording(path)
-    viewer = str(_find_viewer())
+    viewer = str(find_viewer())
     with contextlib.ExitStack() as stack:
         if web:
             port, inner = free_port(9090), free_port(0)
@@ -90,13 +90,13 @@ def show_live(name: str, console: Console) -> Iterator[ShowFlight | None]:
     except BaseException:
         feed.close(0.0)
         raise
-    if problem := feed.close(_PATIENCE):
+    if problem := feed.close(PATIENCE):
         console.print(f"{problem}: not all of the flight is shown live.", soft_wrap=True)
 
 
 def _start_viewer() -> subprocess.Popen[bytes]:
     """Start a viewer of what it reads from its standard input."""
-    command = [str(_find_viewer()), "-", "--port", "auto", "--bind", LOCAL, "--hide-welcome-screen"]
+    command = [str(find_viewer()), "-", "--port", "auto", "--bind", LOCAL, "--hide-welcome-screen"]
     nowhere = subprocess.DEVNULL
     try:
         return subprocess.Popen(
@@ -174,7 +174,7 @@ def _check_recording(path: Path) -> Path:
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     if start != _MAGIC:
-        raise ConfigError(f"{path}: is no recording of rerun; give a .rrd file or a results folder")
+        raise ConfigError(f"{path}: is not a rerun recording. Give a .rrd file or a results folder")
     return path
 
 
@@ -216,10 +216,10 @@ def _end_group(child: subprocess.Popen[bytes]) -> None:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(child.pid, number)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            child.wait(_PATIENCE)
+            child.wait(PATIENCE)
 
 
-def _find_viewer() -> Path:
+def find_viewer() -> Path:
     """Return the path of the viewer itself; its Python launcher would leave it running."""
     package = find_spec("rerun_cli")
     if package is not None and package.origin is not None:

@@ -18,19 +18,19 @@ from bench.navigation.built_in import BUILT_IN
 from bench.simulation.flight.legs.level import Straight
 
 _EVERY_SENSOR = "all-sensors"
-"""The shipped profile with the sensors that any built-in estimator uses."""
+"""The shipped profile with the sensors that any built-in filter uses."""
 _SECONDS = 10.0  # of flight: every sensor reports, every kernel runs
 
 
 def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | None) -> None:
-    """Compile the kernels of the built-in estimators of a profile, or of all, into the cache.
+    """Compile the kernels of the built-in filters of a profile, or of all, into the cache.
 
-    Sensors, estimators and judge run over ten seconds of level flight. Estimators of the user are not run.
+    Sensors, filters and judge run over ten seconds of level flight. Filters of the user are not run.
 
     Parameters
     ----------
     name : str or None
-        A profile; None: every sensor and every built-in estimator that needs no other package.
+        A profile; None: every sensor and every built-in filter that needs no other package.
     console : Console
         Where to print how many kernels were compiled, how long it took, and the folder.
     estimators : tuple of str or None
@@ -41,18 +41,16 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
     bench.ConfigError
         If there is no such profile, or it has no built-in estimator.
     """
-    base = config.load_profile(_EVERY_SENSOR)
+    base = config.read_profile(_EVERY_SENSOR)
     own = tuple(use for use, row in BUILT_IN.items() if row.package is None)
     chosen = estimators or (own if name is None else None)
-    profile = config.load_profile(name or _EVERY_SENSOR, estimators=chosen, allow_code=True)
+    profile = config.read_profile(name or _EVERY_SENSOR, estimators=chosen, allow_code=True)
     built_in = tuple(choice for choice in profile.estimators if choice.use in BUILT_IN)
     if not built_in:
-        raise ConfigError(
-            f"{profile.name}: no built-in estimator to compile; there are {', '.join(BUILT_IN)}"
-        )
+        raise ConfigError(f"{profile.name}: no built-in filter to compile; there are {', '.join(BUILT_IN)}")
     folder, begun = choose_cache(), time.perf_counter()
     before = _count_kernels(folder)
-    _run_shortly(base, profile, built_in)
+    run_shortly(base, profile, built_in)
     compiled, spent = _count_kernels(folder) - before, time.perf_counter() - begun
     what = (
         f"Compiled {compiled} kernels in {spent:.1f} s" if compiled else "All kernels were compiled already"
@@ -60,8 +58,8 @@ def warm(name: str | None, *, console: Console, estimators: tuple[str, ...] | No
     console.print(f"{what}: {folder}", soft_wrap=True)
 
 
-def _run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
-    """Fly level, and run the sensors of a profile, estimators and the judge."""
+def run_shortly(base: Profile, profile: Profile, choices: tuple[EstimatorChoice, ...]) -> None:
+    """Fly level, and run the sensors of a profile, filters and the judge."""
     assert isinstance(base.flight, FlightSpec)
     rate = max(base.flight.rate, getattr(profile.flight, "rate", 0.0))
     flight = replace(base.flight, legs=(Straight(_SECONDS),), duration=None, rate=rate)

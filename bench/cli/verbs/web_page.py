@@ -1,7 +1,7 @@
 """Serve the page of the viewer and one recording to a browser on this machine, and to nobody else.
 
 A web site that a browser shows can make its own name lead to 127.0.0.1 and so ask a local server. Such a
-request has the site's name in its header ``Host``; it is refused.
+request has the site's name in its header ``Host``; it is rejected.
 """
 
 from __future__ import annotations

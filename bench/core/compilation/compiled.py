@@ -1,7 +1,7 @@
 """The door to numba: ``@kernel``, and the folder where compiled code is cached.
 
 numba is imported when the first kernel is called: that takes a third of a second. Its own cache does not
-notice a change in another module and would return stale results. The name of the cache folder is therefore a
+detect a change in another module and would return stale results. The name of the cache folder is therefore a
 hash of the sources that import this module and of all that they import, the versions of numba, numpy and
 Python, and the CPU.
 
@@ -65,7 +65,7 @@ class Kernel:
     def dispatcher(self) -> Any:
         """The function as numba knows it."""
         choose_cache()
-        _time_compiling()
+        time_compiling()
         return _make_plain()(self.py_func) if is_plain() else self.made
 
     @cached_property
@@ -73,7 +73,7 @@ class Kernel:
         """The function as numba knows it, made with numba's inner parts."""
         import numba
 
-        shortcut: Any = {"pipeline_class": compilers()[0]} if _takes_shortcuts() else {}
+        shortcut: Any = {"pipeline_class": compilers()[0]} if takes_shortcuts() else {}
         made = numba.njit(**self._options, **shortcut)(self.py_func)
         if self._options["cache"]:
             known = made._cache._cache_file
@@ -86,7 +86,7 @@ class Kernel:
         """The function as a part of other kernels: never on disk, for it lies in what is."""
         import numba
 
-        if not _takes_shortcuts():
+        if not takes_shortcuts():
             return self.made
         own = {"cache": False, "no_cpython_wrapper": True, "pipeline_class": compilers()[1]}
         part: Any = numba.njit(**self._options | own)(self.py_func)
@@ -107,7 +107,7 @@ class Kernel:
 
 
 @cache
-def _takes_shortcuts() -> bool:
+def takes_shortcuts() -> bool:
     """Return whether `bench.core.compilation.inner_numba.compilers` fits the installed numba."""
     import numba
 
@@ -227,7 +227,7 @@ _CLOCK = _CompileClock()
 
 
 @cache
-def _time_compiling() -> None:
+def time_compiling() -> None:
     """Have numba tell the clock when it compiles; a numba that does not has no times."""
     try:
         from numba.core import event
@@ -345,7 +345,8 @@ def _find_code(dispatcher: Any, kinds: tuple[Any, ...]) -> int:
     return int(found.library.get_pointer_to_function(found.fndesc.llvm_func_name))
 
 
-def _hash_sources() -> str:
+def hash_sources() -> str:
+    """Return the name of the cache: a hash of numba, the processor and all sources that kernels depend on."""
     import numba
 
     digest = hashlib.sha256()
@@ -385,7 +386,7 @@ def _name_cpu() -> str:
 @cache
 def _find_folder() -> Path:
     own = os.environ.get("NUMBA_CACHE_DIR")
-    return (Path(own) if own else cache_folder("kernels")) / _hash_sources()
+    return (Path(own) if own else cache_folder("kernels")) / hash_sources()
 
 
 @cache
@@ -407,11 +408,12 @@ def choose_cache() -> Path:
             os.utime(folder)
         except OSError:  # a read-only shared cache is still used
             return folder
-    _remove_unused(folder.parent, keep=folder)
+    remove_unused(folder.parent, keep=folder)
     return folder
 
 
-def _remove_unused(root: Path, keep: Path) -> None:
+def remove_unused(root: Path, keep: Path) -> None:
+    """Remove the folders beside ``keep`` that nothing has used for a month."""
     oldest = time.time() - _UNUSED_DAYS * 86400
     try:
         stale = [f for f in root.iterdir() if f != keep and f.is_dir() and f.stat().st_mtime < oldest]

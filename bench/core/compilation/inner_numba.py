@@ -35,7 +35,7 @@ def compilers() -> tuple[type, type]:
     """Return the compiler of kernels, and that of a kernel as a part of another one.
 
     Half of numba's passes look for what no kernel has: closures, branches of other types, array expressions.
-    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimised and
+    A part is typed and translated. The kernel that it is a part of takes it in whole, and is optimized and
     made into machine code at once with all its parts.
     """
     from numba.core.codegen import JITCodeLibrary

@@ -56,5 +56,5 @@ def read_json(path: Path) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: not valid JSON: {error}") from None
     if not isinstance(document, dict):
-        raise ConfigError(f"{path}: must hold one JSON object")
+        raise ConfigError(f"{path}: must contain one JSON object")
     return document

@@ -115,7 +115,7 @@ def find_installed(group: str, taken: Collection[str] = ()) -> dict[str, Install
 
 
 def find_class(use: str, taken: Collection[str]) -> str:
-    """Return the ``module:Class`` of an estimator that a package adds; any other text as it is."""
+    """Return the ``module:Class`` of a filter that a package adds; any other text as it is."""
     own = None if ":" in use or use in taken else find_installed("estimators", taken).get(use)
     return use if own is None else own.place
 

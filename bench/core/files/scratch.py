@@ -44,7 +44,7 @@ def make_scratch(place: Path | None = None) -> Iterator[Path]:
     place = Path(tempfile.gettempdir()) if place is None else place
     remove_abandoned(place)
     code = secrets.token_hex(8)
-    unlocked, folder = place / f"{_UNLOCKED}{code}", place / f"{PREFIX}{_identify_machine()}-{code}"
+    unlocked, folder = place / f"{_UNLOCKED}{code}", place / f"{PREFIX}{identify_machine()}-{code}"
     lock: int | None = None
     try:
         unlocked.mkdir(0o700)
@@ -71,7 +71,7 @@ def set_aside(scratch: Path, folder: Path) -> None:
 def remove_abandoned(place: Path) -> None:
     """Remove the temporary folders in a folder whose processes were killed on this machine."""
     with contextlib.suppress(OSError):  # not there, or not readable
-        for folder in place.glob(f"{PREFIX}{_identify_machine()}-*"):
+        for folder in place.glob(f"{PREFIX}{identify_machine()}-*"):
             lock = lock_folder(folder) if _is_own(folder) else None
             if lock is not None:
                 _end(folder, folder, lock)
@@ -143,6 +143,6 @@ def _find_home(folder: Path) -> Path | None:
     return folder.parent / name if plain else None
 
 
-def _identify_machine() -> str:
+def identify_machine() -> str:
     """Return a code of this machine: of its name and network address."""
     return hashlib.sha256(f"{platform.node()} {uuid.getnode():x}".encode()).hexdigest()[:8]

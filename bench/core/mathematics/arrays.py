@@ -31,7 +31,7 @@ def as_float(name: str, value: ArrayLike, shape: Shape, *, finite: bool = True) 
     shape : tuple of int or None
         Expected shape; ``None`` stands for any length.
     finite : bool
-        Refuse NaN and infinity.
+        Reject NaN and infinity.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def as_kind(name: str, value: ArrayLike, dtype: type, shape: Shape) -> NDArray[n
     array: NDArray[np.generic] = np.ascontiguousarray(given, dtype=dtype)
     _check_shape(name, array.shape, shape)
     if given.dtype != dtype and given.size and not (array == given).all():
-        raise ValueError(f"{name} must hold values of type {dtype.__name__}")
+        raise ValueError(f"{name} must contain values of type {dtype.__name__}")
     return array
 
 

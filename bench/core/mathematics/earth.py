@@ -269,7 +269,7 @@ DATUMS = {
     datum.name: datum
     for datum in (
         Datum("WGS-84", WGS84, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),
-        # PZ-90.11 and WGS 84 (G1762) both follow ITRF2008 within centimetres: only the ellipsoid differs
+        # PZ-90.11 and WGS 84 (G1762) both follow ITRF2008 within centimeters: only the ellipsoid differs
         Datum("PZ-90.11", PZ90_11, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0),
         # GOST R 51794-2008; EPSG "Pulkovo 1942 to WGS 84 (20)"
         Datum("SK-42", KRASOVSKY_1940, (23.57, -140.95, -79.80), (0.0, -0.35, -0.79), -0.22e-6),
@@ -278,7 +278,7 @@ DATUMS = {
 """Name -> datum for output positions (equations #29)."""
 
 
-def _compute_helmert(datum: Datum) -> tuple[FloatArray, FloatArray]:
+def compute_helmert(datum: Datum) -> tuple[FloatArray, FloatArray]:
     """Return A (3, 3), b (3,) [m] of ``WGS 84 = A @ datum + b``, first order in the rotation angles."""
     x, y, z = np.deg2rad(np.array(datum.rotation) / 3600.0)
     A = (1 + datum.scale) * np.array([[1.0, z, -y], [-z, 1.0, x], [y, -x, 1.0]])
@@ -295,7 +295,7 @@ def to_datum(lla: ArrayLike, datum: str) -> FloatArray:
     [50.000176 30.001705] -14.84
     """
     target = DATUMS[datum]
-    A, b = _compute_helmert(target)
+    A, b = compute_helmert(target)
     pos_e = (to_ecef(lla) - b) @ np.linalg.inv(A).T
     return to_geodetic(pos_e, target.ellipsoid)
 
@@ -303,6 +303,6 @@ def to_datum(lla: ArrayLike, datum: str) -> FloatArray:
 def from_datum(lla: ArrayLike, datum: str) -> FloatArray:
     """Convert latitude, longitude, height (..., 3) in a datum to WGS 84 geodetic [rad, rad, m]."""
     target = DATUMS[datum]
-    A, b = _compute_helmert(target)
+    A, b = compute_helmert(target)
     pos_e: FloatArray = to_ecef(lla, target.ellipsoid) @ A.T + b
     return to_geodetic(pos_e)

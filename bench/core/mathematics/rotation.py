@@ -1,7 +1,7 @@
 """Rotations: quaternions, matrices, Euler angles, rotation vectors.
 
 ``q_ab`` and ``C_ab`` take a vector from b to a: ``v_a = C_ab @ v_b``. Quaternions are Hamilton, scalar first
-(w, x, y, z). Every function takes one instant, or a series with one instant per row.
+(w, x, y, z). Every function takes one time, or a series with one time per row.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def to_rotvec(q_ab: ArrayLike) -> FloatArray:
 
 
 def continuous(q_ab: ArrayLike) -> FloatArray:
-    """Return a series of quaternions (N, 4) without jumps of sign between neighbours."""
+    """Return a series of quaternions (N, 4) without jumps of sign between neighbors."""
     q = np.array(q_ab, float)
     if len(q) > 1:
         jumps = np.sum(q[1:] * q[:-1], axis=1) < 0

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2], exact by definition (3rd CGPM, 1901)
-SAME_INSTANT = 1e-6  # times closer than this are the same instant [s]: far below any step, far above rounding
+SAME_INSTANT = 1e-6  # times closer than this are the same time [s]: far below any step, far above rounding
 DEG = math.pi / 180.0  # [rad]
 HOUR = 3600.0  # [s]
 ARCSEC = DEG / 3600.0  # [rad]

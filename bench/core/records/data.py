@@ -1,4 +1,4 @@
-"""The records of the bench: frozen, read-only columns, one row per instant.
+"""The records of the bench: frozen, read-only columns, one row per time.
 
 Frames: n is the local level at the current position (north, east, down), b the body and IMU axes (forward,
 right, down), e Earth-fixed, i inertial. Units are SI and radians. The truth must be finite with increasing
@@ -41,7 +41,7 @@ EventRow = tuple[float, float, str, str] | tuple[float, float, str, str, str]
 
 @declared
 class Events(Record):
-    """Events with start and end: legs, outages, faults, rejected sensor rows. For an instant t_end = t."""
+    """Events with start and end: legs, outages, faults, rejected sensor rows. For a time t_end = t."""
 
     t: FloatArray = column("t_s")  # (N,) start [s]
     t_end: FloatArray = column("t_end_s")  # (N,) end [s]
@@ -217,13 +217,13 @@ class GnssObservations(Record):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SensorData(InstrumentReports, Rebuilt):
-    """The input of an estimator: measurements, and the datasheets to assume."""
+    """The input of a filter: measurements, and the datasheets to assume."""
 
     imu: ImuData
     fixes: GnssFixes | None
     antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
     specs: AssumedSpecs
-    output_t: FloatArray  # (M,) increasing instants of the solution [s]
+    output_t: FloatArray  # (M,) increasing epochs of the solution [s]
     observations: GnssObservations | None = None
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
@@ -235,13 +235,13 @@ class SensorData(InstrumentReports, Rebuilt):
         _check_increasing("SensorData.output_t", self.output_t)
 
     def duration_from(self, start: float) -> float:
-        """Return the time from a start to the last instant of the solution [s]."""
+        """Return the time from a start to the last time of the solution [s]."""
         return float(self.output_t[-1]) - start if len(self.output_t) else 0.0
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class InitialState(Rebuilt):
-    """Initial state of an estimator with its covariance.
+    """Initial state of a filter with its covariance.
 
     What is not given is NaN with infinite variance; `bench.navigation.start.alignment.complete` finds it.
     """
@@ -332,13 +332,13 @@ class Innovations(Record):
 
 @cache
 def no_innovations() -> Innovations:
-    """Return an empty table, for an estimator without updates."""
+    """Return an empty table, for a filter without updates."""
     return Innovations.from_rows((), [])
 
 
 @declared
 class NavSolution(Record):
-    """Output of an estimator at ``SensorData.output_t``, after all updates at that instant.
+    """Output of a filter at ``SensorData.output_t``, after all updates at that time.
 
     A block that is not estimated is NaN in its values and in its rows of the covariance.
     """
@@ -363,7 +363,7 @@ class NavSolution(Record):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Reference(Rebuilt):
-    """What another unit says of the motion of a log, to judge by; no estimator gets it."""
+    """What another unit says of the motion of a log, to evaluate by; no filter gets it."""
 
     track: NavSolution  # of its own point at its own times; a block that it does not have is NaN
     point_b: FloatArray  # (3,) that point relative to the IMU [m], b
@@ -402,7 +402,7 @@ class OffPath(Record):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Sensed(Rebuilt):
-    """One draw of the sensors: the input of the estimators, and the true errors, which they must not see."""
+    """One run of the sensors: the input of the filters, and the true errors, which they must not see."""
 
     data: SensorData
     initial: InitialState

@@ -1,6 +1,6 @@
 """Declarations of the fields of records and specs: columns with unit and frame, figures with unit and limits.
 
-A record is a frozen set of columns, one row per instant. Each field declares the shape of a row, its unit
+A record is a frozen set of columns, one row per time. Each field declares the shape of a row, its unit
 and its frame; checks, files and exports are made from that. A spec holds the figures of a datasheet or a
 profile in SI; each figure declares its unit and limits in a file, and the tables of files are made from that.
 """
@@ -187,7 +187,7 @@ class Record(Rebuilt):
         Parameters
         ----------
         finite : bool
-            Refuse NaN and infinity.
+            Reject NaN and infinity.
         width : int or None
             Length of the rows that are declared with any length.
         besides : mapping or None

@@ -21,10 +21,10 @@ MESH_OF_CLASS = {"uav": "uav", "light": "light-single", "transport": "jet", "fig
 
 @declared
 class RunwaySpec:
-    """Figures for take-off and landing of an aircraft; heights are of its centre of gravity."""
+    """Figures for take-off and landing of an aircraft; heights are of its center of gravity."""
 
     height: float = figure("m", 0.01, 20)
-    """Height of the centre of gravity above the ground at rest [m]."""
+    """Height of the center of gravity above the ground at rest [m]."""
     rotate_speed: float = figure("mps", 1, 200, stem="rotate")
     """Airspeed at which the nose is raised [m/s]."""
     take_off_pitch: float = figure("deg", 0.5, 25)
@@ -51,7 +51,7 @@ class ForeignSpec:
 class AircraftSpec:
     """An aircraft: its JSBSim model and the figures that guidance and sensors need.
 
-    Antenna and static port are relative to the IMU here, and to the centre of gravity in aircraft.toml.
+    Antenna and static port are relative to the IMU here, and to the center of gravity in aircraft.toml.
     """
 
     name: str
@@ -75,7 +75,7 @@ class AircraftSpec:
     antenna_b: tuple[float, float, float]  # GNSS antenna relative to the IMU [m], b
     category: str  # a key of MESH_OF_CLASS: shape in the recording, limits of the sanity report
     foreign: ForeignSpec | None = None  # how to fly it if it was not made for the bench
-    imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the centre of gravity [m], b
+    imu_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # IMU relative to the center of gravity [m], b
     static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # relative to the IMU [m], b
     trims: tuple[tuple[float, float], ...] = ()  # altitudes [m] and true airspeeds [m/s] to trim it at
     runway: RunwaySpec | None = None  # None: it starts and ends in the air
@@ -143,7 +143,7 @@ class Leg:
         return start.alt
 
     def fly(self, cockpit: Any) -> Iterator[None]:
-        """Write set-points into a `cockpit.Cockpit`, one step per instant of guidance.
+        """Write set-points into a `cockpit.Cockpit`, one step per time of guidance.
 
         The generator may return a remark about the leg as flown.
 

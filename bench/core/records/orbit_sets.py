@@ -98,7 +98,7 @@ class OrbitTable:
     system: int
     sat: IntArray  # (S,) number within the system
     t: FloatArray  # (N,) epochs, GPS time [s]
-    pos_e: FloatArray  # (S, N, 3) centre of mass [m], e
+    pos_e: FloatArray  # (S, N, 3) center of mass [m], e
     clock: FloatArray  # (S, N) without its eccentric term [s]
     sd: FloatArray  # (S, N) what the file says of its accuracy [m]; 0: nothing
     joined: BoolArray  # (S, N - 1, 2) whether orbit, clock may be interpolated between two epochs

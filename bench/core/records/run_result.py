@@ -1,4 +1,4 @@
-"""The result of one run: metrics, errors and solutions by estimator, with everything needed to repeat it."""
+"""The result of one run: metrics, errors and solutions by filter, with everything needed to repeat it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from bench.core.words.notebook import ShownFigure, draw, format_cell, make_frame
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RunResult(Rebuilt):
-    """One run of one profile: metrics per estimator, with everything needed to repeat it."""
+    """One run of one profile: metrics per filter, with everything needed to repeat it."""
 
     profile: Mapping[str, Any]  # the profile as flown, in the units of its file
     seed: int
     run: int
-    metrics: Mapping[str, Mapping[str, Any]]  # estimator -> metric -> number, null or list
+    metrics: Mapping[str, Mapping[str, Any]]  # filter -> metric -> number, null or list
     errors: Mapping[str, ErrorSeries]
     solutions: Mapping[str, NavSolution]
     provenance: Mapping[str, Any]  # versions, commit, CPU time
@@ -62,7 +62,7 @@ class RunResult(Rebuilt):
         return draw(self, tab, estimator, **look)
 
     def __repr__(self) -> str:
-        """Return title, seed, run, and the horizontal position RMSE of each estimator that converged."""
+        """Return title, seed, run, and the horizontal position RMSE of each filter that converged."""
         found = []
         for label, values in self.metrics.items():
             error = values.get("pos_rmse_h_m")

@@ -385,7 +385,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class AssumedSpecs(InstrumentSpecs):
-    """The datasheets that an estimator assumes."""
+    """The datasheets that a filter assumes."""
 
     imu: ImuSpec
     gnss: GnssSpec | None
@@ -406,11 +406,11 @@ class SensorsSpec(InstrumentSpecs):
     initial_heading_sd: float  # down component of phi_n [rad]
     output_rate: float  # of the solutions [Hz]
     date: float = DEFAULT_DATE  # of the flight [decimal years]
-    alignment: str = "given"  # initial values given to the estimators: "given", "level" or "course"
+    alignment: str = "given"  # initial values given to the filters: "given", "level" or "course"
     align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
     drift_sd: float = 0.0  # course: of the angle from course to nose [rad]
     qnh: float = 101325.0  # altimeter setting of a physical barometer [Pa]
-    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the centre of gravity [m], b
+    static_port_b: tuple[float, float, float] = (0.0, 0.0, 0.0)  # from the center of gravity [m], b
     ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
     rest_height: float = math.inf  # of the IMU above the ground at rest [m]; inf: a ground vehicle
     faults: tuple[Fault, ...] = ()  # as the profile numbers them

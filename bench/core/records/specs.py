@@ -1,4 +1,4 @@
-"""Specs of an experiment: estimators, evaluation, guidance, and a profile of these, flight and sensors."""
+"""Specs of an experiment: filters, evaluation, guidance, and a profile of these, flight and sensors."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import quantity
 
 AUTOPILOT = "autopilot"
-"""Name of the estimate in the log of an autopilot, as an estimator."""
+"""Name of the estimate in the log of an autopilot, as a filter."""
 
 
 LEAST_TIMEOUT = 600.0
@@ -60,7 +60,7 @@ DEFAULT_GUARD = Guard()
 
 @dataclass(frozen=True, slots=True)
 class EstimatorChoice:
-    """An estimator by name, ``module:Class``, ``file:`` or ``command:``, and its options."""
+    """A filter by name, ``module:Class``, ``file:`` or ``command:``, and its options."""
 
     use: str
     label: str  # unique in the profile; in names of files and columns of reports
@@ -74,14 +74,14 @@ class EvaluationWindow:
     """What of a run its figures count: the options of ``[evaluation]`` that judge.
 
     A further one is a field here, with its key in a file, and a key of `config.profile_tables`; the record
-    goes with the profile to wherever something is judged.
+    goes with the profile to wherever something is evaluated.
     """
 
     begin: float = field(default=0.0, metadata={"key": "from_s"})  # end of the alignment [s]
 
     @property
     def first(self) -> float:
-        """Instants from this one on count [s]: an instant that is the begin counts."""
+        """Epochs from this one on count [s]: a time that is the begin counts."""
         return self.begin - SAME_INSTANT
 
     @classmethod
@@ -95,14 +95,14 @@ class EvaluationWindow:
         return cls(**{name: float(document["evaluation"][key]) for key, name in cls.keys().items()})
 
     def describe_outside(self, end: float, of: str) -> str | None:
-        """Say that no instant until the ``end`` [s] of something counts; None if some do."""
+        """Say that no time until the ``end`` [s] of something counts; None if some do."""
         if self.begin < end:
             return None
         return f"[evaluation] {quantity('from_s', self.begin)} is outside the {of}, 0 to {end:.6g} s"
 
     def __str__(self) -> str:
         """Return it in words."""
-        return f"figures from {self.begin:g} s on"
+        return f"errors from {self.begin:g} s on"
 
 
 IN_FLIGHT = "in-flight"
@@ -125,7 +125,7 @@ class Guidance:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """One experiment: flight, sensors, estimators and evaluation."""
+    """One experiment: flight, sensors, filters and evaluation."""
 
     name: str
     title: str
@@ -139,7 +139,7 @@ class Profile:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the solutions of a run: the estimators, and the answers that steered if some did."""
+        """Names of the solutions of a run: the filters, and the answers that steered if some did."""
         steered = () if self.guidance is None else (IN_FLIGHT,)
         return (*(choice.label for choice in self.estimators), *steered)
 
@@ -169,4 +169,4 @@ class Profile:
         names = dict.fromkeys(unit.name for unit in units if hasattr(unit, "name"))
         estimators = ", ".join(one.label for one in self.estimators)
         head = f"{self.name!r}, seed {self.seed}: {self.flight.label}"
-        return f"<Profile {head}; sensors {', '.join(names)}; estimators {estimators}>"
+        return f"<Profile {head}; sensors {', '.join(names)}; filters {estimators}>"

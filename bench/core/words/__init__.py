@@ -1,1 +1,1 @@
-"""Words, colours and exceptions that all screens and pages share."""
+"""Words, colors and exceptions that all screens and pages share."""

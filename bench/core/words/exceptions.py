@@ -8,14 +8,14 @@ BUG, INTERRUPTED = 70, 130
 
 STATUSES = {
     DONE: "done",
-    NEGATIVE: "an estimator diverged, answered a part, could not start or was ended; a limit is broken, a "
+    NEGATIVE: "a filter diverged, answered a part, could not start or was ended; a limit is broken, a "
     "metric worse; with --strict a filter is over- or underconfident",
     WRONG: "the command line, a file or the results folder is wrong",
     NOT_FLOWN: "the aircraft could not be loaded, trimmed or flown",
     MACHINE: "the machine failed: disk full, no viewer",
     UNSEEN: "the results are written, but not their recording or report",
-    UNDECIDED: "a study cannot decide what was asked; it says what would",
-    BUG: "a bug, or an estimator that raised, with its traceback",
+    UNDECIDED: "a study cannot decide what was asked; the output gives what would",
+    BUG: "a bug, or a filter that raised, with its traceback",
     INTERRUPTED: "interrupted",
 }
 """Exit status -> what it means, as the help of every verb lists them."""
@@ -59,23 +59,23 @@ class NothingToShowError(BenchError):
 
 
 class EstimatorError(BenchError):
-    """An estimator cannot be built, or cannot start, as asked."""
+    """A filter cannot be built, or cannot start, as asked."""
 
 
 class EstimatorFailedError(BenchError):
-    """An estimator raised, and what it raised is the cause; or its ``run`` returned no solution."""
+    """A filter raised, and what it raised is the cause; or its ``run`` returned no solution."""
 
     status = BUG
 
 
 class EstimatorStoppedError(EstimatorFailedError):
-    """The process of an estimator ended before it answered, or was ended at a limit."""
+    """The process of a filter ended before it answered, or was ended at a limit."""
 
     status = NEGATIVE
 
 
 class FilterTraceback(Exception):  # noqa: N818 - it is a text, and the cause of an error
-    """The traceback of what an estimator raised in a process of its own."""
+    """The traceback of what a filter raised in a process of its own."""
 
 
 class FlightError(BenchError):

@@ -1,4 +1,4 @@
-"""The colours of all pages, recordings and figures, on light and on dark ground: seven, and one of fixes.
+"""The colors of all pages, recordings and figures, on light and on dark ground: seven, and one of fixes.
 
 Any two are at least 20 apart by CIEDE2000, with normal sight and without red, green or blue cones, and stand
 out from the ground by 3:1 (`tests/test_palette.py` computes both). They were found by simulated annealing.
@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 
 
 class PaletteSlot(NamedTuple):
-    """A colour in both tones."""
+    """A color in both tones."""
 
     name: str
-    dark: Colour  # on dark ground, as in the viewer
-    light: Colour  # on light ground, as on paper
+    dark: Color  # on dark ground, as in the viewer
+    light: Color  # on light ground, as on paper
 
 
 SLOTS = (
@@ -48,17 +48,17 @@ _OWNERS: Mapping[str, int] = {
 
 
 class DrawnLook(NamedTuple):
-    """How an estimator is drawn."""
+    """How a filter is drawn."""
 
-    colour: Colour  # its tone on dark ground
-    dashed: bool  # another one of the same picture has the colour
-    name: str  # of the colour
+    color: Color  # its tone on dark ground
+    dashed: bool  # another one of the same picture has the color
+    name: str  # of the color
 
 
 def choose_looks(labels: Iterable[str]) -> dict[str, DrawnLook]:
-    """Return the look of each estimator: its own colour, or the first free one; dashed if none is free.
+    """Return the look of each estimator: its own color, or the first free one; dashed if none is free.
 
-    In a comparison labels are "estimator, result": an estimator keeps its colour, and the dash is the result.
+    In a comparison labels are "filter, result": a filter keeps its color, and the dash is the result.
 
     Examples
     --------
@@ -80,14 +80,14 @@ def choose_looks(labels: Iterable[str]) -> dict[str, DrawnLook]:
     return looks
 
 
-def find_slot(colour: Colour) -> int | None:
-    """Return the number of the tone of a colour, as its CSS variable has it; None if it has none."""
-    return next((k for k, slot in enumerate(_TONES) if slot.dark == colour), None)
+def find_slot(color: Color) -> int | None:
+    """Return the number of the tone of a color, as its CSS variable has it; None if it has none."""
+    return next((k for k, slot in enumerate(_TONES) if slot.dark == color), None)
 
 
-def find_light(colour: Colour) -> Colour | None:
-    """Return the tone on light ground of a colour on dark ground; None if it has none."""
-    return next((slot.light for slot in _TONES if slot.dark == colour), None)
+def find_light(color: Color) -> Color | None:
+    """Return the tone on light ground of a color on dark ground; None if it has none."""
+    return next((slot.light for slot in _TONES if slot.dark == color), None)
 
 
 def write_variables(*, dark: bool) -> str:

@@ -21,8 +21,11 @@ _SIGNS = {
     "√": "sqrt",
     "°": " deg",
     "•": "*",
+    "✓": "ok",
+    "✗": "FAIL",
+    "△": "warn",
 }
-_LINES = range(0x2500, 0x2580)  # that draw boxes
+_LINES = range(0x2500, 0x2580)  # that run boxes
 _HANDLER = "bench.plain"
 
 

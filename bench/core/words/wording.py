@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.core.mathematics.units import unit_of
+from bench.core.words.renames import rename
 
 
 def replace_control(text: str) -> str:
@@ -85,6 +86,8 @@ _ALSO_CALLED = {
 
 def _translate(wrong: str) -> str:
     """Return a key by the name that it has here; anything else as it is."""
+    if (today := rename(wrong)) != wrong:
+        return today
     for other in sorted(_ALSO_CALLED, key=len, reverse=True):
         if wrong == other or wrong.startswith(f"{other}_"):
             return _ALSO_CALLED[other] + wrong.removeprefix(other)

@@ -1,1 +1,1 @@
-"""Why a run is not honest: the filter runs again without each thing that may be to blame."""
+"""Why a run is not consistent: the filter runs again without each thing that may be to blame."""

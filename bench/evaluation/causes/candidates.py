@@ -1,4 +1,4 @@
-"""What may be the cause of a dishonest run, and the sensors without it.
+"""What may be the cause of a inconsistent run, and the sensors without it.
 
 Candidates are the faults, the errors of the sensors on board for which a filter has no state, as it names
 them, and figures that it assumes otherwise than they are. To take one away changes the sensors on board and
@@ -73,17 +73,17 @@ class Candidate:
     assumed: bool = False  # a figure that is assumed otherwise
 
 
-def list_candidates(spec: SensorsSpec, unmodelled: Collection[str]) -> list[Candidate]:
-    """Return all that may be the cause of a dishonest run.
+def list_candidates(spec: SensorsSpec, unmodeled: Collection[str]) -> list[Candidate]:
+    """Return all that may be the cause of a inconsistent run.
 
     Parameters
     ----------
     spec : SensorsSpec
         The sensors on board.
-    unmodelled : collection of str
+    unmodeled : collection of str
         The errors of these sensors that the filter has no state for.
     """
-    errors = list(_list_errors(spec, unmodelled))
+    errors = list(_list_errors(spec, unmodeled))
     return [*_list_faults(spec), *errors, *_list_other_figures(spec, {one.error for one in errors})]
 
 
@@ -96,30 +96,30 @@ def _drop_fault(fault: object, spec: SensorsSpec) -> SensorsSpec:
     return replace(spec, faults=tuple(one for one in spec.faults if one is not fault))
 
 
-def _list_errors(spec: SensorsSpec, unmodelled: Collection[str]) -> Iterator[Candidate]:
+def _list_errors(spec: SensorsSpec, unmodeled: Collection[str]) -> Iterator[Candidate]:
     """Yield the errors of the sensors that a filter has no state for."""
     for part, title in TRIADS.items():
         for error, names in _name_triad_errors(title).items():
             sized = any(getattr(getattr(spec.imu, part), name) for name in names)
-            if error in unmodelled and sized:
+            if error in unmodeled and sized:
                 yield Candidate(error, title, partial(_change_triad, part, names, None), error)
     without: Mapping[str, Mapping[str, Any]] = {
         "distance between the accelerometers": {"accel_arms": ()},
         "vibration": {"vibration": VibrationSpec()},
     }
     for error, changed in without.items():
-        if error in unmodelled:
+        if error in unmodeled:
             yield Candidate(error, "imu", partial(_change_part, "imu", changed), error)
     for error, (part, names) in SENSOR_ERRORS.items():
         sensor = getattr(spec, part)
         drawn = part != "gnss" or sensor is None or sensor.sky is None or error in _OF_BOTH
-        if sensor is not None and error in unmodelled and drawn:
+        if sensor is not None and error in unmodeled and drawn:
             changed = {name: None if name == "physical" else 0.0 for name in names}
             yield Candidate(error, part, partial(_change_part, part, changed), error)
     if spec.gnss is not None and spec.gnss.sky is not None:
         for error, names in SKY_ERRORS.items():
-            lasts = WANDER in unmodelled and error not in _CLOCK
-            if (error in unmodelled or lasts) and any(getattr(spec.gnss.sky, name) for name in names):
+            lasts = WANDER in unmodeled and error not in _CLOCK
+            if (error in unmodeled or lasts) and any(getattr(spec.gnss.sky, name) for name in names):
                 changed = dict.fromkeys(names, 0.0)
                 yield Candidate(error, "gnss", partial(_change_sky, changed), error)
 

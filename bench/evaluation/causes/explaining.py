@@ -1,4 +1,4 @@
-"""Explain a dishonest run of one filter: run it again on the same draw without each candidate."""
+"""Explain a inconsistent run of one filter: run it again on the same run without each candidate."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from bench.evaluation.causes.search import advise, describe_causes, find_causes
 from bench.evaluation.consistency.block_nees import BlockNees, judge_blocks
 from bench.evaluation.errors.error_series import TITLES, error_series
 from bench.navigation import estimator
-from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodelled
+from bench.navigation.error_state_filter.aiding_sensors import AIDING, unmodeled
 from bench.simulation import sensors
 
 LOST = dict.fromkeys(TITLES, BlockNees(3, np.inf, 0.0, np.inf, 0.0))
-"""The claims of a filter that ended without a solution."""
+"""The covariances of a filter that ended without a solution."""
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnRun:
-    """One draw of the sensors on a flight, and what is judged of it."""
+    """One run of the sensors on a flight, and what is evaluated of it."""
 
     truth: Trajectory
     spec: SensorsSpec
@@ -45,7 +45,7 @@ def explain_run(
     data: SensorData,
     progress: Callable[[int], None] = lambda runs: None,
 ) -> dict[str, Any]:
-    """Return what the metrics of a dishonest run say of its causes; empty if no block is above its band.
+    """Return what the metrics of a inconsistent run say of its causes; empty if no block is above its band.
 
     Parameters
     ----------
@@ -63,10 +63,10 @@ def explain_run(
     Returns
     -------
     values : dict
-        ``causes``, a row each: the words, the block of states whose claim is broken, its mean NEES with and
-        without it (``nees``, ``nees_without``), and the ``step``: those of a step were found together, and
-        without those of the steps before; ``causes_runs``, how often the filter ran; ``advice_text``, which
-        filter does better; ``why_text``.
+        ``causes``, a row each: the words, the block of states whose covariance is broken, its mean NEES with
+        and without it (``nees``, ``nees_without``), and the ``step``: those of a step were found together,
+        and without those of the steps before; ``causes_runs``, how often the filter ran; ``advice_text``,
+        which filter does better; ``why_text``.
     """
     count = 0
 
@@ -85,10 +85,10 @@ def explain_run(
         except (EstimatorError, EstimatorFailedError):
             return LOST
 
-    named = estimator.list_unmodelled(one, choice.label, drawn.on_board)
+    named = estimator.list_unmodeled(one, choice.label, drawn.on_board)
     if named is None:  # it does not say: whatever a filter may leave out
         present = [sensor for sensor in AIDING if getattr(data, sensor.record) is not None]
-        named = list(unmodelled(drawn.on_board, present, ()))
+        named = list(unmodeled(drawn.on_board, present, ()))
     candidates = list_candidates(drawn.spec, named)
     causes = find_causes(drawn.spec, candidates, judge_here(solution), measure)
     if causes is None:

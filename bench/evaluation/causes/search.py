@@ -1,9 +1,9 @@
-"""Search for the causes of a dishonest run: which of the candidates, taken away, makes it honest.
+"""Search for the causes of a inconsistent run: which of the candidates, taken away, makes it consistent.
 
-The measure is the excess NEES of the block whose claim is broken, mean NEES less its states. A candidate is a
-cause if the run without it has lost `LEAST` of the excess, together with all that take nearly as much as the
-best; without these the rest is searched again. Of several, those are dropped without which the others do as
-well: a gate that decides otherwise by chance can make a small error look like a cause. Candidates of one
+The measure is the excess NEES of the block whose covariance is broken, mean NEES less its states. A candidate
+is a cause if the run without it has lost `LEAST` of the excess, together with all that take nearly as much as
+the best; without these the rest is searched again. Of several, those are dropped without which the others do
+as well: a gate that decides otherwise by chance can make a small error look like a cause. Candidates of one
 sensor are first tried together, and one by one only where that takes `LEAST`; if no sensor does, each is.
 """
 
@@ -53,8 +53,8 @@ class Causes:
     """What a search has found."""
 
     steps: tuple[SearchStep, ...]
-    left: str | None  # block whose claim is still broken without all that is named
-    before: BlockNees  # of the block whose claim is broken in the run
+    left: str | None  # block whose covariance is still broken without all that is named
+    before: BlockNees  # of the block whose covariance is broken in the run
     block: str
     runs: int  # of the filter that it took
 
@@ -86,7 +86,7 @@ def find_causes(
     own: Mapping[str, BlockNees],
     measure: Measure,
 ) -> Causes | None:
-    """Return the causes of a dishonest run; None if the NEES of no block is above its band.
+    """Return the causes of a inconsistent run; None if the NEES of no block is above its band.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def find_causes(
     own : mapping
         The NEES by block of the run itself.
     measure : callable
-        Run the filter on other sensors with the same draws.
+        Run the filter on other sensors with the same runs.
     """
     first = find_broken_block(own)
     if first is None:
@@ -154,7 +154,7 @@ def _share(before: BlockNees, after: BlockNees) -> float:
 
 
 def describe_causes(causes: Causes, advice: str) -> str:
-    """Return the sentences that say why a run is not honest."""
+    """Return the sentences that say why a run is not consistent."""
     if not causes.steps:
         return (
             f"not found: no fault, and no error that it does not model, makes {100 * LEAST:.0f} % of the "
@@ -172,7 +172,7 @@ def describe_causes(causes: Causes, advice: str) -> str:
         )
     told = f"{'; then '.join(parts)} ({causes.before.states} expected)."
     if causes.left is not None:
-        told += f" What else breaks the claim of the {TITLES[causes.left]} was not found."
+        told += f" What else breaks the covariance of the {TITLES[causes.left]} was not found."
     return f"{told} {advice}".rstrip()
 
 
@@ -182,7 +182,7 @@ def advise(choice: EstimatorChoice, specs: AssumedSpecs, named: Collection[Candi
     Parameters
     ----------
     choice : EstimatorChoice
-        The filter that was judged; what it takes beside GNSS and barometer the other gets as well.
+        The filter that was evaluated; what it takes beside GNSS and barometer the other gets as well.
     specs : AssumedSpecs
         The datasheets of the sensors on board.
     named : collection of Candidate
@@ -198,13 +198,13 @@ def advise(choice: EstimatorChoice, specs: AssumedSpecs, named: Collection[Candi
             options = {
                 key: value for key, value in choice.options.items() if built_in.takes_option(name, key)
             }
-            missing = estimator.list_unmodelled(built_in.load(name, options), name, specs) or []
+            missing = estimator.list_unmodeled(built_in.load(name, options), name, specs) or []
             lasting = WANDER in missing and name != "tight"
             if not any(one in missing or (one in SKY_ERRORS and lasting) for one in errors):
                 told.append(f"{name} has states for {'it' if len(errors) == 1 else 'all of them'}.")
                 break
         else:
-            told.append(f"No built-in estimator has states for {names}.")
+            told.append(f"No built-in filter has states for {names}.")
     if any(one.assumed for one in named):
         told.append("What a filter assumes is set in [sensors.assumed].")
     return " ".join(told)

@@ -1,4 +1,4 @@
-"""NEES of single blocks of a solution, with the band of one run: which block it is whose claim is broken."""
+"""NEES of single blocks of a solution with its bounds in one run: which block is inconsistent."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def measure_nees(error: FloatArray, cov: FloatArray) -> BlockNees:
 
 
 def judge_blocks(errors: ErrorSeries, solution: NavSolution, begin: float) -> dict[str, BlockNees]:
-    """Return the NEES of each block that a solution claims, from an instant on [s]; "all" is that of all."""
+    """Return the NEES of each block that a solution reports, from a time on [s]; "all" is that of all."""
     rows = find_covered_epochs(solution) & (solution.t >= begin - SAME_INSTANT)
     claimed = claimed_blocks(solution)
     at, claims = select_epochs(errors, rows), select_epochs(solution, rows).cov
@@ -65,7 +65,7 @@ def judge_blocks(errors: ErrorSeries, solution: NavSolution, begin: float) -> di
 
 
 def find_broken_block(found: Mapping[str, BlockNees]) -> str | None:
-    """Return the block whose NEES is the largest over its states, if the claim of any is broken."""
+    """Return the block whose NEES is the largest over its states, if the covariance of any is broken."""
     blocks = {name: one for name, one in found.items() if name != "all"}
     broken = {name: one for name, one in blocks.items() if one.mean > one.high or one.mean == np.inf}
     if not broken and "all" in found and found["all"].mean > found["all"].high:

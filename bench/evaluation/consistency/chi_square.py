@@ -68,7 +68,7 @@ def _sum_pairs(series: FloatArray) -> float:
     """Return the sum of the autocorrelation over pairs of lags, as long as their sum is positive."""
     count = len(series)
     for most in (count // 4, count - 1):  # lag; most sums end in the first quarter
-        length = _fast_length(count + most)  # so that the end of the series does not meet its start
+        length = fast_length(count + most)  # so that the end of the series does not meet its start
         spectrum = np.fft.rfft(series, length)
         lags = min(length - count + 1, count)
         correlation = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, length)[:lags]
@@ -80,7 +80,7 @@ def _sum_pairs(series: FloatArray) -> float:
     return float(pairs.sum())
 
 
-def _fast_length(least: int) -> int:
+def fast_length(least: int) -> int:
     """Return an even length, a power of two times 1, 3 or 5, that a Fourier transform takes fast."""
     return min(odd << max(-(-least // odd) - 1, 1).bit_length() for odd in (1, 3, 5))
 
@@ -100,7 +100,7 @@ class SensorNis:
 
 
 def nis_by_sensor(innovations: Innovations, begin: float = -np.inf) -> dict[str, SensorNis]:
-    """Return the NIS of each sensor from an instant on, one value per update.
+    """Return the NIS of each sensor from a time on, one value per update.
 
     The table of innovations repeats the NIS of a measurement vector on the rows of its components, which are
     next to each other with increasing ``component``. Rejected updates are kept: the NIS of a matched filter
@@ -111,7 +111,7 @@ def nis_by_sensor(innovations: Innovations, begin: float = -np.inf) -> dict[str,
     innovations : Innovations
         Innovations of a solution.
     begin : float
-        First instant to include [s].
+        First time to include [s].
 
     Returns
     -------

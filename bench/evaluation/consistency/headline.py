@@ -1,4 +1,4 @@
-"""What a run says of an estimator in a few short lines: for the terminal, pages and the recording."""
+"""The result of one filter in a run, in a few short lines: for the terminal, pages and the recording."""
 
 from __future__ import annotations
 
@@ -20,33 +20,62 @@ from bench.evaluation.consistency.verdict import (
 from bench.evaluation.requirements.required_metrics import MISSED
 
 NEES = (
-    "NEES, normalized estimation error squared: squared error over claimed variance, in the mean the number "
-    "of states where the claim is right."
+    "NEES is the normalized estimation error squared; if the reported covariance is right, its mean is the "
+    "number of states."
 )
-"""What the figure is by which a claim is judged."""
+"""Meaning of the metric behind a verdict."""
+
+
+_LARGE = ("large error", "large drift")
+"""Words for a consistent solution of little use: with aiding, without."""
 
 
 class Headline(NamedTuple):
-    """An estimator in a run; empty texts where there is nothing to say."""
+    """Result of one filter in a run; a text is empty if it does not apply.
+
+    Attributes
+    ----------
+    label : str
+        Label of the filter.
+    word : str
+        The verdict in a word or two.
+    look : VerdictLook
+        Color and sign of the verdict.
+    reason : str
+        Why the verdict is not "consistent".
+    error : str
+        Horizontal error and reported sigma.
+    stops : str
+        IMU gaps and resets.
+    fault : str
+        The fault with the largest error: whether and when the filter detected it.
+    figures : str
+        Height, velocity and heading errors, and the NEES.
+    drift : str
+        Outage drift and its 95 % limit.
+    outside : str
+        Axes with too many errors beyond 3 sigma.
+    why : str
+        Causes of an inconsistent covariance.
+    required : str
+        Requirements that are missed.
+    note : str
+        Replaces all other lines, if not empty.
+    """
 
     label: str
     word: str
     look: VerdictLook
-    reason: str  # of the word; "" of a claim that holds
-    error: str  # and what is claimed
-    stops: str  # of the IMU and resets
-    fault: str  # that moved it most
+    reason: str
+    error: str
+    stops: str
+    fault: str
     figures: str
     drift: str
     outside: str
     why: str
     required: str
-    note: str  # instead of all of these
-
-    @property
-    def first(self) -> str:
-        """The verdict, its reason and the error, behind the label."""
-        return "; ".join(filter(None, (self.word, self.reason, self.error)))
+    note: str
 
     @property
     def more(self) -> tuple[str, ...]:
@@ -58,21 +87,21 @@ class Headline(NamedTuple):
 
 
 def judge_look(word: str, values: Mapping[str, Any] | None = None) -> VerdictLook:
-    """Return the look of a verdict; a claim that holds and is of no use is a warning."""
+    """Return the look of a verdict; a covariance that holds and is of no use is a warning."""
     look = find_look(word)
     useless = look.kind == "good" and values is not None and find_far_off(values)
     return LOOKS[verdict.UNDERCONFIDENT] if useless else look
 
 
 def find_best(measured: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the label of the first estimator whose claim holds and is of use, or of the first of all."""
+    """Return the label of the first filter whose covariance holds and is of use, or of the first of all."""
     looks = {label: judge_look(str(one.get("verdict", "")), one).kind for label, one in measured.items()}
     good = [label for label, kind in looks.items() if kind == "good"]
     return next(iter([*good, *looks]), "")
 
 
 def make_headline(label: str, values: Mapping[str, Any], events: Events | None = None) -> Headline:
-    """Return the headline of the metrics of an estimator, as `verdict.add_verdict` returns them.
+    """Return the headline of the metrics of a filter, as `verdict.add_verdict` returns them.
 
     With the ``events`` of its solution it says where that stopped and began again.
     """
@@ -84,9 +113,9 @@ def make_headline(label: str, values: Mapping[str, Any], events: Events | None =
     reason = str(values.get("verdict_reason") or "")
     return Headline(
         label=label,
-        word=f"{word}, but {far}" if far else word,
+        word=_LARGE[values.get("inertial_end_h_m") is not None] if far else word,
         look=judge_look(word, values),
-        reason=reason,
+        reason=f"consistent, but {_describe_end(values) or far}" if far else reason,
         error=error,
         stops="" if events is None else _describe_stops(events),
         fault=_describe_fault(values),
@@ -116,23 +145,32 @@ def _describe_path(values: Mapping[str, Any]) -> str:
     far = [format_distance(value) for value in off if value is not None]
     if len(far) < len(off):
         return ""
-    return f"off its path by up to {far[0]}, believed {far[1]}, error of navigation {far[2]}"
+    return f"path error up to {far[0]}: {far[1]} by its own estimate, navigation error {far[2]}"
 
 
-def _describe_fault(values: Mapping[str, Any]) -> str:
-    """Return whether the fault with the largest error was noticed, and for how long; "" without faults."""
-    far = {
+def find_worst_fault(values: Mapping[str, Any]) -> str:
+    """Return the number of the fault with the largest error; "" without faults."""
+    far = _list_fault_errors(values)
+    return max(far, key=lambda one: far[one], default="")
+
+
+def _list_fault_errors(values: Mapping[str, Any]) -> dict[str, float]:
+    return {
         name.split("_")[1]: value
         for name, value in values.items()
         if name.startswith("fault_") and name.endswith("_max_h_m") and value is not None
     }
-    number = max(far, key=lambda one: far[one], default="")
+
+
+def _describe_fault(values: Mapping[str, Any]) -> str:
+    """Return whether the fault with the largest error was detected, and for how long; "" without faults."""
+    far, number = _list_fault_errors(values), find_worst_fault(values)
     share, delay = (values.get(f"fault_{number}_{name}") for name in ("alarm_share", "delay_s"))
     if share is None:
         return ""
     which = f"fault {number}" if len(far) == 1 else f"fault {number}, the worst of {len(far)}"
-    noticed = "not noticed" if delay is None else f"noticed after {format_number(delay, 2)} s"
-    refused = f", refused for {format_share(share)} of its time" if share else ""
+    noticed = "not detected" if delay is None else f"detected after {format_number(delay, 2)} s"
+    refused = f", rejected for {format_share(share)} of its time" if share else ""
     return f"{which}: {noticed}{refused}, error up to {format_distance(far[number])}"
 
 
@@ -155,25 +193,31 @@ def _list_drifts(values: Mapping[str, Any]) -> Iterator[str]:
         for name, value in values.items()
         if name.startswith("outage_") and name.endswith("_growth_h_m") and value is not None
     }
-    end, most = values.get("inertial_end_h_m"), values.get("inertial_law_95_h_m")
-    unaided = end is not None and most is not None
-    if grown and not unaided:
+    end = _describe_end(values)
+    if grown and not end:
         number = max(grown, key=lambda one: grown[one])
-        law = values.get(f"outage_{number}_law_95_h_m")
-        normal = "" if law is None else f", up to {format_distance(law)} is normal"
+        law = values.get(f"outage_{number}_predicted_95_h_m")
+        normal = "" if law is None else f", 95 % limit {format_distance(law)}"
         which = "GNSS outage" if len(grown) == 1 else f"worst of {len(grown)} GNSS outages"
-        yield f"{which}: error grows by {format_distance(grown[number])}{normal}"
-    if end is not None and most is not None:
-        far, normal = format_distance(end), format_distance(most)
-        yield f"without aiding: {far} off at the end, up to {normal} is normal"
+        yield f"{which}: drift {format_distance(grown[number])}{normal}"
+    if end:
+        yield end
+
+
+def _describe_end(values: Mapping[str, Any]) -> str:
+    """Return how far a run without horizontal aiding is off at its end; "" of any other run."""
+    end, most = values.get("inertial_end_h_m"), values.get("inertial_predicted_95_h_m")
+    if end is None or most is None:
+        return ""
+    return f"{format_distance(end)} off at the end without aiding (95 % limit {format_distance(most)})"
 
 
 def _describe_why(values: Mapping[str, Any]) -> str:
     causes, advice = values.get("causes"), values.get("advice_text")
     if not causes:
-        return str(values.get("why_text") or "").replace("Why: ", "why: ", 1)
+        return str(values.get("why_text") or "").replace("Why: ", "cause: ", 1)
     names = list(dict.fromkeys(str(one["cause"]) for one in causes))
-    return f"why: {'; '.join(names)}.{f' {advice}' if advice else ''}"
+    return f"cause: {', '.join(names)}.{f' {advice}' if advice else ''}"
 
 
 def _describe_required(values: Mapping[str, Any]) -> str:

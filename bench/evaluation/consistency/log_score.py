@@ -1,4 +1,4 @@
-"""The logarithmic score of a claim: least, in the mean over draws, where the covariance describes the errors.
+"""The logarithmic score of a covariance: its mean is least if the covariance describes the errors.
 
 Dawid and Sebastiani, Coherent dispersion criteria for optimal experimental design, Annals of Statistics 27,
 1999: ``(e' P^-1 e + ln det P) / 2`` is proper for mean and covariance, whatever the distribution. NEES alone
@@ -17,14 +17,14 @@ from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks
 def score_claims(errors: ErrorSeries, solution: NavSolution) -> FloatArray:
     """Return the score of each epoch (M,) [1], of the blocks with a covariance, in SI units.
 
-    NaN where the covariance is not positive definite; all of them where nothing is claimed.
+    NaN where the covariance is not positive definite; all of them where nothing is reported.
     """
     present = claimed_blocks(solution)
     counted = np.repeat([name in present for name in BLOCKS], 3)
     if not counted.any():
         return np.full(len(solution), np.nan)
     cov = solution.cov[:, counted][:, :, counted]
-    with np.errstate(all="ignore"):  # a lost filter claims anything
+    with np.errstate(all="ignore"):  # a lost filter reports anything
         sd = np.sqrt(np.einsum("kii->ki", cov))
         sign, scaled = np.linalg.slogdet(cov / (sd[:, :, None] * sd[:, None, :]))
         log_det = np.where(sign > 0.0, scaled, np.nan) + 2.0 * np.log(sd).sum(axis=1)

@@ -1,4 +1,4 @@
-"""The verdict of one run in words: does an estimator's error fit its claim, and is its drift normal?"""
+"""The verdict of one run in words: do the errors match the reported covariance, and is the drift normal?"""
 
 from __future__ import annotations
 
@@ -21,16 +21,15 @@ from bench.evaluation.metrics.coverage import Coverage
 from bench.evaluation.requirements.required_metrics import MET, MISSED, judge_run
 
 OVERCONFIDENT, UNDERCONFIDENT, CONSISTENT = "overconfident", "underconfident", "consistent"
-"""Verdicts by the errors: larger than claimed, smaller, neither is shown by this run."""
-FAILED, DIVERGED, NO_CLAIM, INCOMPLETE = "failed", "diverged", "no claim", "incomplete"
-"""Verdicts without a comparison: there is no solution, it did not converge, it claims no accuracy, it answers
-only a part."""
+"""Verdicts by the errors: larger than reported, smaller, neither is shown by this run."""
+FAILED, DIVERGED, NO_COVARIANCE, INCOMPLETE = "failed", "diverged", "no covariance", "incomplete"
+"""Verdicts without a comparison: no solution, divergence, no covariance, a solution of a part only."""
 BROKEN = (OVERCONFIDENT, UNDERCONFIDENT, DIVERGED)
-"""Verdicts of a claim that does not hold."""
+"""Verdicts of a covariance that does not hold."""
 
 UNDECIDED = "undecided"
-"""Verdict where fixes scatter less than is claimed: an error that wanders slowly in them cannot show."""
-UNJUDGED = "not judged"
+"""Verdict where fixes scatter less than is reported: an error that wanders slowly in them cannot show."""
+NOT_EVALUATED = "not evaluated"
 """Verdict where nothing can judge: no truth, no fix that it has not used, and innovations that fit."""
 
 _AXES = {
@@ -48,11 +47,11 @@ _LEAST_INSIDE = 0.9  # an axis that is longer outside 3 sigma is named, even if 
 _SMALLEST = float(np.sqrt(-2.0 * np.log(0.95))) / RAYLEIGH_95  # 5 % quantile over the 95 % radius [1]
 
 
-class _Judgement(NamedTuple):
+class _Judgment(NamedTuple):
     """A verdict: its word, what it stands on in a few words, and a sentence or two."""
 
     word: str
-    reason: str  # "" of a claim that holds
+    reason: str  # "" of a covariance that holds
     text: str
 
 
@@ -78,9 +77,9 @@ def find_bounds(name: str, values: Mapping[str, Any]) -> tuple[float | None, flo
     elif name.startswith("coverage_3sigma_"):
         low = values.get(name.replace("3sigma", "low", 1))
     elif name.startswith("outage_") and name.endswith("_growth_h_m"):
-        high = values.get(name.replace("growth_h", "law_95_h", 1))
+        high = values.get(name.replace("growth_h", "predicted_95_h", 1))
     elif name == "inertial_end_h_m":
-        high = values.get("inertial_law_95_h_m")
+        high = values.get("inertial_predicted_95_h_m")
     return None if low is None and high is None else (low, high)
 
 
@@ -90,14 +89,14 @@ def add_verdict(
     coverage: Coverage | None = None,
     requirements: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Return the metrics of an estimator with its verdict.
+    """Return the metrics of a filter with its verdict.
 
     Parameters
     ----------
     label : str
         Of the estimator.
     values : dict
-        Its metrics, with ``why_text`` if it is known why its claim is broken.
+        Its metrics, with ``why_text`` if it is known why its covariance is broken.
     coverage : Coverage or None
         How much of what was asked for it answers. If that is not enough, it has not converged: a filter that
         is silent where it errs must not look better than one that answers.
@@ -107,10 +106,10 @@ def add_verdict(
     Returns
     -------
     values : dict
-        First ``verdict`` (a word), ``verdict_reason`` (what the word stands on; "" of a claim that holds),
-        ``coverage_text`` if it is known, ``verdict_text`` (a sentence or two),
-        ``drift_text`` (a sentence for each outage, and for a run without horizontal aiding), ``outside`` (the
-        names of the metrics outside their bounds), and where something is required ``required`` (a word) and
+        First ``verdict`` (a word), ``verdict_reason`` (what the word stands on; "" of a covariance that
+        holds), ``coverage_text`` if it is known, ``verdict_text`` (a sentence or two), ``drift_text`` (a
+        sentence for each outage, and for a run without horizontal aiding), ``outside`` (the names of the
+        metrics outside their bounds), and where something is required ``required`` (a word) and
         ``required_text`` (a sentence each), then ``values``.
     """
     word, why, text = _judge(label, values)
@@ -129,7 +128,7 @@ def add_verdict(
             text += f" Its first answer is at t = {coverage.first:g} s."
     outside = [name for name in values if not name.endswith("_all") and is_outside(name, values)]
     judged = {"verdict": word, "verdict_reason": why, **covered, "verdict_text": text}
-    drift = _judge_drift(label, values)
+    drift = judge_drift(label, values)
     found = judge_run(label, values, requirements)
     required = {"required": MISSED if any(one.word == MISSED for one in found) else MET} if found else {}
     sentences = {"required_text": [one.sentence for one in found]} if found else {}
@@ -137,28 +136,28 @@ def add_verdict(
 
 
 def list_sentences(values: Mapping[str, Any]) -> list[str]:
-    """Return what the verdict of an estimator says beyond its first sentence: drift and requirements."""
+    """Return what the verdict of a filter says beyond its first sentence: drift and requirements."""
     return [*values.get("drift_text", ()), *values.get("required_text", ())]
 
 
-def _judge(label: str, values: Mapping[str, Any]) -> _Judgement:
+def _judge(label: str, values: Mapping[str, Any]) -> _Judgment:
     reason = str(values.get("reason"))
     if values.get("failed"):
-        return _Judgement(FAILED, reason.removeprefix(f"{FAILED}: "), f"{label} {reason}")
+        return _Judgment(FAILED, reason.removeprefix(f"{FAILED}: "), f"{label} {reason}")
     error = describe_accuracy(values)
     if not values["converged"]:
-        text = f"{label} did not converge: {reason}. {error[:1].upper()}{error[1:]}".rstrip(" .")
-        return _Judgement(DIVERGED, reason.removeprefix(f"{DIVERGED}: "), f"{text}.{_tell_why(values)}")
+        reason = reason.removeprefix(f"{DIVERGED}: ")
+        text = f"{label} diverged: {reason}. {error[:1].upper()}{error[1:]}".rstrip(" .")
+        return _Judgment(DIVERGED, reason, f"{text}.{_tell_why(values)}")
     if values.get("used_every_fix"):
         return _judge_by_innovations(label, values)
     mean, states = values.get("nees_mean"), values.get("nees_states")
     low, high = values.get("nees_low"), values.get("nees_high")
     if mean is None or states is None or low is None or high is None:
-        reason = "claims no accuracy that could be compared"
-        return _Judgement(NO_CLAIM, reason, f"{label} {reason}: {error}.")
-    shown = f"{mean:.0f}" if mean >= 100 else f"{mean:.3g}"
+        reason = "reports no covariance to compare with"
+        return _Judgment(NO_COVARIANCE, reason, f"{label} {reason}: {error}.")
     between = f"{format_number(low, 3)} to {format_number(high, 3)}"
-    figures = f"NEES {shown}, {states:g} expected, {between} possible in this run"
+    figures = f"NEES {format_nees(mean)}, ideal {states:g}, one consistent run {between}"
     narrow = [values.get(f"coverage_3sigma_pos_{axis}") for axis in "ne"]
     inside = [value for value in narrow if value is not None]
     if inside and min(inside) < 0.99:
@@ -167,31 +166,31 @@ def _judge(label: str, values: Mapping[str, Any]) -> _Judgement:
     outside = any(is_outside(f"coverage_3sigma_{axis}", values) for axis in _AXES)
     if mean > high or outside:
         reason = describe_nees(values) if mean > high else describe_outside(values)
-        if values.get("pos_rmse_h_m", 0.0) > values.get("pos_claimed_h_m", np.inf):
+        if values.get("pos_rmse_h_m", 0.0) > values.get("pos_sigma_h_m", np.inf):
             text = f"{label} is overconfident: {error} ({figures}).{_explain(values)}"
         else:
             text = f"{label} is overconfident: {figures} ({error}).{_explain(values)}"
-        return _Judgement(OVERCONFIDENT, reason, text)
+        return _Judgment(OVERCONFIDENT, reason, text)
     loud, quiet = _find_wrong_innovations(values)
     if "withheld_fixes" in values:  # no truth: its own innovations are the best witness
         if loud:
             reason = _describe_innovations(loud, values)
             text = f"{label} is overconfident by its innovations, {reason}: {error}."
-            return _Judgement(OVERCONFIDENT, reason, text)
+            return _Judgment(OVERCONFIDENT, reason, text)
         if quiet or mean < low:
             small = _describe_innovations(quiet, values) if quiet else describe_nees(values)
-            reason = f"{small}: smaller than it claims, but what wanders slowly in measurements does not show"
-            return _Judgement(UNDECIDED, reason, f"{label} is undecided, {reason}; {error}.")
+            reason = f"{small}: smaller than reported, but slowly varying errors do not appear in it"
+            return _Judgment(UNDECIDED, reason, f"{label} is undecided, {reason}; {error}.")
     if mean < low:
         text = f"{label} is underconfident, its covariance is too large: {error} ({figures})."
-        return _Judgement(UNDERCONFIDENT, describe_nees(values), text + _tell_why(values))
-    word = "consistent with its covariance as far as one run can tell"
+        return _Judgment(UNDERCONFIDENT, describe_nees(values), text + _tell_why(values))
+    word = "consistent with its covariance as far as one run can show"
     if far := find_far_off(values):  # that it is right does not make it of use
-        word = f"honest, and {far}: {word}"
+        word = f"{word}, but {far}"
     text = f"{label} is {word}: {error} ({figures})."
     if loud or quiet:
         text += f" Its innovations do not fit: {_describe_innovations([*loud, *quiet], values)}."
-    return _Judgement(CONSISTENT, "", text)
+    return _Judgment(CONSISTENT, "", text)
 
 
 def _find_wrong_innovations(values: Mapping[str, Any]) -> tuple[list[str], list[str]]:
@@ -215,23 +214,23 @@ def _describe_innovations(names: Sequence[str], values: Mapping[str, Any]) -> st
     return f"NIS of {' and '.join(found)}"
 
 
-def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgement:
-    """Judge an estimate that has used every fix, without a truth: its innovations are the only witness."""
+def _judge_by_innovations(label: str, values: Mapping[str, Any]) -> _Judgment:
+    """Evaluate an estimate that has used every fix, without a truth: its innovations are the only witness."""
     loud, quiet = _find_wrong_innovations(values)
-    used = "it has used every fix, so none says how far it is off"
+    used = "it has used every fix, so no fix can evaluate it"
     if loud:
         reason = _describe_innovations(loud, values)
-        return _Judgement(
+        return _Judgment(
             OVERCONFIDENT, reason, f"{label} is overconfident by its innovations, {reason}; {used}."
         )
     if not any(name.startswith("nis_mean_") and not name.endswith("_all") for name in values):
-        reason = f"{used}, and the log has no innovations of it"
+        reason = f"{used}, and the log contains no innovations of it"
     else:
-        fit = "its innovations fit what it claims"
+        fit = "its innovations match its covariance"
         if quiet:
-            fit = f"its innovations are smaller than it claims, {_describe_innovations(quiet, values)}"
+            fit = f"its innovations are smaller than reported, {_describe_innovations(quiet, values)}"
         reason = f"{used}; {fit}"
-    return _Judgement(UNJUDGED, reason, f"{label} is not judged: {reason}.")
+    return _Judgment(NOT_EVALUATED, reason, f"{label} is {NOT_EVALUATED}: {reason}.")
 
 
 def describe_nees(values: Mapping[str, Any]) -> str:
@@ -239,7 +238,13 @@ def describe_nees(values: Mapping[str, Any]) -> str:
     mean, low, high = (values.get(f"nees_{name}") for name in ("mean", "low", "high"))
     if mean is None or low is None or high is None:
         return ""
-    return f"NEES {format_number(mean, 2)} (fits {format_number(low, 2)} to {format_number(high, 2)})"
+    span = f"{format_number(low, 2)} to {format_number(high, 2)}"
+    return f"NEES {format_nees(mean)}; one run of a consistent filter stays within {span}"
+
+
+def format_nees(value: float) -> str:
+    """Return a mean NEES with two digits, or as a whole number from 100 on."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:#.2g}".rstrip(".")
 
 
 def describe_outside(values: Mapping[str, Any]) -> str:
@@ -255,11 +260,11 @@ def describe_outside(values: Mapping[str, Any]) -> str:
     worst = sorted(found, key=lambda one: -found[one])
     told = ", ".join(f"{one} {format_share(found[one])}" for one in worst[:3])
     rest = f", {len(worst) - 3} more" if len(worst) > 3 else ""
-    return f"outside 3 sigma: {told} of the time{rest}"
+    return f"errors beyond 3 sigma: {told} of the time{rest}"
 
 
 def find_far_off(values: Mapping[str, Any]) -> str:
-    """Return how far off a solution is that is of no use even if its claim is honest; empty if it is near.
+    """Return how large the error of a consistent solution of little use is; empty if it is small.
 
     The limits are those of `check_convergence`.
     """
@@ -277,12 +282,12 @@ def find_far_off(values: Mapping[str, Any]) -> str:
 
 
 def _tell_why(values: Mapping[str, Any]) -> str:
-    """Return what was found out about a broken claim, after a space."""
+    """Return what was found out about a broken covariance, after a space."""
     return f" {values['why_text']}" if values.get("why_text") else ""
 
 
 def _explain(values: Mapping[str, Any]) -> str:
-    """Return why errors are larger than claimed, if that is known; else the block with the largest error."""
+    """Return why errors are larger than reported, if that is known; else the block with the largest error."""
     if why := _tell_why(values):
         return why
     ratios = {block: values.get(f"error_over_sigma_{block}") for block in TITLES}
@@ -294,55 +299,56 @@ def _explain(values: Mapping[str, Any]) -> str:
 
 
 def describe_accuracy(values: Mapping[str, Any]) -> str:
-    """Return the horizontal error and what is claimed, or the tilt of an estimator without position."""
-    error, claimed = values.get("pos_rmse_h_m"), values.get("pos_claimed_h_m")
+    """Return the horizontal error and what is reported, or the tilt of a filter without position."""
+    error, claimed = values.get("pos_rmse_h_m"), values.get("pos_sigma_h_m")
     if error is None:
         tilt = values.get("tilt_rmse_deg")
         return "no finite horizontal error" if tilt is None else f"tilt error {tilt:.3g} deg"
-    where = "" if claimed is None else f", claims {format_distance(claimed)}"
+    where = "" if claimed is None else f", reported sigma {format_distance(claimed)}"
     if "withheld_fixes" in values:
-        return f"withheld fixes lie {format_distance(error)} away{where}"
+        return f"distance to withheld fixes {format_distance(error)}{where}"
     return f"horizontal error {format_distance(error)}{where}"
 
 
-def _judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
+def judge_drift(label: str, values: Mapping[str, Any]) -> list[str]:
     """Return a sentence for each outage, and for a run without horizontal aiding, if the law is known."""
     found = []
     for name, most in values.items():
-        if name.startswith("outage_") and name.endswith("_law_95_h_m"):
-            number = name.removeprefix("outage_").removesuffix("_law_95_h_m")
+        if name.startswith("outage_") and name.endswith("_predicted_95_h_m"):
+            number = name.removeprefix("outage_").removesuffix("_predicted_95_h_m")
             grown, end = values.get(f"outage_{number}_growth_h_m"), values.get(f"outage_{number}_drift_h_m")
-            law = values.get(f"outage_{number}_law_h_m")
+            law = values.get(f"outage_{number}_predicted_h_m")
             if grown is not None and end is not None and law is not None and most is not None:
                 found.append(
                     f"{label}, outage {number}: the error moved by {format_distance(grown)} and ended at "
                     f"{format_distance(end)}; its datasheets give {format_distance(law)} rms, "
-                    f"{format_distance(most)} at 95 %: {_compare(grown, most)}."
+                    f"{format_distance(most)} at 95 %: {compare_drift(grown, most)}."
                 )
-    end, law, most = (values.get(f"inertial_{key}_h_m") for key in ("end", "law_rms", "law_95"))
+    end, law, most = (values.get(f"inertial_{key}_h_m") for key in ("end", "predicted_rms", "predicted_95"))
     if end is not None and law is not None and most is not None:
         found.append(
             f"{label}, unaided: {format_distance(end)} off at the end; its datasheet gives "
-            f"{format_distance(law)} rms, {format_distance(most)} at 95 %: {_compare(end, most)}."
+            f"{format_distance(law)} rms, {format_distance(most)} at 95 %: {compare_drift(end, most)}."
         )
     return found
 
 
-def _compare(value: float, most: float) -> str:
+def compare_drift(value: float, most: float) -> str:
+    """Return whether a drift is normal, by the radius that holds 95 % of those predicted."""
     if value > most:
         return f"more than normal, {value / most:.2g} times the 95 % radius"
     return "normal" if value > _SMALLEST * most else "less than normal"
 
 
-def format_distance(metres: float) -> str:
-    """Return a distance as a reader needs it: to a decimal, below a metre with two digits.
+def format_distance(meters: float) -> str:
+    """Return a distance as a reader needs it: to a decimal, below a meter with two digits.
 
     Examples
     --------
     >>> format_distance(5.99), format_distance(0.2964), format_distance(136.9), format_distance(12048.0)
     ('6.0 m', '0.30 m', '137 m', '12.0 km')
     """
-    unit, value = ("km", metres / 1000) if abs(metres) >= 999.5 else ("m", metres)
+    unit, value = ("km", meters / 1000) if abs(meters) >= 999.5 else ("m", meters)
     return f"{round_figure(value)} {unit}"
 
 

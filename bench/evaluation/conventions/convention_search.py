@@ -1,4 +1,4 @@
-"""Search for the convention that a solution of broken claim is given in by mistake.
+"""Search for the convention that a solution of broken covariance is given in by mistake.
 
 A convention is named only if undoing it, with the same constants in both halves of the flight, brings the
 NEES of the blocks that it changes into their band or down tenfold, by more than its constants do by chance.
@@ -41,11 +41,11 @@ _CHANCE = 1e-6  # of naming a convention where there is none, by its constants a
 _SAME = 0.5  # of its length: how far a constant of half a flight may be from that of all
 _ALIKE = 0.20  # of the best: within so much the flight does not tell conventions apart
 _SURE = 10.8  # NEES over all independent values, 99.9 % of one degree of freedom: the same
-_FITS = 4.0  # errors of a state over its sigma, rms of one run, or one over it: its claim may be right
+_FITS = 4.0  # errors of a state over its sigma, rms of one run, or one over it: its covariance may be right
 _OF_UNITS = 0.5  # of what a unit alone takes off: any attitude is within half a turn, in a unit 57 times less
 _ROUNDS = 3  # of searching the rest again
 _ITERATIONS = 6  # of a fit
-_MOST = 1500  # instants that are looked at
+_MOST = 1500  # epochs that are looked at
 _FEW = 300  # of them for the starts of a fit
 
 _NOTHING = np.empty(0)
@@ -67,15 +67,15 @@ class Mistake:
 def find_mistakes(
     truth: Trajectory, solutions: Sequence[NavSolution], antenna_b: FloatArray, begin: float
 ) -> dict[str, Any]:
-    """Return what the metrics of solutions whose claim is broken say of their conventions; empty for none.
+    """Return which wrong conventions the metrics of inconsistent solutions look like; empty for none.
 
     Parameters
     ----------
     truth : Trajectory
         The motion.
     solutions : sequence of NavSolution
-        What is judged: answers of one filter, of one draw of the noise or of several. One constant has to do
-        for all of them.
+        What is evaluated: answers of one filter, of one run of the noise or of several. One constant has to
+        do for all of them.
     antenna_b : (3,) array
         Place of the antenna [m], b.
     begin : float
@@ -104,14 +104,14 @@ def find_mistakes(
     if not move(truth, answers).inside.any():
         return {}
     steps = list[list[Mistake]]()
-    first = _judge(truth, answers, claimed)
+    first = judge(truth, answers, claimed)
     for _ in range(_ROUNDS):
-        found = _search(truth, answers, claimed, list_conventions(antenna_b))
+        found = search(truth, answers, claimed, list_conventions(antenna_b))
         if not found:
             break
         steps.append(found)
         answers = found[0].answers
-        if _holds(_judge(truth, answers, claimed)):
+        if is_consistent(judge(truth, answers, claimed)):
             break
     if not steps:
         return {}
@@ -119,18 +119,18 @@ def find_mistakes(
         {
             "convention": one.convention.name,
             "constants": one.constants.tolist(),
-            "nees": _finite(one.before.mean),
-            "nees_without": _finite(one.after.mean),
+            "nees": keep_finite(one.before.mean),
+            "nees_without": keep_finite(one.after.mean),
             "step": number,
         }
         for number, step in enumerate(steps, 1)
         for one in step
     ]
-    whole = _judge(truth, answers, claimed)["all"]
-    return {"looks_like": values, "why_text": _describe(steps, first["all"], whole)}
+    whole = judge(truth, answers, claimed)["all"]
+    return {"looks_like": values, "why_text": describe(steps, first["all"], whole)}
 
 
-def _judge(truth: Trajectory, answers: Answers, claimed: Sequence[str]) -> dict[str, BlockNees]:
+def judge(truth: Trajectory, answers: Answers, claimed: Sequence[str]) -> dict[str, BlockNees]:
     """Return the mean NEES of each block, and of all states."""
     motion = move(truth, answers)
     error, cov = compare(answers, motion), answers.cov[motion.inside]
@@ -149,15 +149,16 @@ def _list_states(blocks: Sequence[str]) -> FloatArray:
     return np.hstack([np.arange(9)[BLOCKS[name]] for name in blocks])
 
 
-def _holds(found: dict[str, BlockNees]) -> bool:
+def is_consistent(found: dict[str, BlockNees]) -> bool:
+    """Return whether no block has a NEES above its bounds or below them."""
     return find_broken_block(found) is None and all(one.mean >= one.low for one in found.values())
 
 
-def _search(
+def search(
     truth: Trajectory, answers: Answers, claimed: Sequence[str], conventions: Sequence[Convention]
 ) -> list[Mistake]:
     """Return the best convention and those that the flight cannot tell from it; empty if none does."""
-    own = _judge(truth, answers, claimed)
+    own = judge(truth, answers, claimed)
     motion = move(truth, answers)
     error, cov = compare(answers, motion), answers.cov[motion.inside]
     found = list[Mistake]()
@@ -166,30 +167,30 @@ def _search(
         if not blocks or (not one.of_claim and all(own[name].mean <= own[name].high for name in blocks)):
             continue
         before = _measure(error, cov, blocks)
-        mistake = _try(truth, answers, one, blocks, claimed, before)
+        mistake = try_convention(truth, answers, one, blocks, claimed, before)
         if mistake is not None:
             found.append(mistake)
-    # a claim is wrong only if no wrong answers explain it; those that leave nothing come first
+    # a covariance is wrong only if no wrong answers explain it; those that leave nothing come first
     answered = [one for one in found if not one.convention.of_claim]
     whole = [one for one in answered if one.left["all"].mean <= one.left["all"].high]
     found = whole or answered or found
     if not found:
         return []
     best = min(found, key=lambda one: one.left["all"].mean)
-    named = [one for one in found if _is_alike(best, one)]
+    named = [one for one in found if is_alike(best, one)]
     if not any(one.convention.alone for one in named):
         return []
     return sorted(named, key=lambda one: (not one.convention.alone, one.convention.constants))
 
 
-def _is_alike(best: Mistake, one: Mistake) -> bool:
+def is_alike(best: Mistake, one: Mistake) -> bool:
     """Tell whether the blocks that one of two conventions changes fit as well without the other."""
     blocks = [name for name in best.left if name in {*best.convention.blocks, *one.convention.blocks}]
     least, found = (sum(mistake.left[name].mean for name in blocks) for mistake in (best, one))
     return found <= least + max(_ALIKE * least, _SURE / max(best.after.samples, 1.0))
 
 
-def _try(
+def try_convention(
     truth: Trajectory,
     answers: Answers,
     one: Convention,
@@ -197,10 +198,10 @@ def _try(
     claimed: Sequence[str],
     before: BlockNees,
 ) -> Mistake | None:
-    """Return a convention as a mistake if undoing it makes the claim of its blocks hold."""
+    """Return a convention as a mistake if undoing it makes the covariance of its blocks hold."""
     constants, both = _NOTHING, True
     if one.derivative is not None:
-        constants, both = _fit(truth, answers, one, blocks)
+        constants, both = fit(truth, answers, one, blocks)
         if not (both and one.least <= float(np.linalg.norm(constants)) <= one.most):
             return None
     undone = one.undo(answers, move(truth, answers), constants)
@@ -221,7 +222,7 @@ def _try(
     gained = max(before.samples, 1.0) * abs(before.mean - after.mean)
     if gained < chi2_quantile(1.0 - _CHANCE, one.constants + 1) or not better > _OF_UNITS * abs(one.shrinks):
         return None
-    return Mistake(one, constants, undone, before, after, _judge(truth, undone, claimed))
+    return Mistake(one, constants, undone, before, after, judge(truth, undone, claimed))
 
 
 def _find_misfit(error: FloatArray, cov: FloatArray, blocks: Sequence[str], *, free: bool) -> float:
@@ -240,7 +241,7 @@ def _find_misfit(error: FloatArray, cov: FloatArray, blocks: Sequence[str], *, f
     return total
 
 
-def _fit(
+def fit(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str]
 ) -> tuple[FloatArray, bool]:
     """Return the constants of a convention, and whether both halves of the flight give the same ones."""
@@ -251,7 +252,7 @@ def _fit(
         start[0] = one.starts[int(np.argmin(squares))]
     constants = start
     for _ in range(_ITERATIONS):
-        step, halves = _solve(truth, answers, one, blocks, constants)
+        step, halves = solve(truth, answers, one, blocks, constants)
         if step is None:
             return constants, False
         constants = constants + step
@@ -275,7 +276,7 @@ def _weigh(
     return _measure(compare(undone, motion), undone.cov[motion.inside], blocks).mean
 
 
-def _solve(
+def solve(
     truth: Trajectory, answers: Answers, one: Convention, blocks: Sequence[str], constants: FloatArray
 ) -> tuple[FloatArray | None, list[FloatArray]]:
     """Return a step of weighted least squares from some constants, and those of the two halves alone."""
@@ -298,14 +299,14 @@ def _solve(
     return (whole if np.isfinite(whole).all() else None), parts
 
 
-def _describe(steps: Sequence[Sequence[Mistake]], before: BlockNees, after: BlockNees) -> str:
+def describe(steps: Sequence[Sequence[Mistake]], before: BlockNees, after: BlockNees) -> str:
     """Return the sentence that names the mistakes."""
     parts = []
     for step in steps:
         words = [one.convention.words(one.constants) for one in step]
         parts.append(" or ".join(filter(None, [", ".join(words[:-1]), words[-1]])))
         if len(step) > 1:
-            parts[-1] += " (this flight does not tell which)"
+            parts[-1] += " (this flight does not show which)"
     them = "that" if len(steps) == 1 else "these"
     return (
         f"Looks like {', and '.join(parts)}: without {them} its NEES is {_write(after.mean)} and not "
@@ -317,5 +318,6 @@ def _write(nees: float) -> str:
     return format_number(nees, 3) if np.isfinite(nees) else "without bound"
 
 
-def _finite(value: float) -> float | None:
+def keep_finite(value: float) -> float | None:
+    """Return a value, or None if it is not finite, which JSON cannot hold."""
     return value if np.isfinite(value) else None

@@ -2,7 +2,7 @@
 
 A convention without constants is undone as it is: exchanged axes, units, a conjugate. One with constants (a
 time offset, a lever arm, a rotation, a height) has the derivative of the errors by them, so that they can be
-fitted. What the truth says of the motion is taken at the instants that the answers are of.
+fitted. What the truth says of the motion is taken at the epochs that the answers are of.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _STEP = 0.05  # of differences in time [s]
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """A solution at some instants, as given or with a convention undone."""
+    """A solution at some epochs, as given or with a convention undone."""
 
     t: FloatArray  # (M,) [s]
     lla: FloatArray  # (M, 3)
@@ -37,9 +37,9 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class TrueMotion:
-    """The truth at the instants that answers are of."""
+    """The truth at the epochs that answers are of."""
 
-    inside: BoolArray  # (M,) instants that the truth covers; the others have no row below
+    inside: BoolArray  # (M,) epochs that the truth covers; the others have no row below
     lla: FloatArray  # (K, 3)
     vel_n: FloatArray  # (K, 3) [m/s]
     q_nb: FloatArray  # (K, 4)
@@ -58,7 +58,7 @@ class TrueMotion:
 
 
 def move(truth: Trajectory, answers: Answers) -> TrueMotion:
-    """Return the truth at the instants that answers are of."""
+    """Return the truth at the epochs that answers are of."""
     t = answers.t - answers.late
     inside = (t >= truth.t[0] + _STEP) & (t <= truth.t[-1] - _STEP)
     lla, vel_n, q_nb = interpolate_truth(truth, t[inside])
@@ -96,7 +96,7 @@ class Convention:
     least: float = 0.0  # length of the constants below which it is not named
     most: float = np.inf
     shrinks: float = 0.0  # logarithm of the volume of errors over that of the same errors undone
-    of_claim: bool = False  # it changes what is claimed, and not the answers
+    of_claim: bool = False  # it changes what is reported, and not the answers
     alone: bool = True  # it may be named without another
     starts: tuple[float, ...] = field(default=(0.0,))  # of a single constant
 
@@ -111,20 +111,20 @@ def list_conventions(antenna_b: FloatArray) -> list[Convention]:
 
 def _list_fitted(antenna_b: FloatArray) -> Iterator[Convention]:
     yield Convention(
-        "time offset", _tell_time, ("pos", "vel", "phi"), _undo_time, _by_time, 1, 0.005, 60.0,
+        "time offset", tell_time, ("pos", "vel", "phi"), _undo_time, _by_time, 1, 0.005, 60.0,
         starts=tuple(np.arange(-20.0, 20.25, 0.5).tolist()),
     )  # fmt: skip
-    arm = partial(_tell_arm, antenna_b)
+    arm = partial(tell_arm, antenna_b)
     yield Convention("lever arm", arm, ("pos", "vel"), _undo_arm, _by_arm, 3, 0.1, 100.0)
-    yield Convention("height", _tell_height, ("pos",), _undo_height, _by_height, 1, 5.0, 200.0)
-    yield Convention("offset", _tell_offset, ("pos",), _undo_offset, _by_offset, 2, 0.1, 1e4, alone=False)
+    yield Convention("height", tell_height, ("pos",), _undo_height, _by_height, 1, 5.0, 200.0)
+    yield Convention("offset", tell_offset, ("pos",), _undo_offset, _by_offset, 2, 0.1, 1e4, alone=False)
     angles = (np.deg2rad(0.5), np.deg2rad(90.0))
     yield Convention(
-        "rotation of the body", partial(_tell_turn, "forward, right, down"), ("phi",), _undo_turn_b,
+        "rotation of the body", partial(tell_turn, "forward, right, down"), ("phi",), _undo_turn_b,
         lambda motion: _in_rows(PHI, motion.body_to_level), 3, *angles,
     )  # fmt: skip
     yield Convention(
-        "rotation of the level", partial(_tell_turn, "north, east, down"), ("phi",), _undo_turn_n,
+        "rotation of the level", partial(tell_turn, "north, east, down"), ("phi",), _undo_turn_n,
         lambda motion: _in_rows(PHI, np.tile(np.eye(3), (len(motion.lla), 1, 1))), 3, *angles,
     )  # fmt: skip
 
@@ -144,7 +144,8 @@ def _by_time(motion: TrueMotion) -> FloatArray:
     return -np.hstack([motion.vel_n, motion.accel_n, motion.turn_n])[:, :, None]
 
 
-def _tell_time(c: FloatArray) -> str:
+def tell_time(c: FloatArray) -> str:
+    """Return the words for a constant shift of time [s]."""
     return f"answers that are {abs(c[0]):.3f} s too {'late' if c[0] > 0 else 'early'}"
 
 
@@ -163,7 +164,8 @@ def _by_arm(motion: TrueMotion) -> FloatArray:
     return whole
 
 
-def _tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
+def tell_arm(antenna_b: FloatArray, c: FloatArray) -> str:
+    """Return the words for a point (3,) [m], b, whose motion was reported instead of that of the IMU."""
     far = np.linalg.norm(antenna_b)
     whose = "the antenna" if np.linalg.norm(c - antenna_b) < 0.3 * far else "a point"
     return f"the motion of {whose} {c[0]:.2f}, {c[1]:.2f}, {c[2]:.2f} m (forward, right, down) from the IMU"
@@ -177,7 +179,8 @@ def _by_height(motion: TrueMotion) -> FloatArray:
     return _in_rows(POS, np.tile(np.array([[0.0], [0.0], [1.0]]), (len(motion.lla), 1, 1)))
 
 
-def _tell_height(c: FloatArray) -> str:
+def tell_height(c: FloatArray) -> str:
+    """Return the words for a constant error of height [m]."""
     return f"heights over the geoid or another datum, {abs(c[0]):.1f} m too {'low' if c[0] > 0 else 'high'}"
 
 
@@ -189,7 +192,8 @@ def _by_offset(motion: TrueMotion) -> FloatArray:
     return _in_rows(POS, np.tile(np.eye(3)[:, :2], (len(motion.lla), 1, 1)))
 
 
-def _tell_offset(c: FloatArray) -> str:
+def tell_offset(c: FloatArray) -> str:
+    """Return the words for a constant offset (2,) north and east [m]."""
     return f"an offset of {c[0]:.2f} m north, {c[1]:.2f} m east"
 
 
@@ -201,7 +205,8 @@ def _undo_turn_n(answers: Answers, _: TrueMotion, c: FloatArray) -> Answers:
     return replace(answers, q_nb=rotation.multiply(rotation.from_rotvec(-c), answers.q_nb))
 
 
-def _tell_turn(axes: str, c: FloatArray) -> str:
+def tell_turn(axes: str, c: FloatArray) -> str:
+    """Return the words for a constant turn (3,) [rad] about named axes."""
     by = ", ".join(f"{value:.2f}" for value in np.rad2deg(c))
     return f"an attitude turned by a constant {by} deg about {axes}"
 
@@ -297,7 +302,7 @@ def _rates(euler: FloatArray) -> FloatArray:
     return np.stack([forward, right, np.stack([zero, zero, one], axis=1)], axis=2)
 
 
-# --- of the claim -----------------------------------------------------------------------------------------
+# --- of the covariance --------------------------------------------------------------------------------------
 
 
 def _list_claims() -> Iterator[Convention]:

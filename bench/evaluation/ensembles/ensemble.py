@@ -1,4 +1,4 @@
-"""Statistics over many runs of one estimator, each with a confidence interval.
+"""Statistics over many runs of one filter, each with a confidence interval.
 
 The runs are independent, the epochs of one run are not: an error may last the whole run. So every interval
 here comes from the differences between runs. Its confidence is `CONFIDENCE` unless said otherwise.
@@ -153,20 +153,20 @@ def measure_growth(
     Parameters
     ----------
     t : (M,) array
-        Instants [s].
+        Epochs [s].
     pos_n : (R, M, 3) array
         Position errors of R runs [m], n.
     start : float
         Start of the outage [s].
     elapsed : sequence of float
-        Durations [s]; each is taken at the last instant not after it.
+        Durations [s]; each is taken at the last time not after it.
     """
     first = int(np.searchsorted(t, start, "right")) - 1
     rows = []
     for duration in elapsed:
         last = int(np.searchsorted(t, start + duration, "right")) - 1
         if not 0 <= first <= last:
-            raise ValueError(f"no instant within {duration:g} s of the outage at {start:g} s")
+            raise ValueError(f"no time within {duration:g} s of the outage at {start:g} s")
         size = np.hypot(*(pos_n[:, last, :2] - pos_n[:, first, :2]).T)
         quantiles = (estimate_quantile(size, fraction) for fraction in (0.5, 0.95))
         rows.append(Growth(duration, pool_rmse(size**2), *quantiles))
@@ -187,7 +187,7 @@ class Course:
 
 
 def average_nees(t: FloatArray, nees: FloatArray, states: int, confidence: float = CONFIDENCE) -> Course:
-    """Return NEES (R, M) averaged over R runs at each instant (M,) (ANEES), with its chi-square band."""
+    """Return NEES (R, M) averaged over R runs at each time (M,) (ANEES), with its chi-square band."""
     low, high = mean_band(states, len(nees), confidence)
     return Course(t, nees.mean(axis=0), np.full(len(t), low), np.full(len(t), high))
 
@@ -303,7 +303,7 @@ def sum_repetition(innovations: Innovations, begin: float, end: float = np.inf) 
     Returns
     -------
     sums : dict of (3,) array
-        Products of neighbouring normalized innovations, their squares, and the number of neighbours, summed
+        Products of neighboring normalized innovations, their squares, and the number of neighbors, summed
         over the components.
     """
     found = {}
@@ -341,12 +341,12 @@ def measure_repetition(runs: Sequence[Mapping[str, FloatArray]]) -> dict[str, tu
     }
 
 
-# --- two estimators --------------------------------------------------------------------------------------
+# --- two filters --------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """The pooled RMSE of two estimators on the same draws."""
+    """The pooled RMSE of two filters on the same runs."""
 
     first: str
     second: str
@@ -379,14 +379,14 @@ def compare_rmse(
     unit: str,
     confidence: float = CONFIDENCE,
 ) -> Comparison:
-    """Compare the pooled RMSE of two estimators draw by draw.
+    """Compare the pooled RMSE of two filters run by run.
 
     Parameters
     ----------
     names : (str, str)
         Their labels.
     first, second : (R,) array
-        RMSE of each run; run k of both is of the same draw.
+        RMSE of each run; run k of both is of the same run.
     unit : str
         Of the RMSE.
 

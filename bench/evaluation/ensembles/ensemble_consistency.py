@@ -1,10 +1,10 @@
 """Does the covariance of a filter describe its errors? The rule for many runs, and its words.
 
 The errors of a filter may last a whole run: a turn-on bias does. Epochs of one run are then far from
-independent, so every test here takes the run as the sample, or one instant of every run:
+independent, so every test here takes the run as the sample, or one time of every run:
 
 (a) the run averages of NEES against its number of states n, by Student's t;
-(b) NEES averaged over the N runs (ANEES) at a few instants declared beforehand. N ANEES is chi-square with
+(b) NEES averaged over the N runs (ANEES) at a few epochs declared beforehand. N ANEES is chi-square with
     n N degrees of freedom there, whatever the correlation in time;
 (c) the mean NIS of each sensor. Innovations of a matched filter are independent in time.
 
@@ -24,13 +24,13 @@ from bench.core.mathematics.arrays import FloatArray, IntArray, as_float
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, SensorNis, mean_band, mean_nis
 
 LEAST_RUNS = 40
-"""Fewest runs that are judged; fewer leave the interval of ANEES wider than `TOLERATED`."""
+"""Fewest runs that are evaluated; fewer leave the interval of ANEES wider than `TOLERATED`."""
 
 INSTANTS = 6
-"""Number of instants of test (b), evenly spaced from the first to the last epoch."""
+"""Number of epochs of test (b), evenly spaced from the first to the last epoch."""
 
 ERROR_RATE = 0.005
-"""False-alarm rate of test (a), and of test (b) over all its instants [1]."""
+"""False-alarm rate of test (a), and of test (b) over all its epochs [1]."""
 
 TOLERATED = (0.8, 1.25)
 """Range of ANEES / n in which a filter is called consistent: P is right within 25 % [1]."""
@@ -40,7 +40,7 @@ Word = Literal["consistent", "overconfident", "underconfident", "undecided"]
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Consistency of an estimator over runs: the word, the interval it comes from, and the tests."""
+    """Consistency of a filter over runs: the word, the interval it comes from, and the tests."""
 
     states: int  # n, the expected NEES
     runs: int
@@ -69,7 +69,7 @@ class Consistency:
             f"from {self.runs} runs"
         )
         if self.runs_to_decide is not None:
-            text += f"; about {self.runs_to_decide} runs would tell whether that fits"
+            text += f"; about {self.runs_to_decide} runs would decide"
         return text
 
 
@@ -79,7 +79,7 @@ def check_consistency(
     nis: Mapping[str, Sequence[SensorNis] | MeanNis],
     instants: Sequence[int] | None = None,
 ) -> Consistency:
-    """Judge from many runs whether the covariance of a filter describes its errors.
+    """Evaluate from many runs whether the covariance of a filter describes its errors.
 
     The filter is *rejected* if one of the tests (a), (b), (c) of this module fails. A matched filter is
     rejected in less than 2 % of all cases, also if its errors last the whole run. With many runs the tests
@@ -90,7 +90,7 @@ def check_consistency(
     Parameters
     ----------
     nees : (R, M) array
-        NEES of R runs with independent noise, at M common instants after the alignment window.
+        NEES of R runs with independent noise, at M common epochs after the alignment window.
     states : int
         Number of states in NEES, n.
     nis : mapping of sequences of SensorNis, or of MeanNis
@@ -133,7 +133,7 @@ def check_consistency(
     if outside:
         reasons.append(
             f"NEES over {runs} runs is outside {band[0]:.2f} to {band[1]:.2f} at {outside} of {len(at)} "
-            f"instants: {', '.join(f'{value:.2f}' for value in anees)}"
+            f"epochs: {', '.join(f'{value:.2f}' for value in anees)}"
         )
     reasons += [
         f"mean NIS of {name} is {s.mean:.4f} over {s.updates} updates; its {NIS_PROBABILITY:.1%} band is "

@@ -1,4 +1,4 @@
-"""All statistics over runs of one estimator, from the results of the runs."""
+"""All statistics over runs of one filter, from the results of the runs."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ELAPSED = (1.0, 3.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
 
 @dataclass(frozen=True, slots=True)
 class EnsembleSummary:
-    """Statistics of an estimator over runs; those of errors are over the runs that converged."""
+    """Statistics of a filter over runs; those of errors are over the runs that converged."""
 
     label: str
     runs: int
@@ -40,7 +40,7 @@ class EnsembleSummary:
     r95_m: Estimate | None
     sep50_m: Estimate | None
     coverage: Mapping[str, Estimate]  # of 3 sigma, by block: "pos", "vel", "phi" [1]
-    anees: Course | None  # None if no covariance is claimed
+    anees: Course | None  # None if no covariance is reported
     nis: Mapping[str, MeanNis]  # by sensor
     nis_course: Mapping[str, Course]  # along the run, by sensor; NaN where it has no update
     growth: Mapping[str, tuple[Growth, ...]]  # of the horizontal error, by number of the outage
@@ -49,12 +49,12 @@ class EnsembleSummary:
 
 
 def summarize_runs(results: Sequence[RunResult], label: str, evaluation: EvaluationWindow) -> EnsembleSummary:
-    """Return the statistics of an estimator over runs of one profile with different noise.
+    """Return the statistics of a filter over runs of one profile with different noise.
 
     Parameters
     ----------
     results : sequence of RunResult
-        At least two runs that converged, with the same output instants.
+        At least two runs that converged, with the same output epochs.
     label : str
         The estimator.
     evaluation : EvaluationWindow
@@ -129,7 +129,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, evaluation: Evaluat
 def _measure_growth(
     rows: Sequence[Mapping[str, float]], errors: Sequence[ErrorSeries]
 ) -> dict[str, tuple[Growth, ...]]:
-    """Return the growth over the outages of a profile that have an instant at their start, by number."""
+    """Return the growth over the outages of a profile that have a time at their start, by number."""
     found, t = {}, errors[0].t
     pos_n = np.stack([one.pos_n for one in errors])
     outages = sorted((row["start_s"], row["duration_s"]) for row in rows)
@@ -162,7 +162,7 @@ def _list_squares(blocks: Mapping[str, FloatArray], heading: FloatArray) -> dict
 def compare_estimators(
     results: Sequence[RunResult], labels: tuple[str, str], metric: str = "pos_rmse_h_m", unit: str = "m"
 ) -> Comparison:
-    """Compare an RMSE of two estimators on the same draws, over the runs in which both converged."""
+    """Compare an RMSE of two filters on the same runs, over the runs in which both converged."""
     pairs = [
         (a[metric], b[metric])
         for a, b in ((one.metrics[labels[0]], one.metrics[labels[1]]) for one in results)

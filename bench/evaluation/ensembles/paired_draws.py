@@ -1,7 +1,7 @@
-"""Which of two is better on the same noise draws, whether it matters, and how many more draws would tell.
+"""Which of two is better on the same runs, whether it matters, and how many more runs would tell.
 
 Draw k of both has the same noise, so that what both have in common is in no interval. What is compared is
-the ratio of root mean squares. A pair that is looked at several times while draws are added, or one of
+the ratio of root mean squares. A pair that is looked at several times while runs are added, or one of
 several pairs, gets a part of the probability of a wrong word (Bonferroni).
 """
 
@@ -21,42 +21,42 @@ from bench.evaluation.ensembles.regression import Change, estimate_change, half_
 Word = Literal["better", "worse", "same", "undecided"]
 
 _MOST_DRAWS = 100_000  # that are thought of
-_REPEATED = 20  # until a number of draws stays
+_REPEATED = 20  # until a number of runs stays
 
 
 @dataclass(frozen=True, slots=True)
 class PairedRatio:
-    """The first of two over the second, by their root mean squares over the draws they share."""
+    """The first of two over the second, by their root mean squares over the runs they share."""
 
     first: str
     second: str
     ratio: Estimate
     word: Word
     draws: int
-    deciding: int | None  # draws that would decide if the spread stays; None: decided, or more than 100,000
+    deciding: int | None  # runs that would decide if the spread stays; None: decided, or more than 100,000
 
     @property
     def sentence(self) -> str:
-        """Which is better and by how much, or how many draws would tell."""
+        """Which is better and by how much, or how many runs would tell."""
         text = f"{self.first} over {self.second} {format_number(self.ratio.value, 3)} ({self.ratio.interval})"
         if self.word != "undecided":
             return f"{text}: {self.word}"
         if self.deciding is None:
-            return f"{text}: undecided in {self.draws} draws, and more would hardly tell"
-        return f"{text}: undecided in {self.draws} draws, about {self.deciding - self.draws} more would tell"
+            return f"{text}: undecided in {self.draws} runs, and more would hardly help"
+        return f"{text}: undecided in {self.draws} runs, about {self.deciding - self.draws} more would decide"
 
 
 def compare_draws_of(
     names: tuple[str, str], first: FloatArray, second: FloatArray, error: float = 1.0 - CONFIDENCE
 ) -> PairedRatio:
-    """Compare two by their errors on the same draws.
+    """Compare two by their errors on the same runs.
 
     Parameters
     ----------
     names : (str, str)
         What they are called.
     first, second : (R,) array
-        Root mean square error, or an error, of each draw; draw k of both has the same noise. At least two.
+        Root mean square error, or an error, of each run; run k of both has the same noise. At least two.
     error : float
         Probability that the interval of the ratio misses it.
 
@@ -96,7 +96,7 @@ def compare_draws_of(
 def count_deciding(change: Change, clear: float, error: float) -> float:
     """Return of how many draws the interval of a change is as wide as ``clear`` to each side.
 
-    The spread stays, and Student's t of more draws is less: it is found by repetition.
+    The spread stays, and Student's t of more runs is less: it is found by repetition.
     """
     needed = float(change.draws)
     for _ in range(_REPEATED):

@@ -1,7 +1,7 @@
-"""Has a metric changed? Statistics of values of the same draws before and after a change of the code.
+"""Has a metric changed? Statistics of values of the same runs before and after a change of the code.
 
 Draw k has the same truth and the same noise before and after, so the change is estimated from pairs. A small
-change then shows beside a large spread of the draws.
+change then shows beside a large spread of the runs.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 
 Scale = Callable[[FloatArray], FloatArray]
-"""Maps means over draws (...,) to what is compared (...,): the larger, the worse."""
+"""Maps means over runs (...,) to what is compared (...,): the larger, the worse."""
 
 
 def log_of_mean(mean: FloatArray) -> FloatArray:
@@ -73,15 +73,15 @@ def estimate_change(
     Parameters
     ----------
     old, new : (N,) array
-        Values to be averaged over the draws, before and after; squares if the metric is an RMSE. Unpaired
+        Values to be averaged over the runs, before and after; squares if the metric is an RMSE. Unpaired
         they may differ in length.
     scale : callable
         What is compared of the means.
     paired : bool
-        Whether ``old[k]`` and ``new[k]`` are of the same draw.
+        Whether ``old[k]`` and ``new[k]`` are of the same run.
     by_draw : (N,) array or None
-        Change of each draw, above 0 if worse, for a second test. A few large draws decide a pooled value, and
-        the jackknife then claims too much. The standard error is widened until t is at most that of
+        Change of each run, above 0 if worse, for a second test. A few large runs decide a pooled value, and
+        the jackknife then covariances too much. The standard error is widened until t is at most that of
         the mean of ``by_draw``; it is infinite if the two have different signs.
 
     Returns
@@ -93,10 +93,10 @@ def estimate_change(
     Raises
     ------
     ValueError
-        If there are fewer than two draws.
+        If there are fewer than two runs.
     """
     if min(len(old), len(new)) < 2:
-        raise ValueError(f"a change needs at least 2 draws; got {len(old)} and {len(new)}")
+        raise ValueError(f"a change needs at least 2 runs; got {len(old)} and {len(new)}")
     estimate = float(scale(new.mean()) - scale(old.mean()))
     before, after = (scale((values.sum() - values) / (len(values) - 1)) for values in (old, new))
     if paired:
@@ -119,7 +119,7 @@ def estimate_change(
 
 
 def average_changes(by_draw: FloatArray) -> Change:
-    """Return the mean of the changes (N,) of N draws, by Student's t."""
+    """Return the mean of the changes (N,) of N runs, by Student's t."""
     n = len(by_draw)
     return Change(float(by_draw.mean()), float(by_draw.std(ddof=1)) / n**0.5, n - 1.0, n)
 
@@ -133,7 +133,7 @@ def decide(changes: Sequence[Change], error: float) -> tuple[list[bool], list[fl
 
 
 def _jackknife_variance(left_out: FloatArray) -> float:
-    """Return the variance of an estimate from its values with one draw left out each."""
+    """Return the variance of an estimate from its values with one run left out each."""
     n = len(left_out)
     return float((n - 1) / n * np.square(left_out - left_out.mean()).sum())
 
@@ -141,7 +141,7 @@ def _jackknife_variance(left_out: FloatArray) -> float:
 def compare_counts(old: BoolArray, new: BoolArray, *, paired: bool) -> float:
     """Return the two-sided p-value that an event is as frequent before as after.
 
-    Paired it is McNemar's exact test: of the draws that flipped, each way is equally likely. Unpaired it is
+    Paired it is McNemar's exact test: of the runs that flipped, each way is equally likely. Unpaired it is
     Fisher's exact test.
     """
     if paired:

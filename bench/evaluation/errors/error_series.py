@@ -31,11 +31,11 @@ NOT_COVERED = "not_covered"
 """Kind of the events of an interval without a solution."""
 
 DIVERGED_SIGMAS = 10.0
-"""An error above so many sigma [1] and its limit means divergence; without a claim, its limit alone."""
+"""An error above so many sigma [1] and its limit means divergence; without a covariance, its limit alone."""
 
 DIVERGED_HORIZONTAL, DIVERGED_HEIGHT, DIVERGED_VELOCITY = 1000.0, 300.0, 15.0  # [m], [m], [m/s]
 DIVERGED_TILT, DIVERGED_HEADING = 30.0, 60.0  # [deg]
-DIVERGED_SHARE = 0.1  # of the epochs may be beyond a limit where nothing is claimed, as in an outage
+DIVERGED_SHARE = 0.1  # of the epochs may be beyond a limit where nothing is reported, as in an outage
 
 
 def error_series(truth: Trajectory, solution: NavSolution) -> ErrorSeries:
@@ -102,7 +102,7 @@ def estimated_blocks(solution: NavSolution) -> tuple[str, ...]:
 
 
 def claimed_blocks(solution: NavSolution) -> tuple[str, ...]:
-    """Return the estimated blocks whose accuracy is claimed: any number on the diagonal of cov."""
+    """Return the estimated blocks whose accuracy is reported: any number on the diagonal of cov."""
     return tuple(name for name in estimated_blocks(solution) if _claims(solution, BLOCKS[name]))
 
 
@@ -120,7 +120,7 @@ def _has_number(values: FloatArray) -> bool:
 def interpolate_truth(truth: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return lla (M, 3), vel_n (M, 3), q_nb (M, 4) of the truth at times t (M,).
 
-    At a sample instant the row of that sample is returned. Between samples, position is the cubic that
+    At a sample time the row of that sample is returned. Between samples, position is the cubic that
     matches position and velocity at both ends, velocity is linear and the attitude rate is constant.
 
     Raises
@@ -171,7 +171,7 @@ def _lla_rate(lla: FloatArray, vel_n: FloatArray) -> FloatArray:
 def normalized_squares(error: FloatArray, cov: FloatArray) -> FloatArray:
     """Return e' P^-1 e (M,) of errors (M, n) with covariances (M, n, n).
 
-    Computed from the Cholesky factor of ``D^-1 P D^-1``, ``D = sqrt(diag P)``, because metres and radians
+    Computed from the Cholesky factor of ``D^-1 P D^-1``, ``D = sqrt(diag P)``, because meters and radians
     differ in scale. NaN where that matrix is not positive definite or not finite.
     """
     nees = np.full(len(error), np.nan)
@@ -244,10 +244,10 @@ def check_convergence(
     """Return whether a solution converged, and the reason if it did not.
 
     It did not converge if a state or covariance is not finite, the covariance is not positive definite, or an
-    error exceeds both `DIVERGED_SIGMAS` of what is claimed (of a vector the root of the sum of its variances)
-    and the limit of its kind at some epoch. A block that is NaN throughout, values and covariance, is not
-    estimated and is not checked. One without a covariance is held against its limit alone, which it may
-    exceed at `DIVERGED_SHARE` of the epochs. ``factored`` says that NEES comes from the covariance of the
+    error exceeds both `DIVERGED_SIGMAS` of what is reported (of a vector the root of the sum of its
+    variances) and the limit of its kind at some epoch. A block that is NaN throughout, values and covariance,
+    is not estimated and is not checked. One without a covariance is held against its limit alone, which it
+    may exceed at `DIVERGED_SHARE` of the epochs. ``factored`` says that NEES comes from the covariance of the
     solution; then it is finite where that is positive definite.
     """
     blocks = estimated_blocks(solution)
@@ -273,7 +273,7 @@ def check_convergence(
         if bad.any():
             return False, f"covariance is not positive definite at {_describe_epochs(solution, bad)}"
     disk_arrays.release()
-    for what, unit, limit, size, sigma in _list_sizes(errors, solution, blocks):
+    for what, unit, limit, size, sigma in list_sizes(errors, solution, blocks):
         bad = (size > limit) & ~(size <= DIVERGED_SIGMAS * sigma)
         unclaimed = bad & np.isnan(sigma)
         if unclaimed.mean() <= DIVERGED_SHARE:
@@ -288,10 +288,10 @@ def check_convergence(
     return True, None
 
 
-def _list_sizes(
+def list_sizes(
     errors: ErrorSeries, solution: NavSolution, blocks: Collection[str]
 ) -> Iterator[tuple[str, str, float, FloatArray, FloatArray]]:
-    """Yield what an error is of, its unit, its limit, its size (M,) and the sigma that is claimed (M,)."""
+    """Yield what an error is of, its unit, its limit, its size (M,) and the sigma that is reported (M,)."""
     variance = variances(solution)
     with np.errstate(invalid="ignore"):
         if "pos" in blocks:
@@ -322,7 +322,7 @@ def count_aligning_epochs(solution: NavSolution, until: float) -> int:
 
 
 def find_covered_epochs(solution: NavSolution) -> BoolArray:
-    """Return a mask (M,) of the epochs to judge: those outside all `NOT_COVERED` events that have any number.
+    """Return a mask (M,) of the epochs to evaluate: outside all `NOT_COVERED` events, with any number.
 
     Epochs before the first answer that are NaN throughout are among them: they belong to an alignment. It is
     all epochs if none would be left.

@@ -1,4 +1,4 @@
-"""An estimator that failed: a solution without values, with events that say why."""
+"""A filter that failed: a solution without values, with events that say why."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FAILED, TRACEBACK = "failed", "traceback"
 
 
 def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = ()) -> NavSolution:
-    """Return a solution that is NaN at the instants t (M,) [s], with the reason as an event."""
+    """Return a solution that is NaN at the epochs t (M,) [s], with the reason as an event."""
     m = len(t)
     return NavSolution(
         t=t,
@@ -41,8 +41,8 @@ def make_failed_solution(t: FloatArray, why: str, events: Sequence[EventRow] = (
 
 
 def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> tuple[str, list[EventRow]]:
-    """Return why an estimator failed, and an event with its traceback, if it raised."""
-    why = str(error).removeprefix(f"estimator {label!r}: ")
+    """Return why a filter failed, and an event with its traceback, if it raised."""
+    why = str(error).removeprefix(f"filter {label!r}: ")
     if isinstance(error, EstimatorError | EstimatorStoppedError):  # it cannot start here, or was ended
         return why, []
     cause = error.__cause__ or error
@@ -52,12 +52,12 @@ def describe_error(label: str, error: EstimatorError | EstimatorFailedError) -> 
 
 
 def check_starts(raised: Mapping[str, EstimatorError | EstimatorFailedError], count: int) -> None:
-    """Check what estimators raised, of ``count`` in all.
+    """Check what filters raised, of ``count`` in all.
 
     Raises
     ------
     EstimatorError
-        If no estimator can start: then what is wrong is the record, or the start asked for.
+        If no filter can start: then what is wrong is the record, or the start asked for.
     """
     refused = [error for error in raised.values() if isinstance(error, EstimatorError)]
     if refused and len(refused) == count:
@@ -65,7 +65,7 @@ def check_starts(raised: Mapping[str, EstimatorError | EstimatorFailedError], co
 
 
 def describe_failure(solution: NavSolution) -> dict[str, Any]:
-    """Return what the metrics of a failed estimator say of it; empty if it did not fail."""
+    """Return what the metrics of a failed filter say of it; empty if it did not fail."""
     reasons = solution.events.select(FAILED)
     if not reasons:
         return {}

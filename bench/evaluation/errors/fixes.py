@@ -27,7 +27,7 @@ _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
 
 
 def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
-    """Return estimate minus fix at the antenna, for every fix at an instant of the solution.
+    """Return estimate minus fix at the antenna, for every fix at a time of the solution.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def point_errors(
     solution : NavSolution
         The motion of the IMU.
     reference : NavSolution
-        The motion of the point at the same instants (M,); NaN where it has no velocity or attitude. A
+        The motion of the point at the same epochs (M,); NaN where it has no velocity or attitude. A
         covariance of zero is taken as exact.
     point_b : (3,) array
         The point relative to the IMU [m], b.
@@ -83,13 +83,13 @@ def point_errors(
     Returns
     -------
     errors : ErrorSeries
-        ``nees`` counts the blocks that the reference has at every instant, with the sum of both covariances.
+        ``nees`` counts the blocks that the reference has at every time, with the sum of both covariances.
     moved : NavSolution
         The estimate at the point, with that sum as its covariance; NaN in blocks that are not compared.
     """
     with np.errstate(all="ignore"):  # a diverged solution is a result, not a warning
         C_nb = rotation.matrix(solution.q_nb)
-        # an estimator without attitude gives the position of the point: no lever arm
+        # a filter without attitude gives the position of the point: no lever arm
         has_attitude: BoolArray = np.asarray(~np.isnan(solution.q_nb).all(axis=1))
         arm_n = np.where(has_attitude[:, None], C_nb @ point_b, 0.0)
         w_b = find_angular_rate(imu, solution.t) - solution.gyro_bias_b
@@ -170,7 +170,7 @@ def find_angular_rate(imu: ImuData, t: FloatArray) -> FloatArray:
 
 
 def _match_instants(t: FloatArray, wanted: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the rows of t (N,) and the rows of wanted (M,) that are the same instants."""
+    """Return the rows of t (N,) and the rows of wanted (M,) that are the same epochs."""
     row = np.clip(np.searchsorted(t, wanted - SAME_INSTANT), 0, max(len(t) - 1, 0))
     same = np.flatnonzero(np.abs(t[row] - wanted) <= SAME_INSTANT) if len(t) else np.empty(0, np.int64)
     return row[same], same

@@ -18,14 +18,14 @@ _PACE = 1.0  # a relative error begins every so many seconds [s]
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """Estimated and true poses at the same instants; without an attitude the axes of e stand for b."""
+    """Estimated and true poses at the same epochs; without an attitude the axes of e stand for b."""
 
     t: FloatArray  # (M,) [s]
     estimate_e: FloatArray  # (M, 3) [m], e
     truth_e: FloatArray  # (M, 3) [m], e
     q_estimate: FloatArray  # (M, 4) of b relative to e
     q_truth: FloatArray  # (M, 4)
-    travelled: FloatArray  # (M,) along the true path [m]
+    traveled: FloatArray  # (M,) along the true path [m]
 
     @classmethod
     def from_errors(cls, solution: NavSolution, errors: ErrorSeries) -> Poses | None:
@@ -44,8 +44,8 @@ class Poses:
                 q_estimate[rows] = rotation.multiply(q_en, solution.q_nb[rows])
                 q_nb = rotation.multiply(rotation.from_rotvec(-errors.phi_n[rows]), solution.q_nb[rows])
                 q_truth[rows] = rotation.multiply(q_en, q_nb)
-        travelled = np.concatenate([[0.0], np.cumsum(lengths(np.diff(truth_e, axis=0)))])
-        return cls(solution.t, estimate_e, truth_e, q_estimate, q_truth, travelled)
+        traveled = np.concatenate([[0.0], np.cumsum(lengths(np.diff(truth_e, axis=0)))])
+        return cls(solution.t, estimate_e, truth_e, q_estimate, q_truth, traveled)
 
     def select(self, rows: BoolArray | IntArray | slice) -> Poses | None:
         """Return the poses of some epochs; None if there are fewer than three."""
@@ -160,7 +160,7 @@ def align(points: FloatArray, reference: FloatArray) -> FloatArray:
 
     Umeyama, Least-squares estimation of transformation parameters (PAMI 13, 1991), eqs. 34 to 43.
     """
-    centre, target = centroid(points), centroid(reference)
-    U, _, Vt = np.linalg.svd((reference - target).T @ (points - centre))
+    center, target = centroid(points), centroid(reference)
+    U, _, Vt = np.linalg.svd((reference - target).T @ (points - center))
     S = np.diag([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
-    return np.asarray((points - centre) @ (U @ S @ Vt).T + target)
+    return np.asarray((points - center) @ (U @ S @ Vt).T + target)

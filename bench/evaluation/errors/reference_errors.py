@@ -1,6 +1,6 @@
 """Errors of a solution against a reference: what another unit says of the same motion.
 
-Solution and reference have times of their own: the one with more rows is interpolated at the instants of the
+Solution and reference have times of their own: the one with more rows is interpolated at the epochs of the
 other, never across a gap of it.
 """
 
@@ -36,13 +36,13 @@ def measure_by_reference(
 
 
 def compare(solution: NavSolution, reference: Reference, data: SensorData) -> tuple[ErrorSeries, NavSolution]:
-    """Return the errors at the instants that both have, and the estimate there with the claims of both."""
+    """Return the errors at the epochs that both have, and the estimate there with the covariances of both."""
     estimate, track = _meet(solution, reference.track)
     return point_errors(estimate, track, reference.point_b, data.imu)
 
 
 def _meet(solution: NavSolution, track: NavSolution) -> tuple[NavSolution, NavSolution]:
-    """Return estimate and reference at common instants."""
+    """Return estimate and reference at common epochs."""
     known = np.asarray(np.isfinite(solution.lla).all(axis=1))
     if np.median(np.diff(track.t)) < np.median(np.diff(solution.t)) or not known.any():
         own = resample(take_as_read(track, "reference"), solution.t)

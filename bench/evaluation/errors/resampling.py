@@ -1,4 +1,4 @@
-"""A solution in rows of its own at other instants.
+"""A solution in rows of its own at other epochs.
 
 Between rows of a file, position is a cubic with the velocities at both ends (linear without velocities);
 velocity, biases and covariance are linear; attitude turns at a constant rate. There is no solution before the
@@ -21,7 +21,7 @@ from bench.evaluation.errors.failures import FAILED
 from bench.evaluation.metrics.coverage import carry_positions
 
 INTERPOLATED, CARRIED = "interpolated", "carried_on"
-"""Kinds of events: instants between rows, and what is taken there."""
+"""Kinds of events: epochs between rows, and what is taken there."""
 
 _GAPS, _LONGEST = 2.0, 2.0  # longest interpolated interval: median intervals, and [s]
 
@@ -174,7 +174,7 @@ def _list_events(
     if between.any():
         count = f"{int(between.sum())} of {len(t)}"
         apart = "apart" if how == INTERPOLATED else "after the one before"
-        words = f"{count} instants lie between rows, up to {width[between].max():.3g} s {apart}"
+        words = f"{count} epochs lie between rows, up to {width[between].max():.3g} s {apart}"
         found.append((float(t[between][0]), float(t[between][-1]), how, words))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], ~covered, [False]]).astype(np.int8)))
     found += [
@@ -183,6 +183,6 @@ def _list_events(
     ]
     if not covered.any():
         span = f"{solution.t[0]:g} to {solution.t[-1]:g} s"
-        run = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "no instant"
+        run = f"{t[0]:g} to {t[-1]:g} s" if len(t) else "no time"
         found.append((0.0, 0.0, FAILED, f"{solution.shown} covers {span}, nothing of the run, {run}"))
     return Events.from_rows(found)

@@ -1,4 +1,4 @@
-"""Judge the estimate of an autopilot without a reference: by real outages and by its own innovations.
+"""Evaluate the estimate of an autopilot without a reference: by real outages and by its own innovations.
 
 It has used every fix, so a fix says nothing of its error, but for the first one after a while without any:
 when that was measured, the autopilot had not used it.
@@ -34,7 +34,7 @@ def find_outages(fixes: GnssFixes) -> list[tuple[float, float]]:
 def measure_outages(
     solution: NavSolution, fixes: GnssFixes, data: SensorData, outages: Sequence[tuple[float, float]]
 ) -> list[OutageDrift]:
-    """Return the drift at the fix that ends each outage, of a solution that has its instant."""
+    """Return the drift at the fix that ends each outage, of a solution that has its time."""
     drifts = []
     for begin, end in outages:
         errors = antenna_errors(solution, fixes.take(fixes.t == end), data)

@@ -1,10 +1,10 @@
 """The best linear estimator: a Kalman filter of the whole truth model along the true motion.
 
 Its states are the errors of an INS that takes the sensors as they are, and every constant and process of the
-sensors (`terms`). Its covariance is the least of any linear causal estimator of this flight; what is not
+sensors (`terms`). Its covariance is the least of any linear causal filter of this flight; what is not
 Gaussian counts by an equal autocovariance, which leaves the linear bound as it is (Tichavsky, Muravchik,
 Nehorai, IEEE Trans. Signal Processing 46 (5), 1998). The bound of smoothers uses the measurements after an
-instant as well, by the adjoint recursion of Bryson and Frazier:
+time as well, by the adjoint recursion of Bryson and Frazier:
 
     L- = h h' / s + (I - K h')' L+ (I - K h'),   L(before a step) = Phi' L Phi,   P^s = P - P L P
 """
@@ -34,7 +34,7 @@ _INDEX = index_of(StateLayout())  # of a filter of the core states alone
 class Epochs:
     """Measurements in the order of time: each of all components of a sensor."""
 
-    step: IntArray  # (E,) instant of the path
+    step: IntArray  # (E,) time of the path
     code: IntArray  # (E,) sensor of `bench.navigation.error_state_filter.measurement_rows`
 
 
@@ -55,7 +55,7 @@ def find_epochs(path: LinearPath, data: SensorData) -> Epochs:
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Covariances of the best linear estimator, with N states."""
+    """Covariances of the best linear filter, with N states."""
 
     t: FloatArray  # (M,) [s]
     labels: tuple[str, ...]  # (N,) of the states
@@ -130,7 +130,7 @@ class _System:
         return Q
 
     def rows(self, k: int, code: int) -> tuple[FloatArray, FloatArray]:
-        """Return H (m, N) of a sensor at an instant and the variance (m,) of its white noise."""
+        """Return H (m, N) of a sensor at a time and the variance (m,) of its white noise."""
         own = measurement_rows(self.path, k, code, self.antenna_b, _INDEX, CORE)[:, :9]
         H, r = np.zeros((len(own), self.n)), np.zeros(len(own))
         H[:, :9] = own
@@ -152,7 +152,7 @@ def bound_errors(
     *,
     smooth: bool,
 ) -> Bound:
-    """Return the covariances of the best linear estimator at the steps ``output`` (M,) of a path."""
+    """Return the covariances of the best linear filter at the steps ``output`` (M,) of a path."""
     system = _System(path, truth_model, antenna_b)
     P, start = system.P, system.P.copy()
     count = np.bincount(epochs.step, minlength=len(path.t))

@@ -1,4 +1,4 @@
-"""What a flight lets an estimator know: heading, tilts and biases against what was known at the start.
+"""What a flight lets a filter know: heading, tilts and biases against what was known at the start.
 
 With P of these nine figures and D their standard deviations at the start, the eigenvalues of D^-1 P D^-1 say
 how much of each direction is left (F. M. Ham and R. G. Brown, IEEE Trans. Aerospace and Electronic Systems 19
@@ -26,7 +26,7 @@ TURNING = 1.0 * DEG  # rate of the course from which on it is a turn [rad/s]
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What the best linear estimator knows of the `FIGURES` at M instants."""
+    """What the best linear filter knows of the `FIGURES` at M epochs."""
 
     t: FloatArray  # (M,) [s]
     sd: FloatArray  # (M, 9)
@@ -35,7 +35,7 @@ class Observed:
 
 
 def observe(bound: Bound) -> Observed:
-    """Return what an estimator knows; a figure that is known exactly at the start has no direction."""
+    """Return what a filter knows; a figure that is known exactly at the start has no direction."""
     M = np.vstack([np.eye(9, bound.bias.shape[1])[6:], bound.bias])
     P = M @ bound.causal @ M.T
     start = np.sqrt(np.diag(M @ bound.start @ M.T))
@@ -63,7 +63,7 @@ def describe_direction(direction: FloatArray) -> str:
 
 
 def find_turns(truth: Trajectory, t: FloatArray) -> BoolArray:
-    """Return whether the course turns faster than `TURNING` at instants t (M,), over ground."""
+    """Return whether the course turns faster than `TURNING` at epochs t (M,), over ground."""
     course = np.unwrap(np.arctan2(truth.vel_n[:, 1], truth.vel_n[:, 0]))
     ahead, behind = (
         np.interp(np.clip(t + half, truth.t[0], truth.t[-1]), truth.t, course) for half in (0.5, -0.5)

@@ -40,7 +40,7 @@ HORIZONTAL = (
     *("odometer", "zero", "standstill", "nonholonomic"),
 )
 """How the names of updates begin that limit the horizontal drift."""
-_CLAIMED = 0.2  # least claimed error of an unaided estimator, over the law [1]
+_CLAIMED = 0.2  # least reported error of an unaided filter, over the law [1]
 
 
 def accel_bias_drift(T: float) -> float:
@@ -150,7 +150,7 @@ def _is_unaided(case: Case) -> bool:
     return not any(name.startswith(HORIZONTAL) for name in case.nis)
 
 
-def _headings(case: Case, first: int, last: int) -> FloatArray | None:
+def headings(case: Case, first: int, last: int) -> FloatArray | None:
     """Return estimated headings (K,) between two rows, about one a second [rad]; None if one is missing."""
     count = max(2, round(float(case.t[last] - case.t[first])) + 1)
     rows = first + np.round(np.linspace(0, last - first, count)).astype(np.int64)
@@ -159,7 +159,7 @@ def _headings(case: Case, first: int, last: int) -> FloatArray | None:
 
 
 def outage_drift(case: Case) -> dict[str, float]:
-    """Horizontal error at the last instant of each outage [m]."""
+    """Horizontal error at the last time of each outage [m]."""
     return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in find_outage_rows(case).items()}
 
 
@@ -183,7 +183,7 @@ def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float |
     velocity = 0.0 if gnss is None else gnss.vel_markov_sd
     found: dict[str, float | None] = {}
     for key, (first, last) in find_outage_rows(case).items():
-        T, heading = float(case.t[last] - case.t[first]), _headings(case, first, last)
+        T, heading = float(case.t[last] - case.t[first]), headings(case, first, last)
         found[key] = _radii(drift_sd(T, case.assumed.imu, heading=heading, velocity=velocity))[radius]
     return found
 
@@ -191,8 +191,8 @@ def outage_law(radius: Literal["rms", "95"], case: Case) -> Mapping[str, float |
 def inertial_law(case: Case) -> Mapping[str, float | None]:
     """Horizontal error that the datasheets give for an end without aiding [m]: rms and 95 % radius.
 
-    With the turn-on biases and the errors at the start that the estimator claims there. Absent if
-    the horizontal error that the estimator claims at the end is far smaller: it is aided, but does not say by
+    With the turn-on biases and the errors at the start that the filter reports there. Absent if
+    the horizontal error that the filter reports at the end is far smaller: it is aided, but does not say by
     what.
     """
     start = case.start
@@ -204,7 +204,7 @@ def inertial_law(case: Case) -> Mapping[str, float | None]:
     law = drift_sd(
         float(case.t[-1] - start.t[0]),
         case.assumed.imu,
-        heading=_headings(case, 0, len(case.t) - 1),
+        heading=headings(case, 0, len(case.t) - 1),
         calibrated=False,
         position=position,
         velocity=velocity,

@@ -43,7 +43,7 @@ class Budget:
 def split_errors(gains: Gains, truth_model: TruthModel) -> Budget:
     """Return the variances of the errors of a recorded filter by source."""
     path, updates = gains.path, gains.updates
-    walk = _Walk(path, truth_model, gains.model)
+    walk = SourceWalk(path, truth_model, gains.model)
     count = np.bincount(updates.step, minlength=len(path.t))
     first = np.concatenate([[0], np.cumsum(count)])
     names = [source.name for source in truth_model.sources]
@@ -99,8 +99,8 @@ def _one_hot(sources: list[str], names: list[str]) -> FloatArray:
     return table
 
 
-class _Walk:
-    """The sensitivities and covariances of all sources, at one instant.
+class SourceWalk:
+    """The sensitivities and covariances of all sources, at one time.
 
     ``X`` (n, C) by constant; ``Pxx`` (n, R, n), ``Pxs`` (n, R, 3) and ``Pss`` (R, 3) by process, the I that
     act on the IMU first.

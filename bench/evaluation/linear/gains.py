@@ -51,8 +51,8 @@ class Gains:
     path: LinearPath
     model: StateModel
     updates: Updates
-    output: IntArray  # (M,) instants of the path where it answered
-    P: FloatArray  # (M, 9, 9) covariance that it claimed there
+    output: IntArray  # (M,) epochs of the path where it answered
+    P: FloatArray  # (M, 9, 9) covariance that it reported there
     refused: int  # scalar measurements that it did not use
 
 
@@ -66,7 +66,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
     """
     if not isinstance(filter_, Loose):
         raise ConfigError(
-            "the linear model is that of loose-15, loose-22, loose-mems, loose-full, baro-inertial and "
+            "the linear model fits loose-15, loose-22, loose-mems, loose-full, baro-inertial and "
             "free-inertial; name one of these"
         )
     if sensed.initial.alignment != "given":
@@ -97,7 +97,7 @@ def record_gains(filter_: Fusion, sensed: Sensed, truth: Trajectory, output_t: F
 def measurement_rows(
     path: LinearPath, at: int, code: int, antenna_b: FloatArray, index: Index, n: int
 ) -> FloatArray:
-    """Return H (m, n) of a sensor at an instant of the truth, but for states that add to the gyro biases."""
+    """Return H (m, n) of a sensor at a time of the truth, but for states that add to the gyro biases."""
     if code == BARO:
         H = np.zeros((1, n))
         H[0, 2] = -1.0
@@ -124,7 +124,7 @@ def _replay(
     """Return the updates of the accepted measurements, with the gains that P before them gives.
 
     The variance of the noise is what is left of that of the innovation, as logged; where P was opened for a
-    measurement that had been refused, it is that of the one before.
+    measurement that had been rejected, it is that of the one before.
     """
     n = model.layout.size
     n_rows = len(table.t)
@@ -139,7 +139,9 @@ def _replay(
     counts = dict.fromkeys(KNOWN, 0)
     node, P = -1, np.zeros((n, n))
     row, other, dx = np.zeros(n), np.zeros(n), np.zeros(n)
-    numbers = {code: _numbers(table.t[begins][table.code[begins] == code], code, data) for code in KNOWN}
+    numbers = {
+        code: find_record_rows(table.t[begins][table.code[begins] == code], code, data) for code in KNOWN
+    }
     for first, end, here in zip(begins, ends, at, strict=True):
         if here != node:
             node, P = here, nodes.P[here, 0].copy()
@@ -169,7 +171,7 @@ def _replay(
     return Updates(step_, code_, component, row_number, h, K)
 
 
-def _numbers(t: FloatArray, code: int, data: SensorData) -> IntArray:
+def find_record_rows(t: FloatArray, code: int, data: SensorData) -> IntArray:
     """Return the rows of its record that the measurements of a sensor, used at t (M,), come from."""
     record = data.baro if code == BARO else data.fixes
     if record is None:
@@ -178,7 +180,7 @@ def _numbers(t: FloatArray, code: int, data: SensorData) -> IntArray:
 
 
 def _join_nodes(stretches: list[Nodes]) -> Nodes:
-    """Return stretches of a run, in their order, as one."""
+    """Return segments of a run, in their order, as one."""
     if len(stretches) == 1:
         return stretches[0]
     firsts = np.cumsum([0, *(len(one.t) for one in stretches)])

@@ -1,4 +1,4 @@
-"""Estimators held against the best linear one on a flight."""
+"""Filters held against the best linear one on a flight."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from bench.navigation.models.smoother import Smoother
 
 LINEAR = 10.0 * DEG
 """Largest standard deviation of an angle in a linear model [rad]: its sine is within 0.5 % of it."""
-_RATE = 1.0  # of the instants of a run that are held against the bound [Hz]
+_RATE = 1.0  # of the epochs of a run that are held against the bound [Hz]
 
 
 def check_aiding(label: str, estimator: object) -> None:
-    """Raise ConfigError if an estimator uses more than IMU, fixes and barometer."""
+    """Raise ConfigError if a filter uses more than IMU, fixes and barometer."""
     one = estimator.filter if isinstance(estimator, Smoother) else estimator
     if not isinstance(one, Fusion):
         return
@@ -41,21 +41,21 @@ def check_aiding(label: str, estimator: object) -> None:
 
 
 def check_flight(spec: SensorsSpec, estimators: Mapping[str, object]) -> None:
-    """Raise ConfigError if sensors or estimators by label have no linear model."""
+    """Raise ConfigError if sensors or filters by label have no linear model."""
     check_sensors(spec)
     for label, one in estimators.items():
         check_aiding(label, one)
 
 
 def smooths(estimator: object) -> bool:
-    """Return whether an estimator uses the measurements after an instant."""
+    """Return whether a filter uses the measurements after a time."""
     return isinstance(estimator, Smoother)
 
 
 def bound_flight(
     truth: Trajectory, spec: SensorsSpec, data: SensorData, seed: int, t: FloatArray, *, smooth: bool
 ) -> Bound:
-    """Return the covariances of the best linear estimator of a record at instants t (M,) [s]."""
+    """Return the covariances of the best linear filter of a record at epochs t (M,) [s]."""
     model = model_errors(truth, spec, seed, known_jumps=False)
     stops = [record.t for record in (data.fixes, data.baro) if record is not None]
     path = make_path(truth, spec.imu, np.concatenate([t, *stops]))
@@ -77,7 +77,7 @@ def bound_in_range(
 
     Where an angle has a standard deviation beyond `LINEAR`, at the start or later, sines are not angles.
     Then, and if it is ``attitude_known``, the attitude counts as exactly known and its variances are NaN: who
-    knows more errs less, so that the other variances are below those of any estimator still.
+    knows more errs less, so that the other variances are below those of any filter still.
     """
     if not attitude_known:
         bound = bound_flight(truth, spec, data, seed, t, smooth=smooth)
@@ -97,7 +97,7 @@ def variance_of(bound: Bound, *, smooth: bool) -> FloatArray:
 
 
 def list_phases(t: FloatArray, begin: float, spec: SensorsSpec) -> dict[str, BoolArray]:
-    """Return which instants (M,) from ``begin`` [s] on have GNSS, and which have none."""
+    """Return which epochs (M,) from ``begin`` [s] on have GNSS, and which have none."""
     late, lost = t >= begin, np.zeros(len(t), np.bool_)
     for start, stop in spec.gnss_outages:
         lost |= (t >= start) & (t < stop)
@@ -113,10 +113,10 @@ def hold_run(
     errors: Mapping[str, ErrorSeries],
     smoothing: Mapping[str, bool],
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return by estimator the ratios of the errors of one run to the bound, a row by phase and quantity.
+    """Return by filter the ratios of the errors of one run to the bound, a row by phase and quantity.
 
-    ``smoothing`` tells which estimators are held against the bound of smoothers; ``begin`` [s] is the end of
-    the alignment window. Estimators without errors have no rows.
+    ``smoothing`` tells which filters are held against the bound of smoothers; ``begin`` [s] is the end of
+    the alignment window. Filters without errors have no rows.
     """
     t = next(iter(errors.values())).t
     step = max(1, round((len(t) - 1) / (_RATE * float(t[-1] - t[0])))) if len(t) > 1 else 1

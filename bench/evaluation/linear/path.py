@@ -26,7 +26,7 @@ class LinearPath:
     t: FloatArray  # (K + 1,) [s]
     rows: IntArray  # (K + 1,) of the truth
     lla: FloatArray  # (K + 1, 3)
-    C_nb: FloatArray  # (K + 1, 3, 3) at the instants
+    C_nb: FloatArray  # (K + 1, 3, 3) at the epochs
     C_mean: FloatArray  # (K, 3, 3) over the steps
     rate_b: FloatArray  # (K + 1, 3) of b relative to i in the sample before [rad/s]
     speed: FloatArray  # (K,) over ground [m/s]
@@ -42,7 +42,7 @@ class LinearPath:
 def make_path(truth: Trajectory, imu: ImuSpec, stops: FloatArray, step: float = STEP) -> LinearPath:
     """Return the steps of a truth: none is longer than ``step`` [s], and one ends at each of ``stops`` [s].
 
-    Instants are those of the truth nearest to these. ``imu`` gives ranges and temperature.
+    Epochs are those of the truth nearest to these. ``imu`` gives ranges and temperature.
     """
     t = truth.t
     count = max(1, int(np.ceil((t[-1] - t[0]) / step - 1e-9)))

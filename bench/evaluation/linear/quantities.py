@@ -41,7 +41,7 @@ QUANTITIES = (
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A root mean square error over that of the best linear estimator, with its `LEVEL` interval."""
+    """A root mean square error over that of the best linear filter, with its `LEVEL` interval."""
 
     rmse: float
     bound: float
@@ -53,7 +53,7 @@ class Ratio:
 def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, FloatArray]:
     """Return the `LEVEL` interval of standard deviations whose estimates are ``rms``.
 
-    ``freedom`` is that of the chi-square variable behind each, such as the number of draws.
+    ``freedom`` is that of the chi-square variable behind each, such as the number of runs.
     """
     tail = 0.5 * (1.0 - LEVEL)
     low, high = (2.0 * float(gammaincinv(0.5 * freedom, p)) / freedom for p in (tail, 1.0 - tail))
@@ -61,7 +61,7 @@ def root_mean_interval(rms: FloatArray, freedom: float) -> tuple[FloatArray, Flo
 
 
 def compare_draws(errors: FloatArray, least: FloatArray, quantity: Quantity) -> Ratio | None:
-    """Return the ratio of the errors (R, M, 9) of R draws to variances (M, 9); None if either is unknown."""
+    """Return the ratio of the errors (R, M, 9) of R runs to variances (M, 9); None if either is unknown."""
     squares = np.mean(quantity.sd(np.square(errors)) ** 2, axis=1)
     if not np.isfinite(squares).all():
         return None
@@ -69,7 +69,7 @@ def compare_draws(errors: FloatArray, least: FloatArray, quantity: Quantity) -> 
 
 
 def count_freedom(squares: FloatArray) -> float:
-    """Return the degrees of freedom of the chi-square as broad as the mean squares (R,) of R draws.
+    """Return the degrees of freedom of the chi-square as broad as the mean squares (R,) of R runs.
 
     Their spread says how many independent errors they hold. Of a few draws it is itself not well known, so
     its upper 95 % limit counts.

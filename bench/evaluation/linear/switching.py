@@ -16,7 +16,7 @@ from bench.simulation.sensors.initial import draw_initial_state
 def sense_alone(truth: Trajectory, spec: SensorsSpec, source: Source, seed: int, run: int) -> Sensed:
     """Return what the sensors report with one source of error, each term drawn as if all were there.
 
-    The estimator gets the covariance at the start of all errors.
+    The filter gets the covariance at the start of all errors.
     """
     sensed = sensors.sense(truth, keep_source(spec, source), seed, run)
     whole = draw_initial_state(truth, spec, SensorDraws(seed, run))

@@ -4,7 +4,7 @@ The figures are those of the datasheets that the simulation draws from (`bench.s
 those that a filter assumes. A constant is an error of one figure times a signal of the motion
 (`Path.factors`); a process is three independent Gauss-Markov states or random walks, or white noise. What
 is not Gaussian counts by an equal autocovariance (Tichavsky, Muravchik, Nehorai, IEEE Trans. Signal
-Processing 46 (5), 1998): roundings are white, jumps where the satellites change are, where their instants
+Processing 46 (5), 1998): roundings are white, jumps where the satellites change are, where their epochs
 are unknown, shot noise.
 """
 
@@ -32,7 +32,7 @@ from bench.simulation.sensors.timing import find_epoch_rows
 
 IMU = -1
 """What a process acts on, beside the sensors of `measurement_rows`: gyros or accelerometers."""
-SAMPLES = 8  # draws that stand for an error which has no linear model
+SAMPLES = 8  # runs that stand for an error which has no linear model
 _NOTHING = np.zeros(3)
 
 
@@ -55,7 +55,7 @@ class Constant:
     """Error (0 to 2 gyro, 3 to 5 accelerometer), factor of `Path.factors`, size [rad/s; m/s^2]."""
     signal: FloatArray | None = None  # (N - 1, 6) errors of the samples as rates [rad/s; m/s^2]
     height: FloatArray | None = None  # (M,) error of each barometric height [m]
-    stochastic: bool = True  # False: the same in every draw
+    stochastic: bool = True  # False: the same in every run
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ class ErrorProcess:
     white: FloatArray = field(default_factory=lambda: _NOTHING)
     """IMU: density of the rates [1/s]; else variance of each measurement."""
     kick: FloatArray = field(default_factory=lambda: _NOTHING)  # variance that each of ``at`` adds
-    at: FloatArray | None = None  # (J,) instants of kicks and white noise [s]; None: white noise always
+    at: FloatArray | None = None  # (J,) epochs of kicks and white noise [s]; None: white noise always
 
     @property
     def states(self) -> bool:
@@ -141,7 +141,7 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
     spec : SensorsSpec
         The sensors on board.
     seed : int
-        Of the draws that stand for errors without a linear model.
+        Of the runs that stand for errors without a linear model.
     known_jumps : bool
         Let jumps of the GNSS error come where the satellites change on this flight; else at their mean rate.
 
@@ -155,12 +155,12 @@ def model_errors(truth: Trajectory, spec: SensorsSpec, seed: int, *, known_jumps
     processes: list[ErrorProcess] = []
     for part, first in (("gyro", 0), ("accel", 3)):
         triad = getattr(spec.imu, part)
-        constants += _triad_constants(_WORDS[part], triad, first)
-        processes += _triad_processes(_WORDS[part], triad, first)
-    constants += _sampled_imu(truth, spec.imu, seed)
-    processes += _gnss_processes(truth, spec, known_jumps)
+        constants += list_triad_constants(_WORDS[part], triad, first)
+        processes += list_triad_processes(_WORDS[part], triad, first)
+    constants += sampled_imu(truth, spec.imu, seed)
+    processes += list_gnss_processes(truth, spec, known_jumps)
     if spec.baro is not None and spec.baro.physical is not None:
-        constants += _sampled_baro(truth, spec, seed)
+        constants += sampled_baro(truth, spec, seed)
     elif spec.baro is not None:
         baro, one = spec.baro, np.array([1.0, 0.0, 0.0])
         white = baro.white_sd**2 + baro.quantization**2 / 12.0
@@ -217,7 +217,8 @@ def _initial_errors(spec: SensorsSpec) -> Iterator[Constant]:
         yield Constant(str(names[k]), start=sd[k] * np.eye(9)[k])
 
 
-def _triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[Constant]:
+def list_triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[Constant]:
+    """Yield the constant errors of a triad whose x axis is the input ``first``."""
     for name, figure, factor, step in (
         ("turn-on bias", "turn_on_bias_sd", STEADY, 0),
         ("scale factor", "scale_factor_sd", first, 1),
@@ -249,7 +250,8 @@ def _triad_constants(words: str, triad: TriadSpec, first: int) -> Iterator[Const
             yield Constant(f"{words} alignment", factors=both)
 
 
-def _triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[ErrorProcess]:
+def list_triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[ErrorProcess]:
+    """Yield the random processes of a triad whose x axis is the input ``first``."""
     yield ErrorProcess(f"{words} white noise", IMU, first, white=triad.by_axis("random_walk") ** 2)
     if triad.bias_instability > 0:
         share = triad.by_axis("bias_instability") / triad.bias_instability
@@ -262,7 +264,8 @@ def _triad_processes(words: str, triad: TriadSpec, first: int) -> Iterator[Error
     )
 
 
-def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> Iterator[ErrorProcess]:
+def list_gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> Iterator[ErrorProcess]:
+    """Yield the random processes of position and velocity fixes."""
     gnss = spec.gnss
     if gnss is None:
         return
@@ -295,7 +298,7 @@ def _gnss_processes(truth: Trajectory, spec: SensorsSpec, known_jumps: bool) -> 
             yield decaying("GNSS jumps", variance=shot, white=passed)
 
 
-def _sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constant]:
+def sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constant]:
     """Yield roundings, lag, dead zone, arms and vibration as the simulation makes them alone."""
     still = ThermalSpec()
     dt = np.diff(truth.t)[:, None]
@@ -323,8 +326,8 @@ def _sampled_imu(truth: Trajectory, imu: ImuSpec, seed: int) -> Iterator[Constan
             yield Constant("vibration", signal=error / np.sqrt(SAMPLES))
 
 
-def _sampled_baro(truth: Trajectory, spec: SensorsSpec, seed: int) -> Iterator[Constant]:
-    """Yield what draws of a barometer on the static pressure of the flight err by."""
+def sampled_baro(truth: Trajectory, spec: SensorsSpec, seed: int) -> Iterator[Constant]:
+    """Yield what runs of a barometer on the static pressure of the flight err by."""
     assert spec.baro is not None
     rows = find_epoch_rows("baro", truth.t, spec.baro.rate)
     for run in range(SAMPLES):

@@ -1,4 +1,4 @@
-"""The input of every metric: the errors, updates, outages and alarms of one estimator in one run."""
+"""The input of every metric: the errors, updates, outages and alarms of one filter in one run."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from bench.evaluation.metrics.coverage import Coverage
 Outages = Sequence[tuple[float, float]]
 
 ALARM = "integrity"
-"""Kind of the events by which an estimator raises an alarm."""
+"""Kind of the events by which a filter raises an alarm."""
 
 NO_TIMES = np.empty(0)
 
@@ -35,7 +35,7 @@ class Alarms:
     name: str  # of the innovation, or "integrity"
     sensors: tuple[str, ...]  # the name of the innovation, or the sensors of the event
     t: FloatArray  # (K,) [s]
-    asked: FloatArray  # (N,) instants of all updates of this name; of an event its own [s]
+    asked: FloatArray  # (N,) epochs of all updates of this name; of an event its own [s]
     end: float | None = None  # of an event [s]
 
 
@@ -49,10 +49,10 @@ class BiasError:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The epochs of one run from an instant on, with everything a metric may use.
+    """The epochs of one run from a time on, with everything a metric may use.
 
-    Those of claims are the epochs with an answer; those of accuracy hold the silent ones, too, with the last
-    answer carried on (`bench.evaluation.metrics.coverage.carry_on`).
+    Those of covariances are the epochs with an answer; those of accuracy hold the silent ones, too, with the
+    last answer carried on (`bench.evaluation.metrics.coverage.carry_on`).
     """
 
     t: FloatArray  # (M,) [s]
@@ -67,13 +67,13 @@ class Case:
     nees_samples: float  # independent values of nees
     states: int  # number of states in nees
     nis: Mapping[str, SensorNis]
-    events: Mapping[str, int]  # number of the estimator's events by kind
+    events: Mapping[str, int]  # number of the filter's events by kind
     outages: tuple[tuple[int, float, float], ...]  # number from 1, [start, end) [s]: those that start inside
     faults: Mapping[str, Fault]  # number from 1: those that start inside
     scripted: tuple[Fault, ...]  # all faults of the run
     alarms: tuple[Alarms, ...]  # of the whole run
     begin: float  # of what counts [s]
-    asked: int  # number of epochs asked for; of claims, t holds those with a solution
+    asked: int  # number of epochs asked for; of covariances, t holds those with a solution
     silent: BoolArray  # (M,) epochs without an answer that nothing excuses
     coverage: Coverage | None  # of the whole run
     solution: NavSolution  # these epochs; all its innovations and events
@@ -98,7 +98,7 @@ def find_outage_rows(case: Case) -> dict[str, tuple[int, int]]:
 def bias_errors(solution: NavSolution, drawn: SensorTruth) -> dict[str, BiasError]:
     """Return the errors of the bias states of a solution and their standard deviations, by name.
 
-    Biases that the estimator does not estimate, or that have no standard deviation, are left out.
+    Biases that the filter does not estimate, or that have no standard deviation, are left out.
     """
     if not len(drawn.t):
         return {}
@@ -118,7 +118,7 @@ def bias_errors(solution: NavSolution, drawn: SensorTruth) -> dict[str, BiasErro
 
 
 def collect_alarms(nis: Mapping[str, SensorNis], events: Events) -> tuple[Alarms, ...]:
-    """Return the alarms of an estimator: rejected updates by sensor, then events of kind "integrity"."""
+    """Return the alarms of a filter: rejected updates by sensor, then events of kind "integrity"."""
     refused = [Alarms(name, (name,), s.t[~s.accepted], np.unique(s.t)) for name, s in nis.items()]
     reported = [
         Alarms(ALARM, tuple(sensor.split()), np.array([t]), np.array([t]), end)
@@ -146,13 +146,13 @@ def build_case(
     Parameters
     ----------
     errors, solution : ErrorSeries, NavSolution
-        At the same instants.
+        At the same epochs.
     outages : sequence of (start, end)
         Scripted GNSS outages, [start, end) [s], in order.
     faults : sequence of Fault
         Scripted faults, as the profile numbers them.
     missing : (K,) array
-        Instants that were asked for and have no solution [s].
+        Epochs that were asked for and have no solution [s].
     assumed : AssumedSpecs or None
         The datasheets to expect drift from.
     drawn : SensorTruth or None
@@ -164,7 +164,7 @@ def build_case(
     coverage : Coverage or None
         Of the solution.
     path : OffPath or None
-        Of the flight, if this solution flew it; it has all instants of the solution.
+        Of the flight, if this solution flew it; it has all epochs of the solution.
     """
     nis = nis_by_sensor(solution.innovations)
     with np.errstate(invalid="ignore"):
@@ -213,7 +213,7 @@ def select_path(path: OffPath, rows: Any) -> OffPath:
 def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO_TIMES) -> Case:
     """Return the epochs of a whole run that count, with what starts in them.
 
-    ``missing`` holds the instants (K,) that were asked for and have no solution [s].
+    ``missing`` holds the epochs (K,) that were asked for and have no solution [s].
     """
     begin = evaluation.first
     rows = whole.t >= begin
@@ -247,6 +247,6 @@ def cut_case(whole: Case, evaluation: EvaluationWindow, missing: FloatArray = NO
 
 
 def _count_events(events: Events, begin: float) -> dict[str, int]:
-    """Return the number of events by kind that begin at an instant [s] or later."""
+    """Return the number of events by kind that begin at a time [s] or later."""
     kinds = [kind for kind, t in zip(events.kind, events.t, strict=True) if t >= begin]
     return {kind: kinds.count(kind) for kind in sorted(set(kinds))}

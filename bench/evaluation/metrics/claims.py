@@ -1,4 +1,4 @@
-"""Metrics of what an estimator claims and answers: NEES, coverage, NIS and their bands, bias states.
+"""Metrics of what a filter reports and answers: NEES, coverage, NIS and their bands, bias states.
 
 The errors of one run last: a run of ten minutes with an error that wanders over two minutes tells as much as
 five independent values. A band for one run therefore counts independent values, not epochs.
@@ -22,7 +22,7 @@ Edge = Literal["low", "high"]
 NEES_PROBABILITY = 0.999
 """Probability of the band of NEES in one run [1]."""
 COVERAGE_PROBABILITY = 0.995
-"""Probability that the coverage of an honest filter in one run is not below its bound [1]."""
+"""Probability that the coverage of a consistent filter in one run is not below its bound [1]."""
 INSIDE_3_SIGMA = 0.9973
 """Probability that a normal error is within 3 sigma [1]."""
 _UNITS = {"gyro_bias": DEG / HOUR, "accel_bias": 1e-3 * STANDARD_GRAVITY}  # deg/h and mg in SI
@@ -51,17 +51,17 @@ def coverage(block: str, case: Case) -> Mapping[str, float | None]:
 
 
 def nis(part: Literal["mean", "low", "high"], case: Case) -> Mapping[str, float | None]:
-    """Mean NIS of each sensor, refused updates included; low, high: the 99.9 % band of a matched filter."""
+    """Mean NIS of each sensor, rejected updates included; low, high: the 99.9 % band of a matched filter."""
     return {name: getattr(mean_nis(s.nis, s.dof), part) for name, s in case.nis.items()}
 
 
 def updates(case: Case) -> Mapping[str, float | None]:
-    """Number of updates of each sensor, used or refused."""
+    """Number of updates of each sensor, used or rejected."""
     return {name: float(len(s.nis)) for name, s in case.nis.items()}
 
 
 def rejected(case: Case) -> Mapping[str, float | None]:
-    """Number of updates of each sensor with at least one component that the gate refused."""
+    """Number of updates of each sensor with at least one component that the gate rejected."""
     return {name: float(np.sum(~s.accepted)) for name, s in case.nis.items()}
 
 
@@ -74,7 +74,7 @@ def nees_band(edge: Edge, case: Case) -> float | None:
     """The 99.9 % band of nees_mean in this run.
 
     The band is that of the mean of nees_samples chi-square values. In simulations with errors that last from
-    one epoch to the whole run, an honest filter is outside in at most 0.5 % of the runs.
+    one epoch to the whole run, a consistent filter is outside in at most 0.5 % of the runs.
     """
     return _find_edge(edge, case.states, case.nees_samples)
 
@@ -89,18 +89,19 @@ def find_nees_band(states: int, samples: float) -> tuple[float, float]:
 
 
 def coverage_low(block: str, case: Case) -> dict[str, float | None]:
-    """Smallest coverage_3sigma that this run allows an honest filter, with 99.5 %: n, e, d.
+    """Smallest coverage_3sigma that this run allows a consistent filter, with 99.5 %: n, e, d.
 
     So many of the independent values of the error over its sigma lie outside 3 sigma with 0.5 % at most. Half
-    a value more is allowed, because their number is estimated: honest filters are below in at most 0.4 % of
-    simulated runs.
+    a value more is allowed, because their number is estimated: consistent filters are below in at most 0.4 %
+    of simulated runs.
     """
     with np.errstate(all="ignore"):
         ratios = getattr(case, f"{block}_n") / case.sd[:, BLOCKS[block]]
-    return {axis: _least_inside(count_independent(ratios[:, k])) for k, axis in enumerate(AXES)}
+    return {axis: find_least_inside(count_independent(ratios[:, k])) for k, axis in enumerate(AXES)}
 
 
-def _least_inside(samples: float) -> float | None:
+def find_least_inside(samples: float) -> float | None:
+    """Return the least share that so many independent values may have within three sigmas, or None."""
     from scipy.special import bdtr
 
     count = int(samples)
@@ -112,7 +113,7 @@ def _least_inside(samples: float) -> float | None:
 
 
 def claimed_error_h(case: Case) -> float:
-    """Horizontal error that the covariance claims, root mean square [m]."""
+    """Horizontal error that the covariance reports, root mean square [m]."""
     return float(np.sqrt(np.mean(case.sd[:, 0] ** 2 + case.sd[:, 1] ** 2)))
 
 
@@ -134,12 +135,12 @@ def output_coverage(case: Case) -> float:
 
 
 def answered(case: Case) -> Mapping[str, float | None]:
-    """Share of the instants that a block answers, from the first answer on, less what the data excuse."""
+    """Share of the epochs that a block answers, from the first answer on, less what the data excuse."""
     return {} if case.coverage is None else case.coverage.shares
 
 
 def first_answer(case: Case) -> float | None:
-    """Time from the first instant asked for to the first answer [s]."""
+    """Time from the first time asked for to the first answer [s]."""
     return None if case.coverage is None else case.coverage.waited
 
 

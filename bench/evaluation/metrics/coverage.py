@@ -1,7 +1,7 @@
-"""How many of the requested instants a solution answers, and the error that is counted at the others.
+"""How many of the requested epochs a solution answers, and the error that is counted at the others.
 
-Each block that it estimates (position, velocity, attitude) counts at every instant from its first answer on.
-A silent instant is charged the last answer, carried on by its own velocity: a filter that is silent where it
+Each block that it estimates (position, velocity, attitude) counts at every time from its first answer on.
+A silent time is charged the last answer, carried on by its own velocity: a filter that is silent where it
 errs must not look better than one that answers.
 """
 
@@ -20,20 +20,20 @@ from bench.core.records.data import NavSolution, SensorData
 from bench.evaluation.errors.error_series import TITLES, VALUES, find_answered_epochs
 
 ENOUGH = 0.99
-"""Share of the instants that each block of a solution has to answer [1]."""
+"""Share of the epochs that each block of a solution has to answer [1]."""
 
-_LATE = 1.0  # a first answer later than this after the first instant is mentioned [s]
+_LATE = 1.0  # a first answer later than this after the first time is mentioned [s]
 _GAP = 1.5  # so many times its usual interval a sensor was silent [1]
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """Part of the instants that each block answers, of those at which the data allow an answer."""
+    """Part of the epochs that each block answers, of those at which the data allow an answer."""
 
     shares: Mapping[str, float]  # by block that is estimated, from the first answer on [1]
-    waited: float  # from the first instant asked for to the first answer [s]
+    waited: float  # from the first time asked for to the first answer [s]
     first: float | None  # the first answer [s], if it came late
-    longest: tuple[float, float]  # first and last instant of the longest run without an answer [s]
+    longest: tuple[float, float]  # first and last time of the longest run without an answer [s]
 
     @property
     def share(self) -> float:
@@ -51,19 +51,19 @@ class Coverage:
         begin, end = self.longest
         shares = {block: f"{math.floor(1e3 * share) / 10:g} %" for block, share in self.shares.items()}
         if len(set(shares.values())) == 1:
-            text = f"answers {next(iter(shares.values()))} of the instants asked for"
+            text = f"answers {next(iter(shares.values()))} of the epochs asked for"
         else:
             parts = [f"{TITLES[block]} at {share}" for block, share in shares.items()]
-            text = f"answers {', '.join(parts)} of the instants asked for"
+            text = f"answers {', '.join(parts)} of the epochs asked for"
         late = " from its first answer on" if self.first is not None else ""
         silence = f", with the longest silence from {begin:g} to {end:g} s" if self.share < 1.0 else ""
         return text + late + silence
 
 
 def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage:
-    """Return the part of the requested instants that a solution answers, by block.
+    """Return the part of the requested epochs that a solution answers, by block.
 
-    An instant at which any value of a block is not finite, or that a table does not cover, has no answer of
+    A time at which any value of a block is not finite, or that a table does not cover, has no answer of
     it. Those do not count that :func:`find_excused` names.
     """
     t, answered = solution.t, find_answered_epochs(solution)
@@ -81,11 +81,11 @@ def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage
         shares[block] = float(there[asked].mean())
         lost |= asked & ~there
     begun = float(t[first]) if t[first] > t[0] + _LATE else None
-    return Coverage(shares, float(t[first] - t[0]), begun, _find_longest(t, np.flatnonzero(lost)))
+    return Coverage(shares, float(t[first] - t[0]), begun, find_longest(t, np.flatnonzero(lost)))
 
 
-def _find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
-    """Return the first and the last instant of the longest run of rows."""
+def find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
+    """Return the first and the last time of the longest run of rows."""
     if not len(lost):
         return 0.0, 0.0
     runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)
@@ -94,22 +94,22 @@ def _find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
 
 
 def find_excused(solution: NavSolution, data: SensorData | None) -> BoolArray:
-    """Return a mask (M,) of the instants at which the data excuse a silence.
+    """Return a mask (M,) of the epochs at which the data excuse a silence.
 
     While the IMU was silent, and for a solution without attitude, which is made of fixes, while these were.
     """
     excused = np.zeros(len(solution), np.bool_)
     if data is not None:
-        excused |= _is_silent(solution.t, data.imu.t[data.imu.valid])
+        excused |= is_silent(solution.t, data.imu.t[data.imu.valid])
         if np.isnan(solution.q_nb).all():
             record = data.fixes if data.fixes is not None else data.observations
             if record is not None:
-                excused |= _is_silent(solution.t, record.t)
+                excused |= is_silent(solution.t, record.t)
     return excused
 
 
-def _is_silent(t: FloatArray, reports: FloatArray) -> BoolArray:
-    """Return a mask of the instants t (M,) at which a sensor that reported at other instants was silent."""
+def is_silent(t: FloatArray, reports: FloatArray) -> BoolArray:
+    """Return a mask of the epochs t (M,) at which a sensor that reported at other epochs was silent."""
     known = np.unique(reports[np.isfinite(reports)])
     if len(known) < 2:
         return np.ones(len(t), np.bool_)
@@ -132,7 +132,7 @@ def find_silent_epochs(solution: NavSolution) -> BoolArray:
 def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
     """Return a solution whose silent epochs (M,) hold the last answer before them, carried on.
 
-    Position moves by the velocity of that answer; velocity and attitude stay. Nothing is claimed there.
+    Position moves by the velocity of that answer; velocity and attitude stay. Nothing is reported there.
     """
     if not silent.any():
         return solution
@@ -150,7 +150,7 @@ def carry_on(solution: NavSolution, silent: BoolArray) -> NavSolution:
 def carry_positions(
     t: FloatArray, lla: FloatArray, vel_n: FloatArray, rows: IntArray, until: FloatArray
 ) -> FloatArray:
-    """Return positions (K, 3) of answers at t (M,), carried on from ``rows`` (K,) to instants ``until`` (K,).
+    """Return positions (K, 3) of answers at t (M,), carried on from ``rows`` (K,) to epochs ``until`` (K,).
 
     By the velocity of each answer; without one, by that from the answer before it.
     """

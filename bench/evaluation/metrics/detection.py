@@ -1,9 +1,9 @@
-"""Metrics of fault detection: was a scripted fault noticed, how soon, and how many alarms were false?
+"""Metrics of fault detection: was a scripted fault detected, how soon, and how many alarms were false?
 
-An alarm is an update that the estimator rejected, or an event of kind "integrity" that it reported. It
+An alarm is an update that the filter rejected, or an event of kind "integrity" that it reported. It
 belongs to a fault if it is raised in the interval of the fault and names the faulty sensor. A fault of the
-IMU can raise an alarm in any update. A gate refuses a sound measurement now and then, so a fault is noticed
-at the first event, or at the first of two refusals in a row.
+IMU can raise an alarm in any update. A gate rejects a sound measurement now and then, so a fault is detected
+at the first event, or at the first of two rejections in a row.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _SHOWS_IN: Mapping[str, tuple[str, ...]] = {
 
 
 POSITION_UPDATES = ("gnss_position", "pseudorange")
-"""Updates that a filter cannot refuse for long and still count as converged."""
+"""Updates that a filter cannot reject for long and still count as converged."""
 
 LONGEST_REFUSAL = 60.0
-"""Longest time over which a converged filter refuses all position fixes without a pause [s]."""
+"""Longest time over which a converged filter rejects all position fixes without a pause [s]."""
 
 
 def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
-    """Return the time from the start of a fault until it is noticed [s]; None if it is not.
+    """Return the time from the start of a fault until it is detected [s]; None if it is not.
 
-    It is at an event, or when two updates of one name in a row are refused; at one if the fault has no more.
+    It is at an event, or when two updates of one name in a row are rejected; at one if the fault has no more.
     """
     first = [_find_lasting(fault, one) for one in raised if _concerns(fault, one)]
     known = [t for t in first if t is not None]
@@ -44,7 +44,7 @@ def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
 
 
 def _find_lasting(fault: Fault, one: Alarms) -> float | None:
-    """Return the first instant in a fault of an alarm that is not refuted by the next update [s]."""
+    """Return the first time in a fault of an alarm that is not refuted by the next update [s]."""
     asked = one.asked[_is_active(fault, one.asked)]
     refused = np.isin(asked, one.t)
     if len(asked) > 1:
@@ -53,7 +53,7 @@ def _find_lasting(fault: Fault, one: Alarms) -> float | None:
 
 
 def count_false_alarms(faults: Sequence[Fault], raised: Sequence[Alarms], name: str, begin: float) -> int:
-    """Count the alarms of one name, from an instant on [s], that belong to no fault."""
+    """Count the alarms of one name, from a time on [s], that belong to no fault."""
     count = 0
     for one in raised:
         if one.name == name:
@@ -77,7 +77,7 @@ def _concerns(fault: Fault, raised: Alarms) -> bool:
 
 
 def fault_detected(case: Case) -> dict[str, float | None]:
-    """1 if during the fault two updates of its sensor in a row were refused or an event told, else 0."""
+    """1 if during the fault two updates of its sensor in a row were rejected or an event told, else 0."""
     return {k: float(measure_delay(f, case.alarms) is not None) for k, f in case.faults.items()}
 
 
@@ -87,10 +87,10 @@ def fault_delay(case: Case) -> dict[str, float | None]:
 
 
 def fault_alarm_share(case: Case) -> dict[str, float | None]:
-    """Share of the time of the fault in which its sensor was refused or an event stood, by whole seconds.
+    """Share of the time of the fault in which its sensor was rejected or an event stood, by whole seconds.
 
     Of a second in which some updates were used it is the share of the others. Of fixes and ranges those of
-    the position count: who refuses only their velocities follows them. Absent of an estimator that does not
+    the position count: who rejects only their velocities follows them. Absent of a filter that does not
     use the sensor.
     """
     found: dict[str, float | None] = {}
@@ -116,7 +116,7 @@ def fault_alarm_share(case: Case) -> dict[str, float | None]:
 
 
 def _count_in(seconds: FloatArray, t: FloatArray) -> FloatArray:
-    """Return how many instants (M,) are in each whole second (K,)."""
+    """Return how many epochs (M,) are in each whole second (K,)."""
     first, last = (np.searchsorted(t, edge - SAME_INSTANT) for edge in (seconds, seconds + 1.0))
     return np.asarray(last - first, np.float64)
 
@@ -152,7 +152,7 @@ def false_alarm_share(case: Case) -> float | None:
 
 
 def _outside_faults(case: Case) -> tuple[FloatArray, FloatArray]:
-    """Return the whole seconds that are judged and without a fault, and the alarms in them [s]."""
+    """Return the whole seconds that are evaluated and without a fault, and the alarms in them [s]."""
     first = max(case.begin, float(case.t[0]))
     seconds = np.arange(np.ceil(first - SAME_INSTANT), np.floor(case.t[-1]))
     for fault in case.scripted:
@@ -161,11 +161,11 @@ def _outside_faults(case: Case) -> tuple[FloatArray, FloatArray]:
     return seconds, raised[np.isin(np.floor(raised), seconds)]
 
 
-# --- fixes refused for long -------------------------------------------------------------------------------
+# --- fixes rejected for long -------------------------------------------------------------------------------
 
 
 def find_refusals(case: Case) -> dict[str, tuple[float, float]]:
-    """Return the longest time over which each sensor was refused without a pause: first and last update [s].
+    """Return the longest time over which each sensor was rejected without a pause: first and last update [s].
 
     Updates during a scripted fault of the sensor do not count.
     """
@@ -186,8 +186,8 @@ def find_refusals(case: Case) -> dict[str, tuple[float, float]]:
 
 
 def find_lost_aiding(case: Case) -> str | None:
-    """Return the reason why a filter that refuses its position fixes for long did not converge, or None."""
+    """Return the reason why a filter that rejects its position fixes for long did not converge, or None."""
     for name, (start, end) in find_refusals(case).items():
         if name in POSITION_UPDATES and end - start > LONGEST_REFUSAL:
-            return f"{name} was refused from t = {start:g} to {end:g} s, {end - start:.0f} s without a pause"
+            return f"{name} was rejected from t = {start:g} to {end:g} s, {end - start:.0f} s without a pause"
     return None

@@ -17,7 +17,7 @@ Measured = Mapping[str, Mapping[str, Any]]
 
 _SUMMARY = (
     "pos_rmse_h_m",
-    "pos_claimed_h_m",
+    "pos_sigma_h_m",
     "pos_rmse_d_m",
     "cep50_m",
     "cep95_m",
@@ -42,30 +42,30 @@ _SUMMARY = (
     "nis_mean_",
 )
 """Names, or beginnings of names, of the metrics in the table; all others are in result.json."""
-_COVERAGE = "output_coverage"  # shown if it is not 1 for every estimator
+_COVERAGE = "output_coverage"  # shown if it is not 1 for every filter
 
 MEANING = (
-    "! outside its bounds, which stand beside or below: what this one run allows an honest filter (NEES and "
+    "! outside its bounds, which stand beside or below: the range of a consistent filter in one run (NEES, "
     "NIS 99.9 %, coverage 99.5 %), or the 95 % radius of the drift that the datasheets give. Errors of one "
-    "run change slowly: it holds few independent values, so its bounds are wide; many runs tell more."
+    "run change slowly: it holds few independent values, so its bounds are wide; many runs narrow them."
 )
 _ROWS = {
-    "pos_claimed": "claimed: root mean square of the sigma that the filter gives",
+    "pos_sigma": "reported: root mean square of the sigma that the filter gives",
     "heading_convergence": "a heading is within 1 deg or 3 sigma no sooner than the figures begin",
     "outage_": "an outage moves the error by the length of its last error minus its first",
-    "nees": "NEES, normalized estimation error squared: squared error over claimed variance; the number of "
+    "nees": "NEES, normalized estimation error squared: squared error over reported variance; the number of "
     "states is right",
     "coverage": "99.7 % within 3 sigma is right",
     "nis": "NIS, normalized innovation squared: 3 is right of a GNSS position or velocity, 1 of a scalar; it "
     "is low where R is larger than the scatter of the fixes, and their slow wander does not show in it",
-    "fault_": "a fault is noticed if the filter refused two measurements in a row, or reported it",
+    "fault_": "a fault is detected if the filter rejected two measurements in a row, or reported it",
 }
 """Beginning of the name of a row -> what its words do not say."""
 
 
 def is_key_figure(name: str) -> bool:
     """Return whether a metric stands in the tables."""
-    return name.startswith(_SUMMARY) and not name.endswith(("_all", "_law_95_h_m"))
+    return name.startswith(_SUMMARY) and not name.endswith(("_all", "_predicted_95_h_m"))
 
 
 def explain_rows(names: Sequence[str]) -> list[str]:
@@ -113,9 +113,10 @@ def format_bounds(name: str, values: Mapping[str, Any]) -> str:
     if bounds is None:
         return ""
     factor = find_words(name).factor
-    low, high = (None if end is None else _format_bound(factor * end) for end in bounds)
+    low, high = (None if end is None else format_bound(factor * end) for end in bounds)
     return f"{low} to {high}" if low and high else f"≥{low}" if low else f"≤{high}"
 
 
-def _format_bound(value: float) -> str:
+def format_bound(value: float) -> str:
+    """Return a bound with two decimals below ten, else with three digits."""
     return f"{value:.2f}" if value < 10 else format_number(value, 3)

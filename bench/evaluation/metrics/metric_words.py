@@ -15,12 +15,12 @@ from bench.core.records.instruments import INSTRUMENTS
 from bench.core.words.wording import format_number
 from bench.evaluation.metrics.run_metrics import METRICS, Metric, find_metric
 
-POSITION, MOTION, HONESTY = "Position", "Velocity and attitude", "Honesty of the claim"
+POSITION, MOTION, HONESTY = "Position", "Velocity and attitude", "Consistency of the covariance"
 OUTAGES, FAULTS, FILTER, OTHER = "Without GNSS", "Faults", "What the filter did", "Other"
 
 _WORDS: Mapping[str, tuple[str, str]] = {
     "pos_rmse_{}_m": (POSITION, "{} error, rms"),
-    "pos_claimed_h_m": (POSITION, "horizontal error, claimed"),
+    "pos_sigma_h_m": (POSITION, "horizontal error, reported"),
     "pos_max_h_m": (POSITION, "horizontal error, largest"),
     "pos_max_v_m": (POSITION, "height error, largest"),
     "cep50_m": (POSITION, "horizontal error, 50 % below"),
@@ -46,18 +46,18 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "accel_bias_rmse_{}_mg": (MOTION, "accelerometer bias error {}, rms"),
     "time_offset_ms": (MOTION, "time offset"),
     "inertial_end_h_m": (OUTAGES, "error at the end without any fix"),
-    "inertial_law_{}_h_m": (OUTAGES, "the same by the datasheet, {}"),
+    "inertial_predicted_{}_h_m": (OUTAGES, "the same by the datasheet, {}"),
     "outage_{}_growth_h_m": (OUTAGES, "outage {}: the error moved by"),
-    "outage_{}_law_h_m": (OUTAGES, "outage {}: by the datasheets, rms"),
-    "outage_{}_law_95_h_m": (OUTAGES, "outage {}: by the datasheets, 95 %"),
+    "outage_{}_predicted_h_m": (OUTAGES, "outage {}: by the datasheets, rms"),
+    "outage_{}_predicted_95_h_m": (OUTAGES, "outage {}: by the datasheets, 95 %"),
     "outage_{}_drift_h_m": (OUTAGES, "outage {}: error at its end"),
-    "fault_{}_detected": (FAULTS, "fault {}: noticed"),
-    "fault_{}_delay_s": (FAULTS, "fault {}: noticed after"),
-    "fault_{}_alarm_share": (FAULTS, "fault {}: refused for, of its time"),
+    "fault_{}_detected": (FAULTS, "fault {}: detected"),
+    "fault_{}_delay_s": (FAULTS, "fault {}: detected after"),
+    "fault_{}_alarm_share": (FAULTS, "fault {}: rejected for, of its time"),
     "fault_{}_max_h_m": (FAULTS, "fault {}: largest horizontal error"),
-    "false_alarms_{}": (FAULTS, "sound measurements refused, {}"),
+    "false_alarms_{}": (FAULTS, "sound measurements rejected, {}"),
     "false_alarm_rate_per_h": (FAULTS, "false alarms"),
-    "false_alarm_share": (FAULTS, "sound measurements refused"),
+    "false_alarm_share": (FAULTS, "sound measurements rejected"),
     "nees_mean": (HONESTY, "NEES, mean"),
     "nees_states": (HONESTY, "NEES that is right (states)"),
     "nees_low": (HONESTY, "NEES, least that fits"),
@@ -78,12 +78,12 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "nis_mean_{}": (HONESTY, "NIS {}, mean"),
     "nis_low_{}": (HONESTY, "NIS {}, least that fits"),
     "nis_high_{}": (HONESTY, "NIS {}, most that fits"),
-    "output_coverage": (FILTER, "instants answered"),
-    "answered_{}": (FILTER, "instants with {}"),
+    "output_coverage": (FILTER, "epochs answered"),
+    "availability_{}": (FILTER, "epochs with {}"),
     "first_answer_s": (FILTER, "first answer at"),
     "updates_{}": (FILTER, "updates by {}"),
-    "rejected_{}": (FILTER, "refused, {}"),
-    "refused_{}_s": (FILTER, "longest refusal of {}"),
+    "rejected_{}": (FILTER, "rejected, {}"),
+    "longest_rejection_{}_s": (FILTER, "longest rejection of {}"),
     "events_{}": (FILTER, "events: {}"),
 }
 """Name of a row of `METRICS` -> its heading, and words in which ``{}`` is what the name has there."""
@@ -100,7 +100,7 @@ _KEYS = {
 }
 _LENGTH = re.compile(r"^(\d+)(s|m|km)$")
 _SHARES = (
-    *("coverage_", "nees_inside_95", "output_coverage", "answered_"),
+    *("coverage_", "nees_inside_95", "output_coverage", "availability_"),
     *("false_alarm_share", "fault_{}_alarm_share"),
 )
 """Beginnings of names of shares, shown in percent."""
@@ -153,7 +153,7 @@ def name_metric(name: str) -> str:
 
 
 def format_metric(name: str, value: Any) -> str:
-    """Return a value as it is shown, without its unit; yes or no for what is noticed or not."""
+    """Return a value as it is shown, without its unit; yes or no for what is detected or not."""
     if name.startswith("fault_") and name.removesuffix("_all").endswith("_detected") and value is not None:
         return "yes" if value else "no"
     factor = find_words(name).factor

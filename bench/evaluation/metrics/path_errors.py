@@ -22,7 +22,7 @@ from bench.evaluation.metrics.case import Case
 TIMES = {"1s": 1.0, "10s": 10.0, "60s": 60.0}
 """Part of a name -> time between the poses of a relative error [s]."""
 DISTANCES = {"100m": 100.0, "1km": 1000.0}
-"""Part of a name -> distance travelled between the poses [m]."""
+"""Part of a name -> distance traveled between the poses [m]."""
 SEGMENTS = np.arange(100.0, 801.0, 100.0)
 """Lengths of the segments of KITTI [m]."""
 _STILL = 10.0  # a shorter path has no drift in percent [m]
@@ -54,7 +54,7 @@ def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
     if poses is None:
         return {}
     pairs = poses.pairs(poses.t, tuple(TIMES.values())) + poses.pairs(
-        poses.travelled, tuple(DISTANCES.values())
+        poses.traveled, tuple(DISTANCES.values())
     )
     errors = _relative(pairs, poses.distance if unit == "m" else poses.angle)
     scale = 1.0 if unit == "m" else 1.0 / DEG
@@ -66,16 +66,16 @@ def rpe(unit: Literal["m", "deg"], case: Case) -> Mapping[str, float | None]:
 
 
 def drift_percent(case: Case) -> Mapping[str, float | None]:
-    """Drift over the distance travelled [%]: segments of 100 to 800 m; end: the horizontal error."""
+    """Drift over the distance traveled [%]: segments of 100 to 800 m; end: the horizontal error."""
     if case.poses is None:
         return {}
-    travelled, found = case.poses.travelled, {}
-    errors = _relative(case.poses.pairs(travelled, SEGMENTS.tolist()), case.poses.distance)
+    traveled, found = case.poses.traveled, {}
+    errors = _relative(case.poses.pairs(traveled, SEGMENTS.tolist()), case.poses.distance)
     rates = np.concatenate([error / length for error, length in zip(errors, SEGMENTS, strict=True)])
     if len(rates):
         found["segments"] = float(100.0 * rates.mean())
-    if travelled[-1] > _STILL:
-        found["end"] = float(100.0 * np.hypot(*case.pos_n[-1, :2]) / travelled[-1])
+    if traveled[-1] > _STILL:
+        found["end"] = float(100.0 * np.hypot(*case.pos_n[-1, :2]) / traveled[-1])
     return found
 
 

@@ -1,4 +1,4 @@
-"""Protection levels: a bound of the position error that a navigator states for each instant.
+"""Protection levels: a bound of the position error that a navigator states for each time.
 
 Horizontal errors are bounded in the plane, by the major axis of their covariance: the length of a Gaussian
 vector exceeds k times the largest standard deviation with a probability of at most exp(-k^2 / 2).
@@ -33,7 +33,7 @@ HORIZONTAL, VERTICAL = 6.18, 5.33
 """Constants of DO-229: a risk of 5e-9 in the plane and of 1e-7 along a line, two-sided."""
 
 FALSE_ALARM = 3.33e-7
-"""Probability of an alarm without a fault, of one instant, over all subfilters."""
+"""Probability of an alarm without a fault, of one time, over all subfilters."""
 
 MISSED = 1e-3
 """Probability that the error exceeds the level while a satellite is faulty and no alarm is raised."""
@@ -67,7 +67,7 @@ def protect_by_separation(
     full : NavSolution
         With all satellites; M rows.
     without : sequence of NavSolution
-        The S subfilters, at the same instants; one that has no solution leaves no level to state.
+        The S subfilters, at the same epochs; one that has no solution leaves no level to state.
     false_alarm, missed : float
         Probabilities, see `FALSE_ALARM` and `MISSED`.
     """

@@ -55,8 +55,8 @@ HEADING_LIMIT = np.deg2rad(1.0)
 HEADING_RIGHT = np.deg2rad(3.0)
 """A heading is right below this [rad]."""
 
-Direction = Literal["lower", "matched", "zero", "not judged"]
-"""How a baseline judges a metric: the lower the better; it has a value that is expected; the same with the
+Direction = Literal["lower", "matched", "zero", "not evaluated"]
+"""How a baseline evaluates a metric: the lower the better; it has a value that is expected; the same with the
 value 0, which it also has where it is absent; or not, because it is a fact, a bound, a largest value, or
 says what another metric says."""
 
@@ -161,7 +161,7 @@ def heading_convergence(case: Case) -> Value:
 
 
 def heading_right(case: Case) -> Value:
-    """Time from which the heading error stays below 3 deg, whatever is claimed, to the end or an outage [s].
+    """Time from which the heading error stays below 3 deg, whatever is reported, to the end or an outage [s].
 
     None if there is none.
     """
@@ -180,79 +180,79 @@ def _settle(case: Case, below: BoolArray) -> Value:
     return None
 
 
-# --- refusals and events -------------------------------------------------------------------------------
+# --- rejections and events -------------------------------------------------------------------------------
 
 
 def refused(case: Case) -> Values:
-    """Longest time over which each sensor was refused without a pause [s], outside its scripted faults."""
+    """Longest time over which each sensor was rejected without a pause [s], outside its scripted faults."""
     return {name: end - start for name, (start, end) in detection.find_refusals(case).items()}
 
 
 def events(case: Case) -> Values:
-    """Number of events that the estimator reported, by kind."""
+    """Number of events that the filter reported, by kind."""
     return {kind: float(count) for kind, count in case.events.items()}
 
 
 METRICS: tuple[Metric, ...] = (
     Metric("pos_rmse_{}_m", partial(rmse, "pos"), "pos", "lower"),
-    Metric("pos_max_h_m", pos_max_h, "pos", "not judged"),
-    Metric("pos_max_v_m", pos_max_v, "pos", "not judged"),
+    Metric("pos_max_h_m", pos_max_h, "pos", "not evaluated"),
+    Metric("pos_max_v_m", pos_max_v, "pos", "not evaluated"),
     Metric("cep50_m", partial(cep, 0.50), "pos", "lower"),
     Metric("cep95_m", partial(cep, 0.95), "pos", "lower"),
-    Metric("r95_m", partial(cep, 0.95), "pos", "not judged"),
+    Metric("r95_m", partial(cep, 0.95), "pos", "not evaluated"),
     Metric("pos_95_v_m", pos_95_v, "pos", "lower"),
     *(Metric(f"{p}_{{}}_m", partial(total_system.measure, p), "pos", "lower") for p in total_system.PARTS),
     Metric("vel_rmse_{}_mps", partial(rmse, "vel"), "vel", "lower"),
-    Metric("vel_max_mps", vel_max, "vel", "not judged"),
+    Metric("vel_max_mps", vel_max, "vel", "not evaluated"),
     Metric("phi_rmse_{}_deg", phi_rmse, "phi", "lower"),
     Metric("tilt_rmse_deg", tilt_rmse, "phi", "lower"),
     Metric("heading_rmse_deg", heading_rmse, "phi", "lower"),
-    Metric("heading_max_deg", heading_max, "phi", "not judged"),
+    Metric("heading_max_deg", heading_max, "phi", "not evaluated"),
     Metric("heading_convergence_s", heading_convergence, "phi", "lower"),
-    Metric("heading_right_s", heading_right, "phi", "not judged"),
+    Metric("heading_right_s", heading_right, "phi", "not evaluated"),
     Metric("outage_{}_drift_h_m", drift_laws.outage_drift, "pos", "lower"),
     Metric("outage_{}_growth_h_m", drift_laws.outage_growth, "pos", "lower"),
     Metric("fault_{}_detected", detection.fault_detected, "", "matched"),
     Metric("fault_{}_delay_s", detection.fault_delay, "", "lower"),
-    Metric("fault_{}_alarm_share", detection.fault_alarm_share, "", "not judged"),
+    Metric("fault_{}_alarm_share", detection.fault_alarm_share, "", "not evaluated"),
     Metric("fault_{}_max_h_m", detection.fault_max_h, "pos", "lower"),
     Metric("false_alarms_{}", detection.false_alarms, "", "zero"),
-    Metric("false_alarm_rate_per_h", detection.false_alarm_rate, "", "not judged"),
-    Metric("false_alarm_share", detection.false_alarm_share, "", "not judged"),
+    Metric("false_alarm_rate_per_h", detection.false_alarm_rate, "", "not evaluated"),
+    Metric("false_alarm_share", detection.false_alarm_share, "", "not evaluated"),
     Metric("nees_mean", claims.nees_mean, "cov", "matched"),
-    Metric("nees_states", claims.nees_states, "cov", "not judged"),
+    Metric("nees_states", claims.nees_states, "cov", "not evaluated"),
     Metric("nees_inside_95", claims.nees_inside_95, "cov", "matched"),
     Metric("coverage_3sigma_pos_{}", partial(claims.coverage, "pos"), "pos cov", "matched"),
     Metric("coverage_3sigma_vel_{}", partial(claims.coverage, "vel"), "vel cov", "matched"),
     Metric("coverage_3sigma_phi_{}", partial(claims.coverage, "phi"), "phi cov", "matched"),
     Metric("output_coverage", claims.output_coverage, "", "matched"),
-    Metric("answered_{}", claims.answered, "", "not judged"),
-    Metric("first_answer_s", claims.first_answer, "", "not judged"),
+    Metric("availability_{}", claims.answered, "", "not evaluated"),
+    Metric("first_answer_s", claims.first_answer, "", "not evaluated"),
     Metric("nis_mean_{}", partial(claims.nis, "mean"), "", "matched"),
-    Metric("nis_low_{}", partial(claims.nis, "low"), "", "not judged"),
-    Metric("nis_high_{}", partial(claims.nis, "high"), "", "not judged"),
-    Metric("updates_{}", claims.updates, "", "not judged"),
-    Metric("rejected_{}", claims.rejected, "", "not judged"),
-    Metric("events_{}", events, "", "not judged"),
-    Metric("refused_{}_s", refused, "", "zero"),
-    Metric("pos_claimed_h_m", claims.claimed_error_h, "pos cov", "not judged"),
-    Metric("error_over_sigma_{}", claims.error_over_sigma, "cov", "not judged"),
-    Metric("nees_low", partial(claims.nees_band, "low"), "cov", "not judged"),
-    Metric("nees_high", partial(claims.nees_band, "high"), "cov", "not judged"),
-    Metric("nees_samples", claims.nees_samples, "cov", "not judged"),
-    Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov", "not judged"),
-    Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov", "not judged"),
-    Metric("coverage_low_phi_{}", partial(claims.coverage_low, "phi"), "phi cov", "not judged"),
+    Metric("nis_low_{}", partial(claims.nis, "low"), "", "not evaluated"),
+    Metric("nis_high_{}", partial(claims.nis, "high"), "", "not evaluated"),
+    Metric("updates_{}", claims.updates, "", "not evaluated"),
+    Metric("rejected_{}", claims.rejected, "", "not evaluated"),
+    Metric("events_{}", events, "", "not evaluated"),
+    Metric("longest_rejection_{}_s", refused, "", "zero"),
+    Metric("pos_sigma_h_m", claims.claimed_error_h, "pos cov", "not evaluated"),
+    Metric("error_over_sigma_{}", claims.error_over_sigma, "cov", "not evaluated"),
+    Metric("nees_low", partial(claims.nees_band, "low"), "cov", "not evaluated"),
+    Metric("nees_high", partial(claims.nees_band, "high"), "cov", "not evaluated"),
+    Metric("nees_samples", claims.nees_samples, "cov", "not evaluated"),
+    Metric("coverage_low_pos_{}", partial(claims.coverage_low, "pos"), "pos cov", "not evaluated"),
+    Metric("coverage_low_vel_{}", partial(claims.coverage_low, "vel"), "vel cov", "not evaluated"),
+    Metric("coverage_low_phi_{}", partial(claims.coverage_low, "phi"), "phi cov", "not evaluated"),
     Metric("gyro_bias_rmse_{}_deg_h", partial(claims.bias_rmse, "gyro_bias"), "", "lower"),
     Metric("accel_bias_rmse_{}_mg", partial(claims.bias_rmse, "accel_bias"), "", "lower"),
     Metric("coverage_3sigma_bias_{}", claims.bias_coverage, "", "matched"),
     Metric("nees_bias_{}", claims.nees_bias, "", "matched"),
-    Metric("nees_low_bias_{}", partial(claims.nees_bias_band, "low"), "", "not judged"),
-    Metric("nees_high_bias_{}", partial(claims.nees_bias_band, "high"), "", "not judged"),
-    Metric("outage_{}_law_h_m", partial(drift_laws.outage_law, "rms"), "phi", "not judged"),
-    Metric("outage_{}_law_95_h_m", partial(drift_laws.outage_law, "95"), "phi", "not judged"),
+    Metric("nees_low_bias_{}", partial(claims.nees_bias_band, "low"), "", "not evaluated"),
+    Metric("nees_high_bias_{}", partial(claims.nees_bias_band, "high"), "", "not evaluated"),
+    Metric("outage_{}_predicted_h_m", partial(drift_laws.outage_law, "rms"), "phi", "not evaluated"),
+    Metric("outage_{}_predicted_95_h_m", partial(drift_laws.outage_law, "95"), "phi", "not evaluated"),
     Metric("inertial_end_h_m", drift_laws.inertial_end, "phi", "lower"),
-    Metric("inertial_law_{}_h_m", drift_laws.inertial_law, "phi", "not judged"),
+    Metric("inertial_predicted_{}_h_m", drift_laws.inertial_law, "phi", "not evaluated"),
     Metric("ape_aligned_rmse_m", path_errors.ape_aligned, "pos", "lower"),
     Metric("rpe_{}_m", partial(path_errors.rpe, "m"), "pos", "lower"),
     Metric("rpe_{}_deg", partial(path_errors.rpe, "deg"), "phi", "lower"),
@@ -262,7 +262,7 @@ METRICS: tuple[Metric, ...] = (
 
 
 _LONGEST = 200  # characters of an error in a message
-_OF_ANSWERS = ("output_coverage", "answered_{}", "first_answer_s")
+_OF_ANSWERS = ("output_coverage", "availability_{}", "first_answer_s")
 """Metrics that need no epoch with an answer."""
 
 # --- all metrics of a run ----------------------------------------------------------------------------------
@@ -280,7 +280,7 @@ def measure(
     data: SensorData | None = None,
     path: OffPath | None = None,
 ) -> tuple[ErrorSeries, dict[str, Any]]:
-    """Compare a solution with the truth: return the errors and the metrics of one estimator in one run.
+    """Compare a solution with the truth: return the errors and the metrics of one filter in one run.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def measure(
     drawn : SensorTruth or None
         The true biases.
     data, path : SensorData, OffPath, or None
-        What the estimator got, which may excuse a silence; the path that it flew off, at all its instants.
+        What the filter got, which may excuse a silence; the path that it flew off, at all its epochs.
 
     Returns
     -------
@@ -308,7 +308,7 @@ def measure(
         Estimate minus truth.
     metrics : dict
         ``converged`` (bool), ``reason`` (text, or None when converged), ``failed`` (True, only where
-        there is no solution), ``traceback`` (text, only where the estimator raised), then a float or None
+        there is no solution), ``traceback`` (text, only where the filter raised), then a float or None
         by metric name. A metric of a block that is not estimated is absent; one that is not finite, or has
         no value after the alignment window, is None; ``no_value`` says of each that raised why.
 
@@ -318,7 +318,7 @@ def measure(
         If the solution is empty or has a time outside the truth.
     """
     if len(solution) == 0:
-        raise ValueError("NavSolution.t must hold at least one instant; got none")
+        raise ValueError("NavSolution.t must hold at least one time; got none")
     errors = error_series(truth, solution)
     rows, silent = find_covered_epochs(solution), find_silent_epochs(solution)
     judged, covered = select_epochs(errors, rows), select_epochs(solution, rows)
@@ -366,9 +366,9 @@ def judge_epochs(
     coverage: Coverage | None = None,
     path: OffPath | None = None,
 ) -> dict[str, Any]:
-    """Return the metrics of errors and a solution at the same instants, as :func:`judge` does.
+    """Return the metrics of errors and a solution at the same epochs, as :func:`judge` does.
 
-    ``missing`` holds the instants (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
+    ``missing`` holds the epochs (K,) that were asked for and have no solution [s]; ``metrics`` are the rows
     of :data:`METRICS` to compute. ``factored`` is that of :func:`check_convergence`. Metrics of accuracy are
     of ``carried``, if it is given, and so hold silent epochs.
     """

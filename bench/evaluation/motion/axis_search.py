@@ -87,19 +87,20 @@ def find_axes(
 
     given, *others = list_axes()
     tried = sorted(
-        ((_cost(fit(axes, few, 1), few), k) for k, axes in enumerate([*others, *units])), key=lambda x: x[0]
+        ((weigh_residuals(fit(axes, few, 1), few), k) for k, axes in enumerate([*others, *units])),
+        key=lambda x: x[0],
     )
     best, best_fit = given, plain
-    cost = _cost(plain, stretches) - _EVIDENCE
+    cost = weigh_residuals(plain, stretches) - _EVIDENCE
     for _, k in tried[:_KEPT]:
         axes = [*others, *units][k]
         found = fit(axes, stretches, 6)
-        if _cost(found, stretches) < cost:
-            best, best_fit, cost = axes, found, _cost(found, stretches)
+        if weigh_residuals(found, stretches) < cost:
+            best, best_fit, cost = axes, found, weigh_residuals(found, stretches)
     return best, best_fit
 
 
-def _cost(fit: MotionFit, stretches: Stretches) -> float:
-    """Return the negative logarithm of the likelihood with an unknown noise in every stretch."""
+def weigh_residuals(fit: MotionFit, stretches: Stretches) -> float:
+    """Return the negative logarithm of the likelihood with an unknown noise in every segment."""
     free = 3 * np.diff(stretches.begin) - 6
     return float(0.5 * free @ np.log(fit.rms**2 + _NOISE**2))

@@ -33,9 +33,9 @@ YAW_OFF = np.deg2rad(10.0)
 LEVEL_OFF = np.deg2rad(30.0)
 """Allowed angle from the up axis to the mean specific force on the move [rad]."""
 _MOVING = 2.0  # lowest ground speed that gives a course [m/s]
-_HEADING_SD = np.deg2rad(2.0)  # stretches whose heading is known better are compared with the course [rad]
+_HEADING_SD = np.deg2rad(2.0)  # segments whose heading is known better are compared with the course [rad]
 _WIND_SD = 15.0  # what the wind may be [m/s]
-_FIT_WELL = 0.1  # no other axes are tried if no stretch has a larger residual [m/s]
+_FIT_WELL = 0.1  # no other axes are tried if no segment has a larger residual [m/s]
 
 
 def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
@@ -61,9 +61,9 @@ def check_motion(motion: RecordedMotion, antenna_b: FloatArray) -> list[Check]:
         if tilt > LEVEL_OFF:
             words += ": mounting_deg does not make z point down"
         found.append(Check("level_tilt_deg", float(np.rad2deg(tilt)), words, tilt <= LEVEL_OFF))
-    found += [_check_shift(fit), _check_rate_gain(fit, axes), _check_force_gain(fit)]
+    found += [check_shift(fit), check_rate_gain(fit, axes), check_force_gain(fit)]
     if axes.are_given:
-        found += [_check_triads(fit), _check_arm(fit, antenna_b), _check_forward_axis(fit, stretches)]
+        found += [check_triads(fit), check_arm(fit, antenna_b), check_forward_axis(fit, stretches)]
     return found
 
 
@@ -81,7 +81,8 @@ def _unknown(name: str, what: str) -> Check:
     return Check(name, None, f"imu: the motion does not show {what}", True)
 
 
-def _check_shift(fit: MotionFit) -> Check:
+def check_shift(fit: MotionFit) -> Check:
+    """Check the time shift between IMU and fixes against the motion of the fixes."""
     shift, sd = _take(fit, "shift")
     off = _is_off(shift, sd, SHIFT_OFF)
     if not off and sd > SHIFT_OFF:
@@ -92,13 +93,14 @@ def _check_shift(fit: MotionFit) -> Check:
     return Check("imu_shift_s", shift, text, not off)
 
 
-def _check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
+def check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
+    """Check the gain of the gyros against the motion of the fixes."""
     gain, sd = _take(fit, "gyro_gain")
     gain = float(np.exp(gain)) / axes.gyro_factor
     off = _is_off(gain - 1.0, sd, RATE_OFF)
     if not off and sd > RATE_OFF:
         return _unknown("turn_gain", f"the unit of the angular rates (sd {sd:.2g})")
-    text = f"imu: angular rates are {gain:.3f} of those of the motion"
+    text = f"imu: angular rates are {gain:.3f} times the motion"
     if off:
         guess = {57.3: "deg/s in a column of rad/s", 1 / 57.3: "rad/s in a column of deg/s"}
         near = [words for value, words in guess.items() if abs(gain / value - 1.0) < 0.2]
@@ -106,13 +108,14 @@ def _check_rate_gain(fit: MotionFit, axes: Axes) -> Check:
     return Check("turn_gain", gain, text, not off)
 
 
-def _check_force_gain(fit: MotionFit) -> Check:
+def check_force_gain(fit: MotionFit) -> Check:
+    """Check the gain of the accelerometers against the motion of the fixes."""
     gain, sd = _take(fit, "accel_gain")
     gain = float(np.exp(gain))
     off = _is_off(gain - 1.0, sd, GRAVITY_OFF)
     if not off and sd > GRAVITY_OFF:
         return _unknown("force_gain", f"the unit of the specific force (sd {sd:.2g})")
-    text = f"imu: specific force is {gain:.3f} of that of the motion"
+    text = f"imu: specific force is {gain:.3f} times the motion"
     if off:
         text += guess_force_unit(gain)
     return Check("force_gain", gain, text, not off)
@@ -127,7 +130,7 @@ def guess_force_unit(ratio: float) -> str:
     return ": the unit or the scale looks wrong"
 
 
-def _check_triads(fit: MotionFit) -> Check:
+def check_triads(fit: MotionFit) -> Check:
     """Check that gyros and accelerometers share their axes."""
     each = [_take(fit, f"turn_{axis}") for axis in "xyz"]
     bad = [_is_off(turn, sd, TRIADS_OFF) for turn, sd in each]
@@ -141,7 +144,8 @@ def _check_triads(fit: MotionFit) -> Check:
     return Check("triads_deg", float(np.linalg.norm(turns)), text, not any(bad))
 
 
-def _check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
+def check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
+    """Check the lever arm of the antenna against the motion of the fixes."""
     each = [_take(fit, f"arm_{axis}") for axis in "xyz"]
     bad = [_is_off(arm, sd, ARM_OFF) for arm, sd in each]
     known = [sd <= _ARM_KNOWN for _, sd in each]
@@ -159,7 +163,7 @@ def _check_arm(fit: MotionFit, antenna_b: FloatArray) -> Check:
     return Check("arm_off_m", off, text, not any(bad))
 
 
-def _check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
+def check_forward_axis(fit: MotionFit, stretches: Stretches) -> Check:
     """Compare the forward axis with the motion through the air, with a wind that stays.
 
     With nose h and the unit vector p to its right, turned by the wanted angle, (v - wind) p = 0: Gauss-Newton

@@ -1,14 +1,14 @@
 """Fit of what an IMU measured to the velocities of a receiver, with no assumption on how the vehicle moves.
 
-Over a stretch of some seconds the gyros give the attitude C_sb relative to that at its start, s; with it the
-accelerometers give the velocity gained, u. In an inertial frame i, Earth-fixed at the start of the stretch,
+Over a segment of some seconds the gyros give the attitude C_sb relative to that at its start, s; with it the
+accelerometers give the velocity gained, u. In an inertial frame i, Earth-fixed at the start of the segment,
 the receiver gives the same velocity, Y, from its own velocities and gravity:
 
     Y(t) = v_0 + C_is (u(t - shift) + C_sb(t) (w x arm))
 
-v_0 and C_is are free in every stretch: C_is by Wahba's problem (Markley and Crassidis, Fundamentals of
+v_0 and C_is are free in every segment: C_is by Wahba's problem (Markley and Crassidis, Fundamentals of
 Spacecraft Attitude Determination and Control, 2014, section 5.4). Biases and gains of both triads, a rotation
-between them, the shift of the clocks and the arm are common to all stretches: Gauss-Newton, with the
+between them, the shift of the clocks and the arm are common to all segments: Gauss-Newton, with the
 derivatives of u integrated along with it.
 """
 
@@ -34,17 +34,17 @@ NAMES = (
     *("arm_x", "arm_y", "arm_z"),  # of the antenna, beyond the one given [m]
 )
 # what is known before: no more than that the units are about right and the arm was measured, not guessed
-_PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
+PRIOR_SD = np.array([0.1] * 3 + [1.0] + [1.0] * 3 + [1.0] + [1.0] * 3 + [1.0] + [0.5] * 3)
 _LONGEST = 2.0  # step of an iteration, in these standard deviations: a wrong unit is far from linear
 _KERNEL = 11  # parameters whose derivatives are integrated
 _GYRO_GAIN, _ACCEL_GAIN, _SHIFT, _ARM = 3, 7, 11, slice(12, 15)
-LENGTH = 20.0  # of a stretch [s]
-_FEWEST = 8  # fixes in a stretch
-_MOST = 150  # stretches; those in which the velocity changes most are used
-_GAP = 0.5  # of the IMU inside a stretch [s]
+LENGTH = 20.0  # of a segment [s]
+_FEWEST = 8  # fixes in a segment
+MOST_SEGMENTS = 150  # segments; those in which the velocity changes most are used
+_GAP = 0.5  # of the IMU inside a segment [s]
 _HALF = 0.05  # step of the derivative by time [s]
 _MARGIN = 1.0  # to the ends of the IMU record [s]: clocks may differ
-_NOISE = 0.05  # of the velocities of a receiver [m/s]: stretches that fit better than this count alike
+_NOISE = 0.05  # of the velocities of a receiver [m/s]: segments that fit better than this count alike
 
 
 @kernel
@@ -132,7 +132,7 @@ class Stretches:
 
     begin: IntArray  # (W + 1,) first fix of each among those below
     fix_t: FloatArray  # (K,) [s]
-    gained: FloatArray  # (K, 3) velocity of the receiver without gravity, in i of each stretch [m/s]
+    gained: FloatArray  # (K, 3) velocity of the receiver without gravity, in i of each segment [m/s]
     vel_n: FloatArray  # (K, 3)
     C_in: FloatArray  # (K, 3, 3)
     change: FloatArray  # (W,) of the velocity between fixes [m/s]
@@ -142,13 +142,13 @@ class Stretches:
 
     @property
     def slices(self) -> list[slice]:
-        """The rows of each stretch."""
+        """The rows of each segment."""
         return [slice(a, b) for a, b in zip(self.begin[:-1], self.begin[1:], strict=True)]
 
     def find_near(self, t: FloatArray) -> IntArray:
-        """Return the rows of an IMU with times (N,) in these stretches, and a margin to either side.
+        """Return the rows of an IMU with times (N,) in these segments, and a margin to either side.
 
-        Where the IMU is silent at the end of a stretch, the last interval ends with the row after it.
+        Where the IMU is silent at the end of a segment, the last interval ends with the row after it.
         """
         first = np.searchsorted(t, self.fix_t[self.begin[:-1]] - 2.0 * _MARGIN)
         last = np.searchsorted(t, self.fix_t[self.begin[1:] - 1] + 2.0 * _MARGIN)
@@ -158,7 +158,7 @@ class Stretches:
         return np.flatnonzero(np.cumsum(inside)[:-1])
 
     def take_liveliest(self, count: int) -> Stretches:
-        """Return the stretches in which the velocity changes most, in order of time."""
+        """Return the segments in which the velocity changes most, in order of time."""
         kept = np.sort(np.argsort(-self.change, kind="stable")[:count])
         rows = np.concatenate([np.empty(0, np.int64), *(np.arange(*self.begin[k : k + 2]) for k in kept)])
         begin = np.concatenate([[0], np.cumsum(np.diff(self.begin)[kept])])
@@ -168,7 +168,7 @@ class Stretches:
 
 
 def find_stretches(imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: FloatArray) -> Stretches:
-    """Return the stretches of an IMU with times (N,) and a receiver with times (M,) and velocities, n."""
+    """Return the segments of an IMU with times (N,) and a receiver with times (M,) and velocities, n."""
     if len(t) < _FEWEST or len(imu_t) < 2:
         return Stretches(
             np.zeros(1, np.int64), t[:0], np.empty((0, 3)), vel_n[:0], np.empty((0, 3, 3)), t[:0]
@@ -203,16 +203,16 @@ def find_stretches(imu_t: FloatArray, t: FloatArray, lla: FloatArray, vel_n: Flo
         vel_n[rows],
         np.vstack([np.empty((0, 3, 3)), *(one[3] for one in found)]),
         np.array([one[0] for one in found]),
-    ).take_liveliest(_MOST)
+    ).take_liveliest(MOST_SEGMENTS)
 
 
 @dataclass(frozen=True, slots=True)
 class MotionFit:
-    """The fitted parameters, in the order of `NAMES`, and how well each stretch fits."""
+    """The fitted parameters, in the order of `NAMES`, and how well each segment fits."""
 
     values: FloatArray  # (15,)
     cov: FloatArray  # (15, 15)
-    rms: FloatArray  # (W,) residuals of each stretch [m/s]
+    rms: FloatArray  # (W,) residuals of each segment [m/s]
     C_nb: FloatArray  # (K, 3, 3) at the fixes
     heading_sd: FloatArray  # (W,) of C_nb [rad]
 
@@ -239,12 +239,12 @@ def fit_motion(
         Gauss-Newton steps.
     """
     values = np.zeros(len(NAMES))
-    values[_ACCEL_GAIN] = _guess_gain(accel)
+    values[_ACCEL_GAIN] = guess_gain(accel)
     weights = np.ones(len(stretches))
     for step in range(iterations + 1):
-        u, U, C_sb, rate, u_dot = _integrate(stretches, t, gyro, accel, values)
+        u, U, C_sb, rate, u_dot = integrate(stretches, t, gyro, accel, values)
         swing = np.einsum("kij,kj->ki", C_sb, np.cross(rate, arm_b + values[_ARM]))
-        normal, pull = np.diag(_PRIOR_SD**-2), -values / _PRIOR_SD**2
+        normal, pull = np.diag(PRIOR_SD**-2), -values / PRIOR_SD**2
         scores, rms, C_nb, heading_sd = [], [], np.empty((len(u), 3, 3)), []
         for weight, rows in zip(weights, stretches.slices, strict=True):
             x, y = u[rows] + swing[rows], stretches.gained[rows]
@@ -270,12 +270,12 @@ def fit_motion(
         inverse = np.linalg.inv(normal)
         if step == iterations:
             break
-        values = values + np.clip(inverse @ pull, -_LONGEST * _PRIOR_SD, _LONGEST * _PRIOR_SD)
+        values = values + np.clip(inverse @ pull, -_LONGEST * PRIOR_SD, _LONGEST * PRIOR_SD)
         values[_SHIFT] = np.clip(values[_SHIFT], _HALF - _MARGIN, _MARGIN - _HALF)  # within the record
         weights = 1.0 / (np.square(rms) + _NOISE**2)
     spread = np.array(scores)
     factor = len(spread) / max(len(spread) - 1, 1)
-    cov = inverse @ (factor * spread.T @ spread + np.diag(_PRIOR_SD**-2)) @ inverse
+    cov = inverse @ (factor * spread.T @ spread + np.diag(PRIOR_SD**-2)) @ inverse
     cov[np.diag_indices(len(cov))] = np.maximum(np.diag(cov), np.diag(inverse))
     return MotionFit(values, cov, np.array(rms), C_nb, np.array(heading_sd))
 
@@ -294,13 +294,13 @@ def _cross_matrices(v: FloatArray) -> FloatArray:
     return np.asarray((v @ _CROSS).reshape(-1, 3, 3))
 
 
-def _guess_gain(accel: FloatArray) -> float:
+def guess_gain(accel: FloatArray) -> float:
     """Return where to start with the gain of the accelerometers: far from 0 only if a unit is wrong."""
     ratio = float(np.median(np.linalg.norm(accel, axis=1))) / STANDARD_GRAVITY
     return 0.0 if 0.5 < ratio < 2.0 or ratio == 0.0 else float(np.log(ratio))
 
 
-def _integrate(
+def integrate(
     stretches: Stretches, t: FloatArray, gyro: FloatArray, accel: FloatArray, values: FloatArray
 ) -> tuple[FloatArray, ...]:
     """Return u, U, C_sb, the rate at the fixes and the derivative of u by time, for some parameters."""

@@ -17,7 +17,7 @@ from bench.evaluation.motion.recorded_motion import Check
 from bench.evaluation.motion.rest_noise import assume_noise
 
 SEGMENT = 4.0
-"""Length of the stretches whose spectra are averaged [s]."""
+"""Length of the segments whose spectra are averaged [s]."""
 LEAST = 40.0
 """Shortest time in motion that tells a noise [s]: ten spectra of eight frequencies in a band or more."""
 BANDS = ((3.0, 5.0), (5.0, 7.0), (7.0, 10.0))
@@ -30,7 +30,7 @@ def measure_motion_noise(
 ) -> tuple[float, float] | None:
     """Return the noise of gyros [rad/sqrt(s)] and accelerometers [m/s/sqrt(s)], root mean square of the axes.
 
-    Spectra of whole stretches of `SEGMENT` without a standstill, a Hann window each, averaged; of each axis
+    Spectra of whole segments of `SEGMENT` without a standstill, a Hann window each, averaged; of each axis
     the median of `BANDS`, so that no peak in one of them counts. None if it moves for less than `LEAST`
     seconds or is sampled too slowly.
     """
@@ -53,7 +53,7 @@ def measure_motion_noise(
             continue
         part = rows[first : first + count]
         rate = np.hstack([imu.dtheta_b[part], imu.dvel_b[part]]) / imu.dt[part, None]
-        power = _spectrum(rate, window, dt)
+        power = spectrum(rate, window, dt)
         total += np.stack([power[rows_of].mean(axis=0) for rows_of in inside])
         segments += 1
     if segments * SEGMENT < LEAST:
@@ -63,7 +63,7 @@ def measure_motion_noise(
     return gyro, accel
 
 
-def _spectrum(rate: FloatArray, window: FloatArray, dt: float) -> FloatArray:
+def spectrum(rate: FloatArray, window: FloatArray, dt: float) -> FloatArray:
     """Return the power density (F, 6), two-sided, of samples (N, 6) less their trend."""
     line = np.linspace(-1.0, 1.0, len(rate))[:, None]
     level = rate - rate.mean(axis=0) - line * (line.T @ rate / np.sum(line**2))
@@ -77,7 +77,7 @@ def assume_motion_noise(
     """Return a datasheet with the larger of its noise and that in motion, and a line that says so."""
     found = measure_motion_noise(imu, standstills)
     if found is None:
-        text = f"imu: less than {LEAST:g} s of whole motion; the noise assumed is that of {spec.name}"
+        text = f"imu: less than {LEAST:g} s of whole motion; the assumed noise is from {spec.name}"
         return spec, Check("motion_noise_ratio", None, text, True)
     low, high = BANDS[0][0], BANDS[-1][1]
     return assume_noise(spec, found, "motion_noise_ratio", f"noise in motion, {low:g} to {high:g} Hz")

@@ -76,7 +76,7 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
     """Simulate an IMU at rest and constant temperature, and compare its Allan deviation with its datasheet.
 
     Averaging times below 8 s come from a record at 200 Hz, the others from 18 h at 1 Hz. A skewed triad is
-    measured along its own axes. The simulated biases are linear between instants 0.05 s (1 s) apart; the
+    measured along its own axes. The simulated biases are linear between epochs 0.05 s (1 s) apart; the
     expected curve includes the effect, which is visible if there is little white noise.
     """
     resting = replace(spec, thermal=ThermalSpec(), vibration=VibrationSpec(), accel_cone=0.0, accel_arms=())
@@ -85,7 +85,7 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
         name: [] for name, triad in triads.items() if make_noise_terms(triad)
     }
     for (rate, length), first, last in ((FAST, 0.0, _CHANGE), (SLOW, _CHANGE, np.inf)):
-        record, _ = imu.measure(_make_resting_truth(rate, length), resting, SensorDraws(seed, 0))
+        record, _ = imu.measure(make_resting_truth(rate, length), resting, SensorDraws(seed, 0))
         spans = allan.make_octaves(len(record), INDEPENDENT)
         spans = spans[(spans / rate >= first) & (spans / rate < last)]
         for name, increments in (("gyro", record.dtheta_b), ("accel", record.dvel_b)):
@@ -95,7 +95,7 @@ def measure_model(spec: ImuSpec, seed: int = 1) -> list[AllanCurve]:
     return [_join_curves(parts) for parts in found.values()]
 
 
-def _make_resting_truth(rate: float, length: float) -> Trajectory:
+def make_resting_truth(rate: float, length: float) -> Trajectory:
     """Return a truth at rest in a frame that does not rotate, with 1 g, at 25 degC in calm air."""
     n = round(rate * length)
     t = np.arange(n + 1) / rate
@@ -118,7 +118,7 @@ def _measure_curve(
 ) -> AllanCurve:
     """Return the Allan deviation of one record, axes pooled, with its band around the datasheet.
 
-    ``step`` is the interval between the instants of the simulated biases [s].
+    ``step`` is the interval between the epochs of the simulated biases [s].
     """
     by_axis = allan.measure_deviation(increments, interval, spans)
     measured: FloatArray = np.sqrt(np.mean(by_axis**2, axis=1))
@@ -129,8 +129,8 @@ def _measure_curve(
     one_axis = [allan.degrees_of_freedom(process, len(increments), interval, int(m)) for m in spans]
     edf: FloatArray = axes * np.array(one_axis)
     expected = allan.expected_deviation(process, tau) if terms else np.full(len(tau), np.nan)
-    centre = expected if terms else measured
-    low, high = centre * _ratio_quantile(edf, _TAIL), centre * _ratio_quantile(edf, 1 - _TAIL)
+    center = expected if terms else measured
+    low, high = center * _ratio_quantile(edf, _TAIL), center * _ratio_quantile(edf, 1 - _TAIL)
     by_term = {key: allan.expected_deviation(term, tau) for key, term in terms.items()}
     return AllanCurve(name, tau, measured, edf, low, high, expected, by_term)
 

@@ -102,7 +102,7 @@ class RecordedMotion:
     def take_velocities(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times, positions and velocities of the fixes with a velocity.
 
-        If less than half of them have one, the velocities are those between neighbouring positions.
+        If less than half of them have one, the velocities are those between neighboring positions.
         """
         good = np.asarray(np.isfinite(self.vel_n).all(axis=1))
         if 2 * good.sum() >= len(good):

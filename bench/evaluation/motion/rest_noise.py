@@ -1,7 +1,7 @@
 """The white noise of an IMU where it is mounted, from the standstills of a recording.
 
 What shakes it, an engine or the wind, is no error of a bias, so no state of a filter takes it: it has to be
-believed as noise. While the vehicle moves there is more of it, which standstills do not show.
+assumed as noise. While the vehicle moves there is more of it, which standstills do not show.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ TAU = 1.0
 LEAST = 10.0
 """Shortest time at rest that tells a noise [s]: it is then known to a third or better."""
 WINDOW = 1.0
-"""Length of the stretches whose noise is compared [s]."""
-_SHAKEN = 0.9  # quantile of the noise of the stretches: the median of the noisiest fifth
+"""Length of the segments whose noise is compared [s]."""
+_SHAKEN = 0.9  # quantile of the noise of the segments: the median of the noisiest fifth
 _MARGIN = 0.5  # to the ends of a standstill [s]
 _STEPS = 8  # averages begin this often in each averaging time
 _MAD = 1.4826  # standard deviation over median absolute deviation of a normal distribution
@@ -57,7 +57,7 @@ def measure_rest_noise(
 def measure_vibration(imu: ImuData) -> tuple[FloatArray, FloatArray]:
     """Return the noise of gyros [rad/sqrt(s)] and accelerometers [m/s/sqrt(s)] (3,) while it shakes most.
 
-    Second differences of neighbouring rates have sqrt(6) times the deviation of white noise, and next to
+    Second differences of neighboring rates have sqrt(6) times the deviation of white noise, and next to
     nothing of a motion that is slow against the samples. The figure is that of the noisiest fifth of the
     seconds, by its median: an engine runs in the flight, not before it.
     """
@@ -100,7 +100,7 @@ def assume_rest_noise(
     """Return a datasheet with the larger of its noise and that at rest, and a line that says so."""
     found = measure_rest_noise(imu, standstills)
     if found is None:
-        text = f"imu: at rest for less than {LEAST:g} s; the noise assumed is that of {spec.name}"
+        text = f"imu: at rest for less than {LEAST:g} s; the assumed noise is from {spec.name}"
         return spec, Check("rest_noise_ratio", None, text, True)
     return assume_noise(
         spec, found, "rest_noise_ratio", "noise at rest", "; while it moves there may be more"

@@ -30,7 +30,7 @@ TILT_OFF = np.deg2rad(20.0)
 """Allowed angle from the up axis to the specific force at rest [rad]: steeper than any parking place."""
 RATE_LIMIT = np.deg2rad(4000.0)
 """Angular rate beyond the range of usual gyros [rad/s]."""
-_GAIN_OFF = 0.2  # allowed relative difference of heights and velocities by two instruments
+GAIN_OFF = 0.2  # allowed relative difference of heights and velocities by two instruments
 _SPEEDS = {3.6: "km/h", 1.944: "knots", 3.281: "ft/s"}
 _MOVED, _SLOWEST = 8.0, 0.5  # a velocity is compared if its rms exceeds its noise this much, and [m/s]
 _LEAST_CLIMB = 20.0  # standard deviation of the heights from which a barometer is compared [m]
@@ -58,21 +58,21 @@ def check_recording(
     antenna_b : (3,) array
         GNSS antenna relative to the IMU [m], b.
     """
-    checks = [*_check_times("imu", imu.t, imu.valid), *_check_times("gnss", fixes.t, fixes.valid)]
+    checks = [*check_times("imu", imu.t, imu.valid), *check_times("gnss", fixes.t, fixes.valid)]
     for name, record in instruments.items():
-        checks += _check_times(name, record.t, record.valid)
+        checks += check_times(name, record.t, record.valid)
     with np.errstate(all="ignore"):  # figures may overflow; what is not finite is reported as it is
         motion = RecordedMotion.from_records(imu, fixes)
-        velocity = _check_velocity(motion)
-        checks += [_check_rates(motion), *_check_rest(motion), *velocity]
+        velocity = check_velocity(motion)
+        checks += [check_rates(motion), *check_rest(motion), *velocity]
         if not any(check.name.startswith("velocity_ratio") for check in velocity):
             checks += check_motion(motion, np.asarray(antenna_b))
         if "baro" in instruments:
-            checks += _check_heights("baro", motion, instruments["baro"])
+            checks += check_heights("baro", motion, instruments["baro"])
         return checks
 
 
-def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
+def check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     """Check the times of a record; messages count rows from 1."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.nan
@@ -98,7 +98,7 @@ def _check_times(name: str, t: FloatArray, valid: BoolArray) -> list[Check]:
     return found
 
 
-def _check_rates(motion: RecordedMotion) -> Check:
+def check_rates(motion: RecordedMotion) -> Check:
     """Check the largest angular rate."""
     most = float(np.rad2deg(motion.most_rate))
     text = f"imu: largest angular rate {most:.4g} deg/s"
@@ -108,7 +108,7 @@ def _check_rates(motion: RecordedMotion) -> Check:
     return Check("gyro_max_deg_s", most, text, good)
 
 
-def _check_rest(motion: RecordedMotion) -> list[Check]:
+def check_rest(motion: RecordedMotion) -> list[Check]:
     """Check gravity and angular rate at standstill."""
     spans = motion.find_standstills()
     rows = np.zeros(len(motion.t), np.bool_)
@@ -137,7 +137,7 @@ def _check_rest(motion: RecordedMotion) -> list[Check]:
     return [*found, Check("rest_rate_deg_s", float(np.linalg.norm(bias)), text, True)]
 
 
-def _check_velocity(motion: RecordedMotion) -> list[Check]:
+def check_velocity(motion: RecordedMotion) -> list[Check]:
     """Compare the velocity of the receiver with its positions: late, in another unit, or with other axes."""
     good = np.asarray(np.isfinite(motion.vel_n).all(axis=1))
     if 2 * good.sum() < len(good) or good.sum() < _FEWEST + 2:
@@ -147,15 +147,15 @@ def _check_velocity(motion: RecordedMotion) -> list[Check]:
     C_en = matrix_en(lla[:, 0], lla[:, 1])
     path, velocity = to_ecef(lla), np.einsum("kij,kj->ki", C_en, vel_n)
     between = 0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None]
-    travelled = np.concatenate([np.zeros((1, 3)), np.cumsum(between, axis=0)])
+    traveled = np.concatenate([np.zeros((1, 3)), np.cumsum(between, axis=0)])
     middle = np.flatnonzero(t[2:] - t[:-2] < 2.5 * float(np.median(np.diff(t))))
     if len(middle) < _FEWEST:
         text = "gnss: too few velocities in a row to compare them with its positions"
         return [Check("velocity_shift_s", None, text, True)]
     early, late = t[middle], t[middle + 2]
     span = (late - early)[:, None]
-    seen, own = (path[middle + 2] - path[middle]) / span, (travelled[middle + 2] - travelled[middle]) / span
-    shift, sd = _fit_shift(t, travelled, early, late, seen)
+    seen, own = (path[middle + 2] - path[middle]) / span, (traveled[middle + 2] - traveled[middle]) / span
+    shift, sd = fit_shift(t, traveled, early, late, seen)
     text = f"gnss: its velocity fits its positions with {shift:+.3f} s added to its time (sd {sd:.3f} s)"
     if not np.isfinite(shift) or sd > SHIFT_OFF:
         text = "gnss: the motion does not show whether its velocities are on time"
@@ -167,10 +167,10 @@ def _check_velocity(motion: RecordedMotion) -> list[Check]:
     turned = np.swapaxes(C_en[middle + 1], 1, 2)
     by_position, by_velocity = (np.einsum("kij,kj->ki", turned, x) for x in (seen, own))
     for axis, reference, value in zip(("north", "east", "down"), by_position.T, by_velocity.T, strict=True):
-        ratio, sd = _fit_ratio(value, reference)
+        ratio, sd = fit_ratio(value, reference)
         jitter = float(np.std(np.diff(value, 2))) / np.sqrt(6.0)  # its noise, if it is white
         still = float(np.sqrt(np.mean(value**2))) < max(_MOVED * jitter, _SLOWEST)
-        if still or abs(ratio - 1.0) <= max(_GAIN_OFF, SIGMAS * sd):
+        if still or abs(ratio - 1.0) <= max(GAIN_OFF, SIGMAS * sd):
             continue
         off, unit = min((abs(ratio * factor - 1.0), unit) for factor, unit in _SPEEDS.items())
         guess = f"are these {unit}?" if off < 0.1 else "the unit, a sign or the order of the axes looks wrong"
@@ -179,16 +179,16 @@ def _check_velocity(motion: RecordedMotion) -> list[Check]:
     return found
 
 
-def _fit_ratio(x: FloatArray, y: FloatArray) -> tuple[float, float]:
+def fit_ratio(x: FloatArray, y: FloatArray) -> tuple[float, float]:
     """Return the ratio of y to x (N,) and its standard deviation, with residuals that are correlated."""
     power = float(x @ x)
     if power == 0.0:
         return 1.0, np.inf
     ratio = float(x @ y) / power
-    return ratio, float(np.sqrt(_variance_of_sum(x * (y - ratio * x)))) / power
+    return ratio, float(np.sqrt(variance_of_sum(x * (y - ratio * x)))) / power
 
 
-def _check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:
+def check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check]:
     """Compare the heights of a barometer with those of the receiver."""
     height_b = INSTRUMENTS[name].values(record)[:, 0]
     good = record.valid & np.isfinite(height_b)
@@ -204,8 +204,8 @@ def _check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check
     ratio = float(x @ y / (x @ x))
     seconds = float(motion.fix_t[inside][-1] - motion.fix_t[inside][0])
     sd = float(np.std(y - ratio * x) / np.std(x)) / np.sqrt(max(seconds / _WANDER, 1.0))
-    text = f"{name}: heights change by {ratio:.3f} of those of the receiver (sd {sd:.3f})"
-    bad = abs(ratio - 1.0) > max(_GAIN_OFF, SIGMAS * sd)
+    text = f"{name}: heights change by {ratio:.3f} times the receiver (sd {sd:.3f})"
+    bad = abs(ratio - 1.0) > max(GAIN_OFF, SIGMAS * sd)
     if bad:
         text += (
             ": are these feet?" if abs(ratio / 3.281 - 1.0) < 0.1 else ": the unit or the sign looks wrong"
@@ -213,21 +213,21 @@ def _check_heights(name: str, motion: RecordedMotion, record: Any) -> list[Check
     return [Check(f"{name}_ratio", ratio, text, not bad)]
 
 
-def _mean_rate(t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray) -> FloatArray:
-    """Return the mean rates (M, k) between instants (M,) of integrals (N, k), less their average."""
+def mean_rate(t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray) -> FloatArray:
+    """Return the mean rates (M, k) between epochs (M,) of integrals (N, k), less their average."""
     columns = [(np.interp(late, t, one) - np.interp(early, t, one)) / (late - early) for one in integral.T]
     rates = np.stack(columns, axis=-1)
     return np.asarray(rates - rates.mean(axis=0))
 
 
-def _fit_shift(
+def fit_shift(
     t: FloatArray, integral: FloatArray, early: FloatArray, late: FloatArray, seen: FloatArray
 ) -> tuple[float, float]:
     """Return the time to add to t that fits the reference rates [s], and its standard deviation.
 
     The shift maximizes the correlation between the mean rates of the integral from ``early`` to ``late`` and
     the reference ``seen``. Its standard deviation is that of a linear least squares fit with correlated
-    residuals: neighbouring central differences share half their time.
+    residuals: neighboring central differences share half their time.
     """
     shifts = np.arange(-_SEARCH, _SEARCH + 0.5 * _STEP, _STEP)
     inside = (early > t[0] + _SEARCH) & (late < t[-1] - _SEARCH)
@@ -237,7 +237,7 @@ def _fit_shift(
     seen = seen - seen.mean(axis=0)
 
     def rate(shift: float) -> FloatArray:
-        return _mean_rate(t, integral, early - shift, late - shift)
+        return mean_rate(t, integral, early - shift, late - shift)
 
     scores = np.abs([np.vdot(own, seen) / np.linalg.norm(own) for own in map(rate, shifts)])
     k = int(np.clip(np.argmax(scores), 1, len(shifts) - 2))
@@ -248,10 +248,10 @@ def _fit_shift(
     gain = float(np.vdot(own, seen) / np.vdot(seen, seen))
     slope = (rate(best - _STEP) - rate(best + _STEP)) / (2 * _STEP)
     pulls = np.sum(slope * (own - gain * seen), axis=1)
-    return best, float(np.sqrt(_variance_of_sum(pulls)) / np.vdot(slope, slope))
+    return best, float(np.sqrt(variance_of_sum(pulls)) / np.vdot(slope, slope))
 
 
-def _variance_of_sum(values: FloatArray) -> float:
+def variance_of_sum(values: FloatArray) -> float:
     """Return the variance (above 0) of the sum of values that are correlated over a few rows."""
     products = [np.dot(values[lag:], values[:-lag]) for lag in range(1, min(_LAGS, len(values) - 1) + 1)]
     alone = float(np.dot(values, values))

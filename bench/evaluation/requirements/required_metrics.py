@@ -1,4 +1,4 @@
-"""What is required of an estimator, and whether one run, or many, keep it.
+"""What is required of a filter, and whether one run, or many, keep it.
 
 A requirement is a row ``[[requirement]]`` of a profile or a log, as its document has it. One run keeps it if
 its metric does; a run that did not converge, or has no such metric, does not. Of many runs a ``share`` has
@@ -30,7 +30,7 @@ Values = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Whether an estimator keeps a requirement."""
+    """Whether a filter keeps a requirement."""
 
     label: str
     metric: str
@@ -71,7 +71,7 @@ def is_metric(name: str) -> bool:
 
 
 def list_requirements(document: Mapping[str, Any], label: str) -> list[Mapping[str, Any]]:
-    """Return the requirements that a profile or log as flown has for an estimator."""
+    """Return the requirements that a profile or log as flown has for a filter."""
     return [row for row in document.get("requirement", ()) if row.get("estimator", label) == label]
 
 

@@ -22,7 +22,7 @@ _SURE = 0.95  # probability of each bound
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What R runs of M instants, at equal intervals, did and stated."""
+    """What R runs of M epochs, at equal intervals, did and stated."""
 
     interval: float  # [s]
     error: FloatArray  # (R, M) size of the position error [m]; NaN: no solution
@@ -47,7 +47,7 @@ class Watched:
 
 
 def estimate_per_run(happened: BoolArray) -> Estimate:
-    """Return in which share of the runs something happened at any of their instants (R, M)."""
+    """Return in which share of the runs something happened at any of their epochs (R, M)."""
     return estimate_rate(int(happened.any(axis=1).sum()), len(happened))
 
 
@@ -55,7 +55,7 @@ def count_detected(watched: Watched, within: float) -> tuple[int, int]:
     """Return the runs whose error went beyond the limit, and those of them with an alert each time.
 
     The errors of a run have one cause, so a run counts once. An alert is in time if it comes at most
-    ``within`` seconds after the first instant beyond the limit; an earlier one counts if it lasts until then.
+    ``within`` seconds after the first time beyond the limit; an earlier one counts if it lasts until then.
     """
     late = round(within / watched.interval)
     beyond, alert = ~(watched.error <= watched.limit), watched.alert
@@ -89,7 +89,7 @@ class JudgedFigure:
 
 
 def judge_rate(events: int, hours: float, most: float) -> JudgedFigure:
-    """Judge a rate per hour from the number of independent events in some flight hours (Poisson).
+    """Evaluate a rate per hour from the number of independent events in some flight hours (Poisson).
 
     It is met where the upper bound is at most ``most``, missed where the lower one is above. Undecided it
     would be met after so many more hours without another event; nothing is extrapolated.
@@ -110,7 +110,7 @@ def judge_rate(events: int, hours: float, most: float) -> JudgedFigure:
 
 
 def judge_share(inside: BoolArray, least: float, hours: float) -> JudgedFigure:
-    """Judge the share of the time that something holds (R, M), each of R flights a trial.
+    """Evaluate the share of the time that something holds (R, M), each of R flights a trial.
 
     If it holds always, as many flights as ``ln 0.05 / ln least`` show it: one that is bad might be as rare.
     """
@@ -142,5 +142,5 @@ def bound_per_hour(events: int, hours: float) -> float:
 
 
 def hours_flown(shape: tuple[int, ...], interval: float) -> float:
-    """Return how many hours R runs of M instants ``(R, M)`` at an interval [s] are."""
+    """Return how many hours R runs of M epochs ``(R, M)`` at an interval [s] are."""
     return math.prod(shape) * interval / HOUR

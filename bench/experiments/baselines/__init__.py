@@ -1,1 +1,1 @@
-"""Accuracy regression: every metric of every noise draw, before and after a change of the code."""
+"""Accuracy regression: every metric of every run, before and after a change of the code."""

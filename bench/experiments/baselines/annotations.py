@@ -8,7 +8,7 @@ from pathlib import Path
 from bench.core.words.wording import one_line
 from bench.experiments.baselines.verdict_rows import OTHER_TRUTH, Verdict
 
-MOVED = "{}: the flight is not that of the baseline; record it again with the code of before"
+MOVED = "{}: the flight differs from the baseline; record it again with the code of before"
 """Sentence on a profile whose truth, or a log whose sensor data, are not those of its baseline."""
 
 _MOST = 10  # annotations of a kind that GitHub shows of a step

@@ -1,4 +1,4 @@
-"""What is measured: the noise draws of a profile, or the stretches of a recording."""
+"""What is measured: the runs of a profile, or the segments of a recording."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from bench.experiments.baselines.baseline_file import CPU, UNKNOWN, Baseline, Es
 from bench.experiments.baselines.digests import digest_record
 from bench.experiments.campaigns.worker import describe_error, get_truth
 from bench.io import results
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.config.toml_file import read_toml
 from bench.pipeline import build_estimator, log_pipeline
 
 STRETCHES = 20
-"""A recording has one draw of noise; it is cut into this many stretches, each of which counts as one."""
+"""A recording has one run of noise; it is cut into this many segments, each of which counts as one."""
 
 
 @dataclass(frozen=True, slots=True)
 class EstimatorDraw:
-    """What an estimator achieved in one draw."""
+    """What a filter achieved in one run."""
 
     converged: bool
     reason: str  # why it did not converge
@@ -44,14 +44,14 @@ class EstimatorDraw:
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """One draw: the digest of its sensor data, and what each estimator achieved."""
+    """One run: the digest of its sensor data, and what each filter achieved."""
 
     sensors: str
     estimators: Mapping[str, EstimatorDraw]
 
 
 class Experiment(Protocol):
-    """A profile or a log that can be measured draw by draw."""
+    """A profile or a log that can be measured run by run."""
 
     source: str
     name: str
@@ -63,21 +63,21 @@ class Experiment(Protocol):
 
     @property
     def draws(self) -> int | None:
-        """Number of draws there is, all from one computation; None: any."""
+        """Number of runs there is, all from one computation; None: any."""
 
     @property
     def truth_digest(self) -> str:
         """Digest of the truth; empty if there is none."""
 
     def prepare(self) -> None:
-        """Make what all draws share."""
+        """Make what all runs share."""
 
     def measure(self, draw: int) -> Draw:
-        """Return what the estimators achieve in a draw; an error counts as a failure of all of them."""
+        """Return what the filters achieve in a run; an error counts as a failure of all of them."""
 
 
 def lose_draw(experiment: Experiment, reason: str) -> Draw:
-    """Return a draw in which no estimator has a result."""
+    """Return a run in which no filter has a result."""
     lost = EstimatorDraw(converged=False, reason=reason, metrics={}, expected={}, epochs=0)
     return Draw(UNKNOWN, dict.fromkeys(experiment.labels, lost))
 
@@ -92,7 +92,7 @@ def open_experiment(
 ) -> Experiment:
     """Read a profile or a log and check it; nothing is flown yet.
 
-    ``overrides`` are those of `bench.load_profile`; ``cpu`` adds the metric `CPU`.
+    ``overrides`` are those of `bench.read_profile`; ``cpu`` adds the metric `CPU`.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def open_experiment(
 
 
 class FlightDraws:
-    """The noise draws of a simulated profile, on one truth."""
+    """The runs of a simulated profile, on one truth."""
 
     draws = None
 
@@ -124,7 +124,7 @@ class FlightDraws:
         cpu: bool = False,
     ) -> None:
         self.source, self.name, self._cpu = source, get_name(source), cpu
-        self.profile = load_profile(
+        self.profile = read_profile(
             source, overrides, estimators=requested, allow_code=allow_code, guard=guard
         )
         self.seed = self.profile.seed
@@ -142,9 +142,9 @@ class FlightDraws:
             self.truth_digest = digest_record(truth)
 
     def measure(self, draw: int) -> Draw:
-        """Sense, navigate and judge one draw."""
+        """Sense, navigate and judge one run."""
         try:
-            closed = self.profile.guidance is not None  # then each draw flies its own
+            closed = self.profile.guidance is not None  # then each run flies its own
             truth = None if closed else get_truth(self._truth_key, self.profile)
             result = pipeline.run(self.profile, run=draw, truth=truth)
         except Exception as error:
@@ -159,14 +159,14 @@ class FlightDraws:
 
 
 _UNIT = "free-inertial"
-_warm = set[str]()  # what estimators of this process have run already
+_warm = set[str]()  # what filters of this process have run already
 
 
 def measure_cpu(result: RunResult) -> dict[str, Value]:
-    """Return the CPU time of each estimator over that of `free-inertial` on the same record [1].
+    """Return the CPU time of each filter over that of `free-inertial` on the same record [1].
 
     The strapdown alone is a unit that fast and slow machines, long and short flights share; the least of
-    three counts. None for an estimator that has failed, or that has just been loaded, and compiled perhaps.
+    three counts. None for a filter that has failed, or that has just been loaded, and compiled perhaps.
     """
     sensed = result.records["sensed"]
     unit, spent = build_estimator(EstimatorChoice(_UNIT, _UNIT)), list[float]()
@@ -184,7 +184,7 @@ def measure_cpu(result: RunResult) -> dict[str, Value]:
 
 
 def collect_draw(result: RunResult, label: str) -> EstimatorDraw:
-    """Return the metrics that baselines hold, after the alignment window; none if the estimator failed."""
+    """Return the metrics that baselines hold, after the alignment window; none if the filter failed."""
     values, errors, first = result.metrics[label], result.errors[label], result.evaluation.first
     metrics = {name: x for name, x in values.items() if is_watched(name) and not values.get("failed")}
     expected = {"nees_mean": float(errors.states)}
@@ -203,11 +203,11 @@ def collect_draw(result: RunResult, label: str) -> EstimatorDraw:
 def is_watched(name: str) -> bool:
     """Return whether a metric is compared: it can be better or worse."""
     row = None if name.endswith("_all") else find_metric(name)
-    return row is not None and row.direction != "not judged"
+    return row is not None and row.direction != "not evaluated"
 
 
 class Recording:
-    """The stretches of a log, judged by its withheld fixes."""
+    """The segments of a log, evaluated by its withheld fixes."""
 
     draws = STRETCHES
     seed = 0
@@ -230,13 +230,13 @@ class Recording:
     @cached_property
     def result(self) -> RunResult:
         """The solutions, made when first asked for."""
-        return log_pipeline.navigate_log(self.log)
+        return log_pipeline.navigate(self.log)
 
     def prepare(self) -> None:
-        """Do nothing: the first stretch makes the solutions."""
+        """Do nothing: the first segment makes the solutions."""
 
     def measure(self, draw: int) -> Draw:
-        """Return RMSE and mean NEES over one stretch of the judged time."""
+        """Return RMSE and mean NEES over one segment of the evaluated time."""
         result, start = self.result, self.log.spec.evaluation.begin
         end = float(self.log.records.imu.t.max())
         rows = {label: collect_stretch(result, label, draw, start, end) for label in result.errors}
@@ -244,7 +244,7 @@ class Recording:
 
 
 def collect_stretch(result: RunResult, label: str, draw: int, start: float, end: float) -> EstimatorDraw:
-    """Return RMSE and mean NEES over one of the `STRETCHES` of a log that is judged from start to end [s]."""
+    """Return RMSE and mean NEES over one of the `STRETCHES` of a log, evaluated from start to end [s]."""
     errors, values = result.errors[label], result.metrics[label]
     edges = start + (end - start) / STRETCHES * np.arange(draw, draw + 2)
     inside = (errors.t >= edges[0] - SAME_INSTANT) & (errors.t < edges[1] - SAME_INSTANT)
@@ -290,7 +290,7 @@ def make_baseline(
 
 
 def join_draws(rows: Sequence[EstimatorDraw]) -> EstimatorValues:
-    """Return the values of an estimator by metric, from those by draw."""
+    """Return the values of a filter by metric, from those by draw."""
     names = dict.fromkeys(name for row in rows for name in row.metrics)
     expected: dict[str, list[float]] = {}
     for row in rows:

@@ -1,4 +1,4 @@
-"""The file of a baseline, ``<profile>.json``: the value of every metric in every noise draw."""
+"""The file of a baseline, ``<profile>.json``: the value of every metric in every run."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from pydantic import Field
 from bench.core.files import durable
 from bench.core.files.file_checks import read_json
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.renames import FORMAT, check_format
 from bench.io.config.tables import NOT_NEGATIVE, ROWS, Table, check_table
 
 LEAST_DRAWS = 20
-"""Fewest draws of a baseline."""
+"""Fewest runs of a baseline."""
 
 TOLERANCE = 0.02
 """Change that does not matter, as a fraction [1]; a baseline may say another."""
 
 CPU = "cpu_ratio"
-"""Metric of the CPU time of an estimator over that of the strapdown alone, if it was asked for [1]."""
+"""Metric of the CPU time of a filter over that of the strapdown alone, if it was asked for [1]."""
 
 UNKNOWN = ""
-"""Digest of the sensor data of a draw without a result."""
+"""Digest of the sensor data of a run without a result."""
 
 _PATH = ".toml"
 _DIGITS = 10  # of a stored value
@@ -34,20 +35,21 @@ Value = float | None
 
 
 class EstimatorValues(Table):
-    """What one estimator achieved, by draw."""
+    """What one filter achieved, by draw."""
 
-    epochs: Annotated[int, Field(ge=0)]  # judged in each draw
+    epochs: Annotated[int, Field(ge=0)]  # evaluated in each run
     expected: dict[str, float]  # metric -> its value for a consistent filter
     converged: Annotated[tuple[bool, ...], ROWS]  # by draw
-    metrics: dict[str, Annotated[tuple[Value, ...], ROWS]]  # metric -> by draw; null: the draw has none
+    metrics: dict[str, Annotated[tuple[Value, ...], ROWS]]  # metric -> by draw; null: the run has none
     reasons: Annotated[tuple[str, ...], Field(exclude=True)] = ()  # by draw, why it did not converge
 
 
 class Baseline(Table):
-    """The draws 0, 1, ... of a profile, or the stretches of a log."""
+    """The runs 0, 1, ... of a profile, or the segments of a log."""
 
+    format: int = FORMAT
     profile: str  # shipped name, or path of a .toml; in the file relative to its folder
-    requested: Annotated[tuple[str, ...], ROWS] | None  # estimators asked for; null: those of the profile
+    requested: Annotated[tuple[str, ...], ROWS] | None  # filters asked for; null: those of the profile
     seed: int
     overrides: dict[str, Any] = Field(default_factory=dict)  # of the profile, as --set gives them
     tolerance: Annotated[float, NOT_NEGATIVE] = TOLERANCE
@@ -58,7 +60,7 @@ class Baseline(Table):
 
     @property
     def draws(self) -> int:
-        """Number of draws."""
+        """Number of runs."""
         return len(self.sensors)
 
 
@@ -100,23 +102,23 @@ def write_baseline(directory: Path, baseline: Baseline) -> Path:
     if baseline.profile.endswith(_PATH):
         document["profile"] = Path(os.path.relpath(baseline.profile, directory)).as_posix()
     directory.mkdir(parents=True, exist_ok=True)
-    durable.write(path, _to_text(document) + "\n")
+    durable.write(path, to_text(document) + "\n")
     return path
 
 
-def _to_text(value: Any, indent: str = "") -> str:
+def to_text(value: Any, indent: str = "") -> str:
     """Return JSON with each list on one line, so that a change of one metric is a change of one line."""
     if isinstance(value, Mapping):
         inner = indent + "  "
-        rows = [f"{inner}{json.dumps(key)}: {_to_text(item, inner)}" for key, item in value.items()]
+        rows = [f"{inner}{json.dumps(key)}: {to_text(item, inner)}" for key, item in value.items()]
         return "{\n" + ",\n".join(rows) + f"\n{indent}}}" if rows else "{}"
     if isinstance(value, list):
-        return f"[{', '.join(_to_text(item) for item in value)}]"
+        return f"[{', '.join(to_text(item) for item in value)}]"
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else json.dumps(value)
 
 
 def read_baseline(path: Path) -> Baseline:
-    """Read a baseline; its profile is a name or path for :func:`bench.io.config.load_profile`.
+    """Read a baseline; its profile is a name or path for :func:`bench.io.config.read_profile`.
 
     Raises
     ------
@@ -124,16 +126,17 @@ def read_baseline(path: Path) -> Baseline:
         One message for each problem in the file.
     """
     document = read_json(path)
+    check_format(document, str(path))
     baseline = check_table(Baseline, document, str(path))
     problems = [
-        f"{path}: [estimators.{label}]: {name} must have {baseline.draws} values, one for each draw; "
+        f"{path}: [estimators.{label}]: {name} must have {baseline.draws} values, one for each run; "
         f"got {len(values)}"
         for label, row in baseline.estimators.items()
         for name, values in {"converged": row.converged, **row.metrics}.items()
         if len(values) != baseline.draws
     ]
     if baseline.draws < 2 or not baseline.estimators:
-        problems.append(f"{path}: holds no draws; 'bench check --record' writes some")
+        problems.append(f"{path}: holds no runs; 'bench check --record' writes some")
     if problems:
         raise ConfigError(*problems)
     if not baseline.profile.endswith(_PATH):

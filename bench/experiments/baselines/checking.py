@@ -37,26 +37,26 @@ DIRECTORY = Path("tests/baselines")
 """Default folder of the baselines of ``bench check``."""
 
 DRAWS = LOOKS[-1]
-"""Number of draws of a new baseline; a check flies the first of them, and more only to decide."""
+"""Number of runs of a new baseline; a check flies the first of them, and more only to decide."""
 
 CHANGES = "CHANGES.md"
 """File in the folder of the baselines that says why each number moved."""
 
 _HEADING = """# Changes of the accuracy baselines
 
-One line per record: *date estimators, profile: metric old -> new; cause.*
+One line per record: *date filters, profile: metric old -> new; cause.*
 
 """
 
-_UNJUDGED = "nothing to compare with, as of an autopilot that has used every fix"
+_NOT_EVALUATED = "nothing to compare with, as of an autopilot that has used every fix"
 
 Progress = Callable[[str, int, int], None]
-"""Called with the name of the profile, the number of finished draws and the number of all draws."""
+"""Called with the name of the profile, the number of finished runs and the number of all runs."""
 
 
 @dataclass
-class _Measured:
-    """An experiment with the draws measured so far."""
+class MeasuredRuns:
+    """An experiment with the runs measured so far."""
 
     experiment: Experiment
     requested: Sequence[str] | None
@@ -65,7 +65,7 @@ class _Measured:
     draws: list[Draw] = field(default_factory=list)
 
     def measure(self, count: int, pool: Pool) -> Baseline:
-        """Measure up to a number of draws and return their values."""
+        """Measure up to a number of runs and return their values."""
         known, found = len(self.draws), dict[int, Draw]()
         self._show(known, count)
         self.experiment.prepare()
@@ -83,12 +83,12 @@ class _Measured:
             self.progress(self.experiment.name, done, count)
 
     def find_unjudged(self) -> list[str]:
-        """Return the estimators that did not fail and have no value in any draw.
+        """Return the filters that did not fail and have no value in any run.
 
         Raises
         ------
         ConfigError
-            If one failed in every draw, or no other is left.
+            If one failed in every run, or no other is left.
         """
         name, found = self.experiment.name, list[str]()
         for label, first in self.draws[0].estimators.items():
@@ -97,12 +97,12 @@ class _Measured:
                 continue
             if not first.converged:
                 raise ConfigError(
-                    f"{name}: {label} has no value in {len(rows)} draws, nothing to compare "
-                    f"with; draw 0: {first.reason}"
+                    f"{name}: {label} has no value in {len(rows)} runs, nothing to compare "
+                    f"with; run 0: {first.reason}"
                 )
             found.append(label)
         if len(found) == len(self.draws[0].estimators):
-            raise ConfigError(f"{name}: {', '.join(found)}: {_UNJUDGED}; -e names a filter to record")
+            raise ConfigError(f"{name}: {', '.join(found)}: {_NOT_EVALUATED}; -e names a filter to record")
         return found
 
 
@@ -130,14 +130,14 @@ def record_baselines(
     directory : str or Path
         Folder of the baselines, one ``<profile>.json`` each.
     estimators : sequence of str or None
-        Estimators to record, as for :func:`bench.run`; None takes those of the old baseline, or of the
+        Filters to record, as for :func:`bench.run`; None takes those of the old baseline, or of the
         profile.
     runs : int or None
-        Number of draws, at least `LEAST_DRAWS`; default `DRAWS`.
+        Number of runs, at least `LEAST_DRAWS`; default `DRAWS`.
     reason : str
         Why the numbers moved, for ``CHANGES.md``.
     overrides : mapping or None
-        As for `bench.load_profile`; the baseline keeps them. None takes those of the old baseline.
+        As for `bench.read_profile`; the baseline keeps them. None takes those of the old baseline.
     cpu : bool
         Record CPU time, too: `baseline_file.CPU`. A baseline that has it keeps it.
     allow_code : bool
@@ -148,15 +148,15 @@ def record_baselines(
         Number of processes; 1 takes this one. A script that asks for more guards its start by
         ``if __name__ == "__main__"``, because the processes import it.
     progress : callable
-        Called at the start and after each draw, as `Progress` says.
+        Called at the start and after each run, as `Progress` says.
     say : callable
-        Called with a line for each estimator that is left out: an autopilot's own has used every fix.
+        Called with a line for each filter that is left out: an autopilot's own has used every fix.
 
     Raises
     ------
     ConfigError
-        If a profile is missing or wrong, there is none, two have one name, or there are too few draws. This
-        is checked before anything is flown. If an estimator failed in every draw.
+        If a profile is missing or wrong, there is none, two have one name, or there are too few runs. This
+        is checked before anything is flown. If a filter failed in every run.
     """
     if runs is not None and runs < LEAST_DRAWS:
         raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
@@ -179,11 +179,11 @@ def record_baselines(
             baseline = one.measure(count, pool)
             unjudged = one.find_unjudged()
             for label in unjudged:
-                say(f"{one.experiment.name}: {label} is left out: {_UNJUDGED}")
+                say(f"{one.experiment.name}: {label} is left out: {_NOT_EVALUATED}")
             kept = {label: row for label, row in baseline.estimators.items() if label not in unjudged}
             baseline = baseline.model_copy(update={"estimators": kept})
             paths.append(write_baseline(directory, baseline))
-            _write_change(directory, before.get(one.experiment.name), baseline, reason)
+            write_change(directory, before.get(one.experiment.name), baseline, reason)
     return paths
 
 
@@ -211,8 +211,8 @@ def _open(
     overrides: Mapping[str, Any],
     *,
     cpu: bool,
-) -> _Measured:
-    """Open a profile with the estimators of its baseline; code needs permission or the user's own -e."""
+) -> MeasuredRuns:
+    """Open a profile with the filters of its baseline; code needs permission or the user's own -e."""
     code = [use for use in requested or () if is_code(use) and use not in (named or ())]
     if code and not allow_code:
         raise ConfigError(
@@ -220,7 +220,7 @@ def _open(
             "--allow-code permits it"
         )
     experiment = open_experiment(source, requested, allow_code, guard, overrides, cpu)
-    return _Measured(experiment, requested, progress, overrides)
+    return MeasuredRuns(experiment, requested, progress, overrides)
 
 
 def has_cpu(baseline: Baseline) -> bool:
@@ -228,12 +228,12 @@ def has_cpu(baseline: Baseline) -> bool:
     return any(CPU in values.metrics for values in baseline.estimators.values())
 
 
-def _write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
-    """Add a line to ``CHANGES.md``: the largest changes of each estimator, and the cause."""
+def write_change(directory: Path, old: Baseline | None, new: Baseline, reason: str) -> None:
+    """Add a line to ``CHANGES.md``: the largest changes of each filter, and the cause."""
     today = datetime.date.today().isoformat()
     name = get_name(new.profile)
     if old is None:
-        lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} draws.*"]
+        lines = [f"*{today} {', '.join(new.estimators)}, {name}: first record, {new.draws} runs.*"]
     else:
         cause = reason or "say here why"
         rows = [one for one in compare(old, new, name, numbered=True) if one.side or not one.certain]
@@ -275,10 +275,10 @@ def check(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Verdict]:
-    """Fly the profiles that have a baseline and compare every metric with it, draw by draw.
+    """Fly the profiles that have a baseline and compare every metric with it, run by run.
 
-    The first of `LOOKS` draws of each profile are flown. While a metric is undecided and its baseline has
-    more draws, the draws of its profile are doubled.
+    The first of `LOOKS` runs of each profile are flown. While a metric is undecided and its baseline has
+    more runs, the runs of its profile are doubled.
 
     Parameters
     ----------
@@ -287,11 +287,11 @@ def check(
     directory : str or Path
         Folder of the baselines, one ``<profile>.json`` each.
     estimators : sequence of str or None
-        Check only these estimators of the baselines, by label or by the name they were recorded with.
+        Check only these filters of the baselines, by label or by the name they were recorded with.
     runs : int or None
-        Number of draws of the first look; more are flown only to decide.
+        Number of runs of the first look; more are flown only to decide.
     overrides : mapping or None
-        As for `bench.load_profile`, over those of the baseline: what another unit or figure does.
+        As for `bench.read_profile`, over those of the baseline: what another unit or figure does.
     allow_code, guard, jobs, progress
         As for :func:`record_baselines`.
 
@@ -363,7 +363,7 @@ def check(
 def _choose(
     baseline: Baseline, estimators: Sequence[str] | None, path: Path
 ) -> tuple[Baseline, Sequence[str] | None]:
-    """Return a baseline with only some of its estimators, and what to request of the profile."""
+    """Return a baseline with only some of its filters, and what to request of the profile."""
     if estimators is None:
         return baseline, baseline.requested
     labels = list(baseline.estimators)
@@ -371,8 +371,8 @@ def _choose(
     unknown = [use for use in estimators if use not in labels and use not in by_request]
     if unknown:
         raise ConfigError(
-            *(f"{path}: no estimator {use!r}{suggest(use, labels, 'estimators')}" for use in unknown),
-            "--record -e writes a baseline of another estimator",
+            *(f"{path}: no filter {use!r}{suggest(use, labels, 'filters')}" for use in unknown),
+            "--record -e writes a baseline of another filter",
         )
     wanted = [by_request.get(use, use) for use in estimators]
     chosen = {label: row for label, row in baseline.estimators.items() if label in wanted}

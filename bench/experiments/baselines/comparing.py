@@ -1,4 +1,4 @@
-"""Compare finished results: folders of runs, of logs, and of campaigns, draw by draw."""
+"""Compare finished results: folders of runs, of logs, and of campaigns, run by run."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from bench.experiments.baselines.verdict_rows import (
     compare,
     decide,
 )
-from bench.experiments.campaigns.stored import load_campaign
+from bench.experiments.campaigns.stored import read_campaign
 from bench.io import results
 
-ONE_DRAW = "one draw: no interval"
+ONE_DRAW = "one run: no interval"
 """Note of a verdict on single runs."""
 
 _MOST_DIFFERENCES = 8  # that are named
@@ -59,15 +59,15 @@ class Compared:
     other: str
     differences: tuple[str, ...]  # of what was run, in words; empty if only the code or the noise may differ
     verdicts: tuple[Verdict, ...]  # "old" is the first, "new" the other
-    sentences: tuple[str, ...]  # on the horizontal position of each estimator, and on what did not converge
+    sentences: tuple[str, ...]  # on the horizontal position of each filter, and on what did not converge
 
 
 def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]:
     """Compare the first folder with each other one, by the rules of `bench.check`.
 
-    Runs of the same seed and number on the same flight are compared in pairs, the stretches of a log, too.
-    Estimators are compared with those of the same label; if no label is in both and each folder has one
-    estimator, these two are compared.
+    Runs of the same seed and number on the same flight are compared in pairs, the segments of a log, too.
+    Filters are compared with those of the same label; if no label is in both and each folder has one
+    filter, these two are compared.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]
     if len(folders) < 2:
         raise ConfigError("a comparison needs at least two folders")
     first, *others = (_read_side(Path(folder)) for folder in folders)
-    return [_compare_sides(first, other) for other in others]
+    return [compare_sides(first, other) for other in others]
 
 
 # --- reading ------------------------------------------------------------------------------------------
@@ -99,8 +99,8 @@ def _read_side(folder: Path) -> Side:
         raise ConfigError(f"{folder}: is a file; name its folder, {folder.parent}")
     paths = [folder] if (folder / results.RESULT).is_file() else sorted(folder.glob(f"*/{results.RESULT}"))
     if not paths:
-        raise ConfigError(f"{folder}: holds no results; 'bench run' and 'bench campaign' write some")
-    loaded = [results.load(path if path == folder else path.parent) for path in paths]
+        raise ConfigError(f"{folder}: contains no results. Run 'bench run' or 'bench campaign' first")
+    loaded = [results.read_result(path if path == folder else path.parent) for path in paths]
     by_profile: dict[str, list[RunResult]] = {}
     for result in loaded:
         by_profile.setdefault(result.name or str(result.profile["title"]), []).append(result)
@@ -118,12 +118,12 @@ def _read_side(folder: Path) -> Side:
 
 
 def _collect_runs(runs: Sequence[RunResult]) -> Baseline:
-    """Return the draws of one profile; a single log gives a draw for each of its stretches."""
+    """Return the runs of one profile; a single log gives a run for each of its segments."""
     first = runs[0]
     if "log" in first.more:
         assert first.sensors is not None  # a results folder has them
         start, end = first.evaluation.begin, float(first.sensors.imu.t.max())
-        keys = [f"stretch {k}" for k in range(STRETCHES)]
+        keys = [f"segment {k}" for k in range(STRETCHES)]
         rows = [
             {label: collect_stretch(first, label, k, start, end) for label in first.errors}
             for k in range(STRETCHES)
@@ -144,7 +144,7 @@ def _collect_runs(runs: Sequence[RunResult]) -> Baseline:
 
 
 def _read_campaign(folder: Path) -> Side:
-    found = load_campaign(folder)
+    found = read_campaign(folder)
     rows = found.runs.to_pylist()
     draws, documents = {}, {}
     for number, condition in enumerate(found.conditions):
@@ -189,7 +189,7 @@ def _describe_flight(document: Mapping[str, Any]) -> str:
 
 
 def _collect_row(row: Mapping[str, Any]) -> EstimatorDraw:
-    """Return what an estimator achieved in a run of a campaign; its rows do not say what NIS to expect."""
+    """Return what a filter achieved in a run of a campaign; its rows do not say what NIS to expect."""
     watched = {
         name: value
         for name, value in row.items()
@@ -216,7 +216,8 @@ def _make_draws(
 # --- comparing ----------------------------------------------------------------------------------------
 
 
-def _compare_sides(first: Side, other: Side) -> Compared:
+def compare_sides(first: Side, other: Side) -> Compared:
+    """Compare the runs of two sides, pair by pair where they share truth and noise."""
     pairs = [(name, name) for name in first.draws if name in other.draws]
     if not pairs and len(first.draws) == len(other.draws) == 1:
         pairs = [(next(iter(first.draws)), next(iter(other.draws)))]
@@ -227,7 +228,7 @@ def _compare_sides(first: Side, other: Side) -> Compared:
         )
     candidates: list[UncorrectedVerdict] = []
     differences: list[str] = []
-    shown: dict[tuple[str, str], str] = {}  # profile and estimator of a row -> as a sentence names them
+    shown: dict[tuple[str, str], str] = {}  # profile and filter of a row -> as a sentence names them
     lost: list[str] = []
     for one, two in pairs:
         old, new, labels = _match(first, other, one, two)
@@ -260,17 +261,17 @@ def _compare_sides(first: Side, other: Side) -> Compared:
 
 
 def _describe_lost(values: EstimatorValues) -> str:
-    """Return how many draws did not converge, and why the first did not; "" if all did."""
+    """Return how many runs did not converge, and why the first did not; "" if all did."""
     lost = [k for k, good in enumerate(values.converged) if not good]
     if not lost:
         return ""
     return (
-        f"{len(lost)} of {len(values.converged)} draws did not converge, the first: {values.reasons[lost[0]]}"
+        f"{len(lost)} of {len(values.converged)} runs did not converge, the first: {values.reasons[lost[0]]}"
     )
 
 
 def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Baseline, dict[str, str]]:
-    """Return the draws to compare, and how the estimators are named: the common draws, if there are any."""
+    """Return the runs to compare, and how the filters are named: the common runs, if there are any."""
     old, new = first.draws[one], other.draws[two]
     if _is_flown_differently(first, other, one, two):
         new = new.model_copy(update={"truth": "flown differently"})
@@ -281,7 +282,7 @@ def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Base
         new = new.model_copy(update={"estimators": {label: new.estimators[its]}})
     if not labels:
         raise ConfigError(
-            f"{other.name}: has no estimator in common with {first.name}: {', '.join(new.estimators)} "
+            f"{other.name}: has no filter in common with {first.name}: {', '.join(new.estimators)} "
             f"and {', '.join(old.estimators)}"
         )
     common = [key for key in old.sensors if key in new.sensors] if old.truth == new.truth else []
@@ -338,7 +339,7 @@ def _describe(estimator: str, row: Verdict | None, first: str, other: str) -> st
     old, new = (f"{format_number(value)} m in {name}" for value, name in ((row.old, first), (row.new, other)))
     values = f"{estimator}: horizontal error {old}, {new}"
     if row.note == ONE_DRAW:
-        return f"{values}; one draw each, which do not tell chance from a difference"
+        return f"{values}; one run each, which do not separate chance from a difference"
     word = f"{other} is {row.word}" if row.word in ("better", "worse") else row.word
     change = f"{row.format_change()} by {row.draws} {'pairs' if row.paired else 'draws each'}"
     return ", ".join(filter(None, [f"{values}: {word}", change if row.change is not None else "", row.note]))
@@ -361,7 +362,7 @@ def _list_differences(first: Side, other: Side, one: str, two: str) -> list[str]
     ]
     if old.sensors != new.sensors:
         shared = len(set(old.sensors) & set(new.sensors))
-        found.append(f"draws: {old.draws} and {new.draws}, {shared or 'none'} in both")
+        found.append(f"runs: {old.draws} and {new.draws}, {shared or 'none'} in both")
     if old.estimators.keys() & new.estimators.keys():
         for side, its, others in ((first, old, new), (other, new, old)):
             if alone := [label for label in its.estimators if label not in others.estimators]:

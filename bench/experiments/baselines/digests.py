@@ -1,4 +1,4 @@
-"""Rounded digests of data: equal on every processor and library version, different for other draws."""
+"""Rounded digests of data: equal on every processor and library version, different for other runs."""
 
 from __future__ import annotations
 

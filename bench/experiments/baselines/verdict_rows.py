@@ -22,7 +22,7 @@ ERROR = 0.01
 """Probability of any false `worse` or `better` in a whole check [1]."""
 
 LOOKS = (20, 40, 80)
-"""Numbers of draws after which a check looks at the metrics; `ERROR` is split over the looks."""
+"""Numbers of runs after which a check looks at the metrics; `ERROR` is split over the looks."""
 
 CONVERGED = "converged"
 """Name of the row that counts the runs that converged."""
@@ -34,37 +34,37 @@ FRACTIONS = {"nees_inside_95": 0.95, "coverage_3sigma": 0.9973, "output_coverage
 """Beginning of the name of a fraction of epochs -> its value for a consistent filter."""
 
 OTHER_TRUTH = "the flight is another one: not paired"
-"""Note of a verdict on draws of another truth, or of a log on other sensor data."""
+"""Note of a verdict on runs of another truth, or of a log on other sensor data."""
 
 UNPAIRED = "other sensor data of another seed: not paired"
-"""Note of a verdict on draws of one truth that are no pairs."""
+"""Note of a verdict on runs of one truth that are no pairs."""
 
 BY_SEED = "other sensor data, paired by seed"
-"""Note of a verdict on other sensors or figures of them: draws of one seed and number share their noise."""
+"""Note of a verdict on other sensors or figures of them: runs of one seed and number share their noise."""
 
 MATCHES = (OTHER_TRUTH, UNPAIRED, BY_SEED)
-"""Notes on how the draws of a whole profile are matched; others are on a metric."""
+"""Notes on how the runs of a whole profile are matched; others are on a metric."""
 
 Word = Literal["same", "better", "worse", "undecided"]
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One metric of one estimator, compared with its baseline."""
+    """One metric of one filter, compared with its baseline."""
 
     profile: str
     estimator: str
     metric: str
     unit: str
     word: Word
-    old: float | None  # pooled over the compared draws
+    old: float | None  # pooled over the compared runs
     new: float | None
     change: float | None  # above 0: worse; relative [1], or in the unit if not `relative`
     low: float | None  # Holm-corrected interval of the change
     high: float | None
     relative: bool
     draws: int  # that were compared
-    paired: bool  # draw by draw
+    paired: bool  # run by run
     note: str  # what the figures do not say
 
     @property
@@ -74,7 +74,7 @@ class Verdict:
         unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         parts = [f"{self.word}: {self.estimator} on {self.profile}, {self.metric} {values}{unit}"]
         if self.change is not None:
-            parts.append(f"{self.format_change()} in {self.draws} draws")
+            parts.append(f"{self.format_change()} in {self.draws} runs")
         return ", ".join([*parts, *([self.note] if self.note else [])])
 
     def format_change(self) -> str:
@@ -87,7 +87,7 @@ class Verdict:
 
 
 def _format_percent(part: float) -> str:
-    """Return a part as percent; the interval of a few draws may end at a number with many digits."""
+    """Return a part as percent; the interval of a few runs may end at a number with many digits."""
     return f"{part:+.1%}" if part < 1e3 else f"{100.0 * part:+.2g}%"
 
 
@@ -127,13 +127,13 @@ def decide(candidates: Sequence[UncorrectedVerdict], error: float = ERROR / len(
 def compare(
     baseline: Baseline, measured: Baseline, name: str, *, numbered: bool = False, changed: bool = False
 ) -> list[UncorrectedVerdict]:
-    """Compare the first draws of a baseline with those measured, metric by metric.
+    """Compare the first runs of a baseline with those measured, metric by metric.
 
     Draws whose digests of truth and sensors agree are compared in pairs, if they are at least half of the
-    draws measured. Others are pairs, too, if both are ``numbered`` from 0 with one seed on one truth: each
+    runs measured. Others are pairs, too, if both are ``numbered`` from 0 with one seed on one truth: each
     source of noise has a stream of its own, which other figures scale and other sources leave alone. A pair
-    whose noise is not the same costs power, but no error: draws are independent of each other. Otherwise all
-    draws before are compared with all draws after. A draw without a result is a pair: it failed. ``changed``
+    whose noise is not the same costs power, but no error: runs are independent of each other. Otherwise all
+    runs before are compared with all runs after. A run without a result is a pair: it failed. ``changed``
     says that draws of equal digests have other sensor data all the same: the digests name seed and number.
     """
     n = min(baseline.draws, measured.draws)
@@ -153,7 +153,7 @@ def compare(
     for label, old in baseline.estimators.items():
         new = measured.estimators.get(label)
         if new is None:
-            row = _make_row(name, label, CONVERGED, match, len(which), "the profile has no such estimator")
+            row = _make_row(name, label, CONVERGED, match, len(which), "the profile has no such filter")
             rows.append(UncorrectedVerdict(replace(row, word="worse"), certain=True))
             continue
         rows.append(_compare_convergence(name, label, old, new, which, match))
@@ -205,9 +205,9 @@ def _compare_events(
     if paired:
         for text, draws in (("lost", lost), ("gained", which[~before & after])):
             if len(draws):
-                notes.append(f"{text} in draw {_list_draws(draws)}")
+                notes.append(f"{text} in run {_list_draws(draws)}")
     if reasons and len(lost) and after.mean() < before.mean():
-        notes.append(f"draw {lost[0]}: {reasons[lost[0]]}")
+        notes.append(f"run {lost[0]}: {reasons[lost[0]]}")
     row = _make_row(name, label, metric, match, len(before), ", ".join(notes))
     row = replace(row, old=float(before.mean()), new=float(after.mean()))
     if np.array_equal(before, after):
@@ -232,7 +232,7 @@ def _compare_metric(
     match: str,
     tolerance: float,
 ) -> UncorrectedVerdict | None:
-    """Compare one metric over the draws that converged and have it before and after; None if none had it."""
+    """Compare one metric over the runs that converged and have it before and after; None if none had it."""
     before, after = _get_values(old, metric, which), _get_values(new, metric, which)
     if _is_event(metric):
         known = np.isfinite(before) & np.isfinite(after)
@@ -244,14 +244,12 @@ def _compare_metric(
     has_old, has_new = np.isfinite(before), np.isfinite(after)
     if not has_old.any():
         return None
-    if metric.startswith("fault_"):  # only where the fault was noticed, before and after
+    if metric.startswith("fault_"):  # only where the fault was detected, before and after
         noticed = f"fault_{metric.split('_')[1]}_detected"
         has_old &= _get_values(old, noticed, which) > 0.5
         has_new &= _get_values(new, noticed, which) > 0.5
     elif not match and metric != CPU and (lost := has_old & ~has_new & np.array(new.converged)[which]).any():
-        row = _make_row(
-            name, label, metric, match, len(which), f"no value in draw {_list_draws(which[lost])}"
-        )
+        row = _make_row(name, label, metric, match, len(which), f"no value in run {_list_draws(which[lost])}")
         return UncorrectedVerdict(
             replace(row, word="worse", old=_pool(metric, before[has_old])), certain=True
         )
@@ -271,7 +269,7 @@ def _compare_metric(
 
 
 def _get_values(of: EstimatorValues, metric: str, which: np.ndarray) -> FloatArray:
-    """Return the values of a metric in some draws, NaN where there is none or the run did not converge."""
+    """Return the values of a metric in some runs, NaN where there is none or the run did not converge."""
     stored: Sequence[Value] = of.metrics.get(metric, (None,) * len(of.converged))
     known = find_metric(metric)
     absent = 0.0 if known is not None and known.direction == "zero" else np.nan
@@ -293,12 +291,12 @@ def _is_rms(metric: str) -> bool:
 
 
 def _pool(metric: str, values: FloatArray) -> float:
-    """Return a metric over all draws: of an RMSE the squares are averaged."""
+    """Return a metric over all runs: of an RMSE the squares are averaged."""
     return float(np.sqrt(np.mean(values**2)) if _is_rms(metric) else values.mean())
 
 
 def _is_same(metric: str, before: FloatArray, after: FloatArray, epochs: int) -> bool:
-    """Return whether every draw has the same value, but for the processor."""
+    """Return whether every run has the same value, but for the processor."""
     size = np.maximum(np.abs(before), np.sqrt(np.mean(before**2)))
     allowed = SAME * size
     if _find_fraction(metric) is not None:

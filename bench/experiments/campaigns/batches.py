@@ -23,7 +23,7 @@ BATCH = 4.0
 ATTEMPTS = 2
 """How often an item may end its worker while it runs alone."""
 
-_LOOK = 10.0  # between looks at the pool while nothing finishes [s]
+LOOK = 10.0  # between looks at the pool while nothing finishes [s]
 _AHEAD = 2  # batches given to each worker, so that it never waits for the next one
 
 
@@ -67,7 +67,7 @@ def compute(
     function : callable
         Importable by the workers. What it raises ends the work.
     items : sequence
-        Each goes through pickle. Neighbours share a batch.
+        Each goes through pickle. Neighbors share a batch.
     pool : Pool
         The workers.
     first : sequence of int
@@ -76,10 +76,10 @@ def compute(
     waiting = deque(k for k in range(len(items)) if k not in set(first))
     alone = deque([k] for k in first)  # batches that run while nothing else does
     running: dict[Future[list[tuple[Result, float]]], list[int]] = {}
-    attempts, pace = Counter[int](), _Pace()
+    attempts, pace = Counter[int](), Pace()
 
     def start(numbers: list[int]) -> None:
-        running[pool.submit(_apply, function, [items[k] for k in numbers])] = numbers
+        running[pool.submit(apply, function, [items[k] for k in numbers])] = numbers
 
     only = False  # what runs is alone
     while waiting or alone or running:
@@ -92,7 +92,7 @@ def compute(
             while waiting and len(running) < _AHEAD * pool.workers:
                 size = pace.choose_size(len(waiting), pool.workers)
                 start([waiting.popleft() for _ in range(size)])
-        done, _ = wait(running, _LOOK, FIRST_COMPLETED)
+        done, _ = wait(running, LOOK, FIRST_COMPLETED)
         if not done:
             pool.check()
         lost: list[list[int]] = []
@@ -125,17 +125,19 @@ def compute(
                     yield numbers[0], Lost(reason)
 
 
-class _Pace:
+class Pace:
     """The size of the next batch, from how long items took."""
 
     def __init__(self) -> None:
         self._items, self._seconds = 0, 0.0
 
     def add(self, seconds: float) -> None:
+        """Take in the duration of an item [s]."""
         self._items += 1
         self._seconds += seconds
 
     def choose_size(self, waiting: int, workers: int) -> int:
+        """Return how many of the waiting items the next batch holds."""
         if not self._seconds:
             return 1
         fits = int(BATCH * self._items / self._seconds)
@@ -143,7 +145,7 @@ class _Pace:
         return max(1, min(fits, fair))
 
 
-def _apply(function: Callable[[Item], Result], items: Sequence[Item]) -> list[tuple[Result, float]]:
+def apply(function: Callable[[Item], Result], items: Sequence[Item]) -> list[tuple[Result, float]]:
     """Return the results of a batch, each with its duration [s]; runs in a worker."""
     results = []
     for item in items:

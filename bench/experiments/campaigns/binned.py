@@ -1,4 +1,4 @@
-"""Mean and percentiles of very many runs at each instant, in memory that does not grow with their number."""
+"""Mean and percentiles of very many runs at each time, in memory that does not grow with their number."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _WIDTH = 2.0 * _REACH / _BINS  # a bin is 2.5 % of its value wide
 
 
 class BinnedRuns:
-    """Counts of values in fixed bins, by instant and channel: percentiles are right within 1.3 %, or 2.5e-5.
+    """Counts of values in fixed bins, by time and channel: percentiles are right within 1.3 %, or 2.5e-5.
 
     Parameters
     ----------

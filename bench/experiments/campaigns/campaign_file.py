@@ -1,4 +1,4 @@
-"""CAMPAIGN.toml: profiles, estimators and values to vary, every combination a condition of one campaign."""
+"""CAMPAIGN.toml: profiles, filters and values to vary, every combination a condition of one campaign."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class CampaignTable(Table):
     profiles: Annotated[tuple[str, ...], ROWS, Field(min_length=1)]
     """Shipped profiles, or files beside this one."""
     runs: Annotated[int, Field(ge=1)] = 200
-    """Noise draws of each flight."""
+    """Noise runs of each flight."""
     flights: Annotated[int, Field(ge=1)] = 1
     """Flights of each condition, each with turbulence of its own."""
     seed: Annotated[int, Field(ge=0)] | None = None
@@ -51,7 +51,7 @@ class CampaignSpec:
 
     name: str
     profiles: tuple[str, ...]
-    runs: int = 200  # noise draws of each flight
+    runs: int = 200  # runs of each flight
     flights: int = 1  # of each condition, each with turbulence of its own
     seed: int | None = None
     estimators: tuple[str, ...] | None = None
@@ -78,9 +78,9 @@ def read_campaign_file(source: str, *, allow_code: bool = False) -> CampaignSpec
     """
     path = Path(source)
     table = check_table(CampaignTable, read_toml(path, source), source)
-    fixed = _flatten(table.set_)
-    variants = [_flatten(row) for row in table.variant] or [{}]
-    sweep = _flatten(table.sweep)
+    fixed = flatten(table.set_)
+    variants = [flatten(row) for row in table.variant] or [{}]
+    sweep = flatten(table.sweep)
     wrong = [
         f"{source}: [sweep] {key} = {value!r} must be a list of values"
         for key, value in sweep.items()
@@ -121,12 +121,12 @@ def _locate(profile: str, beside: Path) -> str:
     return os.path.relpath(beside / profile) if profile.endswith(".toml") else profile
 
 
-def _flatten(table: Values, above: str = "") -> dict[str, Any]:
+def flatten(table: Values, above: str = "") -> dict[str, Any]:
     """Return the values of nested tables by dotted key."""
     found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, Mapping):
-            found |= _flatten(value, f"{above}{key}.")
+            found |= flatten(value, f"{above}{key}.")
         else:
             found[above + key] = value
     return found

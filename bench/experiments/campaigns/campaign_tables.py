@@ -1,4 +1,4 @@
-"""The tables of a campaign: a row for each run and estimator, and statistics over runs at each instant."""
+"""The tables of a campaign: a row for each run and filter, and statistics over runs at each time."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ RUNS, EPOCHS = "runs.parquet", "epochs.parquet"
 def write_runs(path: Path, plan: Plan, done: Done) -> None:
     """Write the table of runs from the rows of the journal.
 
-    A run that failed as a whole has a row for each estimator, with the reason and without metrics.
+    A run that failed as a whole has a row for each filter, with the reason and without metrics.
     """
-    heads = [_describe_condition(number, one) for number, one in enumerate(plan.conditions)]
+    heads = [describe_condition(number, one) for number, one in enumerate(plan.conditions)]
     columns: dict[str, list[Any]] = {}
     count = 0
     for planned, row in done:
@@ -46,7 +46,7 @@ def write_runs(path: Path, plan: Plan, done: Done) -> None:
             for name in dict.fromkeys([*columns, *values]):
                 columns.setdefault(name, [None] * count).append(values.get(name))
             count += 1
-    columns = {name: _unite(column) for name, column in columns.items()}
+    columns = {name: unite(column) for name, column in columns.items()}
     known = {name: find_metric(name) for name in columns}
     units = {name: metric.unit for name, metric in known.items() if metric is not None}
     results.write_table(path, columns, _find_units(plan) | units)
@@ -67,9 +67,9 @@ def write_epochs(path: Path, plan: Plan, parts: Sequence[Mapping[str, Any]]) -> 
 
 
 def describe_instants(group: Group) -> dict[str, Any]:
-    """Return the statistics over the runs that converged, at each instant, in single precision."""
+    """Return the statistics over the runs that converged, at each time, in single precision."""
     t, runs = group.t, int(group.converged.sum())
-    head = _describe_condition(group.number, group.condition) | {"estimator": group.label, "runs": runs}
+    head = describe_condition(group.number, group.condition) | {"estimator": group.label, "runs": runs}
     columns: dict[str, Any] = {name: [value] * len(t) for name, value in head.items()} | {"t_s": t}
     for k, channel in enumerate(CHANNELS):
         columns[f"{channel}_mean"] = group.mean[:, k]
@@ -81,7 +81,8 @@ def describe_instants(group: Group) -> dict[str, Any]:
     return columns | single | {"t_s": t}
 
 
-def _describe_condition(number: int, condition: Condition) -> dict[str, Any]:
+def describe_condition(number: int, condition: Condition) -> dict[str, Any]:
+    """Return the first columns of the rows of a condition."""
     values = {
         key: value if isinstance(value, str | int | float | bool) else format_value(value)
         for key, value in condition.values.items()
@@ -95,7 +96,7 @@ def _find_units(plan: Plan) -> dict[str, str]:
     return {key: unit for key in keys if (unit := unit_of(key))}
 
 
-def _unite(column: list[Any]) -> list[Any]:
+def unite(column: list[Any]) -> list[Any]:
     """Return a column of one type: numbers beside texts become texts."""
     if any(isinstance(value, str) for value in column):
         return [value if value is None or isinstance(value, str) else str(value) for value in column]

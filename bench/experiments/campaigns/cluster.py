@@ -19,7 +19,7 @@ from bench.core.words.wording import one_line
 from bench.experiments.campaigns.plan import describe_software, find_module_files
 from bench.io import results
 
-_CONNECT = 20.0  # longest time to reach the scheduler [s]
+CONNECT_TIME = 20.0  # longest time to reach the scheduler [s]
 _PATIENCE = 120.0  # longest time without any worker [s]
 _KEPT = "what is finished is kept, --resume continues"
 
@@ -55,7 +55,7 @@ class ClusterPool:
         self.lost: tuple[type[BaseException], ...] = (distributed.KilledWorker, CancelledError)
         self._address, self._gone = address, (CommClosedError, RuntimeError, TimeoutError)
         try:
-            self._client: Any = distributed.Client(address, timeout=_CONNECT, set_as_default=False)
+            self._client: Any = distributed.Client(address, timeout=CONNECT_TIME, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ConfigError(f"{address}: no Dask scheduler answers: {error}") from None
         try:
@@ -87,7 +87,7 @@ class ClusterPool:
             if not isinstance(error, self._gone) and self._client.status != "closed":
                 raise
             raise WorkersLostError(
-                f"{self._address}: the Dask scheduler is gone: {one_line(str(error))}; {_KEPT}"
+                f"{self._address}: the Dask scheduler does not respond: {one_line(str(error))}; {_KEPT}"
             ) from None
 
     def __enter__(self) -> ClusterPool:
@@ -100,7 +100,7 @@ class ClusterPool:
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Begin a call of a function in a worker whose software is that of the driver."""
         with self._reach():
-            future: Future[Any] = self._executor.submit(_call, self._software, function, *arguments)
+            future: Future[Any] = self._executor.submit(call, self._software, function, *arguments)
         return future
 
     def recover(self) -> tuple[str, bool]:
@@ -119,7 +119,7 @@ class ClusterPool:
         """Write truths of the driver's cache into those of other machines, once for each."""
         for key in keys:
             with self._reach():
-                machines = self._client.run(_find_truth, key)
+                machines = self._client.run(find_truth, key)
             without = {machine: worker for worker, (machine, found) in machines.items() if not found}
             truth = results.read_truth(key) if without else None
             if truth is not None:
@@ -160,10 +160,10 @@ def _describe_worker() -> dict[str, str]:
     return describe_software()
 
 
-def _call(software: dict[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
+def call(software: dict[str, str], function: Callable[..., Any], *arguments: Any) -> Any:
     """Call a function in a worker, which may have joined after the others were checked."""
     if _describe_worker() != software:
-        raise ConfigError(f"worker on {platform.node()}: its versions are not those of the driver")
+        raise ConfigError(f"worker on {platform.node()}: its versions differ from the driver")
     _find_packages()
     return function(*arguments)
 
@@ -177,6 +177,6 @@ def _find_packages() -> None:
             sys.path.append(str(packed))
 
 
-def _find_truth(key: str) -> tuple[str, bool]:
+def find_truth(key: str) -> tuple[str, bool]:
     """Return the machine of a worker and whether a truth is in its cache."""
     return platform.node(), results.read_truth(key) is not None

@@ -18,10 +18,10 @@ from bench.experiments.campaigns.plan import Cell, Condition, Plan, PlannedRun
 from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, decode
 
 MOST_EXACT = 2000
-"""Runs of a group whose instants are all kept in memory; beyond, percentiles come from fixed bins."""
+"""Runs of a group whose epochs are all kept in memory; beyond, percentiles come from fixed bins."""
 
 PERCENTILES = (5, 50, 95)
-"""Percentiles over the runs, at each instant."""
+"""Percentiles over the runs, at each time."""
 
 Done = Iterable[tuple[PlannedRun, Mapping[str, Any]]]
 """Finished runs with their rows of the journal."""
@@ -39,10 +39,10 @@ class Group:
     metrics: tuple[Mapping[str, Any], ...]  # of each run
     states: int  # number of states in NEES
     nis_dof: tuple[Mapping[str, int], ...]  # degrees of freedom of the updates of each run, by sensor
-    t: FloatArray  # (M,) instants [s]
+    t: FloatArray  # (M,) epochs [s]
     mean: FloatArray  # (M, C) over the runs that converged
     percentiles: FloatArray  # (P, M, C) over them
-    kept_t: FloatArray  # (K,) instants whose values are kept for each run [s]
+    kept_t: FloatArray  # (K,) epochs whose values are kept for each run [s]
     kept: FloatArray  # (R, K, C) single precision
 
     @property
@@ -51,7 +51,7 @@ class Group:
         return np.array([one["converged"] for one in self.metrics], np.bool_)
 
     def channel(self, name: str, begin: float) -> FloatArray:
-        """Return a channel (G, K) of the G runs that converged, from an instant on, where all have values."""
+        """Return a channel (G, K) of the G runs that converged, from a time on, where all have values."""
         column = self.kept[self.converged][:, :, list(CHANNELS).index(name)]
         column = np.asarray(column[:, self.kept_t >= begin], np.float64)
         late = np.isfinite(column).all(axis=0)
@@ -63,12 +63,13 @@ def gather(plan: Plan, journal: Journal) -> Iterator[Group]:
     for number, runs in itertools.groupby(plan.runs, lambda one: plan.cells[one.cell].condition):
         keys = [key for one in runs if (key := plan.run_key(one)) in journal]
         cells = [cell for cell in plan.cells if cell.condition == number]
-        yield from _gather_condition(plan, number, cells, keys, journal)
+        yield from gather_condition(plan, number, cells, keys, journal)
 
 
-def _gather_condition(
+def gather_condition(
     plan: Plan, number: int, cells: Sequence[Cell], keys: Sequence[str], journal: Journal
 ) -> Iterator[Group]:
+    """Yield the runs of each filter under one condition, thinned if they are very many."""
     labels = cells[0].profile.labels
     stride = -(-len(keys) // MOST_EXACT)
     binned = {label: BinnedRuns(MOST_INSTANTS, len(CHANNELS)) for label in labels if stride > 1}
@@ -88,7 +89,7 @@ def _gather_condition(
         metrics = tuple(row["metrics"] for row in rows[label])
         values = _stack(kept[label])
         if stride == 1:
-            mean, percentiles = _describe(values, np.array([one["converged"] for one in metrics], np.bool_))
+            mean, percentiles = describe(values, np.array([one["converged"] for one in metrics], np.bool_))
         else:
             mean = binned[label].mean()
             percentiles = np.stack([binned[label].percentile(p) for p in PERCENTILES])
@@ -117,7 +118,7 @@ def _stack(runs: Sequence[FloatArray]) -> Any:
     return stacked
 
 
-def _describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, FloatArray]:
+def describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return mean (M, C) and `PERCENTILES` (P, M, C) over the runs (R, M, C) that converged."""
     if not converged.any():
         unknown = np.full(values.shape[1:], np.nan)
@@ -125,10 +126,10 @@ def _describe(values: FloatArray, converged: BoolArray) -> tuple[FloatArray, Flo
     good = values[converged].astype(np.float64)
     with warnings.catch_warnings():  # no run has a value there: NaN
         warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmean(good, axis=0), _find_percentiles(good)
+        return np.nanmean(good, axis=0), find_percentiles(good)
 
 
-def _find_percentiles(values: FloatArray) -> FloatArray:
+def find_percentiles(values: FloatArray) -> FloatArray:
     """Return `PERCENTILES` (P, M, C) over runs (R, M, C); values that only some runs have are slow."""
     unknown = np.isnan(values).sum(axis=0)
     found = np.full((len(PERCENTILES), *values.shape[1:]), np.nan)

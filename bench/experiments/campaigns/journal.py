@@ -51,7 +51,7 @@ class _JournalRow(BaseModel):
 
 
 class _Estimated(_JournalRow):
-    """What an estimator achieved in a run (`worker.measure`)."""
+    """What a filter achieved in a run (`worker.measure`)."""
 
     metrics: Annotated[dict[str, float | int | bool | str | list[Any] | dict[str, Any] | None],
                        AfterValidator(_sound_metrics)]  # fmt: skip
@@ -105,7 +105,7 @@ class Journal:
         os.close(self._descriptor)
 
     def find_labels(self) -> tuple[str, ...]:
-        """Return the estimators of its first run that did not fail as a whole."""
+        """Return the filters of its first run that did not fail as a whole."""
         rows = (self[key] for key in self._places)
         return next((tuple(row["estimators"]) for row in rows if "estimators" in row), ())
 
@@ -136,7 +136,7 @@ class Journal:
             If it cannot be written; what was written before is kept.
         """
         text = json.dumps(row, allow_nan=False, separators=(",", ":")).encode()
-        line = _sum(text) + b" " + text + b"\n"
+        line = sum_text(text) + b" " + text + b"\n"
         try:
             durable.append(self._descriptor, line, self._end, self._path)
         except OSError as error:
@@ -146,14 +146,15 @@ class Journal:
         self._end += len(line)
 
 
-def _sum(text: bytes) -> bytes:
+def sum_text(text: bytes) -> bytes:
+    """Return the checksum of a line's text."""
     return hashlib.sha256(text).hexdigest()[:_DIGITS].encode()
 
 
 def _parse(line: bytes) -> dict[str, Any] | None:
     """Return the row of a line, or None if the line is damaged."""
     checksum, _, text = line.rstrip(b"\n").partition(b" ")
-    if checksum != _sum(text):
+    if checksum != sum_text(text):
         return None
     try:
         row = json.loads(text)

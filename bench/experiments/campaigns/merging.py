@@ -12,7 +12,7 @@ from bench.experiments.campaigns.running import Campaign
 
 
 def merge_campaigns(campaigns: Mapping[str, Campaign]) -> Campaign:
-    """Return one campaign that holds the estimators of several, each with the name of its campaign.
+    """Return one campaign that holds the filters of several, each with the name of its campaign.
 
     The conditions are those that all have in common. Campaigns of one condition each are merged whatever
     it is; the merged one describes the flight of the first.
@@ -84,7 +84,7 @@ def _number_conditions(campaign: Campaign) -> dict[str, int]:
 
 
 def _join(tables: Mapping[str, Any], places: Mapping[str, Mapping[int, int]]) -> Any:
-    """Return the rows of all tables of the conditions that are kept; estimators get the name of the table."""
+    """Return the rows of all tables of the conditions that are kept; filters get the name of the table."""
     columns: dict[str, list[Any]] = {}
     for name, table in tables.items():
         rows = table.to_pydict()

@@ -1,4 +1,4 @@
-"""What the runs of an estimator say together: figures with intervals, and sentences."""
+"""What the runs of a filter say together: figures with intervals, and sentences."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _LEAST = 2  # runs that have an interval
 
 @dataclass(frozen=True)
 class Outcome:
-    """The statistics of one estimator over runs; those of errors are over the runs that converged."""
+    """The statistics of one filter over runs; those of errors are over the runs that converged."""
 
     condition: str  # its name
     label: str
     runs: int
     converged: Estimate  # rate [1]
     errors: Mapping[str, Estimate]  # by metric of `POOLED`, and "cep50_m", "cep95_m"
-    consistency: Consistency | None  # None with fewer than 40 runs, or if no accuracy is claimed
+    consistency: Consistency | None  # None with fewer than 40 runs, or if no accuracy is reported
     lost: str = ""  # why the first run that did not converge did not
 
     @property
@@ -68,7 +68,7 @@ class Outcome:
 
 
 def tabulate(outcomes: Sequence[Outcome], names: Mapping[str, str], title: str = "") -> FindingTable:
-    """Return a row for each condition and estimator; ``names`` are the metrics of columns by their names."""
+    """Return a row for each condition and filter; ``names`` are the metrics of columns by their names."""
     columns: dict[str, list[Any]] = {
         "condition": [one.condition for one in outcomes],
         "estimator": [one.label for one in outcomes],
@@ -96,7 +96,7 @@ def summarize(group: Group) -> Outcome:
             errors |= {f"cep{100 * p:.0f}_m": ensemble.pool_quantile(size, p) for p in (0.5, 0.95)}
     nees = group.channel("nees", late)
     if len(good) >= LEAST_RUNS and group.states and nees.size:
-        consistency = check_consistency(nees, group.states, _pool_nis(group))
+        consistency = check_consistency(nees, group.states, pool_nis(group))
     return Outcome(
         condition=group.condition.name,
         label=group.label,
@@ -112,7 +112,7 @@ def summarize(group: Group) -> Outcome:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two estimators of a condition: a metric of each in the runs in which both converged."""
+    """Two filters of a condition: a metric of each in the runs in which both converged."""
 
     names: tuple[str, str]
     first: FloatArray
@@ -148,7 +148,7 @@ def compare(pairs: Sequence[Pair], unit: str = "m") -> list[Comparison]:
     ]
 
 
-def _pool_nis(group: Group) -> dict[str, MeanNis]:
+def pool_nis(group: Group) -> dict[str, MeanNis]:
     """Return the mean NIS of each sensor over the runs that converged, with its band."""
     pooled = {}
     good = group.converged

@@ -29,7 +29,7 @@ from bench.experiments.campaigns.campaign_file import (
     read_campaign_file,
 )
 from bench.io import results
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 
 _BLOCK = 1 << 20  # [byte]
 _MOST_NAMED = 200  # files that wrappers name
@@ -50,7 +50,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Cell:
-    """One flight of a condition with its sensors and estimators; its runs differ only in noise."""
+    """One flight of a condition with its sensors and filters; its runs differ only in noise."""
 
     condition: int  # its number in the plan
     profile: Profile
@@ -85,7 +85,7 @@ class PlannedRun:
     """A run of a cell."""
 
     cell: int  # its number in the plan
-    run: int  # number of the noise draw
+    run: int  # number of the run
 
 
 @dataclass(frozen=True)
@@ -120,17 +120,17 @@ def plan_runs(
     source : str
         Shipped name or path of a profile, or path of a campaign file.
     runs : int or None
-        Noise draws of each flight, from 0 on; None takes those of the campaign file, or 200.
+        Noise runs of each flight, from 0 on; None takes those of the campaign file, or 200.
     flights : int or None
         Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
         and noise are its own. None takes those of the campaign file, or 1.
-    seed, estimators, overrides, allow_code, guard
-        As for `bench.io.config.load_profile`; they win over the campaign file.
+    seed, filters, overrides, allow_code, guard
+        As for `bench.io.config.read_profile`; they win over the campaign file.
 
     Raises
     ------
     ConfigError
-        As for `config.load_profile`, and if an estimator is a solution in a file, which belongs to one
+        As for `config.read_profile`, and if a filter is a solution in a file, which belongs to one
         draw, or if several flights would be the same.
     """
     spec = (
@@ -160,11 +160,11 @@ def plan_campaign(
     for number, (name, values) in enumerate(spec.conditions()):
         conditions.append(Condition(name, values))
         given = {**spec.fixed, **values, **(overrides or {})}
-        first = load_profile(name, given, spec.seed, uses, allow_code, guard)
+        first = read_profile(name, given, spec.seed, uses, allow_code, guard)
         cells.append(_make_cell(number, name, first, uses, given, allow_code))
         given = {key: value for key, value in given.items() if key not in ("seed", "turbulence_seed")}
         for j in range(1, spec.flights):
-            another = load_profile(name, given, first.seed + j, uses, allow_code, guard)
+            another = read_profile(name, given, first.seed + j, uses, allow_code, guard)
             if not isinstance(first.flight, FlightSpec) or first.flight.severity == 0:
                 raise ConfigError(f"{name}: has no turbulence, so all its flights are the same")
             cells.append(_make_cell(number, name, another, uses, given, allow_code))
@@ -184,7 +184,7 @@ def _make_cell(
     for choice in files:
         if not (choice.beside / choice.use.removeprefix("file:")).is_dir():
             raise ConfigError(
-                f"{source}: {choice.label!r} is a solution in a file, which belongs to one noise draw; "
+                f"{source}: {choice.label!r} is a solution in a file, which belongs to one run; "
                 "file:FOLDER names a folder with one for each"
             )
     words = ["bench", "run", source]
@@ -196,11 +196,11 @@ def _make_cell(
     for key, value in given.items():
         words += ["--set", f"{key}={format_value(value)}"]
     words += ["--allow-code"] if allow_code else []
-    words += next((_name_limits(one.guard) for one in profile.estimators if one.guard != DEFAULT_GUARD), [])
+    words += next((name_limits(one.guard) for one in profile.estimators if one.guard != DEFAULT_GUARD), [])
     return Cell(condition, profile, (*words, "--seed", str(profile.seed)))
 
 
-def _name_limits(guard: Guard) -> list[str]:
+def name_limits(guard: Guard) -> list[str]:
     """Return the options of the command line that give a guard."""
     limits = {"--timeout": guard.timeout, "--memory": guard.memory, "--output": guard.output}
     factors = {"--timeout": 1.0, "--memory": 1e-9, "--output": 1e-6}
@@ -214,25 +214,25 @@ def _shorten(value: Any) -> str:
 
 
 def _describe_estimator(choice: EstimatorChoice) -> dict[str, Any]:
-    """Return what the results of an estimator depend on; the sources of bench are counted elsewhere."""
+    """Return what the results of a filter depend on; the sources of bench are counted elsewhere."""
     plain = dataclasses.asdict(choice) | {"beside": ""}
-    return plain | {"source": [_hash_file(path) for path in _find_sources(choice)]}
+    return plain | {"source": [_hash_file(path) for path in find_sources(choice)]}
 
 
 def hash_estimator(plan: Plan, label: str) -> str:
-    """Return a hash of the sources, or of the program, of an estimator of a plan, and of its options."""
+    """Return a hash of the sources, or of the program, of a filter of a plan, and of its options."""
     (choice,) = (one for one in plan.cells[0].profile.estimators if one.label == label)
     own = {**_describe_estimator(choice), "guard": "", "package": _hash_package()}
     return hashlib.sha256(json.dumps(own, sort_keys=True, default=str).encode()).hexdigest()[:16]
 
 
-def _find_sources(choice: EstimatorChoice) -> list[Path]:
-    """Return the files of an estimator: those of its package or module, or of its program."""
+def find_sources(choice: EstimatorChoice) -> list[Path]:
+    """Return the files of a filter: those of its package or module, or of its program."""
     kind, _, rest = choice.use.partition(":")
     if kind == "command":
         try:
             words = [word.replace("{here}", str(choice.beside)) for word in shlex.split(rest)]
-        except ValueError:  # building the estimator tells it
+        except ValueError:  # building the filter tells it
             return []
         on_path = [Path(found) for found in [shutil.which(words[0]) if words else None] if found]
         given = [path for path in (*on_path, *(choice.beside / word for word in words)) if path.is_file()]
@@ -267,7 +267,7 @@ def find_named_files(sources: Sequence[Path]) -> list[Path]:
 
 
 def find_module_files(use: str) -> list[Path]:
-    """Return the file of the module of an estimator ``module:Class``, or all of its package."""
+    """Return the file of the module of a filter ``module:Class``, or all of its package."""
     module, _, rest = use.partition(":")
     if not rest or module in ("command", "file"):
         return []

@@ -21,12 +21,12 @@ from bench.experiments.campaigns.heap import keep_freed_memory
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """Environment variables for the number of threads of the libraries; each worker works alone."""
 
-_PATIENCE = 3.0  # between SIGTERM and SIGKILL [s]
+PATIENCE = 3.0  # between SIGTERM and SIGKILL [s]
 _STOPPED = (-signal.SIGTERM, 128 + signal.SIGTERM)  # exit codes of a worker that was asked to end
 
 
 class _LocalPool:
-    """Workers that read the cache of the driver, and that cannot all be lost unnoticed."""
+    """Workers that read the cache of the driver, and that cannot all be lost undetected."""
 
     remote = False
 
@@ -100,7 +100,7 @@ class ProcessPool(_LocalPool):
         with _quiet(), _one_thread():
             if self._executor is None:
                 self._executor = ProcessPoolExecutor(
-                    self.workers, multiprocessing.get_context("spawn"), _prepare, (list(sys.path),)
+                    self.workers, multiprocessing.get_context("spawn"), prepare_worker, (list(sys.path),)
                 )
             others = {child.pid for child in multiprocessing.active_children()} - set(self._own)
             try:
@@ -114,7 +114,7 @@ class ProcessPool(_LocalPool):
 
     def recover(self) -> tuple[str, bool]:
         """Drop the executor that a lost worker broke; return how that worker ended."""
-        deadline = time.monotonic() + _PATIENCE
+        deadline = time.monotonic() + PATIENCE
         codes: list[int] = []
         while not codes and time.monotonic() < deadline:
             codes = [child.exitcode for child in self._own.values() if child.exitcode]
@@ -131,7 +131,7 @@ class ProcessPool(_LocalPool):
                 with contextlib.suppress(ProcessLookupError, ValueError):
                     if child.exitcode is None and child.pid is not None:
                         os.kill(child.pid, number)
-            deadline = time.monotonic() + _PATIENCE
+            deadline = time.monotonic() + PATIENCE
             for child in self._own.values():
                 child.join(max(0.0, deadline - time.monotonic()))
         self._executor = None
@@ -183,16 +183,18 @@ def _one_thread() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _prepare(path: Sequence[str]) -> None:
+def prepare_worker(path: Sequence[str]) -> None:
     """Make a new worker ready: the import path of the driver, and an end with the driver."""
     sys.path[:] = path
     keep_freed_memory()
     threading.Thread(target=_follow_parent, daemon=True).start()
-    signal.signal(signal.SIGTERM, _stop)  # last: until then SIGTERM ends it at once, without a traceback
+    # last: until then SIGTERM ends it at once, without a traceback
+    signal.signal(signal.SIGTERM, exit_on_signal)
 
 
-def _stop(number: int, frame: object) -> None:
-    raise SystemExit(128 + signal.SIGTERM)  # an estimator that is a program ends its own processes
+def exit_on_signal(number: int, frame: object) -> None:
+    """End this process with the exit status of SIGTERM."""
+    raise SystemExit(128 + signal.SIGTERM)  # a filter that is a program ends its own processes
 
 
 def _follow_parent() -> None:

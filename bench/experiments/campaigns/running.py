@@ -40,7 +40,7 @@ from bench.io.config.library import name_profile
 PRINTED = "printed.txt"
 """File of a campaign with what filters of others have printed."""
 
-_WAVE = 50  # flights before their runs: all fit into the cache of truth
+WAVE = 50  # flights before their runs: all fit into the cache of truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,8 +76,8 @@ class Campaign:
 
     outcomes: tuple[Outcome, ...]
     comparisons: tuple[Comparison, ...]
-    runs: Any  # pyarrow.Table, a row for each run and estimator
-    epochs: Any  # pyarrow.Table, a row for each estimator and instant
+    runs: Any  # pyarrow.Table, a row for each run and filter
+    epochs: Any  # pyarrow.Table, a row for each filter and time
     planned: int
     finished: int
     failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
@@ -149,7 +149,7 @@ def campaign(
     resume: bool = False,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Campaign:
-    """Run many noise draws of a profile on all processors and return their statistics.
+    """Run many runs of a profile on all processors and return their statistics.
 
     Draw k is ``bench.run(profile, run=k)``. A script that calls this guards its start by
     ``if __name__ == "__main__"``, because the processes import it.
@@ -159,9 +159,9 @@ def campaign(
     profile : str or Path
         Shipped name, path of a profile, or path of a campaign file.
     runs, flights : int or None
-        Noise draws of each flight, default 200; flights with turbulence of their own, default 1.
-    seed, estimators, overrides, allow_code, guard
-        As for `bench.load_profile`.
+        Noise runs of each flight, default 200; flights with turbulence of their own, default 1.
+    seed, filters, overrides, allow_code, guard
+        As for `bench.read_profile`.
     jobs, executor, scheduler, out, force, resume, progress
         As for :func:`run_campaign`; ``out`` is its folder.
 
@@ -235,7 +235,7 @@ def run_campaign(
     force : bool
         Replace the campaign in the folder.
     resume : bool
-        Continue the campaign in the folder, if there is one: runs of the same profile, estimators and
+        Continue the campaign in the folder, if there is one: runs of the same profile, filters and
         versions are taken from its journal; those that failed as a whole are tried again.
     progress : callable
         Called at the start and after each run.
@@ -277,7 +277,7 @@ def run_campaign(
             with (
                 contextlib.nullcontext(pool)
                 if pool
-                else _open_pool(plan, jobs or count_processors(), executor, scheduler) as workers
+                else choose_pool(plan, jobs or count_processors(), executor, scheduler) as workers
             ):
                 _work(plan, journal, workers, printed, progress)
             interrupted = False
@@ -288,9 +288,10 @@ def run_campaign(
         return _finish(plan, journal, place, folder, begun, interrupted=interrupted)
 
 
-def _open_pool(
+def choose_pool(
     plan: Plan, jobs: int, executor: Executor | None, scheduler: str | None
 ) -> contextlib.AbstractContextManager[Pool]:
+    """Return the workers that the caller asks for."""
     if scheduler is not None:
         from bench.experiments.campaigns.cluster import ClusterPool
 
@@ -311,15 +312,15 @@ def _work(
     for cell in {plan.cells[k].condition: plan.cells[k] for k in todo}.values():
         pipeline.build_estimators(cell.profile)
     known = len(plan.runs) - sum(map(len, todo.values()))
-    counter = _Counter(len(plan.runs), known, progress)
+    counter = RunCounter(len(plan.runs), known, progress)
     lengths: dict[str, float] = {}
     numbers, warm = list(todo), set[tuple[str, ...]]()
-    for begin in range(0, len(numbers), _WAVE):
-        wave = [plan.cells[k] for k in numbers[begin : begin + _WAVE]]
+    for begin in range(0, len(numbers), WAVE):
+        wave = [plan.cells[k] for k in numbers[begin : begin + WAVE]]
         firsts = [next(c for c in plan.cells if c.condition == cell.condition) for cell in wave]
         _fly([*firsts, *wave], lengths, pool)
         tasks, first, commands = list[RunTask](), list[int](), list[str]()
-        for cell, number, its_first in zip(wave, numbers[begin : begin + _WAVE], firsts, strict=True):
+        for cell, number, its_first in zip(wave, numbers[begin : begin + WAVE], firsts, strict=True):
             uses = tuple(choice.use for choice in cell.profile.estimators)
             if uses not in warm:  # its kernels are compiled once, not by every worker
                 first.append(len(tasks))
@@ -354,7 +355,7 @@ def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
             pipeline.check_times(cell.profile, lengths[cell.truth_key])
 
 
-class _Counter:
+class RunCounter:
     """Reports the progress of a campaign."""
 
     def __init__(self, runs: int, known: int, progress: Callable[[Progress], None]) -> None:
@@ -363,6 +364,7 @@ class _Counter:
         progress(Progress(runs, known, 0, 0, 0.0, 0.0))
 
     def count(self, length: float, *, failed: bool) -> None:
+        """Count a finished run and the length of its flight [s]."""
         self._new += 1
         self._failed += failed
         self._flown += length

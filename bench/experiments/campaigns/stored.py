@@ -59,7 +59,9 @@ class _StoredConsistency(_StoredPart):
     reasons: list[str]
 
 
-class _StoredOutcome(_StoredPart):
+class StoredOutcome(_StoredPart):
+    """The outcome of one filter under one condition, as the summary holds it."""
+
     condition: str
     label: str
     runs: NonNegativeInt
@@ -108,7 +110,7 @@ class _StoredSummary(_StoredPart):
     planned: NonNegativeInt
     finished: NonNegativeInt
     failed: dict[str, str]
-    outcomes: list[_StoredOutcome]
+    outcomes: list[StoredOutcome]
     comparisons: list[_StoredComparison]
     conditions: Annotated[list[_StoredCondition], Field(min_length=1)]
     estimator_cpu_s: dict[str, list[_Number]]
@@ -123,7 +125,7 @@ _INSTANT = {"t_s": "double"} | {f"{channel}_{end}": "float" for channel in CHANN
 _INSTANT |= {"nees_low": "float", "nees_high": "float", **_HEAD}
 
 
-def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
+def read_campaign(folder: str | os.PathLike[str]) -> Campaign:
     """Read the folder of a campaign back.
 
     Raises
@@ -136,10 +138,10 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         found = _StoredSummary.model_validate(summary)
         with results.report_damage(folder):
             runs, epochs = (results.read_table(folder / name) for name in (RUNS, EPOCHS))
-        _check_columns(folder / RUNS, runs, _RUN)
-        _check_columns(folder / EPOCHS, epochs, _INSTANT)
+        check_columns(folder / RUNS, runs, _RUN)
+        check_columns(folder / EPOCHS, epochs, _INSTANT)
         return Campaign(
-            outcomes=tuple(map(_make_outcome, found.outcomes)),
+            outcomes=tuple(map(make_outcome, found.outcomes)),
             comparisons=tuple(
                 Comparison(
                     one.first, one.second, one.unit, _make_estimate(one.difference), one.runs, one.size
@@ -163,7 +165,7 @@ def load_campaign(folder: str | os.PathLike[str]) -> Campaign:
         )
 
 
-def _check_columns(path: Path, table: Any, wanted: Mapping[str, str]) -> None:
+def check_columns(path: Path, table: Any, wanted: Mapping[str, str]) -> None:
     """Raise ConfigError unless a table has columns of these types, and each metric is a finite number."""
     types = {field.name: str(field.type) for field in table.schema}
     for name, kind in wanted.items():
@@ -182,7 +184,8 @@ def _make_estimate(row: _StoredEstimate) -> Estimate:
     return Estimate(row.value, row.low, row.high)
 
 
-def _make_outcome(row: _StoredOutcome) -> Outcome:
+def make_outcome(row: StoredOutcome) -> Outcome:
+    """Return an outcome as it was before it was written."""
     found = None
     if row.consistency is not None:
         values = dict(row.consistency)
@@ -198,7 +201,7 @@ def choose_runs(campaign: Campaign, which: Sequence[str]) -> dict[str, str]:
     Parameters
     ----------
     which : sequence of str
-        "best", "median" or "worst" by the horizontal error of the first estimator, or the number of a run.
+        "best", "median" or "worst" by the horizontal error of the first filter, or the number of a run.
 
     Raises
     ------

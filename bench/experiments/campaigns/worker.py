@@ -30,7 +30,7 @@ from bench.io import results
 _PRINTED = 5_000  # of the begin and of the end of what a filter prints in a run [byte]
 
 MOST_INSTANTS = 600
-"""Instants of a run whose errors are kept."""
+"""Epochs of a run whose errors are kept."""
 
 CHANNELS = {
     "pos_err_n_m": "m",
@@ -46,7 +46,7 @@ CHANNELS = {
     "heading_sd_deg": "deg",
     "nees": "1",
 }
-"""What is kept at each instant, and its unit; ``sd`` is what the estimator claims."""
+"""What is kept at each time, and its unit; ``sd`` is what the filter reports."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class RunTask:
     truth_key: str
     profile: Profile
     run: int
-    step: float  # interval of the instants that are kept [s]
+    step: float  # interval of the epochs that are kept [s]
 
 
 def measure(task: RunTask) -> dict[str, Any]:
@@ -68,18 +68,18 @@ def measure(task: RunTask) -> dict[str, Any]:
     keep_freed_memory()
     row: dict[str, Any] = {"key": task.key}
     try:
-        closed = task.profile.guidance is not None  # then each draw flies its own
+        closed = task.profile.guidance is not None  # then each run flies its own
         truth = None if closed else get_truth(task.truth_key, task.profile)
         result = pipeline.run(task.profile, task.run, truth=truth)
         cpu_s = {name: result.provenance[name] for name in ("cpu_s", "estimator_cpu_s")}
         found = {label: _collect(result, label, task) for label in result.metrics}
-        printed = {label: _shorten(text) for label, text in result.records["printed"].items()}
+        printed = {label: shorten(text) for label, text in result.records["printed"].items()}
     except Exception as error:
         return {**row, "error": describe_error(error)}
     return {**row, "step": task.step, **cpu_s, "estimators": found, "printed": printed}
 
 
-def _shorten(text: str) -> str:
+def shorten(text: str) -> str:
     """Return begin and end of what a filter has printed in a run."""
     short = Printed(_PRINTED, _PRINTED)
     short.add(text.encode())
@@ -97,7 +97,7 @@ def fly(profile: Profile) -> float:
 
 
 def choose_step(duration: float, rate: float) -> float:
-    """Return the interval of at most `MOST_INSTANTS` instants of a flight, a multiple of 1 / rate [s]."""
+    """Return the interval of at most `MOST_INSTANTS` epochs of a flight, a multiple of 1 / rate [s]."""
     return max(1, ceil(duration * rate / MOST_INSTANTS - SAME_INSTANT)) / rate
 
 
@@ -129,13 +129,13 @@ def _read_truth(flight: _Keyed) -> Trajectory:
 
 
 def _collect(result: RunResult, label: str, task: RunTask) -> dict[str, Any]:
-    """Return what is kept of an estimator: its metrics, and its errors at some instants."""
+    """Return what is kept of a filter: its metrics, and its errors at some epochs."""
     errors, solution = result.errors[label], result.solutions[label]
     begun = task.profile.evaluation.first
     nis = nis_by_sensor(solution.innovations, begun)
     with np.errstate(all="ignore"):  # a filter that is lost may report any innovations
         repetition = sum_repetition(solution.innovations, begun)
-    metrics = {name: value for name, value in result.metrics[label].items() if _is_plain(value)}
+    metrics = {name: value for name, value in result.metrics[label].items() if is_plain(value)}
     return {
         "metrics": {**metrics, "answers": hash_answers(solution)},
         "states": errors.states,
@@ -155,7 +155,8 @@ def hash_answers(solution: NavSolution) -> str:
     return digest.hexdigest()[:16]
 
 
-def _is_plain(value: object) -> bool:
+def is_plain(value: object) -> bool:
+    """Return whether JSON holds a value as it is."""
     return (
         isfinite(value) if isinstance(value, float) else value is None or isinstance(value, bool | int | str)
     )

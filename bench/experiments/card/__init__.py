@@ -1,1 +1,1 @@
-"""The card of an estimator: a fixed suite of flights, its lines and their comparison."""
+"""The card of a filter: a fixed suite of flights, its lines and their comparison."""

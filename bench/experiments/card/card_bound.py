@@ -17,7 +17,7 @@ from bench.evaluation.linear.terms import check_sensors
 _STATES = {"accuracy": (0, 1), "height": (2,), "velocity": (3, 4, 5), "tilt": (6, 7), "heading": (8,)}
 """Topic -> the states whose variances add up."""
 
-_RATE = 1.0  # of the instants that are averaged [Hz]
+_RATE = 1.0  # of the epochs that are averaged [Hz]
 _STILL = 0.2  # speed of what stands [m/s]
 _UNKNOWN = ("airspeed", "odometer", "radar")
 """Instruments that the linear model lacks."""
@@ -26,7 +26,7 @@ _UNKNOWN = ("airspeed", "odometer", "radar")
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     """Return the least root mean square errors by topic [m, m/s, deg], or why there are none.
 
-    The covariance is that of the flight and its sensors, the same in every draw of the noise. What the linear
+    The covariance is that of the flight and its sensors, the same in every run of the noise. What the linear
     model lacks counts as known, since who knows more errs less: faults do not happen, a start is told, and an
     attitude beyond its range, found by the course, or with an instrument for it on board has no error. Who
     stands still may know it, which is more than the sensors tell.
@@ -35,7 +35,7 @@ def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     if lacks := [name for name in _UNKNOWN if getattr(on_board, name) is not None]:
         return {}, f"no bound: it knows no {lacks[0]}"
     known = ["sensors without faults"] if on_board.faults else []
-    known += ["a told start"] if on_board.alignment != "given" else []
+    known += ["a given start"] if on_board.alignment != "given" else []
     sound = replace(profile, sensors=replace(on_board, faults=(), alignment="given"))
     try:
         check_sensors(sound.sensors)
@@ -59,4 +59,4 @@ def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
         least = float(np.sqrt(variance[:, states].sum(axis=1).mean()))
         if np.isfinite(least):
             found[topic] = float(np.rad2deg(least)) if states[0] >= 6 else least
-    return found, f"the bound is that of {' and '.join(known)}" if known else ""
+    return found, f"the bound holds for {' and '.join(known)}" if known else ""

@@ -1,7 +1,7 @@
 """The line of a card that says how far a filter looks ahead.
 
-What is proven is what the card judges: runs of the suite, whose answers have to be those of the card. Which
-ones follows from all that was answered, so that a filter cannot know it while it answers.
+What is proven is what the card evaluates: runs of the suite, whose answers have to be those of the card.
+Which ones follows from all that was answered, so that a filter cannot know it while it answers.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from bench.experiments.card.card_lines import UNPROVEN, Line, Rows
 from bench.experiments.card.card_suite import LATE, Suite
 from bench.navigation.causality import LookAhead, measure_look_ahead
 
-_INSTANTS = 3  # at which the future is changed, of the flight whose fixes come late
-_OTHERS, _INSTANTS_THERE = 2, 2  # further flights, and their instants
+INSTANTS = 3  # at which the future is changed, of the flight whose fixes come late
+_OTHERS, _INSTANTS_THERE = 2, 2  # further flights, and their epochs
 
 
 def hash_all_answers(own: Rows) -> str:
-    """Return a hash of all that an estimator answered, every bit."""
+    """Return a hash of all that a filter answered, every bit."""
     return hashlib.sha256(" ".join(str(row.get("answers")) for row in own).encode()).hexdigest()[:16]
 
 
 def judge_causality(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> Line:
-    """Return how far an estimator looks ahead, on the flight whose fixes come late and on drawn ones.
+    """Return how far a filter looks ahead, on the flight whose fixes come late and on drawn ones.
 
     Each run of a class of others has a process of its own: what it has seen in another run cannot tell it the
     future of this one. ``own`` holds its rows of each flight.
@@ -48,9 +48,9 @@ def judge_causality(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -
     if choice.use.startswith("file:"):
         return _make_line(names[number], "uses the future: not proven, its answers were made elsewhere")
     found = dict[str, LookAhead]()
-    for k, instants in ((number, _INSTANTS), *((k, _INSTANTS_THERE) for k in others)):
+    for k, instants in ((number, INSTANTS), *((k, _INSTANTS_THERE) for k in others)):
         try:
-            found[names[k]] = _measure(profiles[k], choice, own[k], instants, rng)
+            found[names[k]] = measure(profiles[k], choice, own[k], instants, rng)
         except (ValueError, EstimatorError, EstimatorFailedError) as error:
             text = f"uses the future: not proven, {one_line(str(error))[:200]}"
             return _make_line(names[number], text + _name_place(k != number, names[k]), word=UNPROVEN)
@@ -77,7 +77,7 @@ def _make_line(flight: str, text: str, value: float | None = None, word: str = "
     )  # fmt: skip
 
 
-def _measure(
+def measure(
     profile: Profile, choice: EstimatorChoice, own: Rows, count: int, rng: np.random.Generator
 ) -> LookAhead:
     """Return how far it looks ahead in a drawn run of a flight, which it has to answer as on the card."""

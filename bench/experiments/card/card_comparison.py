@@ -1,4 +1,4 @@
-"""Two cards of the same suite: where one filter is better, draw by draw."""
+"""Two cards of the same suite: where one filter is better, run by run."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
     names = names or name_cards((first, second), ("the first", "the second"))
     if (first.suite, first.suite_hash) != (second.suite, second.suite_hash):
         raise ConfigError(
-            f"the cards are not of the same suite: {names[0]} has {first.suite}, {first.suite_hash}; "
+            f"the cards are from different suites: {names[0]} has {first.suite}, {first.suite_hash}; "
             f"{names[1]} has {second.suite}, {second.suite_hash}"
         )
     found: list[ComparedLine] = []
@@ -59,18 +59,18 @@ def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = Non
         other = others.get((line.topic, line.flight, line.figure))
         if other is None or line.topic in ("robustness", "requirements", CONVENTIONS):
             continue
-        if _are_same(line, other):
+        if are_same(line, other):
             same += 1
-        elif text := _tell_values(line, other):
+        elif text := tell_values(line, other):
             sentence = f"{line.flight}: {text}."
             found.append(
                 ComparedLine(line.topic, line.flight, line.figure, (line.value, other.value), sentence)
             )
-        elif (changes := _list_changes(line, other)) is not None:
+        elif (changes := list_changes(line, other)) is not None:
             quantities.setdefault((line.topic, line.figure), []).append((line, other, changes))
-    found = _judge_quantities(names, list(quantities.values())) + found
+    found = judge_quantities(names, list(quantities.values())) + found
     if same:
-        sentence = f"{same} figures are the same in every draw."
+        sentence = f"{same} figures are the same in every run."
         found.append(ComparedLine("same", "all flights", "figures", (None, None), sentence))
     if first.speed and second.speed:
         a, b = first.speed.value, second.speed.value
@@ -90,13 +90,13 @@ def list_differences(first: Card, second: Card) -> list[str]:
     ]
 
 
-def _are_same(one: Line, other: Line) -> bool:
-    """Tell whether every draw has the same value, but for the processor."""
+def are_same(one: Line, other: Line) -> bool:
+    """Tell whether every run has the same value, but for the processor."""
     a, b = (np.array(line.by_draw or (line.value,), float) for line in (one, other))  # None: NaN
     return a.shape == b.shape and bool(np.isclose(a, b, rtol=SAME, atol=0.0, equal_nan=True).all())
 
 
-def _tell_values(one: Line, other: Line) -> str | None:
+def tell_values(one: Line, other: Line) -> str | None:
     """Return the values of a figure that no test is made of."""
     if one.figure.startswith("median"):
         texts = ("never" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
@@ -106,7 +106,7 @@ def _tell_values(one: Line, other: Line) -> str | None:
         return "first answer after {} and {}".format(*waited)
     if one.topic == "coverage":
         shares = (f"{100.0 * (line.value or 0.0):.4g}" for line in (one, other))
-        return "answers at {} and {} % of the instants".format(*shares)
+        return "answers at {} and {} % of the epochs".format(*shares)
     if one.topic == "causality":
         ahead = ("not proven" if line.value is None else f"{line.value:.3g} s" for line in (one, other))
         return "look-ahead: {} and {}".format(*ahead)
@@ -120,11 +120,11 @@ _Pair = tuple[Line, Line, FloatArray]
 """A figure of a flight on two cards, and by draw the log of how much larger the first is; NaN: unknown."""
 
 
-def _list_changes(one: Line, other: Line) -> FloatArray | None:
-    """Return by draw the log of the ratio of the first to the second; None if fewer than two draws have both.
+def list_changes(one: Line, other: Line) -> FloatArray | None:
+    """Return by draw the log of the ratio of the first to the second; None if fewer than two runs have both.
 
-    Of NEES it is that of the factors between each draw and its expectation. The factor of a mean over draws
-    has no derivative where it is right, and a jackknife of it claims too much for two honest filters.
+    Of NEES it is that of the factors between each run and its expectation. The factor of a mean over runs
+    has no derivative where it is right, and a jackknife of it reports too much for two consistent filters.
     """
     a, b = (np.array(line.by_draw, float) for line in (one, other))
     known = np.isfinite(a) & np.isfinite(b) & (a > 0.0) & (b > 0.0)
@@ -137,10 +137,10 @@ def _list_changes(one: Line, other: Line) -> FloatArray | None:
     return changes
 
 
-def _pool_flights(changes: FloatArray) -> Change:
-    """Return the mean over flights (rows) and draws (columns), by Student over draws.
+def pool_flights(changes: FloatArray) -> Change:
+    """Return the mean over flights (rows) and runs (columns), by Student over runs.
 
-    The flights of a draw may share their noise, so a draw counts once. A draw that lacks a flight is compared
+    The flights of a run may share their noise, so a run counts once. A run that lacks a flight is compared
     with the means of the flights that it has.
     """
     means = np.nanmean(changes, axis=1)
@@ -149,14 +149,14 @@ def _pool_flights(changes: FloatArray) -> Change:
     return replace(average_changes(by_draw), estimate=float(means.mean()))
 
 
-def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
+def judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> list[ComparedLine]:
     """Say of each quantity, pooled over its flights, which filter is better; then on which flights.
 
     Holm's method over the quantities keeps the probability of any false word. Only the flights of a quantity
     that differs are tested, by Holm within it, on its share of that probability: over all lines at once
-    eight draws would prove nothing.
+    eight runs would prove nothing.
     """
-    pooled = [_pool_flights(np.array([changes for _, _, changes in pairs])) for pairs in quantities]
+    pooled = [pool_flights(np.array([changes for _, _, changes in pairs])) for pairs in quantities]
     proven, levels = decide(pooled, _ERROR)
     found = []
     for pairs, change, differs, level in zip(quantities, pooled, proven, levels, strict=True):
@@ -166,15 +166,15 @@ def _judge_quantities(names: tuple[str, str], quantities: list[list[_Pair]]) -> 
             found.append(_tell_lost(names, one, change, lost))
             continue
         if len(pairs) == 1:
-            found.append(_tell_change(names, one, other, one.flight, change, level, differs))
+            found.append(tell_change(names, one, other, one.flight, change, level, differs))
             continue
-        found.append(_tell_change(names, one, other, "all flights", change, level, differs))
-        flights = [_pool_flights(changes[None]) for *_, changes in pairs]
+        found.append(tell_change(names, one, other, "all flights", change, level, differs))
+        flights = [pool_flights(changes[None]) for *_, changes in pairs]
         there, flight_levels = decide(flights, _ERROR / len(quantities))
         for k, (mine, theirs, _) in enumerate(pairs):
             word = bool(there[k]) if differs else None
             by = flight_levels[k] if differs else _ERROR
-            found.append(_tell_change(names, mine, theirs, mine.flight, flights[k], by, word))
+            found.append(tell_change(names, mine, theirs, mine.flight, flights[k], by, word))
     return found
 
 
@@ -185,17 +185,17 @@ def _count_lost(pairs: list[_Pair]) -> tuple[int, int]:
 
 
 def _tell_lost(names: tuple[str, str], one: Line, change: Change, lost: tuple[int, int]) -> ComparedLine:
-    """Say that a filter is better only in the draws that it has not lost: it may lose the worst."""
+    """Say that a filter is better only in the runs that it has not lost: it may lose the worst."""
     k = int(change.estimate > 0.0)
     text = (
-        f"{names[k]} is better in the draws that both have, but lost {lost[k]} that {names[1 - k]} kept: "
+        f"{names[k]} is better in the runs that both have, but lost {lost[k]} that {names[1 - k]} kept: "
         "not proven to differ"
     )
     text = f"all flights: {one.figure}: {text}."
     return ComparedLine(one.topic, "all flights", one.figure, (None, None), text)
 
 
-def _tell_change(
+def tell_change(
     names: tuple[str, str],
     one: Line,
     other: Line,
@@ -212,7 +212,7 @@ def _tell_change(
         text = f"{one.figure} of {names[0]} {ratio} times that of {names[1]} ({least} to {most})"
     elif flight == "all flights":
         text = (
-            f"NEES of {names[0]} in a draw off by {ratio} times the factor of {names[1]} ({least} to {most})"
+            f"NEES of {names[0]} in a run off by {ratio} times the factor of {names[1]} ({least} to {most})"
         )
     else:
         text = f"NEES is {write_figure(one.value)} and {write_figure(other.value)} times its expectation"
@@ -220,13 +220,13 @@ def _tell_change(
     if better is not None:
         text += f": {better} is {'nearer' if one.topic == 'honesty' else 'better'}"
     elif differs is not None:
-        text += f": not proven to differ; {_find_power(change, level)} would be found in {_POWER:.0%}"
+        text += f": not proven to differ; {find_power(change, level)} would be found in {_POWER:.0%}"
     values = (None, None) if flight == "all flights" else (one.value, other.value)
     return ComparedLine(one.topic, flight, one.figure, values, f"{flight}: {text}.", better)
 
 
-def _find_power(change: Change, level: float) -> str:
-    """Return the ratio that these draws tell from 1, in words."""
+def find_power(change: Change, level: float) -> str:
+    """Return the ratio that these runs tell from 1, in words."""
     from scipy.special import stdtrit
 
     reach = float(stdtrit(change.dof, 1.0 - 0.5 * level) + stdtrit(change.dof, _POWER))
@@ -234,6 +234,6 @@ def _find_power(change: Change, level: float) -> str:
 
 
 def name_cards(cards: Sequence[Card], paths: Sequence[str]) -> tuple[str, str]:
-    """Return names for two cards: their estimators, or their files if those are the same."""
+    """Return names for two cards: their filters, or their files if those are the same."""
     first, second = (card.estimator for card in cards)
     return (first, second) if first != second else (paths[0], paths[1])

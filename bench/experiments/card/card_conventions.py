@@ -1,4 +1,4 @@
-"""The line of a card that says which wrong convention a filter of broken claim looks like."""
+"""The line of a card that says which wrong convention a filter of broken covariance looks like."""
 
 from __future__ import annotations
 
@@ -16,14 +16,15 @@ from bench.experiments.card.card_suite import Suite
 from bench.navigation.built_in import BUILT_IN
 
 _DRAWS = 3  # that have to share the constants
-_MOST_BROKEN = 0.5  # of the draws of a flight
+_MOST_BROKEN = 0.5  # of the runs of a flight
 
 
 def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows]) -> list[Line]:
     """Return the convention that a filter of others looks like, in one line; none where no one fits.
 
-    Its answers of some draws of a flight on which its claim is broken are made again and searched together,
-    so that one constant has to do for all. A flight is taken on which nothing breaks, if there is one.
+    Its answers of some runs of a flight on which its covariance is broken are made again and searched
+    together, so that one constant has to do for all. A flight is taken on which nothing breaks, if there is
+    one.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def judge_conventions(plan: Plan, suite: Suite, label: str, own: Sequence[Rows])
     if not found:
         return []
     text = str(found["why_text"])
-    text = f"{text[0].lower()}{text[1:].rstrip('.')}, with the same constants in {len(solutions)} draws"
+    text = f"{text[0].lower()}{text[1:].rstrip('.')}, with the same constants in {len(solutions)} runs"
     return [
         Line(
             topic=CONVENTIONS, flight=name, figure=" and ".join(dict.fromkeys(

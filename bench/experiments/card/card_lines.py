@@ -1,4 +1,4 @@
-"""The lines of a card: what the runs of a flight say of an estimator, in a figure and a sentence each."""
+"""The lines of a card: what the runs of a flight say of a filter, in a figure and a sentence each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from bench.evaluation.linear.quantities import count_freedom
 from bench.experiments.card.card_suite import SuiteFlight
 from bench.io.config.tables import ROWS, Table
 
-_LEAST = 2  # draws that have an interval
+_LEAST = 2  # runs that have an interval
 ERRORS = {
     "accuracy": ("horizontal error", "pos_rmse_h_m", ""),
     "height": ("height error", "pos_rmse_d_m", ""),
@@ -30,7 +30,7 @@ ERRORS = {
     "faults": ("largest error during faults", "fault_", "_max_h_m"),
 }
 """Topic -> its figure in words, and how the names of its metrics begin and end."""
-_ANSWERED = "answered_"
+_ANSWERED = "availability_"
 _UNLIKELY = 1e-5  # that an error is below the bound by chance: one of 1000 cards with 90 such errors
 _BELOW = 0.9  # of the bound; nearer to it a filter that is not linear may come
 _RIGHT = "heading_right_s_all"
@@ -41,7 +41,7 @@ SAME = 1e-6
 COUNT = "count"
 """Word of a line that counts."""
 
-SHARE = "least share of instants"
+SHARE = "least share of epochs"
 """Figure of the line of coverage."""
 
 IMPOSSIBLE = "impossible"
@@ -53,25 +53,27 @@ CONVENTIONS = "conventions"
 UNPROVEN = "not proven"
 """Word of a filter whose causality cannot be proven: it fails, or does not repeat its answers."""
 
-_UNEVEN = "uneven"  # word of a claim that is right in the mean of all instants only
+_UNEVEN = "uneven"  # word of a covariance that is right in the mean of all epochs only
 _INSIDE = 0.8  # of the time with NEES in the central 95 % of its distribution: less is uneven
 
 Rows = Sequence[Mapping[str, Any]]
-"""Metrics of an estimator by draw."""
+"""Metrics of a filter by draw."""
 
 
 class Line(Table):
     """One figure of a card."""
 
-    topic: str  # "convergence", "coverage", "causality", a key of `ERRORS`, "honesty", "alarms", ... "speed"
+    topic: (
+        str  # "convergence", "coverage", "causality", a key of `ERRORS`, "consistency", "alarms", ... "speed"
+    )
     flight: str
     figure: str  # what it is of
     value: float | None  # None: never
     low: float | None  # 95 % interval; None: open to this side
     high: float | None
     sentence: str
-    word: str = ""  # of honesty the verdict; COUNT: ``by_draw`` holds 1 where it happened, else 0
-    by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the estimator achieved itself
+    word: str = ""  # of consistency the verdict; COUNT: ``by_draw`` holds 1 where it happened, else 0
+    by_draw: Annotated[tuple[float | None, ...], ROWS] = ()  # what the filter achieved itself
     over_bound: Annotated[tuple[float, float, float] | None, ROWS] = None  # of an error, with interval
 
 
@@ -90,33 +92,34 @@ def judge_flight(
     flight : SuiteFlight
         What it is.
     own, other : rows
-        Of the estimator, and of the one to compare with, whose ``label`` that is; no rows: with none.
+        Of the filter, and of the one to compare with, whose ``label`` that is; no rows: with none.
     without : rows
-        Of the estimator on the same flight without what happens in this one; no rows if nothing does.
+        Of the filter on the same flight without what happens in this one; no rows if nothing does.
     bound : (mapping, str)
         What `bench.experiments.card.card_bound.bound_errors_of` returns.
     """
-    lines = [_judge_coverage(flight, own), _judge_start(flight, own), _judge_convergence(flight, own)]
-    lines += _compare_errors(flight, own, other, label, bound)
-    lines += _judge_honesty(flight, own)
-    lines += _judge_alarms(flight, own)
+    lines = [judge_coverage(flight, own), judge_start(flight, own), judge_convergence(flight, own)]
+    lines += compare_errors(flight, own, other, label, bound)
+    lines += judge_honesty(flight, own)
+    lines += judge_alarms(flight, own)
     if without:
-        lines += _judge_robustness(flight, own, without)
-    return lines + _judge_heading(flight, own)
+        lines += judge_robustness(flight, own, without)
+    return lines + judge_heading(flight, own)
 
 
-def _judge_convergence(flight: SuiteFlight, own: Rows) -> Line:
+def judge_convergence(flight: SuiteFlight, own: Rows) -> Line:
+    """Return the line of the runs that converged."""
     by_draw = tuple(float(row["converged"]) for row in own)
     rate = ensemble.estimate_rate(int(sum(by_draw)), len(own))
-    text = f"converged in {sum(by_draw):.0f} of {len(own)} draws"
+    text = f"converged in {sum(by_draw):.0f} of {len(own)} runs"
     lost = [k for k, good in enumerate(by_draw) if not good]
     if lost:
-        text += f"; draw {lost[0]}: {one_line(str(own[lost[0]].get('reason')))[:200]}"
-    return _make_line("convergence", flight, "draws that converged", rate, text, by_draw, COUNT)
+        text += f"; run {lost[0]}: {one_line(str(own[lost[0]].get('reason')))[:200]}"
+    return _make_line("convergence", flight, "runs that converged", rate, text, by_draw, COUNT)
 
 
-def _judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
-    """Return the least share of the instants that a draw answers, by block, and what is not estimated."""
+def judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
+    """Return the least share of the epochs that a run answers, by block, and what is not estimated."""
     shares = {title: [row.get(f"{_ANSWERED}{block}") for row in own] for block, title in TITLES.items()}
     declared = {title: values for title, values in shares.items() if any(v is not None for v in values)}
     least = {title: min(v or 0.0 for v in values) for title, values in declared.items()}
@@ -126,10 +129,10 @@ def _judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
     if not declared:
         text = "answers nothing"
     elif min(least.values()) == 1.0:
-        text = "answers at all instants"
+        text = "answers at all epochs"
     else:
         parts = [f"{title} at {100.0 * share:.4g} %" for title, share in least.items()]
-        text = f"answers {', '.join(parts)} of the instants, each in the draw with the fewest"
+        text = f"answers {', '.join(parts)} of the epochs, each in the run with the fewest"
     absent = [title for title in TITLES.values() if title not in declared]
     if absent and declared:
         text += f"; no {', no '.join(absent)}"
@@ -137,12 +140,12 @@ def _judge_coverage(flight: SuiteFlight, own: Rows) -> Line:
     return _make_line("coverage", flight, SHARE, found, text, by_draw)
 
 
-def _judge_start(flight: SuiteFlight, own: Rows) -> Line:
-    """Return how long the draw waits that answers last."""
+def judge_start(flight: SuiteFlight, own: Rows) -> Line:
+    """Return how long the run waits that answers last."""
     by_draw = tuple(row.get("first_answer_s_all") if _answers(row) else None for row in own)
     known = [value for value in by_draw if value is not None]
     longest = max(known) if len(known) == len(own) else None
-    text = "never answers in some draw" if longest is None else f"first answer after {longest:.3g} s at most"
+    text = "never answers in some run" if longest is None else f"first answer after {longest:.3g} s at most"
     return Line(
         topic="coverage", flight=flight.name, figure="longest time to the first answer [s]", value=longest,
         low=min(known, default=None), high=longest, sentence=f"{flight.name}: {text}.", by_draw=by_draw,
@@ -153,17 +156,17 @@ def _answers(row: Mapping[str, Any]) -> bool:
     return any(row.get(f"{_ANSWERED}{block}_all") is not None for block in TITLES)
 
 
-def _compare_errors(
+def compare_errors(
     flight: SuiteFlight, own: Rows, other: Rows, label: str, bound: tuple[Mapping[str, float], str]
 ) -> list[Line]:
-    """Return errors as ratios to those of another estimator on the same draws, and to the bound."""
+    """Return errors as ratios to those of another filter on the same runs, and to the bound."""
     lines = []
     for topic, (figure, start, end) in ERRORS.items():
         if topic == "faults" and flight.without:
             continue
-        names = _find_names(own, start, end)
-        values = _pool_names(own, names)
-        ratio = compare_rms(values, _pool_names(other, names)) if other else None
+        names = find_names(own, start, end)
+        values = pool_names(own, names)
+        ratio = compare_rms(values, pool_names(other, names)) if other else None
         held, word = compare_bound(values, bound[0].get(topic))
         parts = [] if ratio is None else [f"{_format(ratio)} times that of {label}"]
         parts += [] if held is None else [f"{_format(held)} times the bound"]
@@ -171,7 +174,7 @@ def _compare_errors(
             continue
         text = f"{figure} {' and '.join(parts)}"
         both = sum(value is not None for value in values)
-        text += "" if both == len(own) else f", in the {both} of {len(own)} draws that converged"
+        text += "" if both == len(own) else f", in the {both} of {len(own)} runs that converged"
         if topic == "accuracy" and bound[1]:
             text += f"; {bound[1]}"
         if word:
@@ -185,10 +188,10 @@ def _compare_errors(
 
 
 def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[Estimate | None, str]:
-    """Return the error over the bound, pooled over the draws, and `IMPOSSIBLE` if it is below for certain.
+    """Return the error over the bound, pooled over the runs, and `IMPOSSIBLE` if it is below for certain.
 
-    Certain is what the spread of the draws allows: the upper end of the mean square of so many independent
-    errors as they hold (`count_freedom`). The bound is of all draws: of a filter that has lost some, perhaps
+    Certain is what the spread of the runs allows: the upper end of the mean square of so many independent
+    errors as they hold (`count_freedom`). The bound is of all runs: of a filter that has lost some, perhaps
     the worst, nothing is certain.
     """
     squares = np.square([value for value in values if value is not None])
@@ -203,21 +206,21 @@ def compare_bound(values: Sequence[float | None], bound: float | None) -> tuple[
 
 
 def list_values(row: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return what the lines of a flight hold of a draw, by topic."""
+    """Return what the lines of a flight hold of a run, by topic."""
     found = {
-        topic: _pool_names([row], _find_names([row], start, end))[0]
+        topic: pool_names([row], find_names([row], start, end))[0]
         for topic, (_, start, end) in ERRORS.items()
     }
     return {**found, "honesty": _normalize(row)}
 
 
 def _normalize(row: Mapping[str, Any]) -> float | None:
-    """Return NEES over its expectation; None without one, or if the draw is lost."""
+    """Return NEES over its expectation; None without one, or if the run is lost."""
     mean = row.get("nees_mean") if row["converged"] else None
     return None if mean is None else float(mean / row["nees_states"])
 
 
-def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
+def judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
     """Return the ratio of NEES to its expectation; none without a covariance."""
     by_draw = tuple(map(_normalize, own))
     known = np.array([value for value in by_draw if value is not None], float)
@@ -233,7 +236,7 @@ def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
     else:
         word = "consistent" if least <= ratio.low and ratio.high <= most else "undecided"
     text = f"NEES is {_format(ratio)} times its expectation: {word}"
-    share = _estimate_share(
+    share = estimate_share(
         np.array([row["nees_inside_95"] for row in own if _normalize(row) is not None], float)
     )
     if word not in ("overconfident", "underconfident") and share.high < _INSIDE:
@@ -245,21 +248,21 @@ def _judge_honesty(flight: SuiteFlight, own: Rows) -> list[Line]:
     return [_make_line("honesty", flight, "NEES over its expectation", ratio, text, by_draw, word)]
 
 
-def _judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
-    """Return how many of the faults were noticed, of those that can be, and how many alarms are false."""
+def judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
+    """Return how many of the faults were detected, of those that can be, and how many alarms are false."""
     lines = []
-    names = [] if flight.without else _find_names(own, "fault_", "_detected")
+    names = [] if flight.without else find_names(own, "fault_", "_detected")
     by_draw = tuple(row[name] for row in own for name in names if row.get(name) is not None)
     if by_draw:
         rate = ensemble.estimate_rate(int(sum(by_draw)), len(by_draw))
-        text = f"noticed {sum(by_draw):.0f} of {len(by_draw)} faults"
-        lines.append(_make_line("faults", flight, "faults noticed", rate, text, by_draw, COUNT))
+        text = f"detected {sum(by_draw):.0f} of {len(by_draw)} faults"
+        lines.append(_make_line("faults", flight, "faults detected", rate, text, by_draw, COUNT))
     shares, rates = (
         [row[name] for row in own if row.get(name) is not None]
         for name in ("false_alarm_share", "false_alarm_rate_per_h")
     )
     if len(shares) >= _LEAST and not flight.without:
-        share = _estimate_share(np.array(shares))
+        share = estimate_share(np.array(shares))
         text = f"in alarm for {_format(share, 100.0)} % of the time outside faults"
         text += f", {np.mean(rates):.3g} false alarms an hour"
         values = tuple(row.get("false_alarm_share") for row in own)
@@ -267,17 +270,17 @@ def _judge_alarms(flight: SuiteFlight, own: Rows) -> list[Line]:
     return lines
 
 
-def _estimate_share(by_draw: FloatArray) -> Estimate:
+def estimate_share(by_draw: FloatArray) -> Estimate:
     """Return the mean of shares by draw, by Student's t."""
     mean = average_changes(by_draw)
     low, high = mean.interval(1.0 - ensemble.CONFIDENCE)
     return Estimate(mean.estimate, max(low, 0.0), min(high, 1.0))
 
 
-def _judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
-    """Return the ratio of the error to that on the same draws of the same flight where nothing happens."""
+def judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Line]:
+    """Return the ratio of the error to that on the same runs of the same flight where nothing happens."""
     _, start, end = ERRORS["accuracy"]
-    values = [_pool_names(rows, _find_names(own, start, end)) for rows in (own, without)]
+    values = [pool_names(rows, find_names(own, start, end)) for rows in (own, without)]
     ratio = compare_rms(*values)
     if ratio is None:
         return []
@@ -285,7 +288,7 @@ def _judge_robustness(flight: SuiteFlight, own: Rows, without: Rows) -> list[Lin
     return [_make_line("robustness", flight, "horizontal error", ratio, text, values[0])]
 
 
-def _judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
+def judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
     """Return the median time after which the heading stays right, of a flight that begins with it wrong."""
     estimated = any(row.get("heading_rmse_deg") is not None for row in own)
     if "initial_error_sd.heading_deg" not in flight.values or not estimated:
@@ -295,9 +298,9 @@ def _judge_heading(flight: SuiteFlight, own: Rows) -> list[Line]:
     found = ensemble.estimate_quantile(times, 0.5)
     low, high = (end if end is not None and np.isfinite(end) else None for end in (found.low, found.high))
     if not np.isfinite(found.value):
-        text = "most draws never find the heading"
+        text = "most runs never find the heading"
     else:
-        text = f"half of the draws have the heading within 3 deg of the truth after {found.value:.3g} s"
+        text = f"half of the runs have the heading within 3 deg of the truth after {found.value:.3g} s"
         last = "never" if high is None else f"{high:.3g} s"
         text += f" ({'the start' if low is None else f'{low:.3g} s'} to {last})"
     value = found.value if np.isfinite(found.value) else None
@@ -356,7 +359,7 @@ def _make_line(
     )
 
 
-def _find_names(rows: Rows, start: str, end: str) -> list[str]:
+def find_names(rows: Rows, start: str, end: str) -> list[str]:
     """Return the metrics between these ends that any row has."""
     names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
     return [
@@ -364,8 +367,8 @@ def _find_names(rows: Rows, start: str, end: str) -> list[str]:
     ]
 
 
-def _pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
-    """Return the root mean square of some metrics in each draw; None if it has none or did not converge."""
+def pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
+    """Return the root mean square of some metrics in each run; None if it has none or did not converge."""
     return tuple(
         float(np.sqrt(np.mean([row[name] ** 2 for name in names])))
         if names and row["converged"] and all(row.get(name) is not None for name in names)
@@ -375,9 +378,9 @@ def _pool_names(rows: Rows, names: Sequence[str]) -> tuple[float | None, ...]:
 
 
 def compare_rms(own: Sequence[float | None], other: Sequence[float | None]) -> Estimate | None:
-    """Return the ratio of root mean squares, over the draws that have both; None if too few.
+    """Return the ratio of root mean squares, over the runs that have both; None if too few.
 
-    The mean of the log ratios of the draws, by Student's t: its interval holds what it says with eight draws,
+    The mean of the log ratios of the runs, by Student's t: its interval holds what it says with eight runs,
     too, where that of a ratio of pooled squares holds 91 to 94 instead of 95 %.
     """
     pairs = [(a, b) for a, b in zip(own, other, strict=True) if a is not None and b is not None]

@@ -1,4 +1,4 @@
-"""The card of an estimator: what a fixed suite of flights says of it, beside a built-in filter."""
+"""The card of a filter: what a fixed suite of flights says of it, beside a built-in filter."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from bench.core.files.file_checks import read_json
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
+from bench.core.words.renames import FORMAT, check_format
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import MET, Finding
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
@@ -47,11 +48,11 @@ AGAINST = "loose-full"
 """The filter that others are compared with."""
 
 YARDSTICK = "free-inertial"
-"""The estimator whose CPU time is the unit of speed: the bare integration of the same IMU samples."""
+"""The filter whose CPU time is the unit of speed: the bare integration of the same IMU samples."""
 
 
 class LostDraw(Table):
-    """A draw that did not converge."""
+    """A run that did not converge."""
 
     flight: str
     draw: int
@@ -60,23 +61,24 @@ class LostDraw(Table):
 
 
 class Card(Table):
-    """What an estimator achieves in the suite; equal inputs give equal lines."""
+    """What a filter achieves in the suite; equal inputs give equal lines."""
 
+    format: int = FORMAT
     estimator: str
     against: str
     suite: str  # version and extent
-    suite_hash: str  # of flights, sensors and draws: only cards with equal hashes compare
+    suite_hash: str  # of flights, sensors and runs: only cards with equal hashes compare
     draws: int  # of each flight
     versions: dict[str, str]
     lines: Annotated[tuple[Line, ...], ROWS]
     speed: Line | None  # measured anew each time
     use: str = ""  # what was run, as -e takes it
-    seed: int | None = None  # of all draws; None: those of the profiles
-    options: dict[str, Any] = Field(default_factory=dict)  # of the estimator
+    seed: int | None = None  # of all runs; None: those of the profiles
+    options: dict[str, Any] = Field(default_factory=dict)  # of the filter
     program: str = ""  # hash of the source, or of the program, and of its options
     answers: str = ""  # hash of all that it answered, every bit
-    commands: dict[str, str] = Field(default_factory=dict)  # by flight: what repeats its first draw
-    lost: Annotated[tuple[LostDraw, ...], ROWS] = ()  # draws that did not converge
+    commands: dict[str, str] = Field(default_factory=dict)  # by flight: what repeats its first run
+    lost: Annotated[tuple[LostDraw, ...], ROWS] = ()  # runs that did not converge
 
     def __repr__(self) -> str:
         return f"<Card: {self.summary}>"
@@ -114,11 +116,11 @@ class Card(Table):
         least = min((value for value in shares if value is not None), default=None)
         parts = []
         if least is not None:
-            share = "all" if least == 1.0 else f"at least {100.0 * least:.4g} % of the"
-            parts.append(f"answers {share} instants")
+            share = "all" if least == 1.0 else f"{100.0 * least:.4g} % or more of the"
+            parts.append(f"has a solution at {share} epochs")
         counts = [line for line in by_topic["convergence"] if line.word == COUNT]
         good = [value for line in counts for value in line.by_draw if value is not None]
-        parts.append(f"converged in {sum(good):.0f} of {len(good)} draws")
+        parts.append(f"converged in {sum(good):.0f} of {len(good)} runs")
         words = [line.word for line in by_topic.get("honesty", ())]
         found = [f"{word} on {words.count(word)}" for word in dict.fromkeys(words)]
         if found:
@@ -141,7 +143,7 @@ class Card(Table):
 
     @property
     def good(self) -> bool:
-        """Whether every draw converged, it is proven not to look ahead, and what is required is met."""
+        """Whether every run converged, it is proven not to look ahead, and what is required is met."""
         return (
             not self.lost
             and all(line.value in (0.0, None) for line in self.lines if line.topic == "causality")
@@ -162,9 +164,9 @@ class Card(Table):
 def write_suite(folder: str | Path, *, quick: bool = False) -> Path:
     """Write the sensor data of every flight and draw of the suite, for solutions that are made elsewhere.
 
-    Each draw has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``; long ones
+    Each run has a folder with the tables as ``bench export --to csv`` writes them, in ``sensors``; long ones
     are compressed, and increments have the digits that their noise leaves. With a ``solution.csv`` beside
-    them in every one, ``make_card("file:FOLDER")`` judges the solutions.
+    them in every one, ``make_card("file:FOLDER")`` evaluates the solutions.
 
     Parameters
     ----------
@@ -214,13 +216,13 @@ def make_card(
     jobs: int | None = None,
     progress: Callable[[Progress], None] = lambda progress: None,
 ) -> Card:
-    """Judge an estimator over the suite, draw by draw beside another one.
+    """Evaluate a filter over the suite, run by run beside another one.
 
     Parameters
     ----------
     estimator : str
         Built-in name, ``module:Class``, ``command:./program {sensors} {solution}``, or ``file:FOLDER`` with a
-        solution for each draw that :func:`write_suite` wrote.
+        solution for each run that :func:`write_suite` wrote.
     label : str or None
         What the card calls it; None: its class, program or folder.
     options : mapping or None
@@ -228,11 +230,11 @@ def make_card(
     against : str
         The one to compare with.
     quick : bool
-        Twelve flights of 8 draws instead of eighteen of 40.
+        Twelve flights of 8 runs instead of eighteen of 40.
     guard : Guard
         What programs and classes of others may take, and whether a class gets a process of its own.
     seed : int or None
-        Of all draws; None: those of the profiles.
+        Of all runs; None: those of the profiles.
     requirements : Path or None
         File of rows ``[[requirement]]`` (`bench.experiments.card.card_requirements`).
     runs : Path or None
@@ -245,14 +247,14 @@ def make_card(
     Raises
     ------
     bench.ConfigError, bench.EstimatorError
-        If an estimator cannot be built, or two have one name.
+        If a filter cannot be built, or two have one name.
     KeyboardInterrupt
         If it was interrupted; ``runs`` has what was finished.
     """
     suite = replace(QUICK if quick else FULL, seed=seed)
     names = [flight.name for flight in suite.members]
     required = () if requirements is None else read_requirements(requirements, names)
-    plan, (own, other, yardstick) = _plan(suite, estimator, against, guard, label, options)
+    plan, (own, other, yardstick) = plan_card(suite, estimator, against, guard, label, options)
     result = run_campaign(plan, jobs=jobs, folder=runs, resume=resume, force=not resume, progress=progress)
     if result.interrupted:
         raise KeyboardInterrupt
@@ -301,7 +303,7 @@ def make_card(
     )
 
 
-def _plan(
+def plan_card(
     suite: Suite,
     estimator: str,
     against: str,
@@ -309,7 +311,7 @@ def _plan(
     label: str | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> tuple[Plan, tuple[str, str, str]]:
-    """Return the plan of a suite, and the labels of the estimator, of the other one and of the yardstick."""
+    """Return the plan of a suite, and the labels of the filter, of the other one and of the yardstick."""
     if not label and not options:
         uses = list(dict.fromkeys((estimator, against, YARDSTICK)))
         plan = plan_campaign(replace(suite, estimators=tuple(uses)), guard=guard)
@@ -320,7 +322,7 @@ def _plan(
         others = dict.fromkeys((against, YARDSTICK))
         if name in others:
             raise ConfigError(
-                f"the card has {name!r} already: give the one to judge another name with --label"
+                f"the card has {name!r} already: give the one to evaluate another name with --label"
             )
         given = [first, *({"use": use} for use in others)]
         plan = plan_campaign(replace(suite, fixed={"estimator": given}), allow_code=True, guard=guard)
@@ -354,10 +356,10 @@ def verify_card(
         If the suite is not that of the card, or the card does not say what it ran.
     """
     if not card.use:
-        raise ConfigError("the card does not say which estimator it ran; make it with this version of bench")
+        raise ConfigError("the card does not name its filter. Make it again with this version of bench")
     suite = replace(QUICK if card.suite.endswith("quick") else FULL, seed=card.seed)
     named = None if card.estimator == make_choice(card.use).label else card.estimator
-    plan, (own, *_) = _plan(suite, card.use, YARDSTICK, guard, named, card.options)
+    plan, (own, *_) = plan_card(suite, card.use, YARDSTICK, guard, named, card.options)
     if hash_suite(plan) != card.suite_hash:
         raise ConfigError(f"the card is of suite {card.suite_hash}; here it is {hash_suite(plan)}")
     chosen = secrets.SystemRandom().sample(range(len(plan.runs)), min(draws, len(plan.runs)))
@@ -371,21 +373,22 @@ def verify_card(
         for topic, value in list_values(row).items() if row["estimator"] == own else ():
             line = by_name.get((topic, flight))
             said = line.by_draw[row["run"]] if line and row["run"] < len(line.by_draw) else None
-            if line and not _same_value(said, value):
+            if line and not is_same_value(said, value):
                 shown = " and ".join(write_figure(one) for one in (said, value))
-                found.append(f"{flight}, draw {row['run']}: {line.figure}: card and repetition {shown}")
+                found.append(f"{flight}, run {row['run']}: {line.figure}: card and repetition {shown}")
     return found
 
 
-def _same_value(one: float | None, other: float | None) -> bool:
+def is_same_value(one: float | None, other: float | None) -> bool:
+    """Return whether two values differ by no more than another processor makes."""
     if one is None or other is None:
         return one is other
     return bool(np.isclose(one, other, rtol=SAME, atol=0.0))
 
 
 def describe_suite(card: Card) -> str:
-    """Return what the figures stand on, in words."""
-    return f"suite {card.suite}, {card.suite_hash}, {card.draws} draws of each flight; 95 % intervals"
+    """Return version, extent and hash of the suite of a card."""
+    return f"suite {card.suite}, {card.suite_hash}, {card.draws} runs of each flight; 95 % intervals"
 
 
 def read_card(path: str | Path) -> Card:
@@ -396,7 +399,9 @@ def read_card(path: str | Path) -> Card:
     ConfigError
         If the file is not a card.
     """
-    card = check_table(Card, read_json(Path(path)), str(path))
+    document = read_json(Path(path))
+    check_format(document, str(path))
+    card = check_table(Card, document, str(path))
     if not any(line.topic == "convergence" for line in card.lines):
         raise ConfigError(f"{path}: no card: none of its lines has the topic 'convergence'")
     return card

@@ -50,7 +50,7 @@ def read_requirements(path: Path, flights: list[str]) -> tuple[Mapping[str, Any]
 
 
 def judge_requirements(flight: str, label: str, own: Rows, rows: tuple[Mapping[str, Any], ...]) -> list[Line]:
-    """Return whether the draws of a flight keep what is required there."""
+    """Return whether the runs of a flight keep what is required there."""
     here = [row for row in rows if row.get("flight", flight) == flight]
     return [
         Line(

@@ -1,4 +1,4 @@
-"""The suite of the cards: fixed flights, units, faults and draws."""
+"""The suite of the cards: fixed flights, units, faults and runs."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import numpy as np
 from bench.experiments.campaigns.campaign_file import CampaignSpec, Values
 from bench.experiments.campaigns.plan import Plan
 from bench.io import results
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 
 _EVENTS = ("fault", "gnss_outage")
 
 VERSION = 3
-"""Version of the suite; it changes with any flight, sensor, fault or number of draws in it."""
+"""Version of the suite; it changes with any flight, sensor, fault or number of runs in it."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +45,16 @@ class Suite(CampaignSpec):
 
 
 _FARTHEST = 20.0  # that a fault is moved [s]
-_OF_GAP = 0.4  # of the time to its neighbours
+_OF_GAP = 0.4  # of the time to its neighbors
 
 
 def move_events(flight: SuiteFlight, seed: int) -> Values:
-    """Return the faults and outages of a flight, each moved in time by a draw of the seed.
+    """Return the faults and outages of a flight, each moved in time by a run of the seed.
 
     So a filter that knows the times of the suite by heart finds others. What lasts from the start on, or
     touches something else, stays; the order stays, too.
     """
-    profile = load_profile(flight.profile, flight.values, estimators=["free-inertial"])
+    profile = read_profile(flight.profile, flight.values, estimators=["free-inertial"])
     rows = [(key, row) for key in _EVENTS for row in profile.document.get(key, ())]
     spans = [(row["start_s"], row["start_s"] + row["duration_s"]) for _, row in rows]
     end = float(profile.document["duration_s"]) if "duration_s" in profile.document else np.inf
@@ -118,7 +118,7 @@ FULL = Suite("card", (), runs=40, members=_FULL)
 
 
 def hash_suite(plan: Plan) -> str:
-    """Return a hash of the flights, sensors and draws, whatever the estimators are."""
+    """Return a hash of the flights, sensors and runs, whatever the filters are."""
     parts = [
         [
             {key: value for key, value in cell.profile.document.items() if key != "estimator"},

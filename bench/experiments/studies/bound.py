@@ -1,9 +1,9 @@
-"""How far each estimator is from the best linear one, on one flight.
+"""How far each filter is from the best linear one, on one flight.
 
 The bound is the covariance of a Kalman filter of the whole truth model along the true motion, with errors
 that are not Gaussian by an equal autocovariance (Tichavsky, Muravchik, Nehorai 1998): no causal linear
-estimator errs less. Smoothers are held against the bound of smoothing, which uses the measurements to the
-end. The errors of the estimators are drawn; a ratio of 1 leaves nothing to gain, with these sensors on this
+filter errs less. Smoothers are held against the bound of smoothing, which uses the measurements to the
+end. The errors of the filters are drawn; a ratio of 1 leaves nothing to gain, with these sensors on this
 flight.
 """
 
@@ -44,22 +44,22 @@ from bench.navigation.estimator import Estimator
 from bench.simulation import sensors
 
 STUDY = 6, "bound"
-QUESTION = "How far is each estimator from the best linear one, on a flight?"
+QUESTION = "How far is each filter from the best linear one, on a flight?"
 
-_PARTS = 4  # of the draws of an estimator, so that all workers have something to do
+_PARTS = 4  # of the runs of a filter, so that all workers have something to do
 
 
 class Options(UnitOptions):
     """What may be asked."""
 
     estimators: Words | None = None
-    """estimators to hold against the bound; left out: those of the profile"""
-    draws: Count = 20
-    """noise draws of each estimator"""
+    """filters to hold against the bound; left out: those of the profile"""
+    runs: Count = 20
+    """runs of each filter"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
-    """Return the bound and the ratio of each estimator to it."""
+    """Return the bound and the ratio of each filter to it."""
     return ask_each("bound", options, work, lambda one: _check(_choose(one).read()), _ask)
 
 
@@ -68,7 +68,7 @@ def _choose(options: Options) -> UnitFlight:
 
 
 def _check(profile: Profile) -> Mapping[str, Estimator]:
-    """Return the estimators by label; ConfigError if one has no linear model."""
+    """Return the filters by label; ConfigError if one has no linear model."""
     built = pipeline.build_estimators(profile)
     check_flight(profile.sensors, built)
     return built
@@ -79,34 +79,34 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     profile, truth = flight.load()
     built = _check(profile)
     labels, smoothing = list(built), {label: smooths(one) for label, one in built.items()}
-    work.progress("the best linear estimator", 0, 1)
+    work.progress("the best linear filter", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)
     bound = bound_in_range(truth, profile.sensors, data, profile.seed, t, smooth=any(smoothing.values()))
-    parts = list(split_draws(options.draws, _PARTS))
+    parts = list(split_draws(options.runs, _PARTS))
     jobs = [Draws(flight, label, first, count) for label in labels for first, count in parts]
-    found = work.map("drawing the estimators", draw_errors, jobs, first=(0,))
+    found = work.map("drawing the filters", draw_errors, jobs, first=(0,))
     errors = {
         label: np.concatenate(found[k * len(parts) : (k + 1) * len(parts)]) for k, label in enumerate(labels)
     }
     phases = list_phases(bound.t, profile.evaluation.begin, profile.sensors)
     columns, told, good = hold_draws(bound, errors, smoothing, phases)
-    below = "No estimator is below its bound" if good else "An estimator is below its bound"
+    below = "No filter is below its bound" if good else "A filter is below its bound"
     if np.isnan(variance_of(bound, smooth=False)).any():
         told.append(
             f"An angle is not known within {LINEAR / DEG:g} deg, the range of a linear model: no attitude is "
-            "held against a bound, and that of position and velocity is of a known attitude."
+            "held against a bound, and the bound of position and velocity assumes a known attitude."
         )
-    told.append(f"{below}, by {100.0 * LEVEL:g} % intervals of {options.draws} draws.")
-    title = f"Root mean square errors over {options.draws} draws, over those of the best linear estimator"
+    told.append(f"{below}, by {100.0 * LEVEL:g} % intervals of {options.runs} runs.")
+    title = f"RMS errors over {options.runs} runs / errors of the best linear filter"
     return Findings(
         verdicts=tuple(told),
         tables=(
             FindingTable("bound", title, columns, {}),
-            _tabulate(bound, key_instants(bound.t, profile).values()),
+            tabulate_bound(bound, key_instants(bound.t, profile).values()),
         ),
-        figures=tuple(_plot(bound, errors, smoothing)),
-        draws=options.draws,
+        figures=tuple(plot_bound(bound, errors, smoothing)),
+        runs=options.runs,
         good=good,
     )
 
@@ -117,7 +117,7 @@ def hold_draws(
     smoothing: Mapping[str, bool],
     phases: Mapping[str, BoolArray],
 ) -> tuple[dict[str, list[Any]], list[str], bool]:
-    """Return ratios of errors (R, M, 9) by estimator to the bound, words, and whether none is below it."""
+    """Return ratios of errors (R, M, 9) by filter to the bound, words, and whether none is below it."""
     columns: dict[str, list[Any]] = {
         name: []
         for name in ("estimator", "phase", "quantity", "rmse", "bound", "ratio", "low", "high", "unit")
@@ -141,8 +141,8 @@ def hold_draws(
     return columns, told, good
 
 
-def _tabulate(bound: Bound, at: Iterable[int]) -> FindingTable:
-    """Return the standard deviations of the best linear estimator and of the best smoother at instants."""
+def tabulate_bound(bound: Bound, at: Iterable[int]) -> FindingTable:
+    """Return the standard deviations of the best linear filter and of the best smoother at epochs."""
     rows = list(at)
     columns: dict[str, Any] = {"t_s": bound.t[rows].tolist()}
     units = {"t_s": "s"}
@@ -152,17 +152,18 @@ def _tabulate(bound: Bound, at: Iterable[int]) -> FindingTable:
             stem, unit = quantity.name.rsplit("_", 1)
             name = f"{stem}_smoothed_{unit}" if smooth else quantity.name
             columns[name], units[name] = quantity.sd(least).tolist(), quantity.unit
-    return FindingTable("best_linear", "Standard deviations of the best linear estimator", columns, units)
+    return FindingTable("best_linear", "Standard deviations of the best linear filter", columns, units)
 
 
-def _plot(bound: Bound, errors: dict[str, FloatArray], smoothing: dict[str, bool]) -> list[Plot]:
-    colours = series.estimator_colours(errors)
+def plot_bound(bound: Bound, errors: dict[str, FloatArray], smoothing: dict[str, bool]) -> list[Plot]:
+    """Return for each quantity the errors of the filters and the bounds."""
+    colors = series.estimator_colors(errors)
     plots = []
     for quantity in QUANTITIES:
         lines = []
         for label, drawn in errors.items():
             rms = np.sqrt(np.mean(quantity.sd(np.square(drawn)) ** 2, axis=0))
-            lines.append(series.draw_line(label, bound.t, rms, f"{label}, drawn", colours[label]))
+            lines.append(series.draw_line(label, bound.t, rms, f"{label}, drawn", colors[label]))
         causal = quantity.sd(variance_of(bound, smooth=False))
         lines.append(series.draw_line("bound", bound.t, causal, "bound", series.TRUTH))
         if any(smoothing.values()):

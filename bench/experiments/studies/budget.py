@@ -1,10 +1,10 @@
-"""Which error of the sensors contributes what to the errors of a filter, at every instant of a flight.
+"""Which error of the sensors contributes what to the errors of a filter, at every time of a flight.
 
 The actual covariance of the filter's errors under the gains it had in one run, in a model with all errors of
 the sensors on board, each source alone (Maybeck, Stochastic Models, vol. 1, ch. 6). Beside it, Monte Carlo:
 the same filter on sensors with one source switched on, and with all. Where the ratio of the two variances is
-not 1 by more than the draws allow, an error is not small enough for a linear model, and the study says so;
-where so few draws allow nearly anything, it says that it cannot tell.
+not 1 by more than the runs allow, an error is not small enough for a linear model, and the study says so;
+where so few runs allow nearly anything, it says that it cannot tell.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from bench.core.records.findings import Findings, FindingTable, series
 from bench.core.records.findings.series import Plot, Series
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.evaluation.linear.error_budget import Budget, split_errors
 from bench.evaluation.linear.gains import record_gains
 from bench.evaluation.linear.held import check_aiding
@@ -42,12 +42,12 @@ from bench.navigation.models.loose_tight import Loose
 from bench.simulation import sensors
 
 STUDY = 5, "budget"
-QUESTION = "Which error of the sensors contributes what to the errors of a filter, at every instant?"
+QUESTION = "Which error of the sensors contributes what to the errors of a filter, at every time?"
 
-_PARTS = 8  # of the draws of a source, so that all workers have something to do
+_PARTS = 8  # of the runs of a source, so that all workers have something to do
 _WIDE = 1.5  # an interval of a variance whose upper end is so many times its lower end squared tells nothing
 _UNKNOWN = "cannot tell"
-_SMALL = 0.01  # share of a variance below which a source is not held against its draws
+_SMALL = 0.01  # share of a variance below which a source is not held against its runs
 _SHOWN = 5  # sources with an area of their own
 _ALL, _OTHERS = "all sources", "all others"
 
@@ -57,8 +57,8 @@ class Options(UnitOptions):
 
     estimator: str | None = None
     """a loose filter: label of the profile, or built-in name; left out: the first of the profile"""
-    draws: Count = 200
-    """noise draws of each source that matters"""
+    runs: Count = 200
+    """runs of each source that matters"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
@@ -82,8 +82,8 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     gains = record_gains(one, sensed, truth, t)
     budget = split_errors(gains, model_errors(truth, profile.sensors, profile.seed, known_jumps=True))
     at = key_instants(budget.t, profile)
-    names = [*_find_sources(budget, list(at.values())), _ALL]
-    parts = list(split_draws(options.draws, _PARTS))
+    names = [*find_sources(budget, list(at.values())), _ALL]
+    parts = list(split_draws(options.runs, _PARTS))
     jobs = [
         Draws(flight, label, first, count, None if name is _ALL else name)
         for name in names
@@ -91,31 +91,31 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     ]
     found = work.map("drawing each source alone", square_errors, jobs, first=(0,))
     sums = np.array(found).reshape(len(names), len(parts), *found[0].shape).sum(axis=1)
-    drawn = dict(zip(names, sums / options.draws, strict=True))
-    pairs = pair_variances(budget, drawn, at, options.draws)
+    drawn = dict(zip(names, sums / options.runs, strict=True))
+    pairs = pair_variances(budget, drawn, at, options.runs)
     told = [
-        *(_rank(budget, k, words) for words, k in at.items()),
-        *_compare(pairs, options.draws),
-        *_judge_claim(budget, at, label, gains.refused),
+        *(rank(budget, k, words) for words, k in at.items()),
+        *compare(pairs, options.runs),
+        *judge_claim(budget, at, label, gains.refused),
     ]
-    sides = FindingTable("side_by_side", f"{label}: covariance beside {options.draws} draws", *_units(pairs))
+    sides = FindingTable("side_by_side", f"{label}: covariance beside {options.runs} runs", *_units(pairs))
     return Findings(
         verdicts=tuple(told),
-        tables=(_tabulate(budget, at, label), sides),
-        figures=tuple(_plot(budget, label)),
-        draws=options.draws,
+        tables=(tabulate_budget(budget, at, label), sides),
+        figures=tuple(plot_budget(budget, label)),
+        runs=options.runs,
         good="no" not in pairs["agrees"],
         undecided=_UNKNOWN in pairs["agrees"],
     )
 
 
-def square_errors(draws: Draws) -> FloatArray:
-    """Return the squares (M, 9) of the errors of draws, summed over them."""
-    return np.asarray(np.square(draw_errors(draws)).sum(axis=0))
+def square_errors(runs: Draws) -> FloatArray:
+    """Return the squares (M, 9) of the errors of runs, summed over them."""
+    return np.asarray(np.square(draw_errors(runs)).sum(axis=0))
 
 
-def _find_sources(budget: Budget, rows: list[int]) -> list[str]:
-    """Return the sources that have a part in the variance of any quantity at any of the instants."""
+def find_sources(budget: Budget, rows: list[int]) -> list[str]:
+    """Return the sources that have a part in the variance of any quantity at any of the epochs."""
     return [
         name
         for s, name in enumerate(budget.sources)
@@ -128,7 +128,7 @@ def _find_sources(budget: Budget, rows: list[int]) -> list[str]:
 
 
 def _choose(profile: Profile) -> str:
-    """Return the label of the first estimator that has a linear model."""
+    """Return the label of the first filter that has a linear model."""
     for choice in profile.estimators:
         one = pipeline.build_estimator(choice)
         if isinstance(one, Loose):
@@ -146,8 +146,8 @@ def _stack(variance: FloatArray, quantity: Quantity) -> FloatArray:
     return np.asarray(variance[:, quantity.states].sum(axis=1)) / quantity.scale**2
 
 
-def _tabulate(budget: Budget, at: dict[str, int], label: str) -> FindingTable:
-    """Return the standard deviation by source at each instant, the largest first."""
+def tabulate_budget(budget: Budget, at: dict[str, int], label: str) -> FindingTable:
+    """Return the standard deviation by source at each time, the largest first."""
     columns: dict[str, list[Any]] = {"t_s": [], "source": [], "share_percent": []}
     columns |= {quantity.name: [] for quantity in QUANTITIES}
     for k in at.values():
@@ -166,11 +166,11 @@ def _tabulate(budget: Budget, at: dict[str, int], label: str) -> FindingTable:
 
 
 def pair_variances(
-    budget: Budget, drawn: Mapping[str, FloatArray], at: dict[str, int], draws: int
+    budget: Budget, drawn: Mapping[str, FloatArray], at: dict[str, int], runs: int
 ) -> dict[str, list[Any]]:
-    """Return the rows of sources that matter: by covariance, by draws, and the ratio of their variances.
+    """Return the rows of sources that matter: by covariance, by runs, and the ratio of their variances.
 
-    ``drawn`` has the mean squares (M, 9) of the errors by source. A ratio of a variance of so many draws over
+    ``drawn`` has the mean squares (M, 9) of the errors by source. A ratio of a variance of so many runs over
     the true one is chi-square over its degrees of freedom; its interval has the probability `LEVEL`.
     """
     columns: dict[str, list[Any]] = {
@@ -183,7 +183,7 @@ def pair_variances(
     variance = {name: budget.variance[:, :, s] for s, name in enumerate(budget.sources)} | {
         _ALL: budget.total
     }
-    least, most = (float(one[0]) ** 2 for one in root_mean_interval(np.ones(1), draws))
+    least, most = (float(one[0]) ** 2 for one in root_mean_interval(np.ones(1), runs))
     for k in at.values():
         for quantity in QUANTITIES:
             whole = float(quantity.sd(budget.total[k])) ** 2
@@ -222,8 +222,8 @@ def _units(columns: dict[str, list[Any]]) -> tuple[dict[str, list[Any]], dict[st
     return columns, {"t_s": "s"}
 
 
-def _rank(budget: Budget, k: int, words: str) -> str:
-    """Return the ranking of the sources at an instant, in words."""
+def rank(budget: Budget, k: int, words: str) -> str:
+    """Return the ranking of the sources at a time, in words."""
     texts = []
     for quantity in (QUANTITIES[0], QUANTITIES[1], QUANTITIES[4]):
         by_source = _stack(budget.variance, quantity)[k]
@@ -238,10 +238,10 @@ def _rank(budget: Budget, k: int, words: str) -> str:
     return f"At {words}, of the variance: {'; '.join(texts)}."
 
 
-def _compare(pairs: dict[str, list[Any]], draws: int) -> list[str]:
-    """Return how covariance and draws agree, and each pair that does not."""
+def compare(pairs: dict[str, list[Any]], runs: int) -> list[str]:
+    """Return how covariance and runs agree, and each pair that does not."""
     count = Counter(pairs["agrees"])
-    level = f"{100.0 * LEVEL:g} % intervals of {draws} draws"
+    level = f"{100.0 * LEVEL:g} % intervals of {runs} runs"
     told = [
         f"Covariance and Monte Carlo agree in {count['yes']} of {len(pairs['agrees'])} figures, by the "
         f"ratio of their variances and {level}; sources below {100.0 * _SMALL:g} % of a variance are not "
@@ -249,38 +249,38 @@ def _compare(pairs: dict[str, list[Any]], draws: int) -> list[str]:
     ]
     if count[_UNKNOWN]:
         told.append(
-            f"In {count[_UNKNOWN]} figures {draws} draws cannot tell: an interval of a factor of "
-            f"{_WIDE**2:g} and more holds nearly any variance; 200 draws would tell."
+            f"In {count[_UNKNOWN]} figures {runs} runs cannot tell: an interval of a factor of "
+            f"{_WIDE**2:g} and more holds nearly any variance; 200 runs would decide."
         )
     told += [
         f"They disagree on {pairs['source'][k]}, {pairs['quantity'][k]} at {pairs['t_s'][k]:g} s: "
         f"{pairs['covariance'][k]:.3g} by covariance, {pairs['drawn'][k]:.3g} {pairs['unit'][k]} drawn. "
-        "There the errors are not small enough for a linear model, or the filter refused measurements."
+        "There the errors are not small enough for a linear model, or the filter rejected measurements."
         for k, agrees in enumerate(pairs["agrees"])
         if agrees == "no"
     ]
     return told
 
 
-def _judge_claim(budget: Budget, at: dict[str, int], label: str, refused: int) -> list[str]:
-    """Return what the filter claims against what it does."""
+def judge_claim(budget: Budget, at: dict[str, int], label: str, refused: int) -> list[str]:
+    """Return what the filter reports against what it does."""
     texts = []
     for words, k in at.items():
         ratio = {q.title: float(q.sd(budget.total[k]) / q.sd(budget.claimed[k])) for q in QUANTITIES}
         worst = max(ratio, key=lambda name: ratio[name])
-        texts.append(f"at {words}, its {worst} error is {ratio[worst]:.3g} times what it claims")
-    told = [f"The worst claims of {label}: {'; '.join(texts)}."]
+        texts.append(f"at {words}, its {worst} error is {ratio[worst]:.3g} times what it reports")
+    told = [f"The worst reported sigmas of {label}: {'; '.join(texts)}."]
     if refused:
         told.append(
-            f"In the recorded run it refused {refused} scalar measurements; the gains are those of the rest."
+            f"In the recorded run it rejected {refused} scalar measurements; the gains follow from the rest."
         )
     return told
 
 
-def _plot(budget: Budget, label: str) -> list[Plot]:
-    """Return for each quantity the stacked shares of the variance, and claimed and actual error."""
+def plot_budget(budget: Budget, label: str) -> list[Plot]:
+    """Return for each quantity the stacked shares of the variance, and reported and actual error."""
     plots = []
-    colours: dict[str, Colour] = {}
+    colors: dict[str, Color] = {}
     for quantity in QUANTITIES:
         by_source = _stack(budget.variance, quantity)
         whole = by_source.sum(axis=1, keepdims=True)
@@ -288,12 +288,12 @@ def _plot(budget: Budget, label: str) -> list[Plot]:
         weight = share.mean(axis=0) + 100.0 * by_source.sum(axis=0) / whole.sum()  # mostly, and at its worst
         order = np.argsort(-weight, kind="stable").tolist()
         layers = [(budget.sources[s], share[:, s]) for s in order[:_SHOWN]]
-        _give_colours(colours, [name for name, _ in layers])
+        give_colors(colors, [name for name, _ in layers])
         if len(order) > _SHOWN:
             layers.append((_OTHERS, share[:, order[_SHOWN:]].sum(axis=1)))
         key = quantity.title.replace(" ", "-")
         title = f"share of the variance of {quantity.title} [%]"
-        plots.append(Plot(("budget", f"{key}-shares"), title, tuple(_draw_layers(budget.t, layers, colours))))
+        plots.append(Plot(("budget", f"{key}-shares"), title, tuple(_draw_layers(budget.t, layers, colors))))
         lines = (
             series.draw_line("actual", budget.t, quantity.sd(budget.total), "actual", series.ESTIMATORS[0]),
             series.draw_line(
@@ -305,22 +305,22 @@ def _plot(budget: Budget, label: str) -> list[Plot]:
     return plots
 
 
-def _give_colours(colours: dict[str, Colour], names: list[str]) -> None:
-    """Let each source keep the colour it has, unless two of one figure have the same."""
+def give_colors(colors: dict[str, Color], names: list[str]) -> None:
+    """Let each source keep the color it has, unless two of one figure have the same."""
     for name in names:
-        taken = {colours[other] for other in names if other in colours and other != name}
-        if name not in colours or colours[name] in taken:
-            colours[name] = next(colour for colour in series.ESTIMATORS if colour not in taken)
+        taken = {colors[other] for other in names if other in colors and other != name}
+        if name not in colors or colors[name] in taken:
+            colors[name] = next(color for color in series.ESTIMATORS if color not in taken)
 
 
 def _draw_layers(
-    t: FloatArray, layers: list[tuple[str, FloatArray]], colours: dict[str, Colour]
+    t: FloatArray, layers: list[tuple[str, FloatArray]], colors: dict[str, Color]
 ) -> Iterator[Series]:
     """Yield an area for each layer on those before it, and its upper edge."""
     below = np.zeros(len(t))
     for k, (name, values) in enumerate(layers):
-        edges, colour = np.column_stack([below + values, below]), colours.get(name, series.BAND)
-        yield Series(f"layer {k}", t, edges, (name, name), (colour, colour), (0.5, 0.5), band=(0, 1))
+        edges, color = np.column_stack([below + values, below]), colors.get(name, series.BAND)
+        yield Series(f"layer {k}", t, edges, (name, name), (color, color), (0.5, 0.5), band=(0, 1))
         if name != _OTHERS:
-            yield series.draw_line(f"edge {k}", t, below + values, name, colour)
+            yield series.draw_line(f"edge {k}", t, below + values, name, color)
         below = below + values

@@ -14,7 +14,7 @@ from bench.experiments.campaigns.pools import count_processors
 from bench.experiments.studies import StudyEntry, find_studies, import_study
 from bench.experiments.studies.study import Progress, StudyOptions, StudyWorkers, make_command, read_options
 from bench.io import results
-from bench.io.results.study_folder import save_study
+from bench.io.results.study_folder import write_study
 
 
 def find_study(name: str) -> tuple[StudyEntry, Any]:
@@ -86,5 +86,5 @@ def study(
         time.perf_counter() - begun,
     )
     if out is not None:
-        save_study(Path(out), result, force=force)
+        write_study(Path(out), result, force=force)
     return result

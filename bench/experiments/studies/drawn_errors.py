@@ -1,4 +1,4 @@
-"""What the studies by linear covariance share: a profile and its flight, draws of it, figures of errors."""
+"""What the studies by linear covariance share: a profile and its flight, runs of it, figures of errors."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from bench.evaluation.errors.error_series import error_series
 from bench.evaluation.linear.switching import sense_alone
 from bench.evaluation.linear.terms import check_sensors, list_sources
 from bench.experiments.studies.study import read_settings
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation import estimator
 from bench.simulation import sensors
 
 INTERVAL = 1.0
-"""Between the instants of a study [s]."""
+"""Between the epochs of a study [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class UnitFlight:
         overrides = read_settings(self.overrides)
         if self.imu is not None:
             overrides["sensors.imu"] = self.imu
-        profile = load_profile(self.profile, overrides, self.seed, self.estimators)
+        profile = read_profile(self.profile, overrides, self.seed, self.estimators)
         check_sensors(profile.sensors)
         return profile
 
@@ -58,7 +58,7 @@ def _load(flight: UnitFlight) -> tuple[Profile, Trajectory]:
 
 
 def output_times(truth: Trajectory, profile: Profile) -> FloatArray:
-    """Return the instants of a study: every second, and the last before and after each outage."""
+    """Return the epochs of a study: every second, and the last before and after each outage."""
     whole = np.arange(truth.t[0], truth.t[-1] + SAME_INSTANT, INTERVAL)
     ends = [stop - INTERVAL for _, stop in profile.sensors.gnss_outages if stop - INTERVAL > truth.t[0]]
     return np.union1d(np.round(whole, 6), np.round(ends, 6))
@@ -66,27 +66,27 @@ def output_times(truth: Trajectory, profile: Profile) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """Runs of one estimator, with all errors or with one source of them."""
+    """Runs of one filter, with all errors or with one source of them."""
 
     flight: UnitFlight
-    label: str  # of the estimator
-    first: int  # number of the first draw
+    label: str  # of the filter
+    first: int  # number of the first run
     count: int
     source: str | None = None
 
 
-def draw_errors(draws: Draws) -> FloatArray:
+def draw_errors(runs: Draws) -> FloatArray:
     """Return the errors (count, M, 9) of position [m], velocity [m/s], attitude [rad], n; NaN: failed."""
-    profile, truth = draws.flight.load()
-    choice = find_choice(profile, draws.label)
+    profile, truth = runs.flight.load()
+    choice = find_choice(profile, runs.label)
     one = pipeline.build_estimator(choice)
     t = output_times(truth, profile)
     found = []
-    for run in range(draws.first, draws.first + draws.count):
-        if draws.source is None:
+    for run in range(runs.first, runs.first + runs.count):
+        if runs.source is None:
             sensed = sensors.sense(truth, profile.sensors, profile.seed, run)
         else:
-            source = next(source for source in list_sources() if source.name == draws.source)
+            source = next(source for source in list_sources() if source.name == runs.source)
             sensed = sense_alone(truth, profile.sensors, source, profile.seed, run)
         data = replace(sensed.data, output_t=t)
         solution = estimator.answer(one, choice.label, data, sensed.initial)
@@ -96,13 +96,13 @@ def draw_errors(draws: Draws) -> FloatArray:
 
 
 def find_choice(profile: Profile, label: str) -> EstimatorChoice:
-    """Return the choice of an estimator of a profile by its label."""
+    """Return the choice of a filter of a profile by its label."""
     return next(choice for choice in profile.estimators if choice.label == label)
 
 
-def split_draws(draws: int, parts: int) -> Iterator[tuple[int, int]]:
-    """Yield first and count of the parts that draws are split into."""
-    edges = np.linspace(0, draws, min(parts, draws) + 1).astype(int)
+def split_draws(runs: int, parts: int) -> Iterator[tuple[int, int]]:
+    """Yield first and count of the parts that runs are split into."""
+    edges = np.linspace(0, runs, min(parts, runs) + 1).astype(int)
     for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         yield first, last - first
 

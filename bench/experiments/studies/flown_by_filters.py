@@ -1,6 +1,6 @@
 """Where an aircraft ends that a filter flies, and how far off its path it was, by filter and unit.
 
-Each draw is a flight of its own (`bench.pipeline.closed_loop`). The miss distance is that from where the
+Each run is a flight of its own (`bench.pipeline.closed_loop`). The miss distance is that from where the
 same flight ends when the truth guides it: an estimate without error flies the same bits, so the miss is
 what navigation did. It is that of the touch-down if the flight has a flare, else of the end. A crash has
 missed by more than any distance.
@@ -38,7 +38,7 @@ from bench.experiments.studies.study import (
     ask_each,
     refuse_navigation,
 )
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.pipeline import closed_loop
 from bench.simulation.flight.guidance.desired_path import measure_steered
 from bench.simulation.flight.legs.landing import Flare
@@ -58,8 +58,8 @@ class Options(UnitOptions):
     """filters that fly; the others are compared with the first"""
     units: Words | None = None
     """IMUs of the catalog, or .toml files of your own; left out: that of the profile"""
-    draws: Count = 10
-    """flights of each filter with each unit, the same draws for all"""
+    runs: Count = 10
+    """flights of each filter with each unit, the same runs for all"""
 
 
 @dataclass(frozen=True)
@@ -82,26 +82,26 @@ class FlownByFilter:
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the miss distance and the total system error by filter and unit."""
     refuse_navigation("closed-loop", options, "--estimators")
-    return ask_each("closed-loop", options, work, _load_cases, _ask, together=True)
+    return ask_each("closed-loop", options, work, load_cases, _ask, together=True)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
-    cases = _load_cases(options)
+    cases = load_cases(options)
     work.map("flying by the truth", _fly_open, list(cases.values())[:1])
-    tasks = [_FlownTask(profile, k) for profile in cases.values() for k in range(options.draws)]
+    tasks = [_FlownTask(profile, k) for profile in cases.values() for k in range(options.runs)]
     found = work.map("flying by filters", fly_draw, tasks, first=[0])
-    n = options.draws
+    n = options.runs
     flown = {case: found[k * n : (k + 1) * n] for k, case in enumerate(cases)}
     return Findings(
-        verdicts=tuple(_tell_flown(flown)),
-        tables=tuple(_tabulate(flown)),
-        figures=(_plot_misses(flown),),
-        draws=n,
+        verdicts=tuple(tell_flown(flown)),
+        tables=tuple(tabulate_flown(flown)),
+        figures=(plot_misses(flown),),
+        runs=n,
     )
 
 
 def fly_draw(task: _FlownTask) -> FlownByFilter:
-    """Fly one draw and return what came of it."""
+    """Fly one run and return what came of it."""
     profile = task.profile
     closed = closed_loop.fly(profile, task.run)
     truth, answers = closed.truth, closed.answers
@@ -136,21 +136,21 @@ def _fly_open(profile: Profile) -> Trajectory:
     return pipeline.fly(replace(profile, guidance=None))
 
 
-def _load_cases(options: Options) -> dict[tuple[str | None, str], Profile]:
+def load_cases(options: Options) -> dict[tuple[str | None, str], Profile]:
     """Return the profile by unit and filter."""
-    profile = load_profile(options.profile, options.settings, options.seed)
+    profile = read_profile(options.profile, options.settings, options.seed)
     if profile.guidance is None:
         raise ConfigError(f"study closed-loop: {profile.name} has no [guidance]: no filter flies it")
     cases = dict[tuple[str | None, str], Profile]()
     for unit, use in product(options.units or (None,), options.estimators):
         given: dict[str, Any] = {"guidance.options": {}, **options.settings, FLOWN_BY: use}
         given |= {} if unit is None else {"sensors.imu": unit}
-        cases[unit, use] = load_profile(options.profile, given, options.seed)
+        cases[unit, use] = read_profile(options.profile, given, options.seed)
     return cases
 
 
 def compare_misses(one: FloatArray, first: FloatArray) -> tuple[str, Quantile]:
-    """Return a word for misses (R,) of the same draws, and the median of their ratio; infinite: a crash."""
+    """Return a word for misses (R,) of the same runs, and the median of their ratio; infinite: a crash."""
     with np.errstate(invalid="ignore"):
         ratio = np.maximum(one, _SMALLEST) / np.maximum(first, _SMALLEST)
     found = estimate_quantile(np.where(np.isnan(ratio), 1.0, ratio), 0.5)
@@ -169,7 +169,7 @@ def _finite(value: float | None) -> float | None:
     return value if value is not None and np.isfinite(value) else None
 
 
-def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[FindingTable]:
+def tabulate_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[FindingTable]:
     """Yield the misses and, where a flight has a path, the errors across it."""
     rows, across = list[list[Any]](), list[list[Any]]()
     first = _collect(next(iter(flown.values())))
@@ -186,7 +186,7 @@ def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> It
                 across.append([*head, part.upper(), rms.value, rms.low, rms.high])
         rows.append([*row, compare_misses(miss, first)[0]])
     rows[0][-1] = "the first"
-    names = ("imu", "filter", "draws", "crashed", "miss_m", "miss_low_m", "miss_high_m", "miss_max_m")
+    names = ("imu", "filter", "runs", "crashed", "miss_m", "miss_low_m", "miss_high_m", "miss_max_m")
     title = "Miss distance: median with its 95 % interval, and the largest; none: a crash"
     yield make_table("closed-loop", title, (*names, "miss_is"), rows)
     if across:
@@ -194,7 +194,8 @@ def _tabulate(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> It
         yield make_table("across", title, ("imu", "filter", "error", "rms_m", "low_m", "high_m"), across)
 
 
-def _plot_misses(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Plot:
+def plot_misses(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Plot:
+    """Return the shares of the flights that miss by less than a distance."""
     lines = []
     for k, (case, flights) in enumerate(flown.items()):
         miss = np.sort(_collect(flights))
@@ -209,7 +210,8 @@ def _name(case: tuple[str | None, str]) -> str:
     return case[1] if case[0] is None else f"{case[1]} with {case[0]}"
 
 
-def _tell_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[str]:
+def tell_flown(flown: Mapping[tuple[str | None, str], list[FlownByFilter]]) -> Iterator[str]:
+    """Yield a sentence for each unit and filter."""
     first = next(iter(flown))
     for case, flights in flown.items():
         miss, crashes = _collect(flights), sum(one.crashed for one in flights)

@@ -1,4 +1,4 @@
-"""Covariances of the 22-state filter along a course, linear, without any draw: the flight of equations 7.1.
+"""Covariances of the 22-state filter along a course, linear, without any run: the flight of equations 7.1.
 
 200 m/s at 50 deg north and 9 km, held there; course 0.8 rad at the start; every 600 s, from 240 s on, one
 S-turn of 120 s whose rate is a sine of 3 deg/s, banked so that no force is felt sideways; fixes and barometer
@@ -32,8 +32,8 @@ LOST = 1800
 """When GNSS is lost [s]."""
 
 _FIRST, _EVERY, _LENGTH, _RATE = 240.0, 600.0, 120.0, 3.0 * DEG  # of the S-turns [s], [rad/s]
-_STEADY = 1.5 * DEG  # of the steady turn [rad/s]
-_CLIMB = 10.0  # [m/s]
+STEADY = 1.5 * DEG  # of the steady turn [rad/s]
+CLIMB = 10.0  # [m/s]
 _JUMPS = 900  # between changes of the set of satellites [s]
 _WALK = 1e-3  # of a bias, over its sigma [1/sqrt(s)]
 
@@ -104,11 +104,11 @@ class LinearFlight:
 
     @cached_property
     def reduced(self) -> tuple[float, float]:
-        """Reduced coordinates per metre east and north (equations 1.5)."""
+        """Reduced coordinates per meter east and north (equations 1.5)."""
         return navigator.reduced(self.place(0.0)[0], self.earth)
 
     def place(self, t: float) -> tuple[Nav, FloatArray]:
-        """Return the navigator and the specific force (3,), east, north, up [m/s^2], at an instant [s]."""
+        """Return the navigator and the specific force (3,), east, north, up [m/s^2], at a time [s]."""
         course, rate, climb = self._steer(t)
         flat = math.sqrt(self.speed**2 - climb**2)
         s, c = math.sin(course), math.cos(course)
@@ -122,8 +122,8 @@ class LinearFlight:
     def _steer(self, t: float) -> tuple[float, float, float]:
         """Return course [rad], its rate [rad/s] and the rate of climb [m/s]."""
         if t >= LOST and self.phase != "s-turns":
-            rate = _STEADY if self.phase == "turn" else 0.0
-            return self.course + rate * (t - LOST), rate, _CLIMB if self.phase == "climb" else 0.0
+            rate = STEADY if self.phase == "turn" else 0.0
+            return self.course + rate * (t - LOST), rate, CLIMB if self.phase == "climb" else 0.0
         phase = t % _EVERY - _FIRST
         if not self.turns or not 0.0 <= phase < _LENGTH:
             return self.course, 0.0, 0.0
@@ -153,7 +153,7 @@ class LinearFlight:
         return observation_model.measurement_matrix()[rows], (Q @ Q.T)[np.ix_(rows, rows)]
 
     def predict_sd(self, grade: Grade, seconds: int) -> FloatArray:
-        """Return standard deviations (seconds + 1, 22) after every second, SI, the first two in metres."""
+        """Return standard deviations (seconds + 1, 22) after every second, SI, the first two in meters."""
         covariances = [self.start(grade), *self.carry(grade, self.start(grade), 0, seconds)]
         return self.take_sd(covariances)
 
@@ -166,7 +166,7 @@ class LinearFlight:
             yield P
 
     def take_sd(self, covariances: Sequence[FloatArray]) -> FloatArray:
-        """Return standard deviations (N, 22), SI, the first two in metres."""
+        """Return standard deviations (N, 22), SI, the first two in meters."""
         unit = np.ones(process_model.SIZE)
         unit[:2] = self.reduced
         return np.array([np.sqrt(np.diag(P)) / unit for P in covariances])

@@ -1,6 +1,6 @@
 """What straight flight and turns tell of heading, tilt and biases, with the sensors of a profile.
 
-The covariance is that of the best linear estimator (`bench study bound`): what it does not know, no filter
+The covariance is that of the best linear filter (`bench study bound`): what it does not know, no filter
 knows. Directions are combinations of heading, tilts and biases, each in units of its standard deviation at
 the start; the one of which most is left is the least observable. The reference flight is that of
 equations 7.1: level at 200 m/s, an S-turn of two minutes from 240 s on, and the same without turns.
@@ -32,7 +32,7 @@ from bench.experiments.studies.study import StudyWorkers, UnitOptions, Words, as
 from bench.simulation import sensors
 
 STUDY = 7, "observability"
-QUESTION = "What do turns tell of heading and biases, and what stays unknown?"
+QUESTION = "What do turns show of heading and biases, and what stays unknown?"
 
 _LONG = 3.0  # a phase of the flight lasts at least so long [s]
 _BEFORE, _AFTER, _LATE = 240, 400, 1800  # of the reference flight [s]
@@ -64,25 +64,25 @@ def _choose(options: Options) -> UnitFlight:
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
     profile, truth = _choose(options).load()
-    work.progress("the best linear estimator", 0, 1)
+    work.progress("the best linear filter", 0, 1)
     data = sensors.sense(truth, profile.sensors, profile.seed, 0).data
     t = output_times(truth, profile)
     seen = observe(bound_flight(truth, profile.sensors, data, profile.seed, t, smooth=False))
     if not seen.left.size:
         raise ConfigError(f"study observability: on {profile.name} start and unit have no error to observe")
-    turning = _smooth_phases(find_turns(truth, seen.t), seen.t)
-    phases = _split_phases(turning)
+    turning = smooth_phases(find_turns(truth, seen.t), seen.t)
+    phases = split_phases(turning)
     cases = [(name, turns) for name in GRADES for turns in (True, False)]
     headings = dict(zip(cases, work.map("the reference flight", _fly_reference, cases), strict=True))
-    reference, lines = _tabulate_reference(headings)
+    reference, lines = tabulate_reference(headings)
     return Findings(
-        verdicts=(*_tell(profile.name, seen, phases), *_tell_reference(reference)),
-        tables=(_tabulate_phases(seen, phases), _tabulate_directions(seen, phases), reference),
-        figures=(*_plot(seen, turning), lines),
+        verdicts=(*tell_observed(profile.name, seen, phases), *_tell_reference(reference)),
+        tables=(tabulate_phases(seen, phases), tabulate_directions(seen, phases), reference),
+        figures=(*plot_observed(seen, turning), lines),
     )
 
 
-def _smooth_phases(turning: BoolArray, t: FloatArray) -> BoolArray:
+def smooth_phases(turning: BoolArray, t: FloatArray) -> BoolArray:
     """Return phases without those shorter than `_LONG`: they belong to the one before."""
     edges = np.flatnonzero(np.diff(turning)) + 1
     out = turning.copy()
@@ -92,7 +92,7 @@ def _smooth_phases(turning: BoolArray, t: FloatArray) -> BoolArray:
     return out
 
 
-def _split_phases(turning: BoolArray) -> list[tuple[str, int, int]]:
+def split_phases(turning: BoolArray) -> list[tuple[str, int, int]]:
     """Return name, first and last row of each phase; the last row is the first of the next."""
     edges = [0, *(np.flatnonzero(np.diff(turning)) + 1).tolist(), len(turning) - 1]
     return [("turn" if turning[a] else "straight", a, b) for a, b in pairwise(edges) if b > a]
@@ -102,7 +102,8 @@ def _figure(seen: Observed, states: tuple[int, ...], scale: float) -> FloatArray
     return np.asarray(seen.sd[:, states].max(axis=1) / scale)
 
 
-def _tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
+def tabulate_phases(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
+    """Return what is known before and after each phase."""
     columns: dict[str, list[Any]] = {
         "from_s": [float(seen.t[a]) for _, a, _ in phases],
         "to_s": [float(seen.t[b]) for _, _, b in phases],
@@ -129,7 +130,8 @@ def _instants(seen: Observed, phases: list[tuple[str, int, int]]) -> dict[str, i
     return found | {"at the end": len(seen.t) - 1}
 
 
-def _tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
+def tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> FindingTable:
+    """Return the most and the least observable direction at the ends of phases."""
     columns: dict[str, list[Any]] = {
         name: []
         for name in ("t_s", "when", "left_percent", "least_observable", "best_percent", "best", "condition")
@@ -146,7 +148,8 @@ def _tabulate_directions(seen: Observed, phases: list[tuple[str, int, int]]) -> 
     return FindingTable("directions", title, columns, {"t_s": "s", "left_percent": "%", "best_percent": "%"})
 
 
-def _tell(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list[str]:
+def tell_observed(name: str, seen: Observed, phases: list[tuple[str, int, int]]) -> list[str]:
+    """Return the sentences on the heading and on what stays unobserved."""
     told = []
     at = _instants(seen, phases)
     heading = seen.sd[:, 2] / DEG
@@ -183,7 +186,7 @@ def _fly_reference(case: tuple[str, bool]) -> FloatArray:
     return np.asarray(LinearFlight(turns=turns).predict_sd(GRADES[grade], _LATE)[:, _HEADING] / DEG)
 
 
-def _tabulate_reference(headings: Mapping[tuple[str, bool], FloatArray]) -> tuple[FindingTable, Plot]:
+def tabulate_reference(headings: Mapping[tuple[str, bool], FloatArray]) -> tuple[FindingTable, Plot]:
     """Return the heading on the reference flight by grade, with turns and without."""
     lines = []
     found: dict[str, list[float]] = {name: [] for name in ("before", "after", "late", "straight")}
@@ -194,10 +197,10 @@ def _tabulate_reference(headings: Mapping[tuple[str, bool], FloatArray]) -> tupl
         for column, value in zip(found.values(), values, strict=True):
             column.append(float(value))
         if name in _SHOWN:
-            colours = series.ESTIMATORS[2 * _SHOWN.index(name) :]
+            colors = series.ESTIMATORS[2 * _SHOWN.index(name) :]
             lines += [
-                series.draw_line(name, seconds, heading, f"{name}, S-turns", colours[0]),
-                series.draw_line(f"{name} straight", seconds, straight, f"{name}, straight", colours[1]),
+                series.draw_line(name, seconds, heading, f"{name}, S-turns", colors[0]),
+                series.draw_line(f"{name} straight", seconds, straight, f"{name}, straight", colors[1]),
             ]
     names = [f"at_{_BEFORE}_s_deg", f"at_{_AFTER}_s_deg", f"at_{_LATE}_s_deg", f"straight_{_LATE}_s_deg"]
     columns: dict[str, list[Any]] = {"grade": list(GRADES), **dict(zip(names, found.values(), strict=True))}
@@ -217,7 +220,7 @@ def _tell_reference(table: FindingTable) -> list[str]:
     return [f"Heading needs turns: an S-turn of the reference flight takes that of {', '.join(texts)}."]
 
 
-def _plot(seen: Observed, turning: BoolArray) -> list[Plot]:
+def plot_observed(seen: Observed, turning: BoolArray) -> list[Plot]:
     """Return the standard deviations, with a dot at the foot for each second of a turn."""
     plots = []
     for name, words, unit, states, scale in _FIGURES:
@@ -229,10 +232,10 @@ def _plot(seen: Observed, turning: BoolArray) -> list[Plot]:
         key = name.rsplit("_", 1)[0].replace("_deg", "").replace("_", "-")
         plots.append(Plot(("observability", key), f"{words}, 1 sigma [{unit}]", tuple(lines), log="y"))
     left = seen.left[:, [-1, 0]]
-    names, colours = ("least observable", "most observable"), series.ESTIMATORS[:2]
+    names, colors = ("least observable", "most observable"), series.ESTIMATORS[:2]
     both = tuple(
-        series.draw_line(name, seen.t, 100.0 * left[:, k], name, colour)
-        for k, (name, colour) in enumerate(zip(names, colours, strict=True))
+        series.draw_line(name, seen.t, 100.0 * left[:, k], name, color)
+        for k, (name, color) in enumerate(zip(names, colors, strict=True))
     )
     title = "left of the uncertainty at the start [%]"
     plots.append(Plot(("observability", "directions"), title, both, log="y"))

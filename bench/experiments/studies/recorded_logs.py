@@ -1,10 +1,10 @@
 """Filters side by side on many recordings, each log a trial.
 
 LOGS are files LOG.toml, or folders with them, separated by commas. Each log is navigated as bench navigate
-does it: judged by its reference, else by the fixes that are withheld, and by cuts of 10, 30 and 60 s where it
-is long enough. Filters are compared with the first one on the logs where both have a result, by the geometric
-mean of the ratios and Student's t, all comparisons together at 5 %. Which logs got worse with a change of
-code or of parameters, bench check LOG.toml... tells from recorded baselines.
+does it: evaluated by its reference, else by the fixes that are withheld, and by cuts of 10, 30 and 60 s where
+it is long enough. Filters are compared with the first one on the logs where both have a result, by the
+geometric mean of the ratios and Student's t, all comparisons together at 5 %. Which logs got worse with a
+change of code or of parameters, bench check LOG.toml... tells from recorded baselines.
 """
 
 from __future__ import annotations
@@ -84,9 +84,9 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     labels = list(dict.fromkeys(row.label for row in rows if row.label))
     told = list(compare_filters(rows, labels))
     return Findings(
-        verdicts=tuple(_tell(rows, labels, len(paths), told)),
-        tables=tuple(_fill(rows, told)),
-        figures=tuple(_plot(rows, labels, list(names))),
+        verdicts=tuple(tell_logs(rows, labels, len(paths), told)),
+        tables=tuple(tabulate_logs(rows, told)),
+        figures=tuple(plot_logs(rows, labels, list(names))),
         good=all(row.good for row in rows),
     )
 
@@ -135,7 +135,7 @@ def navigate_one(
         ]
     try:
         log = log_pipeline.read_log(path, estimators=estimators, allow_code=allow_code, overrides=overrides)
-        result = log_pipeline.navigate_log(log, outages=None, places=places)
+        result = log_pipeline.navigate(log, outages=None, places=places)
     except (ConfigError, EstimatorError) as error:
         return [("", "no result", one_line(str(error)), False, {})]
     return [
@@ -144,13 +144,13 @@ def navigate_one(
             str(values.get("verdict", "")),
             one_line(str(values["reason"] or "")),
             bool(values["converged"]),
-            dict(_list_values(label, values, result.more["outages"])),
+            dict(list_values(label, values, result.more["outages"])),
         )
         for label, values in result.metrics.items()
     ]
 
 
-def _list_values(
+def list_values(
     label: str, values: Mapping[str, Any], drifts: Sequence[Mapping[str, Any]]
 ) -> Iterator[tuple[str, float]]:
     """Yield the quantities that are compared, by name with unit: errors, and drifts in cuts."""
@@ -198,12 +198,13 @@ def compare_filters(
         yield name, label, Estimate(*np.exp([change.estimate, low, high]).tolist()), change.draws, word
 
 
-def _tell(
+def tell_logs(
     rows: Sequence[LogResult],
     labels: Sequence[str],
     count: int,
     told: Sequence[tuple[str, str, Estimate, int, str]],
 ) -> Iterator[str]:
+    """Yield the verdicts of each filter, how filters compare, and what failed."""
     for label in labels:
         own = [row for row in rows if row.label == label]
         words: dict[str, int] = {}
@@ -231,9 +232,10 @@ def _say(name: str) -> str:
     return {"horizontal_m": "horizontal error", "height_m": "height error"}.get(name, "velocity error")
 
 
-def _fill(
+def tabulate_logs(
     rows: Sequence[LogResult], told: Sequence[tuple[str, str, Estimate, int, str]]
 ) -> Iterator[FindingTable]:
+    """Yield a row for each filter on each log and, if there are some, the comparisons."""
     names = list(dict.fromkeys(key for row in rows for key in row.values))
     table = [(row.log, row.label or "-", row.word, *(row.values.get(name) for name in names)) for row in rows]
     yield make_table("logs", "Each filter on each log", ("log", "estimator", "verdict", *names), table)
@@ -243,9 +245,9 @@ def _fill(
         yield make_table("comparison", "Over the first filter, 95 % over all comparisons", columns, pairs)
 
 
-def _plot(rows: Sequence[LogResult], labels: Sequence[str], logs: Sequence[str]) -> Iterator[Plot]:
+def plot_logs(rows: Sequence[LogResult], labels: Sequence[str], logs: Sequence[str]) -> Iterator[Plot]:
     """Yield a plot of each quantity: a dot a log and filter."""
-    colours = series.estimator_colours(labels)
+    colors = series.estimator_colors(labels)
     places = {log: k + 1.0 for k, log in enumerate(logs)}
     for name in dict.fromkeys(key for row in rows for key in row.values):
         lines = []
@@ -253,7 +255,7 @@ def _plot(rows: Sequence[LogResult], labels: Sequence[str], logs: Sequence[str])
             known = [(places[r.log], r.values[name]) for r in rows if r.label == label and r.values.get(name)]
             if known:
                 x, y = np.array(known).T
-                lines.append(Series(label, x, y[:, None], (label,), (colours[label],), (5.0,), marks=True))
+                lines.append(Series(label, x, y[:, None], (label,), (colors[label],), (5.0,), marks=True))
         if lines:
             yield Plot(
                 ("logs", name.removesuffix("_m")),

@@ -64,7 +64,7 @@ from bench.experiments.studies.study import (
     refuse_navigation,
 )
 from bench.experiments.studies.watched_flights import WatchedFlight, align_flights, tell_crashes
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.navigation import estimator
 from bench.navigation.engine.kept_rows import take_rows
 from bench.pipeline import closed_loop
@@ -74,7 +74,7 @@ STUDY = 10, "rnp"
 QUESTION = "Are accuracy, integrity, continuity and availability those that a procedure requires?"
 
 _NM = 1852.0  # [m]
-_INTERVAL = 1.0  # between the instants of a run [s]
+_INTERVAL = 1.0  # between the epochs of a run [s]
 _RISK, _TOLD = 1e-4, 0.999  # required: risk of an alert; share of errors told
 LINES = ("accuracy", "containment", "availability", "continuity", "integrity")
 """What a procedure requires."""
@@ -104,20 +104,20 @@ class Options(UnitOptions):
     availability: _Probability = 0.95
     """share of the time that must have no alert; procedures ask for 0.95 to 0.997"""
     false_alarm: _Probability = FALSE_ALARM
-    """of an instant without a fault, for the separation of subfilters"""
+    """of a time without a fault, for the separation of subfilters"""
     missed: _Probability = MISSED_DETECTION
     """of a fault, for the separation of subfilters"""
     lines: Words = LINES
-    """what is judged: accuracy, containment, availability, continuity, integrity"""
-    draws: Count = 60
+    """what is evaluated: accuracy, containment, availability, continuity, integrity"""
+    runs: Count = 60
     """flights, each with noise of its own, and with turbulence of its own if the profile has any"""
     hours: Positive | None = None
-    """flight hours at least, instead of --draws [h]"""
+    """flight hours at least, instead of --runs [h]"""
 
 
 @dataclass(frozen=True, slots=True)
-class _Run:
-    """One draw, as a worker gets it."""
+class RnpRun:
+    """One run, as a worker gets it."""
 
     options: Options
     number: int
@@ -132,16 +132,16 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     ]:
         raise ConfigError(*wrong)
     refuse_navigation("rnp", options, "--estimator")
-    return ask_each("rnp", options, work, _read, _ask)
+    return ask_each("rnp", options, work, make_profile, _ask)
 
 
 def _ask(options: Options, work: StudyWorkers) -> Findings:
     work.progress("flying", 0, 1)
-    profile, truth, _ = _load(options, 0)
-    instants = len(_choose_rows(truth, profile))
+    profile, truth, _ = load_flight(options, 0)
+    instants = len(choose_rows(truth, profile))
     each = hours_flown((1, instants), _INTERVAL)
-    flights = options.draws if options.hours is None else max(2, math.ceil(options.hours / each))
-    watches = work.map("judging flights", watch_run, [_Run(options, k) for k in range(flights)], (0,))
+    flights = options.runs if options.hours is None else max(2, math.ceil(options.hours / each))
+    watches = work.map("evaluation flights", watch_run, [RnpRun(options, k) for k in range(flights)], (0,))
     planes = _gather(watches, options)
     errors = {"NSE": _stack(watches, "across"), "FTE": _stack(watches, "off")}
     errors["TSE"] = errors["FTE"] - errors["NSE"]
@@ -155,14 +155,14 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
         verdicts=(*tell_crashes(watches), *_tell(errors, planes, options, rows, hours)),
         tables=(FindingTable("rnp", title, columns, {"more_h": "h"}), tabulate_stanford(planes)),
         figures=tuple(plot_stanford(watches[0].t, planes)),
-        draws=flights,
+        runs=flights,
         good=MISSED not in words,
         undecided=UNDECIDED in words,
     )
 
 
 def _gather(watches: Sequence[WatchedFlight], options: Options) -> list[Watched]:
-    """Return what is watched in the plane and in height; a flight that is shorter ends in no instant."""
+    """Return what is watched in the plane and in height; a flight that is shorter ends in no time."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
     alarm = np.array([one.alarm for one in align_flights(watches)])
     return [
@@ -181,18 +181,18 @@ def _stack(watches: Sequence[WatchedFlight], name: str) -> FloatArray:
     return np.array([getattr(one, name) for one in align_flights(watches)])
 
 
-def watch_run(run: _Run) -> WatchedFlight:
-    """Return the errors and the protection levels of one draw."""
+def watch_run(run: RnpRun) -> WatchedFlight:
+    """Return the errors and the protection levels of one run."""
     options = run.options
-    profile, truth, steered = _load(options, run.number)
-    rows = _choose_rows(truth, profile)
+    profile, truth, steered = load_flight(options, run.number)
+    rows = choose_rows(truth, profile)
     if steered is not None:  # at the first answer from each whole second on
         after = np.searchsorted(steered.t, truth.t[rows] - SAME_INSTANT)
         rows = np.searchsorted(truth.t, steered.t[after[after < len(steered.t)]] - SAME_INSTANT)
     sensed = pipeline.sense(profile, truth, run.number)
-    solution = _navigate(profile, sensed, truth.t[rows])
+    solution = navigate(profile, sensed, truth.t[rows])
     if options.estimator == "tight":
-        without = [_navigate(profile, one, truth.t[rows]) for one in _leave_out(sensed)]
+        without = [navigate(profile, one, truth.t[rows]) for one in leave_out(sensed)]
         protection = protect_by_separation(solution, without, options.false_alarm, options.missed)
     else:
         protection = protect_fault_free(solution)
@@ -201,7 +201,7 @@ def watch_run(run: _Run) -> WatchedFlight:
     if isinstance(profile.flight, FlightSpec):
         path = measure_off_path(profile.flight, truth, rows)
         off, course = path.right, path.course
-    navigated = apart if steered is None else _find_steering_errors(truth, steered, truth.t[rows])
+    navigated = apart if steered is None else find_steering_errors(truth, steered, truth.t[rows])
     across = navigated[:, 1] * np.cos(course) - navigated[:, 0] * np.sin(course)
     return WatchedFlight(
         truth.t[rows],
@@ -214,37 +214,37 @@ def watch_run(run: _Run) -> WatchedFlight:
     )
 
 
-def _find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray) -> FloatArray:
-    """Return how wrong the answers at some instants (M,) [s] were that steered: (M, 3) [m], n."""
+def find_steering_errors(truth: Trajectory, steered: NavSolution, t: FloatArray) -> FloatArray:
+    """Return how wrong the answers at some epochs (M,) [s] were that steered: (M, 3) [m], n."""
     errors = error_series(truth, steered)
     found: FloatArray = errors.pos_n[np.searchsorted(errors.t, t - SAME_INSTANT).clip(max=len(errors.t) - 1)]
     return found
 
 
 @lru_cache(maxsize=2)
-def _load(options: Options, number: int) -> tuple[Profile, Trajectory, NavSolution | None]:
-    """Return the profile and the truth of a flight, and the answers that steered it if the estimator flew.
+def load_flight(options: Options, number: int) -> tuple[Profile, Trajectory, NavSolution | None]:
+    """Return the profile and the truth of a flight, and the answers that steered it if the filter flew.
 
-    With turbulence each flight has its own, and so it has where the estimator flies; else one is that of all.
+    With turbulence each flight has its own, and so it has where the filter flies; else one is that of all.
     """
-    profile = _read(options)
+    profile = make_profile(options)
     if profile.guidance is not None:
         flown = closed_loop.fly(profile, number)
         return profile, flown.truth, flown.answers
     if number and isinstance(profile.flight, FlightSpec):
         if profile.flight.severity == 0:
-            return profile, _load(options, 0)[1], None
-        profile = _read(options, profile.seed + number)
+            return profile, load_flight(options, 0)[1], None
+        profile = make_profile(options, profile.seed + number)
     truth = pipeline.fly(profile)
     pipeline.check_times(profile, float(truth.t[-1]))
     return profile, truth, None
 
 
-def _read(options: Options, seed: int | None = None) -> Profile:
-    """Return the profile, which the estimator flies if a filter does; ConfigError if it lacks satellites."""
+def make_profile(options: Options, seed: int | None = None) -> Profile:
+    """Return the profile, which the filter flies if a filter does; ConfigError if it lacks satellites."""
     given = options.settings | ({} if options.gnss is None else {"sensors.gnss": options.gnss})
     seed, asked = options.seed if seed is None else seed, (options.estimator,)
-    profile = load_profile(options.profile, given, seed, asked)
+    profile = read_profile(options.profile, given, seed, asked)
     gnss = profile.sensors.gnss
     if options.estimator == "tight" and (gnss is None or gnss.sky is None):
         raise ConfigError(
@@ -253,22 +253,23 @@ def _read(options: Options, seed: int | None = None) -> Profile:
     if profile.guidance is None:
         return profile
     given = {"guidance.options": {}, **given, FLOWN_BY: options.estimator}
-    return load_profile(options.profile, given, seed, asked)
+    return read_profile(options.profile, given, seed, asked)
 
 
-def _choose_rows(truth: Trajectory, profile: Profile) -> Any:
+def choose_rows(truth: Trajectory, profile: Profile) -> Any:
     """Return the rows of the truth at whole seconds, from where the profile is evaluated."""
     t = np.arange(np.ceil(max(profile.evaluation.begin, truth.t[0])), truth.t[-1] + SAME_INSTANT, _INTERVAL)
     return np.unique(np.searchsorted(truth.t, t - SAME_INSTANT))
 
 
-def _navigate(profile: Profile, sensed: Sensed, t: FloatArray) -> NavSolution:
+def navigate(profile: Profile, sensed: Sensed, t: FloatArray) -> NavSolution:
+    """Return the answers of the filter at some times (M,) [s]."""
     choice = profile.estimators[0]
     data = replace(sensed.data, output_t=t)
     return estimator.answer(pipeline.build_estimator(choice), choice.label, data, sensed.initial)
 
 
-def _leave_out(sensed: Sensed) -> Iterator[Sensed]:
+def leave_out(sensed: Sensed) -> Iterator[Sensed]:
     """Yield the sensor data without each of the satellites that were in view at any time."""
     o = sensed.data.observations
     assert o is not None
@@ -285,7 +286,7 @@ def _list_rows(
         "accuracy": lambda: _list_accuracy(errors, options.rnp_nm * _NM),
         "containment": lambda: _list_containment(errors, options.rnp_nm * _NM),
         "availability": lambda: _list_availability(planes, options),
-        "continuity": lambda: _list_continuity(planes, options),
+        "continuity": lambda: list_continuity(planes, options),
         "integrity": lambda: _list_integrity(planes, options),
     }
     for line in LINES:
@@ -325,7 +326,7 @@ def _list_availability(planes: list[Watched], options: Options) -> Iterator[dict
         yield _row(f"availability, {plane}", judged, "1", f">= {options.availability:g}")
 
 
-def _list_continuity(planes: list[Watched], options: Options) -> Iterator[dict[str, Any]]:
+def list_continuity(planes: list[Watched], options: Options) -> Iterator[dict[str, Any]]:
     """Yield the risk of an alert in an operation that begins without one; a flight is one event at most."""
     for plane, watched in zip(PLANES, planes, strict=True):
         windows = count_windows(watched, options.continuity_s)
@@ -414,7 +415,7 @@ def _tell(
             f"the error was larger than the level in {misled} of {flights} flights, hazardously in {hazard}."
         )
     if options.estimator != "tight":
-        yield "The levels hold while nothing is faulty; only those of tight allow for a faulty satellite."
+        yield "The levels hold while nothing is faulty; only tight allows for a faulty satellite."
 
 
 def _mean_square(values: FloatArray) -> float:

@@ -1,9 +1,9 @@
-"""One value of a profile swept, over the noise draws of a campaign.
+"""One value of a profile swept, over the runs of a campaign.
 
 KEY is what --set reaches: a value of the profile such as leg.2.bank_deg, or a figure of a datasheet it names
 such as sensors.gnss.latency_s, sensors.gnss.rate_hz, sensors.imu.gyro.noise_deg_sqrt_h; with sensors.assumed
-instead of sensors only the filter assumes it. All values have the same draws; while the best and the worst
-are not told apart by them, draws are added up to --most-draws.
+instead of sensors only the filter assumes it. All values have the same runs; while the best and the worst
+are not told apart by them, runs are added up to --most-runs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from bench.evaluation.requirements.required_metrics import Looks
 from bench.experiments.campaigns.campaign_file import CampaignSpec
 from bench.experiments.campaigns.plan import plan_campaign
 from bench.experiments.studies.study import Count, StudyWorkers, UnitOptions, Words, ask_each, format_estimate
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.config.library import find_datasheet
 from bench.io.config.toml_file import read_toml
 
@@ -51,16 +51,16 @@ class Options(UnitOptions):
     values: Words | None = None
     """values of KEY; a quarter to four times its own if left out"""
     estimators: Words | None = None
-    """filters to judge; those of the profile if left out"""
-    draws: Count = 12
-    """noise draws of each value, at first"""
-    most_draws: Count = 24
+    """filters to evaluate; those of the profile if left out"""
+    runs: Count = 12
+    """runs of each value, at first"""
+    max_runs: Count = 24
     """and at most, while two values are not told apart"""
 
 
 @dataclass(frozen=True)
 class Swept:
-    """One filter at one value: the metrics of its draws in order."""
+    """One filter at one value: the metrics of its runs in order."""
 
     value: Any
     runs: tuple[Mapping[str, Any], ...]
@@ -71,28 +71,29 @@ class Swept:
         return sum(not row["converged"] for row in self.runs)
 
     def select(self, name: str) -> dict[int, float]:
-        """Return a metric of the draws that converged, by their number."""
+        """Return a metric of the runs that converged, by their number."""
         return {row["run"]: row[name] for row in self.runs if row["converged"] and row.get(name) is not None}
 
     def pool(self, name: str) -> Estimate | None:
-        """Return the RMS of a metric over the draws that converged; None of fewer than two."""
+        """Return the RMS of a metric over the runs that converged; None of fewer than two."""
         known = np.array(list(self.select(name).values()))
         return pool_rmse(np.square(known)) if len(known) > 1 else None
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
     """Return the errors of each filter over the values."""
-    return ask_each("sensitivity", options, work, lambda one: plan_campaign(_plan(one, 1)), _ask)
+    return ask_each("sensitivity", options, work, lambda one: plan_campaign(_plan(one, 1)), ask_profile)
 
 
-def _ask(options: Options, work: StudyWorkers) -> Findings:
+def ask_profile(options: Options, work: StudyWorkers) -> Findings:
+    """Return the errors over the values on one profile, of as many runs as its ends need."""
     values = find_values(options)
-    looks = len(Looks(options.draws, options.most_draws).numbers)
+    looks = len(Looks(options.runs, options.max_runs).numbers)
     rows: list[Mapping[str, Any]] = []
-    draws, first = options.draws, 0
+    runs, first = options.runs, 0
     while True:
         title = f"{options.key} of {options.profile}"
-        rows += work.campaign(title, _plan(options, draws), first).runs.to_pylist()
+        rows += work.campaign(title, _plan(options, runs), first).runs.to_pylist()
         swept = {
             label: tuple(
                 Swept(value, tuple(row for row in rows if (row["estimator"], row["condition"]) == (label, k)))
@@ -105,24 +106,24 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
             for label, one in swept.items()
             for name in _TOLD
         }
-        if draws >= options.most_draws or not any(pair and pair.deciding for pair in pairs.values()):
+        if runs >= options.max_runs or not any(pair and pair.deciding for pair in pairs.values()):
             break
-        first, draws = draws, min(2 * draws, options.most_draws)
+        first, runs = runs, min(2 * runs, options.max_runs)
     return Findings(
         verdicts=tuple(_tell(options, swept, pairs)),
-        tables=(_fill(options, swept),),
+        tables=(tabulate_sweep(options, swept),),
         figures=tuple(_plot(options, swept)),
-        draws=draws,
+        runs=runs,
         good=not any(one.lost for every in swept.values() for one in every),
     )
 
 
-def _plan(options: Options, draws: int) -> CampaignSpec:
+def _plan(options: Options, runs: int) -> CampaignSpec:
     """Return the campaign of every filter and value."""
     return CampaignSpec(
         name="sensitivity",
         profiles=(options.profile,),
-        runs=draws,
+        runs=runs,
         seed=options.seed,
         estimators=options.estimators,
         fixed=options.settings,
@@ -131,9 +132,9 @@ def _plan(options: Options, draws: int) -> CampaignSpec:
 
 
 def compare_ends(swept: Sequence[Swept], name: str, error: float) -> PairedRatio | None:
-    """Compare the best and the worst value by a metric on the draws that both have; None without a pair.
+    """Compare the best and the worst value by a metric on the runs that both have; None without a pair.
 
-    They are chosen of all pairs by these draws, so each pair has its part of the ``error`` (Bonferroni).
+    They are chosen of all pairs by these runs, so each pair has its part of the ``error`` (Bonferroni).
     """
     known = [(found.value, k) for k, one in enumerate(swept) if (found := one.pool(name)) is not None]
     if len(known) < 2:
@@ -155,7 +156,7 @@ def find_values(options: Options) -> list[Any]:
     """Return the values to sweep; ConfigError if none are given and the key has no number of its own."""
     if options.values is not None:
         return [_read(text) for text in options.values]
-    own: Any = load_profile(options.profile, options.settings).document
+    own: Any = read_profile(options.profile, options.settings).document
     parts = options.key.split(".")
     for k, part in enumerate(parts):
         own = own.get(part) if isinstance(own, Mapping) else None
@@ -179,7 +180,8 @@ def _read(text: str) -> Any:
         return text
 
 
-def _fill(options: Options, swept: Mapping[str, Sequence[Swept]]) -> FindingTable:
+def tabulate_sweep(options: Options, swept: Mapping[str, Sequence[Swept]]) -> FindingTable:
+    """Return the metrics of each filter at each value."""
     rows = []
     for label, every in swept.items():
         for one in every:
@@ -207,14 +209,14 @@ def _tell(
             low, high = (
                 f"{format_estimate(known[end])} at {end} {unit}".rstrip() for end in (pair.first, pair.second)
             )
-            yield f"{label}: {name} from {low} to {high}; on the same draws {pair.sentence}."
+            yield f"{label}: {name} from {low} to {high}; on the same runs {pair.sentence}."
         lost = [
             f"{' '.join(f'{one.value} {unit}'.split())}: {one.lost} of {len(one.runs)}"
             for one in every
             if one.lost
         ]
         if lost:
-            yield f"{label} lost draws at {', '.join(lost)}: they are in no figure."
+            yield f"{label} lost runs at {', '.join(lost)}: they are in no figure."
 
 
 def _plot(options: Options, swept: Mapping[str, Sequence[Swept]]) -> Iterator[Plot]:
@@ -224,7 +226,7 @@ def _plot(options: Options, swept: Mapping[str, Sequence[Swept]]) -> Iterator[Pl
     x = np.array(values if numbers else range(1, len(values) + 1), float)
     over = options.key if numbers else f"number of the value of {options.key}"
     order = np.argsort(x)
-    colours = series.estimator_colours(swept)
+    colors = series.estimator_colors(swept)
     for name in _SHOWN:
         lines = []
         for label, every in swept.items():
@@ -233,10 +235,10 @@ def _plot(options: Options, swept: Mapping[str, Sequence[Swept]]) -> Iterator[Pl
                 for one in every
             ]
             if np.isfinite(rows).any():
-                colour = colours[label]
+                color = colors[label]
                 y = np.array(rows)[order]
                 lines.append(
-                    Series(label, x[order], y, (label,) * 3, (colour,) * 3, (1.5, 1.0, 1.0), band=(1, 2))
+                    Series(label, x[order], y, (label,) * 3, (color,) * 3, (1.5, 1.0, 1.0), band=(1, 2))
                 )
         if lines:
             known = find_metric(name)

@@ -2,7 +2,7 @@
 
 Closed form is the Schuler pendulum on a sphere that does not turn (A-2.4.4 to A-2.4.7: the curves of figures
 2.4.1 and 2.4.2): a constant error of accelerometer or gyro, a tilt or a velocity at the start, white noise.
-The position has to be within the limit at every instant up to the time that is asked for, not only at its
+The position has to be within the limit at every time up to the time that is asked for, not only at its
 end: an accelerometer error has gone back to zero after 84.4 minutes. Each error alone may take all of it;
 with --split several share the variance equally. The simulation is the strapdown of the bench on the turning
 ellipsoid, at rest and level with one bias, its height held as a barometer does. Each figure is by axis.

@@ -56,9 +56,7 @@ def plot_stanford(t: FloatArray, planes: list[Watched]) -> Iterator[Plot]:
         top = 1.5 * max(float(level[shown].max()), float(error[shown].max()), watched.limit)
         low = max(float(error[shown].min()), 1e-3 * top)
         sides = np.array([low, top])
-        dots = series.draw_dots(
-            "instants", error[shown], level[shown], "an instant", series.ESTIMATORS[0], 1.2
-        )
+        dots = series.draw_dots("instants", error[shown], level[shown], "a time", series.ESTIMATORS[0], 1.2)
         lines = (
             dots,
             series.draw_line("equal", sides, sides, "level = error", series.REJECTED),
@@ -74,5 +72,5 @@ def plot_stanford(t: FloatArray, planes: list[Watched]) -> Iterator[Plot]:
             series.draw_line("error", t, worst, "largest error", series.ESTIMATORS[1]),
             series.draw_line("limit", t, np.full(len(t), watched.limit), "alert limit", series.OUTAGE),
         )
-        title = f"{plane} protection level and error, all draws [m]"
+        title = f"{plane} protection level and error, all runs [m]"
         yield Plot(("rnp", f"levels-{plane}"), title, lines, log="y")

@@ -40,7 +40,7 @@ Positive = Annotated[float, Field(gt=0)]
 """An option that holds a number above zero."""
 
 Count = Annotated[int, Field(ge=2, le=100_000)]
-"""An option that holds a number of draws, enough of them for an interval."""
+"""An option that holds a number of runs, enough of them for an interval."""
 
 Numbers = Annotated[tuple[float, ...], Field(min_length=1), BeforeValidator(_split)]
 """An option that holds numbers; on the command line they are separated by commas."""
@@ -87,12 +87,12 @@ class StudyOptions(BaseModel):
 
 
 class FlightOptions(StudyOptions):
-    """The options of a study that flies profiles: what is replaced in them, and the seed of its draws."""
+    """The options of a study that flies profiles: what is replaced in them, and the seed of its runs."""
 
     overrides: Settings = ()
     """values of the profiles to replace, or figures of datasheets they name"""
     seed: Seed | None = None
-    """seed of the noise draws; left out: that of each profile"""
+    """seed of the runs; left out: that of each profile"""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -172,7 +172,9 @@ FLOWN_BY = "guidance.navigation"
 def refuse_navigation(study: str, options: FlightOptions, option: str) -> None:
     """Raise ConfigError if values to replace name a filter that flies, which an option of the study does."""
     if FLOWN_BY in options.settings:
-        raise ConfigError(f"study {study}: --set {FLOWN_BY}: {option} says what flies; leave this one out")
+        raise ConfigError(
+            f"study {study}: --set {FLOWN_BY}: {option} sets the filter that flies; leave --set out"
+        )
 
 
 def read_settings(overrides: Sequence[str]) -> dict[str, Any]:
@@ -232,7 +234,7 @@ class StudyWorkers:
         return [found[k] for k in range(len(items))]
 
     def campaign(self, what: str, spec: CampaignSpec, first: int = 0) -> Campaign:
-        """Run the draws of a campaign from a number on and return it; errors as for `bench.campaign`."""
+        """Run the runs of a campaign from a number on and return it; errors as for `bench.campaign`."""
 
         def tell(now: Runs) -> None:
             self.progress(what, now.done, now.runs)

@@ -12,7 +12,7 @@ from bench.core.mathematics.arrays import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class WatchedFlight:
-    """What one draw of M instants gives."""
+    """What one run of M epochs gives."""
 
     t: FloatArray  # (M,) [s]
     error: FloatArray  # (M, 2) horizontal, vertical [m]
@@ -20,13 +20,13 @@ class WatchedFlight:
     alarm: BoolArray  # (M,)
     across: FloatArray  # (M,) error across track, to the right [m]; NaN without a track
     off: FloatArray  # (M,) flight technical error [m]; NaN without a track
-    crashed: bool = False  # at the last of the instants
+    crashed: bool = False  # at the last of the epochs
 
 
 def align_flights(watches: Sequence[WatchedFlight]) -> list[WatchedFlight]:
     """Return flights of equal length: turbulence lets each end a little earlier or later.
 
-    A crash shortens no other flight: from there on, and in the last instant at least, its own has no solution
+    A crash shortens no other flight: from there on, and in the last time at least, its own has no solution
     and is infinitely far off.
     """
     whole = [len(one.t) for one in watches if not one.crashed]

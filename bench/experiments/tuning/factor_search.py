@@ -1,11 +1,11 @@
-"""Find the logarithms of factors that make a mean cost over draws least, and how well the draws tell each.
+"""Find the logarithms of factors that make a mean cost over runs least, and how well the runs tell each.
 
-The cost of a draw is any score whose mean is least at the right factors. The search is COBYQA, a trust
+The cost of a run is any score whose mean is least at the right factors. The search is COBYQA, a trust
 region with quadratic models (Ragonneau, Model-based derivative-free optimization methods and software,
 thesis, Hong Kong Polytechnic University, 2022), from several starts. Intervals need no model of the costs.
-Along the path on which one factor moves and the others follow, each draw has a slope; its mean over draws
+Along the path on which one factor moves and the others follow, each run has a slope; its mean over runs
 is zero at the truth. The interval holds the places where Student's t does not tell the mean slope from
-zero: a score test whose variance comes from the draws (White, Maximum likelihood estimation of misspecified
+zero: a score test whose variance comes from the runs (White, Maximum likelihood estimation of misspecified
 models, Econometrica 50, 1982; Boos, On generalized score tests, American Statistician 46, 1992). A factor
 without effect has no end.
 """
@@ -21,7 +21,7 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray
 
 Costs = Callable[[FloatArray], FloatArray]
-"""Logarithms of factors (n,) -> cost of each draw (D,)."""
+"""Logarithms of factors (n,) -> cost of each run (D,)."""
 
 REACH = float(np.log(100.0))
 """Largest logarithm of a factor."""
@@ -46,11 +46,11 @@ class FoundFactor:
     agreed: int  # of them that came to the same cost
 
 
-class _SpentError(Exception):
+class SpentError(Exception):
     """As many sets were tried as there may be."""
 
 
-class _Tried:
+class Tried:
     """Costs of the sets that were tried, and the mean that the search makes least."""
 
     def __init__(self, costs: Costs, most: int) -> None:
@@ -58,7 +58,7 @@ class _Tried:
         self.rows: dict[tuple[float, ...], FloatArray] = {}
 
     def draws(self, x: FloatArray) -> FloatArray:
-        """Return the cost of each draw (D,), whatever was spent."""
+        """Return the cost of each run (D,), whatever was spent."""
         key = tuple(x.tolist())
         if key not in self.rows:
             self.rows[key] = self._costs(x)
@@ -71,10 +71,11 @@ class _Tried:
     def search(self, x: FloatArray) -> float:
         """Return the mean cost as long as more sets may be tried."""
         if len(self.rows) >= self._most:
-            raise _SpentError
+            raise SpentError
         return self.mean(x)
 
     def best(self) -> FloatArray:
+        """Return the set with the least mean."""
         return np.array(min(self.rows, key=lambda key: self.mean(np.array(key))))
 
 
@@ -84,30 +85,30 @@ def search_factors(costs: Costs, n: int, most: int) -> FoundFactor:
     Parameters
     ----------
     costs : callable
-        Logarithms (n,), each at most `REACH` from zero -> finite costs of the draws (D,), at least two.
+        Logarithms (n,), each at most `REACH` from zero -> finite costs of the runs (D,), at least two.
     n : int
         Number of factors.
     most : int
         Sets to try in the search; the intervals take some ten more for each factor, if it converged.
     """
-    tried, ends = _Tried(costs, most), list[FloatArray]()
+    tried, ends = Tried(costs, most), list[FloatArray]()
     try:
         for number, start in enumerate(_STARTS):
             ends.append(_descend(tried, np.full(n, start), _ROUGH if number else _END))
         x = tried.best()
         if not np.array_equal(x, ends[0]):
             x = _descend(tried, x, _END)
-    except _SpentError:
+    except SpentError:
         open_ends = np.full(n, np.nan)
         return FoundFactor(tried.best(), open_ends, open_ends, converged=False, starts=len(ends), agreed=0)
-    x, hessian = _step_to_valley(tried, x)
-    edge = _student(len(tried.draws(x)))
-    agreed = sum(abs(_t_value(tried.draws(end) - tried.draws(x))) <= edge for end in ends)
-    low, high = _find_ends(tried, x, hessian, edge)
+    x, hessian = step_to_valley(tried, x)
+    edge = find_edge(len(tried.draws(x)))
+    agreed = sum(abs(t_value(tried.draws(end) - tried.draws(x))) <= edge for end in ends)
+    low, high = find_ends(tried, x, hessian, edge)
     return FoundFactor(x, low, high, converged=True, starts=len(ends), agreed=int(agreed))
 
 
-def _descend(tried: _Tried, start: FloatArray, last: float) -> FloatArray:
+def _descend(tried: Tried, start: FloatArray, last: float) -> FloatArray:
     """Return the best set on the way from a start until the trust region is small."""
     from scipy.optimize import minimize
 
@@ -121,13 +122,14 @@ def _descend(tried: _Tried, start: FloatArray, last: float) -> FloatArray:
     return np.asarray(found.x, float)
 
 
-def _student(draws: int) -> float:
+def find_edge(draws: int) -> float:
+    """Return the bound of Student's t for so many runs."""
     from scipy.special import stdtrit
 
     return float(stdtrit(draws - 1, 0.5 + 0.5 * _CONFIDENCE))
 
 
-def _t_value(values: FloatArray) -> float:
+def t_value(values: FloatArray) -> float:
     """Return the mean over its standard error; 0 where nothing differs from zero."""
     mean, error = float(values.mean()), float(values.std(ddof=1)) / np.sqrt(len(values))
     if error == 0.0:
@@ -135,21 +137,19 @@ def _t_value(values: FloatArray) -> float:
     return float(mean / error)
 
 
-def _find_ends(
-    tried: _Tried, x: FloatArray, hessian: FloatArray, edge: float
-) -> tuple[FloatArray, FloatArray]:
+def find_ends(tried: Tried, x: FloatArray, hessian: FloatArray, edge: float) -> tuple[FloatArray, FloatArray]:
     """Return the ends (n,), (n,) of the intervals of the logarithms."""
     n = len(x)
     low, high = np.empty(n), np.empty(n)
     for k in range(n):
         path, others = np.eye(n)[k], np.delete(np.arange(n), k)
         path[others] = -np.linalg.solve(hessian[np.ix_(others, others)], hessian[others, k])
-        low[k] = _walk(tried, x, -path, k, edge)
-        high[k] = _walk(tried, x, path, k, edge)
+        low[k] = walk(tried, x, -path, k, edge)
+        high[k] = walk(tried, x, path, k, edge)
     return low, high
 
 
-def _step_to_valley(tried: _Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+def step_to_valley(tried: Tried, x: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Take Newton's step if it lowers the mean; return where it ends, and the second derivatives (n, n)."""
     n, unit, mean = len(x), _STEP * np.eye(len(x)), tried.mean
     here = mean(x)
@@ -166,8 +166,8 @@ def _step_to_valley(tried: _Tried, x: FloatArray) -> tuple[FloatArray, FloatArra
     return (new if mean(new) < here else x), H
 
 
-def _walk(tried: _Tried, x: FloatArray, path: FloatArray, k: int, edge: float) -> float:
-    """Return the logarithm of factor k where the slope of the draws is told from zero; infinite if nowhere.
+def walk(tried: Tried, x: FloatArray, path: FloatArray, k: int, edge: float) -> float:
+    """Return the logarithm of factor k where the slope of the runs is told from zero; infinite if nowhere.
 
     Slopes are differences between places on the path, those of their middles; between two middles Student's
     t is linear.
@@ -177,7 +177,7 @@ def _walk(tried: _Tried, x: FloatArray, path: FloatArray, k: int, edge: float) -
     while abs(x[k] + side * (reached + step)) <= REACH:
         reached += step
         ahead = tried.draws(np.clip(x + reached * path, -REACH, REACH))
-        middle, t = reached - 0.5 * step, _t_value(ahead - costs)
+        middle, t = reached - 0.5 * step, t_value(ahead - costs)
         if t > edge:
             share = (edge - before[1]) / (t - before[1]) if np.isfinite(t) else 1.0
             return float(x[k] + side * (before[0] + share * (middle - before[0])))

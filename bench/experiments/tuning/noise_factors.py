@@ -31,7 +31,7 @@ DEFAULT_FACTORS = (
 """Beginnings of the figures that share a factor, if none are asked for: kind, table and key."""
 
 _AT_BOUND = 0.98  # of the logarithm of the bound
-_REPEATS = 0.1  # correlation of neighbouring innovations that matters [1]
+_REPEATS = 0.1  # correlation of neighboring innovations that matters [1]
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Tuning:
             )
         if self.before.lost or self.after.lost:
             found.append(
-                f"draws that did not converge, which are in neither figure: {self.before.lost} before, "
+                f"runs that did not converge, which are in neither figure: {self.before.lost} before, "
                 f"{self.after.lost} after"
             )
         found += [
@@ -118,7 +118,7 @@ def tune(
     jobs: int | None = None,
     progress: Callable[[int, int, float], None] = lambda number, most, cost: None,
 ) -> Tuning:
-    """Find factors on the noises that an estimator assumes, and judge them on other data.
+    """Find factors on the noises that a filter assumes, and evaluate them on other data.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def tune(
     evaluations : int
         Most sets of factors to try before the search ends unconverged. Intervals take some ten more each.
     seed, overrides, allow_code, guard
-        As for `bench.load_profile`; a log has no seed.
+        As for `bench.read_profile`; a log has no seed.
     jobs : int or None
         Number of processes for a profile.
     progress : callable
@@ -153,7 +153,7 @@ def tune(
     Raises
     ------
     bench.ConfigError, bench.EstimatorError, bench.FlightError
-        If the source, the estimator or a factor is wrong, or a draw cannot be judged.
+        If the source, the filter or a factor is wrong, or a run cannot be evaluated.
     """
     with ProcessPool(jobs or count_processors()) as pool:
         trial: Trial
@@ -162,12 +162,12 @@ def tune(
         else:
             options = {"seed": seed, "overrides": overrides, "allow_code": allow_code, "guard": guard}
             trial = ProfileTrial(str(source), estimator, runs, pool, options)
-        known = _read_figures(trial)
-        groups = _group_figures(known, factors)
+        known = read_figures(trial)
+        groups = group_figures(known, factors)
         sets, unit = itertools.count(1), 1.0
 
         def find_costs(x: FloatArray) -> FloatArray:
-            costs = trial.score(_name_keys(_scale(groups, known, np.exp(x))), goal) / unit
+            costs = trial.score(_name_keys(scale(groups, known, np.exp(x))), goal) / unit
             progress(next(sets), evaluations, float(costs.mean()))
             return costs
 
@@ -175,7 +175,7 @@ def tune(
             unit = float(find_costs(np.zeros(len(groups))).mean()) or 1.0
         found = search_factors(find_costs, len(groups), evaluations)
         best = np.exp(found.x)
-        figures = _scale(groups, known, best)
+        figures = scale(groups, known, best)
         before, after = trial.judge({}), trial.judge(_name_keys(figures))
     return Tuning(
         label=trial.label,
@@ -188,7 +188,7 @@ def tune(
         before=before,
         after=after,
         evaluations=next(sets) - 1,
-        datasheets=_write_datasheets(trial, figures),
+        datasheets=write_datasheets(trial, figures),
     )
 
 
@@ -209,11 +209,11 @@ def _describe_factor(name: str, factor: float, low: float | None, high: float | 
     else:
         ends = [f"at least {low:.3g} times"] if low is not None else []
         ends += [f"at most {high:.3g} times"] if high is not None else []
-        text += f", but these data cannot tell: {ends[0] if ends else 'any factor does'}"
+        text += f", but these data do not bound it: {ends[0] if ends else 'any factor does'}"
     return text
 
 
-def _read_figures(trial: Trial) -> dict[str, float]:
+def read_figures(trial: Trial) -> dict[str, float]:
     """Return the figures of the assumed datasheets that are above zero, by kind, table and key."""
     found: dict[str, float] = {}
     for kind, name in trial.assumed.items():
@@ -224,7 +224,7 @@ def _read_figures(trial: Trial) -> dict[str, float]:
     return found
 
 
-def _group_figures(known: Mapping[str, float], asked: Sequence[str] | None) -> dict[str, list[str]]:
+def group_figures(known: Mapping[str, float], asked: Sequence[str] | None) -> dict[str, list[str]]:
     """Return the figures that share each factor."""
     groups = {
         starts: [key for key in known if key.startswith(tuple(starts.split(",")))]
@@ -239,7 +239,7 @@ def _group_figures(known: Mapping[str, float], asked: Sequence[str] | None) -> d
     return found
 
 
-def _scale(
+def scale(
     groups: Mapping[str, Sequence[str]], known: Mapping[str, float], factors: FloatArray
 ) -> dict[str, float]:
     """Return the figures times their factors."""
@@ -252,7 +252,7 @@ def _name_keys(figures: Mapping[str, float]) -> dict[str, float]:
     return {f"sensors.assumed.{key}": value for key, value in figures.items()}
 
 
-def _write_datasheets(trial: Trial, figures: Mapping[str, float]) -> dict[str, str]:
+def write_datasheets(trial: Trial, figures: Mapping[str, float]) -> dict[str, str]:
     """Return the texts of the datasheets with the tuned figures, all else as it was."""
     texts = {}
     for kind in dict.fromkeys(key.partition(".")[0] for key in figures):

@@ -1,4 +1,4 @@
-"""What a filter is tuned on: noise draws of a profile, or a recorded log."""
+"""What a filter is tuned on: runs of a profile, or a recorded log."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bench.evaluation.errors.error_series import error_series, find_covered_epoc
 from bench.experiments.campaigns.batches import Lost, Pool, compute
 from bench.experiments.campaigns.heap import keep_freed_memory
 from bench.experiments.campaigns.worker import RunTask, choose_step, describe_error, get_truth, measure
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 from bench.io.config.datasheets import MODIFIED, SENSORS
 from bench.io.config.library import find_profile
 from bench.io.results import truth_key
@@ -35,9 +35,9 @@ Goal = Literal["consistency", "rmse"]
 Figures = Mapping[str, float]
 """Key of --set -> value of a figure that the filter assumes."""
 
-_STRETCHES = 10  # of each half of a log: each counts as a draw
+_STRETCHES = 10  # of each half of a log: each counts as a run
 _LEAST = 2
-_LOST = 1e6  # cost of a draw without finite errors or claims
+_LOST = 1e6  # cost of a run without finite errors or covariances
 
 
 @dataclass(frozen=True)
@@ -47,27 +47,27 @@ class HeldOutScore:
     rmse_h_m: Estimate
     nees_ratio: Estimate  # mean NEES over its expectation; 1 is right
     repetition: Mapping[str, tuple[float, float]]  # of innovations, as `measure_repetition` returns it
-    lost: int = 0  # draws that did not converge, which are in no figure
+    lost: int = 0  # runs that did not converge, which are in no figure
 
 
 class Trial(Protocol):
-    """Data that tune a filter, and other data that judge it."""
+    """Data that tune a filter, and other data that evaluate it."""
 
     label: str  # of the filter
     assumed: dict[str, str]  # kind of sensor -> name of the datasheet that the filter assumes
     beside: Path  # where a datasheet is searched
 
     def score(self, figures: Figures, goal: Goal) -> FloatArray:
-        """Return the cost of each draw (D,) with these figures, on the data for tuning; finite."""
+        """Return the cost of each run (D,) with these figures, on the data for tuning; finite."""
 
     def judge(self, figures: Figures) -> HeldOutScore:
         """Return how it does with them on the other data."""
 
 
 class ProfileTrial:
-    """Noise draws of a profile: 0 to ``runs`` - 1 tune, as many after them judge.
+    """Noise runs of a profile: 0 to ``runs`` - 1 tune, as many after them judge.
 
-    ``options`` are those of `bench.io.config.load_profile` but for the estimators.
+    ``options`` are those of `bench.io.config.read_profile` but for the estimators.
     """
 
     def __init__(
@@ -82,18 +82,18 @@ class ProfileTrial:
         self._truth_key = truth_key(profile.flight)
         self.label = profile.estimators[0].label
         self.beside = find_profile(source)[0].parent
-        self.assumed = _list_assumed(profile.document)
+        self.assumed = list_assumed(profile.document)
 
     def _load(self, figures: Figures) -> Profile:
         given = {**(self._options.get("overrides") or {}), **figures}
-        return load_profile(
+        return read_profile(
             self._source, **{**self._options, "overrides": given}, estimators=[self._estimator]
         )
 
     def _compute(
         self, function: Callable[[RunTask], Mapping[str, Any]], figures: Figures, draws: Sequence[int]
     ) -> list[Mapping[str, Any]]:
-        """Return what a function of workers finds in each draw."""
+        """Return what a function of workers finds in each run."""
         profile = self._load(figures)
         step = choose_step(self._end, profile.sensors.output_rate)
         tasks = [RunTask(str(run), self._truth_key, profile, run, step) for run in draws]
@@ -103,17 +103,17 @@ class ProfileTrial:
             row = rows[k]
             wrong = row.reason if isinstance(row, Lost) else row.get("error")
             if isinstance(row, Lost) or wrong:
-                raise ConfigError(f"{self._source}: draw {draws[k]} has no result: {wrong}")
+                raise ConfigError(f"{self._source}: run {draws[k]} has no result: {wrong}")
             found.append(row)
         return found
 
     def score(self, figures: Figures, goal: Goal) -> FloatArray:
-        """Return the cost of the filter in each of the first draws."""
+        """Return the cost of the filter in each of the first runs."""
         rows = self._compute(measure_costs, figures, range(self._runs))
-        return np.array([_limit_cost(row[goal]) for row in rows])
+        return np.array([limit_cost(row[goal]) for row in rows])
 
     def judge(self, figures: Figures) -> HeldOutScore:
-        """Return how it does with them in the other draws."""
+        """Return how it does with them in the other runs."""
         others = self._compute(measure, figures, range(self._runs, 2 * self._runs))
         rows = [row["estimators"][self.label] for row in others]
         good = [row for row in rows if row["metrics"]["converged"]]
@@ -133,7 +133,7 @@ class LogTrial:
         result = self._navigate({})
         [self.label] = result.metrics
         self.beside = Path(source).parent
-        self.assumed = _list_assumed(result.profile)
+        self.assumed = list_assumed(result.profile)
 
     def _navigate(self, figures: Figures) -> RunResult:
         log = log_pipeline.read_log(
@@ -143,14 +143,14 @@ class LogTrial:
             **self._code,
         )
         self._from = log.spec.evaluation.begin
-        return log_pipeline.navigate_log(log)
+        return log_pipeline.navigate(log)
 
     def _split(self, t: FloatArray) -> FloatArray:
-        """Return the edges of the stretches of the judged time."""
+        """Return the edges of the segments of the evaluated time."""
         return np.linspace(self._from, float(t.max()) + SAME_INSTANT, 2 * _STRETCHES + 1)
 
     def score(self, figures: Figures, goal: Goal) -> FloatArray:
-        """Return the cost of the filter in each stretch of the first half."""
+        """Return the cost of the filter in each segment of the first half."""
         result = self._navigate(figures)
         errors, innovations = result.errors[self.label], result.solutions[self.label].innovations
         edges = self._split(errors.t)[: _STRETCHES + 1]
@@ -162,7 +162,7 @@ class LogTrial:
                 raise ConfigError(f"{self.label} reports no innovations: --goal rmse tunes without them")
         inside = (t >= edges[0]) & (t < edges[-1])
         sums, _ = np.histogram(t[inside], edges, weights=values[inside])
-        return np.array([_limit_cost(value * _STRETCHES / max(inside.sum(), 1)) for value in sums])
+        return np.array([limit_cost(value * _STRETCHES / max(inside.sum(), 1)) for value in sums])
 
     def judge(self, figures: Figures) -> HeldOutScore:
         """Return how it does with them in the second half."""
@@ -176,7 +176,7 @@ class LogTrial:
 
 
 def measure_costs(task: RunTask) -> dict[str, Any]:
-    """Return by goal the cost of the one filter of a draw, or an ``error``: the work of a worker."""
+    """Return by goal the cost of the one filter of a run, or an ``error``: the work of a worker."""
     keep_freed_memory()
     profile = task.profile
     try:
@@ -188,7 +188,9 @@ def measure_costs(task: RunTask) -> dict[str, Any]:
         solution = select_epochs(solution, rows)
         errors = error_series(truth, solution)
         if not errors.states:
-            return {"error": f"{profile.estimators[0].label} claims no accuracy, so there is nothing to tune"}
+            return {
+                "error": f"{profile.estimators[0].label} reports no accuracy, so there is nothing to tune"
+            }
         with np.errstate(over="ignore"):
             square = float(np.square(errors.pos_n[:, :2]).sum(axis=1).mean())
         return {"consistency": float(score_claims(errors, solution).mean()), "rmse": square}
@@ -196,12 +198,12 @@ def measure_costs(task: RunTask) -> dict[str, Any]:
         return {"error": describe_error(error)}
 
 
-def _limit_cost(value: float) -> float:
+def limit_cost(value: float) -> float:
     """Return a cost that a search can take: what is lost costs most."""
     return min(float(value), _LOST) if math.isfinite(value) else _LOST
 
 
-def _list_assumed(document: Mapping[str, Any]) -> dict[str, str]:
+def list_assumed(document: Mapping[str, Any]) -> dict[str, str]:
     """Return the names of the datasheets that a profile or a log assumes."""
     names = {kind: name for kind, name in document["sensors"]["assumed"].items() if kind in SENSORS}
     for kind, name in names.items():
@@ -214,7 +216,7 @@ def _list_assumed(document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _draw_values(rows: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, FloatArray]:
-    """Return the horizontal mean squares and the ratios of NEES of draws."""
+    """Return the horizontal mean squares and the ratios of NEES of runs."""
     metrics = [row["metrics"] for row in rows]
     mean_squares = np.array([one["pos_rmse_h_m"] for one in metrics], float) ** 2
     return mean_squares, np.array([one["nees_mean"] / one["nees_states"] for one in metrics], float)
@@ -223,7 +225,7 @@ def _draw_values(rows: Sequence[Mapping[str, Any]]) -> tuple[FloatArray, FloatAr
 def _stretch_values(
     result: RunResult, label: str, inside: Sequence[BoolArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the horizontal mean squares and the ratios of NEES of stretches of a log."""
+    """Return the horizontal mean squares and the ratios of NEES of segments of a log."""
     errors = result.errors[label]
     squares = np.square(errors.pos_n[:, :2]).sum(axis=1)
     mean_squares = np.array([squares[rows].mean() for rows in inside])
@@ -235,7 +237,7 @@ def _judge(
 ) -> HeldOutScore:
     """Return pooled values with intervals; the mean NEES is positive, so its interval is that of a root."""
     if len(nees) < _LEAST:
-        raise ConfigError("too few draws converged to judge the tuned filter")
+        raise ConfigError("too few runs converged to evaluate the tuned filter")
     root = ensemble.pool_rmse(nees)
     ratio = Estimate(root.value**2, root.low**2, root.high**2)
     return HeldOutScore(ensemble.pool_rmse(mean_squares), ratio, ensemble.measure_repetition(repetition))

@@ -18,11 +18,11 @@ from bench.navigation.built_in import BUILT_IN
 from bench.simulation.signals.magnetic import FIRST_YEAR, LAST_YEAR
 
 LABEL = re.compile(r"[A-Za-z0-9_.-]{1,100}")
-"""Label of an estimator, a part of the names of its files."""
+"""Label of a filter, a part of the names of its files."""
 
 
 def check_rates(table: ExperimentTable, sensors: Mapping[str, Any]) -> list[str]:
-    """Check that fixes and outputs fall on instants of the truth."""
+    """Check that fixes and outputs fall on epochs of the truth."""
     asked_rates = {
         f"[sensors] {kind} = {spec.name!r}: rate_hz": spec.rate
         for kind, spec in sensors.items()
@@ -59,7 +59,7 @@ def check_outages(table: ExperimentTable) -> list[str]:
 
 
 def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[EstimatorChoice]) -> list[str]:
-    """Check that each requirement names a metric, one limit and an estimator that there is."""
+    """Check that each requirement names a metric, one limit and a filter that there is."""
     wrong, labels = [], [choice.label for choice in choices]
     for k, row in enumerate(rows, 1):
         place = f"[[requirement]] {k}"
@@ -68,7 +68,7 @@ def check_requirements(rows: Sequence[RequirementTable], choices: Sequence[Estim
         if (row.most is None) == (row.least is None):
             wrong.append(f"{place}: give most or least, one of them")
         if row.estimator is not None and row.estimator not in labels:
-            wrong.append(f"{place}: no estimator {row.estimator!r}; there are {', '.join(labels)}")
+            wrong.append(f"{place}: no filter {row.estimator!r}; there are {', '.join(labels)}")
     return wrong
 
 
@@ -137,7 +137,7 @@ def check_sensors(table: ExperimentTable, sensors: Mapping[str, Any], has_air: b
     return wrong
 
 
-_EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other forms of an estimator name
+_EXTERNAL = "'module:Class', 'file:SOLUTION', 'command:PROGRAM ...'"  # other forms of a filter name
 
 
 def is_autopilot(use: str) -> bool:
@@ -146,7 +146,7 @@ def is_autopilot(use: str) -> bool:
 
 
 def check_estimators(choices: Sequence[EstimatorChoice], *, of_log: bool = False) -> list[str]:
-    """Check that built-in estimators exist, and that labels are unique and can be part of a file name.
+    """Check that built-in filters exist, and that labels are unique and can be part of a file name.
 
     ``of_log``: of a recording, in which an autopilot may have its own.
     """
@@ -160,8 +160,8 @@ def check_estimators(choices: Sequence[EstimatorChoice], *, of_log: bool = False
             if not of_log:
                 wrong.append(f"{place}use = {choice.use!r} is for the log of an autopilot: bench navigate")
         elif not is_known(choice.use):
-            hint = suggest(choice.use, list_names(), "estimators")
-            wrong.append(f"{place}use = {choice.use!r} is not a built-in estimator{hint}, {_EXTERNAL}")
+            hint = suggest(choice.use, list_names(), "filters")
+            wrong.append(f"{place}use = {choice.use!r} is not a built-in filter{hint}, {_EXTERNAL}")
         what = f"{place}label = {choice.label!r}"
         if not LABEL.fullmatch(choice.label):
             wrong.append(f"{what} must be a name of letters, digits, '-', '_' and '.', 100 at most")
@@ -174,7 +174,7 @@ def check_estimators(choices: Sequence[EstimatorChoice], *, of_log: bool = False
 
 
 def check_options(document: Mapping[str, Any]) -> list[str]:
-    """Check the options of built-in estimators; entries that are not tables are checked elsewhere."""
+    """Check the options of built-in filters; entries that are not tables are checked elsewhere."""
     wrong = []
     rows = document.get("estimator")
     for number, row in enumerate(rows if isinstance(rows, list) else (), 1):
@@ -193,24 +193,24 @@ def is_code(use: str) -> bool:
 
 
 def is_guarded(use: str) -> bool:
-    """Return whether an estimator runs in a process of its own: a program, or a class that is not ours."""
+    """Return whether a filter runs in a process of its own: a program, or a class that is not ours."""
     return is_code(use) or (use not in BUILT_IN and use in find_installed("estimators", BUILT_IN))
 
 
 def is_known(use: str) -> bool:
-    """Return whether an estimator is built in, installed, or has one of the forms with a colon."""
+    """Return whether a filter is built in, installed, or has one of the forms with a colon."""
     return ":" in use or use in BUILT_IN or use in find_installed("estimators", BUILT_IN)
 
 
 def list_names() -> list[str]:
-    """Return the names of the estimators that are built in or installed."""
+    """Return the names of the filters that are built in or installed."""
     return [*BUILT_IN, *find_installed("estimators", BUILT_IN)]
 
 
 def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -> list[str]:
-    """Refuse the code that a file would run, so that a foreign file runs none unnoticed.
+    """Reject the code that a file would run, so that a foreign file runs none undetected.
 
-    ``own`` are the estimators of the file, ``run`` those to run: with -e the user names code himself. What
+    ``own`` are the filters of the file, ``run`` those to run: with -e the user names code himself. What
     an installed package adds was installed by the user.
     """
     return [
@@ -224,17 +224,17 @@ def check_code(own: Sequence[EstimatorChoice], run: Sequence[EstimatorChoice]) -
 def check_requested(
     choices: Sequence[EstimatorChoice], names: Sequence[str], *, of_log: bool = False
 ) -> list[str]:
-    """Check that each requested estimator is in the profile, built in, or has the form ``module:Class``."""
+    """Check that each requested filter is in the profile, built in, or has the form ``module:Class``."""
     if objects := [one for one in names if not isinstance(one, str)]:
-        return [f"estimator {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
+        return [f"filter {objects[0]!r} is no name; give 'module:Class', or call its own run()"]
     labels = {choice.label for choice in choices}
     own = [name for name in names if is_autopilot(name) and name not in labels]
     if own and not of_log:
-        return [f"estimator {own[0]!r} is for the log of an autopilot: bench navigate"]
+        return [f"filter {own[0]!r} is for the log of an autopilot: bench navigate"]
     unknown = [name for name in names if name not in {*labels, *own} and not is_known(name)]
     known = labels.union(list_names()) if unknown else labels
     return [
-        f"no estimator {name!r} in this profile{suggest(name, known, 'estimators')}, {_EXTERNAL}"
+        f"no filter {name!r} in this profile{suggest(name, known, 'filters')}, {_EXTERNAL}"
         for name in unknown
     ]
 

@@ -54,8 +54,8 @@ def _make_triad_table(name: str) -> type[Table]:
     return create_model(name.capitalize(), __base__=Table, **rows)
 
 
-_Metres = Annotated[float, between(-10, 10)]
-Place = Annotated[tuple[_Metres, _Metres, _Metres], ROWS]
+_Meters = Annotated[float, between(-10, 10)]
+Place = Annotated[tuple[_Meters, _Meters, _Meters], ROWS]
 
 
 class LayoutTable(Table):
@@ -244,14 +244,14 @@ def _replace_axis(figures: object, shown: str, table: str, key: str, axis: str, 
         figures_here = triad_figures_of(TriadSpec).items()
         known = [one for field, row in figures_here if row.by_axis for one in row.keys(field, table)]
         hint = suggest(key, known, "figures by axis")
-        raise ConfigError(f"{shown}: [{table}] {key} is no figure that may differ by axis{hint}")
+        raise ConfigError(f"{shown}: [{table}] {key} cannot differ by axis{hint}")
     given = figures if isinstance(figures, Mapping) else {}
     used = next((one for one in (key, *_list_same_figures(table, key)) if one in given), key)
     present = given.get(used, 0.0)
     values = list(present) if isinstance(present, list) else [present] * 3
     if used != key:
         values = [from_si(key, to_si(used, one)) if type(one) in (int, float) else one for one in values]
-    if len(values) == 3:  # else it is refused as it is
+    if len(values) == 3:  # else it is rejected as it is
         values[XYZ.index(axis)] = value
     return values
 

@@ -55,7 +55,7 @@ def _check_satellites(names: tuple[str, ...]) -> tuple[str, ...]:
 
 
 Satellites = Annotated[tuple[str, ...], ROWS, AfterValidator(_check_satellites), Field(min_length=1)]
-Metres = Annotated[float, between(-1e7, 1e7)]
+Meters = Annotated[float, between(-1e7, 1e7)]
 Speed = Annotated[float, between(-1e4, 1e4)]
 Share = Annotated[float, between(0.001, 1)]
 Times = Annotated[float, between(0.01, 1e4)]
@@ -76,16 +76,16 @@ def _three(number: Any) -> Any:
 _WORDS = {
     "sensor": "What is struck.",
     "satellites": "RINEX names, such as G05 and R12.",
-    "step_m": "Error from the first instant on; of a position north, east, down.",
-    "step_deg": "Error from the first instant on.",
-    "step_deg_h": "Error from the first instant on: x, y, z.",
-    "step_mg": "Error from the first instant on: x, y, z.",
+    "step_m": "Error from the first time on; of a position north, east, down.",
+    "step_deg": "Error from the first time on.",
+    "step_deg_h": "Error from the first time on: x, y, z.",
+    "step_mg": "Error from the first time on: x, y, z.",
     "ramp_mps": "Growth of the error; of a position north, east, down.",
     "coherent": "Code and Doppler agree, so that the velocity follows the ramp; else it stays true.",
     "cn0_loss_db": "Loss of C/N0.",
-    "axes": "Those of gyro or accel that freeze; all if left out.",
+    "axes": "Axes of gyro or accel that freeze; all if left out.",
     "times": "Factor on the white noise of the unit.",
-    "added_s": "Delay beside that of the unit.",
+    "added_s": "Delay in addition to the delay of the unit.",
     "share": "Share of the samples that are struck, at random.",
 }
 """Key of a fault -> what it means."""
@@ -93,7 +93,7 @@ _WORDS = {
 
 class _FaultTable(Table):
     start_s: Annotated[float, between(0, 86400)]
-    """First instant of the fault."""
+    """First time of the fault."""
     duration_s: Annotated[float, between(0.005, 86400)]
     """How long it lasts."""
 
@@ -120,7 +120,7 @@ FAULTS: tuple[type[_FaultTable], ...] = (
     _make_table(
         "spoofing",
         "The receiver computes another position.",
-        step_m=(_three(Metres), _ZERO),
+        step_m=(_three(Meters), _ZERO),
         ramp_mps=(_three(Speed), _ZERO),
         coherent=(bool, True),
     ),
@@ -128,7 +128,7 @@ FAULTS: tuple[type[_FaultTable], ...] = (
         "pseudorange",
         "The pseudoranges of named satellites are off, their Doppler is not.",
         satellites=Satellites,
-        step_m=(Metres, 0.0),
+        step_m=(Meters, 0.0),
         ramp_mps=(Speed, 0.0),
     ),
     _make_table(
@@ -138,10 +138,10 @@ FAULTS: tuple[type[_FaultTable], ...] = (
         ramp_mps=Speed,
     ),
     _make_table(
-        "receiver-clock", "The clock of the receiver steps: all pseudoranges are off.", step_m=Metres
+        "receiver-clock", "The clock of the receiver steps: all pseudoranges are off.", step_m=Meters
     ),
     *(
-        _make_table(kind, f"The output of the {row.title} is off by a step.", **{f"step_{row.step}": Metres})
+        _make_table(kind, f"The output of the {row.title} is off by a step.", **{f"step_{row.step}": Meters})
         for kind, row in _STEPPED.items()
     ),
     _make_table(

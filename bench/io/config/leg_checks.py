@@ -99,7 +99,7 @@ def _check_terrain(table: ProfileTable) -> list[str]:
 def check_radar_use(
     table: ProfileTable, terrain: TerrainSpec | None, choices: Sequence[EstimatorChoice]
 ) -> list[str]:
-    """Check that no estimator, nor that of guidance, takes heights above hills for ones above the runway."""
+    """Check that no filter, nor that of guidance, takes heights above hills for ones above the runway."""
     if terrain is None:
         return []
     use = "takes a height for one above the runway: not with [terrain] file"

@@ -30,10 +30,10 @@ from bench.io.config.toml_file import read_toml
 
 
 class _Position(Table):
-    """A position on board relative to the centre of gravity."""
+    """A position on board relative to the center of gravity."""
 
     forward_m: Annotated[float, between(-100, 100)]
-    """Ahead of the centre of gravity."""
+    """Ahead of the center of gravity."""
     right_m: Annotated[float, between(-100, 100)]
     """To its right."""
     down_m: Annotated[float, between(-100, 100)]
@@ -111,7 +111,7 @@ def name_profile(profile: object) -> str:
     if isinstance(profile, Profile):
         raise ConfigError(
             f"profile {profile.name!r} is read already; give its name or its path here, with seed, "
-            "estimators and overrides as arguments"
+            "filters and overrides as arguments"
         )
     raise ConfigError(f"profile = {one_line(repr(profile))[:60]} must be a name or the path of a .toml file")
 
@@ -227,7 +227,7 @@ def _make_aircraft(
     for key in ("rough_air", "rough_flare", "approach"):
         unknown = [name for name in getattr(table, key) if name not in table.guidance]
         if unknown:
-            raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is no gain of [guidance]")
+            raise ConfigError(f"{shown}: [{key}] {unknown[0]!r} is not a gain of [guidance]")
     if both := sorted(table.rough_flare.keys() & table.approach):
         raise ConfigError(f"{shown}: {both[0]!r} is in [rough_flare] and [approach]; a landing takes one")
     systems = [place / "systems" for place in (folder.parent, *list_aircraft_folders(beside))]

@@ -44,11 +44,11 @@ class KeyEntry(NamedTuple):
 
 
 class CatalogEntry(NamedTuple):
-    """A profile, aircraft, leg, sensor or estimator that is selected by name."""
+    """A profile, aircraft, leg, sensor or filter that is selected by name."""
 
     name: str
     title: str
-    kind: str  # "profile", "aircraft", "leg", "estimator", "export", kind of sensor, group of entry points
+    kind: str  # "profile", "aircraft", "leg", "filter", "export", kind of sensor, group of entry points
     note: str = ""  # limits, source of the figures, assumed figures, fixed options
     keys: tuple[KeyEntry, ...] = ()  # of a leg
 
@@ -93,7 +93,7 @@ def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
     parts.append(f"{limits.get('min_speed_mps', 0):g} to {limits.get('max_speed_mps', 0):g} m/s")
     parts += [f"trimmed at {row['speed_mps']:g} m/s, {row['alt_m']:g} m" for row in sheet.get("trim", [])]
     parts.append("takes off and lands" if "runway" in sheet else "in the air only")
-    parts += ["IMU off the centre of gravity"] if "imu" in sheet else []
+    parts += ["IMU off the center of gravity"] if "imu" in sheet else []
     parts += [f"source: {sheet['source']}"] if "source" in sheet else []
     parts += [f"assumed: {', '.join(sheet['assumed'])}"] if "assumed" in sheet else []
     return "; ".join(parts)
@@ -144,7 +144,7 @@ def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return every built-in estimator, with the options that its name implies, and those of packages."""
+    """Return every built-in filter, with the options that its name implies, and those of packages."""
     return [
         CatalogEntry(
             name, row.title, "estimator", ", ".join(quantity(key, value) for key, value in row.fixed.items())

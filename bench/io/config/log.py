@@ -31,7 +31,7 @@ RANGES = "ranges"
 NAV = ".nav"
 """Ending of a solution of KF-GINS, which only a reference may be."""
 WITHHOLD = 5
-"""One fix in so many judges a log without a reference."""
+"""One fix in so many evaluates a log without a reference."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ class ReferenceSpec:
 
 @dataclass(frozen=True, slots=True)
 class StartSpec:
-    """What the estimators know of the initial state."""
+    """What the filters know of the initial state."""
 
     alignment: str  # "given", "level", "hover" or "course"
     at: float  # earliest start, since the first row of the IMU [s]
@@ -132,8 +132,8 @@ def load_log(
     ----------
     name : str
         Path of the ``.toml`` file.
-    estimators, allow_code, overrides, guard
-        As `bench.io.config.load_profile` takes them; the figures of a log are those of ``sensors.assumed``.
+    filters, allow_code, overrides, guard
+        As `bench.io.config.read_profile` takes them; the figures of a log are those of ``sensors.assumed``.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def load_log(
         evaluation = table.evaluation.model_copy(update={"withhold": withhold})
         table = table.model_copy(update={"evaluation": evaluation})
     elif table.reference and withhold:
-        wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which judges alone")
+        wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which evaluates alone")
     tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
     sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
     reference = _find_source(table.reference, "reference", beside, place, wrong)

@@ -112,7 +112,7 @@ class RadarTable(FileTable):
 
 
 class ReferenceTable(FileTable):
-    """Motion that another unit measured, to judge by: of its point, and its axes in those of the vehicle."""
+    """Motion that another unit measured, the reference: of its point, its axes in the vehicle."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """The point whose motion it gives, from the same point as the IMU."""
@@ -144,14 +144,14 @@ class LogSensorsTable(Table):
 
 
 class LogAlignmentTable(Table):
-    """What the estimators know of the initial state; they find the rest by alignment.
+    """What the filters know of the initial state; they find the rest by alignment.
 
     ``given``: position and velocity of a fix, and this attitude. ``level``: the position at standstill.
     ``hover``: position, velocity and tilt by fixes and IMU in steady flight. ``course``: nothing.
     """
 
     kind: Literal["given", "level", "hover", "course"] = "course"
-    """What the estimators are told of the start."""
+    """What the filters are told of the start."""
     heading: Literal["magnetometer", "autopilot"] | None = None
     """With "level" or "hover": whence the heading is. If left out it is unknown, and motion finds it."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
@@ -174,15 +174,15 @@ class LogAlignmentTable(Table):
 
 
 class LogEvaluationTable(EvaluationTable):
-    """Withhold every n-th fix from the filters to judge them by; 0 withholds none.
+    """Withhold every n-th fix from the filters to evaluate them by; 0 withholds none.
 
-    Left out: 5, or 0 where a reference judges.
+    Left out: 5, or 0 where a reference evaluates.
     """
 
     until_s: Annotated[float, between(0, 1e6)] | None = None
     """Where the recording ends for filters and judge: before a crash, a shutdown; its end if left out."""
     withhold: Annotated[int, NOT_NEGATIVE] | None = None
-    """Of so many fixes one is kept from the filters to judge them; 0: none. If left out 5, or 0 beside a
+    """Of so many fixes one is kept from the filters to evaluate them; 0: none. If left out 5, or 0 beside a
     reference."""
 
 

@@ -57,7 +57,7 @@ DEFAULT_DAY = date(2026, 1, 1)
 """Date of a flight whose profile gives none."""
 
 
-def load_profile(
+def read_profile(
     name: str | Path,
     overrides: Mapping[str, Any] | None = None,
     seed: int | None = None,
@@ -79,7 +79,7 @@ def load_profile(
     seed : int
         Replaces both ``seed`` and ``turbulence_seed`` of the file.
     estimators : sequence of str
-        Estimators to evaluate instead of all of the profile's: labels of the profile, built-in names or
+        Filters to evaluate instead of all of the profile's: labels of the profile, built-in names or
         ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
     allow_code : bool
         Let the file name a ``module:Class`` or a ``command:``, code that is run; ``estimators`` may always.
@@ -182,7 +182,7 @@ def _make_guidance(
     Raises
     ------
     ConfigError
-        If that is code and not allowed, there is no such estimator, or the aircraft has no guidance of ours.
+        If that is code and not allowed, there is no such filter, or the aircraft has no guidance of ours.
     """
     own = getattr(table, "guidance", None)
     if own is None:
@@ -198,9 +198,9 @@ def _make_guidance(
     if choice.use == CLIENT:
         return Guidance(choice, own.period_s, own.latency_s, own.error)
     if not checks.is_known(choice.use) or choice.use.startswith(_OUTSIDE):
-        hint = suggest(choice.use, checks.list_names(), "estimators")
+        hint = suggest(choice.use, checks.list_names(), "filters")
         what = f"{place} navigation = {choice.use!r}"
-        raise ConfigError(f"{what}: must be an estimator that runs in pieces{hint}")
+        raise ConfigError(f"{what}: must be a filter that runs in pieces{hint}")
     if checks.is_code(choice.use) and not allow_code:
         raise ConfigError(
             f"{place} navigation = {choice.use!r} is code that would run on this machine; "
@@ -252,7 +252,7 @@ def choose_estimators(
     allow_code: bool,
     guard: Guard,
 ) -> tuple[EstimatorChoice, ...]:
-    """Return the estimators to run: those of a file, or those requested instead.
+    """Return the filters to run: those of a file, or those requested instead.
 
     Raises
     ------
@@ -265,10 +265,10 @@ def choose_estimators(
         choices = _number_labels([by_label.get(name) or make_choice(name) for name in estimators])
         twice = [label for label, count in Counter(c.label for c in choices).items() if count > 1]
         if twice:
-            raise ConfigError(f"{shown}: two of the requested estimators have the label {twice[0]!r}")
+            raise ConfigError(f"{shown}: two of the requested filters have the label {twice[0]!r}")
         if not choices:
-            hint = "leave the list out to run those of the profile"
-            raise ConfigError(f"{shown}: no estimator is requested; {hint}")
+            hint = "leave the list out to run the filters of the profile"
+            raise ConfigError(f"{shown}: no filter is requested; {hint}")
     if not allow_code and (wrong := checks.check_code(own, choices)):
         raise ConfigError(*(f"{shown}: {line}" for line in wrong))
     return tuple(_set_guard(choice, guard) if checks.is_guarded(choice.use) else choice for choice in choices)
@@ -283,7 +283,7 @@ def _set_guard(choice: EstimatorChoice, guard: Guard) -> EstimatorChoice:
 def make_choice(
     use: str, label: str | None = None, options: Mapping[str, Any] | None = None, beside: Path | None = None
 ) -> EstimatorChoice:
-    """Return the choice of an estimator; without a label it is named after its use."""
+    """Return the choice of a filter; without a label it is named after its use."""
     beside = beside if beside and use.startswith(_OUTSIDE) else Path()
     return EstimatorChoice(use, label or _make_label(use), dict(options or {}), beside)
 
@@ -302,7 +302,7 @@ def make_choices(
 
 
 def _make_label(use: str) -> str:
-    """Return the default label of an estimator: the name of its class, file or program."""
+    """Return the default label of a filter: the name of its class, file or program."""
     kind, _, rest = use.rpartition(":")
     if checks.is_autopilot(use):
         return use.replace(":", "-")
@@ -407,7 +407,7 @@ def _choose_day(table: ExperimentTable, on_board: Mapping[str, Any]) -> date:
 
 
 def _place_static_port(aircraft: AircraftSpec | None) -> tuple[float, float, float]:
-    """Return the static port relative to the centre of gravity [m], b."""
+    """Return the static port relative to the center of gravity [m], b."""
     if aircraft is None:
         return (0.0, 0.0, 0.0)
     imu_b, port_b = aircraft.imu_b, aircraft.static_port_b
@@ -445,6 +445,6 @@ def less_empty(document: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
-    """Return the choice of an estimator as a table of a file."""
+    """Return the choice of a filter as a table of a file."""
     table = {"use": choice.use, "label": choice.label, "options": dict(choice.options)}
     return table if choice.guard.timeout is None else table | {"timeout_s": choice.guard.timeout}

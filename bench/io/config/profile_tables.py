@@ -38,7 +38,7 @@ def _check_turbulence(value: object) -> object:
 
 
 def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
-    """Refuse values that an option cannot have: dates, NaN and infinity."""
+    """Reject values that an option cannot have: dates, NaN and infinity."""
 
     items: list[object] = [value]
     while items:
@@ -46,7 +46,7 @@ def _check_plain(value: dict[str, Any]) -> dict[str, Any]:
         if isinstance(item, Mapping | list):
             items += item.values() if isinstance(item, Mapping) else item
         elif not isinstance(item, (bool, int, str)) and not (isinstance(item, float) and math.isfinite(item)):
-            raise PydanticCustomError("message", "must hold only finite numbers, texts, true or false")
+            raise PydanticCustomError("message", "must contain only finite numbers, texts, true or false")
     return value
 
 
@@ -144,7 +144,7 @@ else:
     AssumedTable = create_model(
         "AssumedTable",
         __base__=Table,
-        imu=(str | None, Field(None, description="The datasheet that filters believe of the IMU.")),
+        imu=(str | None, Field(None, description="The datasheet that filters assume for the IMU.")),
         **_list_aiding("That of the"),
     )
     """The datasheets that the filters assume, where they differ from the sensors on board."""
@@ -171,7 +171,7 @@ class OutageTable(Table):
     """A time without GNSS."""
 
     start_s: Annotated[float, between(0, 86400)]
-    """First instant without fixes."""
+    """First time without fixes."""
     duration_s: Seconds
     """How long there are none."""
 
@@ -190,13 +190,13 @@ class InitialErrorSdTable(Table):
 
 
 class AlignmentTable(Table):
-    """What the estimators know of the initial state; they find the rest by alignment.
+    """What the filters know of the initial state; they find the rest by alignment.
 
     ``given``: all of it. ``level``: the position at standstill. ``course``: nothing.
     """
 
     kind: Literal["given", "level", "course"] = "given"
-    """What the estimators are told of the start."""
+    """What the filters are told of the start."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
     """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10
     if left out."""
@@ -206,7 +206,7 @@ class AlignmentTable(Table):
 
 
 class EstimatorTable(Table):
-    """An estimator by its built-in name or ``module:Class``."""
+    """A filter by its built-in name or ``module:Class``."""
 
     use: str
     """A built-in name, module:Class, file:SOLUTION or command:PROGRAM."""
@@ -232,7 +232,7 @@ class EvaluationTable(Table):
 
 
 class RequirementTable(Table):
-    """A metric that an estimator has to keep."""
+    """A metric that a filter has to keep."""
 
     metric: str
     """Its name: `bench list metrics`. `*` for a number is the worst: `outage_*_drift_h_m`."""
@@ -243,7 +243,7 @@ class RequirementTable(Table):
     share: Annotated[float, between(0.01, 0.999)] = 0.95
     """Share of the runs of a campaign that has to keep it."""
     estimator: str | None = None
-    """Label of the only estimator that has to; all, if left out."""
+    """Label of the only filter that has to; all, if left out."""
 
 
 class AntennaTable(Table):
@@ -261,7 +261,7 @@ class GuidanceTable(Table):
     """The estimate that guidance and legs read instead of the truth."""
 
     navigation: str
-    """The estimator that flies: built in or module:Class, and runs in pieces; "client": bench serve."""
+    """The filter that flies: built in or module:Class, and runs in pieces; "client": bench serve."""
     options: Annotated[dict[str, Any], AfterValidator(_check_plain)] = Field(default_factory=dict)
     """A table of its options."""
     period_s: Annotated[float, between(0.05, 10), AfterValidator(_check_ticks)] = 0.2

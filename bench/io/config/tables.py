@@ -44,7 +44,7 @@ class Range:
         return f"{self.low:.16g} to {self.high:.16g}"
 
     def __call__(self, value: float) -> float:
-        """Return a value in the range; refuse another."""
+        """Return a value in the range; reject another."""
         if not self.low <= value <= self.high:
             limits = {"low": self.low, "high": self.high}
             raise PydanticCustomError("range", "is outside {low} to {high}", limits)

@@ -13,7 +13,7 @@ from bench.io.results import parquet, write_json
 from bench.io.results.columns import Layout
 
 FORMATS = {
-    "csv": "CSV: a table per sensor, every digit; output: the instants asked for; start.json: the start",
+    "csv": "CSV: a table per sensor, every digit; output: the epochs asked for; start.json: the start",
     "parquet": "the same in Parquet, with units and frames in its metadata",
 }
 START = "start.json"
@@ -50,12 +50,12 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
 
 _OUTPUT = """## output.{kind}
 
-`t_s` [s]: the instants at which the estimators of the run were asked for a solution.
+`t_s` [s]: the epochs at which the filters of the run were asked for a solution.
 """
 _START = f"""
 ## {START}
 
-What an estimator gets besides the measurements, in SI and radians. `initial`: time, position, velocity and
+What a filter gets besides the measurements, in SI and radians. `initial`: time, position, velocity and
 attitude of the IMU at the start, and `cov`, the covariance (9 x 9) of their errors: position north, east,
 down [m], velocity [m/s], attitude phi [rad] (`C_nb_estimate = exp([phi x]) C_nb_true`). `antenna_b_m`: the
 GNSS antenna relative to the IMU. `ground_alt_m`: ellipsoidal height of the runway. `assumed`: the datasheets
@@ -66,7 +66,7 @@ year.
 
 def describe_table(name: str, layout: Layout, title: str) -> str:
     """Return the columns of a table with their units and frames, as Markdown."""
-    content = _WHAT.get(name, "the solution of an estimator, with the covariance it claims")
+    content = _WHAT.get(name, "the solution of a filter, with the covariance it reports")
     lines = [
         f"## {title}\n",
         f"{content[0].upper()}{content[1:]}.\n",

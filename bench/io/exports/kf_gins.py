@@ -49,7 +49,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
             raise ExportError(f"{name} has no position with velocity and attitude, which kf-gins needs")
         parquet.write_rows(folder / f"{name}.nav", rows[known])
         lost = len(rows) - np.count_nonzero(known)
-        remark = f"; {lost} instants without them are left out" if lost else ""
+        remark = f"; {lost} epochs without them are left out" if lost else ""
         navs += f"- `{name}.nav`: GNSS week, {_NAV}{remark}.\n"
     durable.write(folder / CONFIGURATION, _make_configuration(out))
     return f"""For KF-GINS and OB_GINS: text, columns separated by a space, times in GPS seconds of week.
@@ -61,7 +61,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
   {out.count_left_out(fixes)} rows that the receiver marks as invalid are left out. The format has no columns
   for velocity and latency.
 {navs}- `{CONFIGURATION}`: run `KF-GINS {CONFIGURATION}` in this folder; its results appear here. The initial
-  state is that of the filters of the bench, propagated to the first row. IMU noise is from the assumed
+  state is the initial state of the filters, propagated to the first row. IMU noise is from the assumed
   datasheet: `gbstd`, `abstd` are the standard deviations of the bias process; `initbgstd`, `initbastd` also
   include the turn-on bias; `corrtime` is that of the gyros.
 

@@ -36,7 +36,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
     )
     return (
         f"`load('{FILE}')` gives a structure for each section below, with a field per column, and `start`: "
-        "what an estimator gets besides the measurements, in SI and radians: `initial` (with `cov`, 9 x 9: "
+        "what a filter gets besides the measurements, in SI and radians: `initial` (with `cov`, 9 x 9: "
         "position north, east, down, velocity, attitude), `antenna_b_m`, and `assumed`, the datasheets. "
         f"A missing value is an empty array, in an array it is NaN.\n\n{columns_text}"
     )

@@ -1,4 +1,4 @@
-"""The exported data of a run: sensors, initial state and datasheets of the estimators, requested tracks."""
+"""The exported data of a run: sensors, initial state and datasheets of the filters, requested tracks."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _GPS_ZERO = datetime(1980, 1, 6)
 _WEEK = 604800.0  # [s]
 
 FRAMES = (
-    "Body axes b are those of the IMU: forward, right, down. n is north, east, down at the current position. "
+    "Body axes b are the IMU axes: forward, right, down. n is north, east, down at the current position. "
     "Heights are above the WGS 84 ellipsoid."
 )
 
@@ -64,7 +64,7 @@ class ExportData:
     observations: GnssObservations | None
     instruments: Mapping[str, Any]  # on board, by name
     start: Mapping[str, Any]  # as `bench.io.results.make_start_document` makes it
-    output_t: FloatArray = field(default_factory=lambda: np.empty(0))  # instants of a solution [s]
+    output_t: FloatArray = field(default_factory=lambda: np.empty(0))  # epochs of a solution [s]
     tracks: Mapping[str, Track] = field(default_factory=dict)  # by name: "truth", "solution-loose-15"
     like: Path | None = None  # a file whose definitions the export takes
 
@@ -183,7 +183,7 @@ class ExportData:
 
 
 def _cut_first(imu: ImuData, begin: float) -> ImuData:
-    """Return a record whose first interval begins no earlier than an instant, in proportion to time."""
+    """Return a record whose first interval begins no earlier than a time, in proportion to time."""
     dt, dtheta_b, dvel_b = imu.dt.copy(), imu.dtheta_b.copy(), imu.dvel_b.copy()
     dt[0] = min(dt[0], imu.t[0] - begin)
     dtheta_b[0] *= dt[0] / imu.dt[0]

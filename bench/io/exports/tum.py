@@ -18,7 +18,7 @@ FORMATS = {"tum": "poses, east-north-up, for evo and the TUM tools: --with truth
 def write(folder: Path, out: ExportData, kind: str) -> str:
     """Write one file per track; return their description for the README."""
     if not out.tracks:
-        raise ExportError("tum holds poses, not sensors: add --with truth or --with solution:NAME")
+        raise ExportError("tum contains poses, not sensors: add --with truth or --with solution:NAME")
     origin, names = None, ""
     for name, track in out.tracks.items():
         known = np.isfinite(np.hstack([track.lla, track.q_nb])).all(axis=1)
@@ -30,7 +30,7 @@ def write(folder: Path, out: ExportData, kind: str) -> str:
         rows = np.column_stack([track.t[known], position, rotation.to_scalar_last(attitude)])
         parquet.write_rows(folder / f"{name}.tum", rows)
         lost = len(track.t) - len(lla)
-        remark = f"; {lost} instants without one are left out" if lost else ""
+        remark = f"; {lost} epochs without one are left out" if lost else ""
         names += f"- `{name}.tum`, {len(lla)} poses of the IMU{remark}\n"
     assert origin is not None
     lat, lon = np.rad2deg(origin[:2])

@@ -54,7 +54,7 @@ from bench.io.foreign.filter_server import serve
 serve({channel}, {life})"""
 _INLINE = 1 << 19  # a larger body goes by a file that is mapped [byte]
 _BLOCK, _BLOCKS = 1 << 16, 16  # that are read [byte], and how many before the next look
-_MOST_KEPT = 8  # processes of a thread that wait for their next run
+MOST_KEPT = 8  # processes of a thread that wait for their next run
 
 
 class FilterProcess:
@@ -147,7 +147,7 @@ class FilterProcess:
             Its arguments: records, arrays, words and numbers.
         """
         if not self._close.alive:
-            raise EstimatorStoppedError(f"estimator {label!r}: its process has ended")
+            raise EstimatorStoppedError(f"filter {label!r}: its process has ended")
         forgotten, self.forgotten = self.forgotten, []
         message = RecordMessage({"do": do, "label": label, "with": given, "forget": forgotten})
         self._label, self._watch, self.waiting = label, Watch(self.pid, seconds, self._memory), True
@@ -170,7 +170,7 @@ class FilterProcess:
         Raises
         ------
         EstimatorError
-            If the filter refuses: an option, or the record.
+            If the filter rejects: an option, or the record.
         EstimatorFailedError
             If it raised; the cause holds its traceback.
         EstimatorStoppedError
@@ -277,7 +277,7 @@ class FilterProcess:
         self._drain(_BLOCKS)
         status = self._child.returncode
         how = "closed its line" if status is None else describe_end(status)
-        raise EstimatorStoppedError(f"estimator {self._label!r}: its process {how}")
+        raise EstimatorStoppedError(f"filter {self._label!r}: its process {how}")
 
     def _stop(self, reason: str) -> NoReturn:
         """Have the process print where it is, and say why it is ended."""
@@ -288,7 +288,7 @@ class FilterProcess:
             self._drain(_BLOCKS)
             time.sleep(0.1 * LOOK)
         self._drain(_BLOCKS)
-        raise EstimatorStoppedError(f"estimator {self._label!r}: {reason}")
+        raise EstimatorStoppedError(f"filter {self._label!r}: {reason}")
 
     def _give_up(self) -> None:
         self._cpu_s = self.cpu_s
@@ -337,6 +337,6 @@ def take_process(choice: EstimatorChoice, options: bytes) -> FilterProcess:
         found.close()
         found = None
     _kept.processes[key] = found = found or FilterProcess(choice.guard)
-    while len(_kept.processes) > _MOST_KEPT:
-        _kept.processes.popitem(last=False)  # it ends when no estimator holds it any more
+    while len(_kept.processes) > MOST_KEPT:
+        _kept.processes.popitem(last=False)  # it ends when no filter holds it any more
     return found

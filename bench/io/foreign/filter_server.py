@@ -47,7 +47,7 @@ _AWAKE = 1e-3  # [s]
 _MOST_SAID = 200_000  # characters of a traceback
 _SMALL = 1 << 16  # body that goes with its text [byte]
 
-OFFERS = ("in_pieces", "refuses", "unmodelled", "identity")
+OFFERS = ("in_pieces", "check_sensors", "unmodeled_errors", "identity")
 """Methods of a filter that are optional."""
 
 
@@ -200,14 +200,14 @@ class _FilterServer:
         except EstimatorError as error:  # who asks puts the name before it
             raise EstimatorError(str(error.__cause__ or error)) from error
 
-    def unmodelled(self, number: int, specs: NDArray[np.uint8]) -> list[str]:
+    def unmodeled_errors(self, number: int, specs: NDArray[np.uint8]) -> list[str]:
         """Return the errors of datasheets that a filter has no state for."""
         served: _Served = self._kept[number]
-        found = estimator.list_unmodelled(served.one, served.label, pickle.loads(specs.tobytes()))
+        found = estimator.list_unmodeled(served.one, served.label, pickle.loads(specs.tobytes()))
         return [str(name) for name in found or ()]
 
-    def refuses(self, number: int, specs: NDArray[np.uint8]) -> str:
-        """Return why a filter cannot be honest with the sensors of datasheets, in words."""
+    def check_sensors(self, number: int, specs: NDArray[np.uint8]) -> str:
+        """Return why a filter cannot be consistent with the sensors of datasheets, in words."""
         served: _Served = self._kept[number]
         return estimator.ask_refusal(served.one, served.label, pickle.loads(specs.tobytes()))
 
@@ -225,15 +225,15 @@ class _FilterServer:
         passage = one.in_pieces(first, initial, rows)
         return {"number": self._keep(passage), "end": float(passage.end)}
 
-    def feed(self, number: int, piece: SensorData, look_back: float, last: bool) -> dict[str, Any]:
+    def update(self, number: int, piece: SensorData, look_back: float, last: bool) -> dict[str, Any]:
         """Feed a copy of a passage; return what it answers, its number and its end."""
         passage = self._copy(number)
-        solution = passage.feed(piece, look_back, last=last)
+        solution = passage.update(piece, look_back, last=last)
         return {"solution": solution, "number": self._keep(passage), "end": float(passage.end)}
 
     def ask(self, number: int, head: SensorData) -> NavSolution:
         """Return what a passage answers at its end."""
-        return self._copy(number).answer(head)
+        return self._copy(number).current(head)
 
     def state(self, number: int) -> dict[str, Any]:
         """Return all that a passage carries."""

@@ -1,4 +1,4 @@
-"""Where an estimator runs: the one place that decides between here and a process of its own."""
+"""Where a filter runs: the one place that decides between here and a process of its own."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from bench.navigation.estimator import Estimator
 
 
 def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:
-    """Build estimators: built-in ones here, programs and classes of others in processes of their own.
+    """Build filters: built-in ones here, programs and classes of others in processes of their own.
 
     Raises
     ------
     EstimatorError, ConfigError
-        If there is no such estimator, file or program, or its options are wrong.
+        If there is no such filter, file or program, or its options are wrong.
     EstimatorFailedError
         If the module or the constructor of a class raised.
     """
@@ -28,7 +28,7 @@ def load_estimators(choices: Iterable[EstimatorChoice]) -> list[Estimator]:
 
 @runtime_checkable
 class Awaited(Estimator, Protocol):
-    """An estimator that is being built in its process."""
+    """A filter that is being built in its process."""
 
     def wait(self) -> Self:
         """Return it when it is built."""

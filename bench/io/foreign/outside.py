@@ -1,4 +1,4 @@
-"""Run an external program as an estimator: ``use = "command:./myfilter {sensors} {solution}"``.
+"""Run an external program as a filter: ``use = "command:./myfilter {sensors} {solution}"``.
 
 The program, in any language, runs in a temporary folder with the sensor data as ``bench export --to csv``
 writes it, without the truth. It writes a solution that `bench.io.foreign.solutions` reads; each row counts
@@ -54,7 +54,7 @@ _MOST_STDERR = 4000  # last part of stderr that is kept [byte]
 
 
 def load(choice: EstimatorChoice) -> Estimator:
-    """Build an estimator from ``file:solution.csv`` or ``command:./filter {sensors} {solution}``.
+    """Build a filter from ``file:solution.csv`` or ``command:./filter {sensors} {solution}``.
 
     ``file:`` may also name a folder of solutions (`bench.io.foreign.solution_folder`).
 
@@ -74,7 +74,7 @@ def load(choice: EstimatorChoice) -> Estimator:
 
 
 class CommandEstimator:
-    """An estimator that runs a program.
+    """A filter that runs a program.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ _LEAST = 60.0  # time to start a process and import a module [s]
 
 
 class OwnProcessEstimator:
-    """An estimator whose class is in another process.
+    """A filter whose class is in another process.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class OwnProcessEstimator:
             self._options = pickle.dumps(dict(choice.options))
         except Exception as error:
             raise EstimatorError(
-                f"estimator {choice.label!r}: its options cannot be sent to its process: {error}; "
+                f"filter {choice.label!r}: its options cannot be sent to its process: {error}; "
                 "Guard(in_process=True) runs it here"
             ) from None
         self.needs: tuple[str, ...] = ()
@@ -76,8 +76,8 @@ class OwnProcessEstimator:
         self.needs, self.finds_start = tuple(built["needs"]), built["finds_start"]
         offered: dict[str, Any] = {
             "in_pieces": self._begin,
-            "refuses": self._refuse,
-            "unmodelled": self._list_unmodelled,
+            "check_sensors": self._refuse,
+            "unmodeled_errors": self._list_unmodeled,
             "identity": self._identify,
         }
         for name in built["offers"]:
@@ -104,11 +104,11 @@ class OwnProcessEstimator:
 
     def _refuse(self, specs: AssumedSpecs) -> str:
         self._ready()
-        found: str = self._ask("refuses", self._limit, specs=pack_specs(specs))
+        found: str = self._ask("check_sensors", self._limit, specs=pack_specs(specs))
         return found
 
-    def _list_unmodelled(self, specs: AssumedSpecs) -> list[str]:
-        found: list[str] = self._ask("unmodelled", self._limit, specs=pack_specs(specs))
+    def _list_unmodeled(self, specs: AssumedSpecs) -> list[str]:
+        found: list[str] = self._ask("unmodeled_errors", self._limit, specs=pack_specs(specs))
         return found
 
     def _identify(self, sensors: SensorData) -> str:
@@ -172,15 +172,15 @@ class RemotePassage:
     def __init__(self, held: _Held, label: str, seconds: float, end: float) -> None:
         self._held, self._label, self._seconds, self.end = held, label, seconds, end
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece."""
         self._held.process.assume(self._label, self._seconds, piece.specs)
-        found = self._ask("feed", piece=piece, look_back=look_back, last=last)
+        found = self._ask("update", piece=piece, look_back=look_back, last=last)
         self._move(found)
         solution: NavSolution = found["solution"]
         return solution
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at :attr:`end`."""
         self._held.process.assume(self._label, self._seconds, head.specs)
         solution: NavSolution = self._ask("ask", head=head)

@@ -178,7 +178,7 @@ class RecordMessage:
             return (_RECORD, kind.__name__, rows, width, *map(self._take, others))
         if isinstance(value, np.ndarray):
             if value.dtype.hasobject:
-                raise TypeError(f"an array of {value.dtype} is no array of numbers or words")
+                raise TypeError(f"an array of {value.dtype} is not an array of numbers or words")
             self.parts.append(np.ascontiguousarray(value))
             self._pad(value.nbytes)
             return (_ARRAY, value.dtype.str, *value.shape)
@@ -287,7 +287,7 @@ class _TextReader:
     def _read_array(self, kind: str, *shape: int) -> _Give:
         dtype = np.dtype(kind)
         if dtype.hasobject:
-            raise ValueError(f"an array of {dtype} is no array of numbers or words")
+            raise ValueError(f"an array of {dtype} is not an array of numbers or words")
         begin, size = self.place, dtype.itemsize * math.prod(shape)
         self._go_on(size)
         return lambda views: views.body[begin : begin + size].view(dtype).reshape(shape)

@@ -1,4 +1,4 @@
-"""Judge a solution from a file on a run, like that of an estimator of the bench."""
+"""Evaluate a solution from a file on a run, like that of a filter of the bench."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from bench.simulation.sensors.timing import select_output_times
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """A solution, its errors and metrics, and the run it is judged on."""
+    """A solution, its errors and metrics, and the run it is evaluated on."""
 
     label: str
     solution: NavSolution  # at the output times of the run; NaN where the file has no solution
@@ -39,7 +39,7 @@ class Score:
 
 
 def score(path: Path, folder: Path, label: str | None, t_0: float, longest: float | None) -> Score:
-    """Judge a solution on a run; parameters and errors as `bench.cli.api.score_solution`."""
+    """Evaluate a solution on a run; parameters and errors as `bench.cli.exchanging.score_solution`."""
     label = label or re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem)
     if not LABEL.fullmatch(label):
         raise ConfigError(
@@ -51,7 +51,7 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
     if path.is_dir() and folder.is_file():
         raise ConfigError(f"{folder} is a file and {path} a folder; the solution comes first, then the run")
     with results.report_damage(folder):
-        run = results.load(folder)
+        run = results.read_result(folder)
         if label in run.metrics:
             raise ConfigError(f"{folder} has a solution {label!r} already; choose another name with --label")
         if run.truth is None and "log" in run.more:
@@ -77,12 +77,12 @@ def score(path: Path, folder: Path, label: str | None, t_0: float, longest: floa
 
 
 def _score_log(path: Path, run: RunResult, label: str, t_0: float, longest: float | None) -> Score:
-    """Judge a solution on a log, by its reference or its withheld fixes."""
+    """Evaluate a solution on a log, by its reference or its withheld fixes."""
     data, by = run.sensors, run.records.get("reference")
     assert data is not None
     foreign = read_solution(path, t_0=t_0)
     if not len(data.output_t):
-        raise ConfigError("no estimator of this log has instants to compare with: navigate it again")
+        raise ConfigError("no filter of this log has epochs to compare with: navigate it again")
     fixes = data.fixes
     if fixes is not None and len(fixes):
         check_unit(foreign, float(fixes.t[0]), fixes.lla[0])

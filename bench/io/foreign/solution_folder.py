@@ -1,6 +1,6 @@
-"""Solutions of many draws in a folder: ``use = "file:FOLDER"``, a subfolder for each draw.
+"""Solutions of many runs in a folder: ``use = "file:FOLDER"``, a subfolder for each run.
 
-A subfolder is named by the sensor data and the start, so that no solution is taken for another draw.
+A subfolder is named by the sensor data and the start, so that no solution is taken for another run.
 `write_sensors` makes it, with the data as ``bench export --to csv`` writes them; ``solution.csv`` is the
 answer.
 """
@@ -102,7 +102,7 @@ def _link(path: Path) -> Path:
 def round_increments(imu: ImuData) -> ImuData:
     """Return the data of an IMU with increments of as few digits as its noise leaves meaning.
 
-    The noise of a sample is told by the second differences of neighbours; a unit without noise keeps all.
+    The noise of a sample is told by the second differences of neighbors; a unit without noise keeps all.
     """
     columns = {}
     for name in ("dtheta_b", "dvel_b"):
@@ -129,7 +129,7 @@ def name_draw(sensors: SensorData, initial: InitialState) -> str:
 
 
 class FolderEstimator:
-    """An estimator that returns the solution of the sensor data it gets, out of a folder of many.
+    """A filter that returns the solution of the sensor data it gets, out of a folder of many.
 
     Parameters
     ----------
@@ -146,5 +146,5 @@ class FolderEstimator:
         """Return the solution at ``sensors.output_t``; NaN at times that it does not cover."""
         path = self._folder / name_draw(sensors, initial) / SOLUTION
         if not path.is_file():
-            raise EstimatorError(f"{path}: no such file; it is to hold the solution of these sensor data")
+            raise EstimatorError(f"{path}: no such file. Expected the solution of these sensor data")
         return FileEstimator(path, **self._options).run(sensors, initial)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Read a solution from a table of time and position, velocity or attitude, and use it as an estimator.
+"""Read a solution from a table of time and position, velocity or attitude, and use it as a filter.
 
 Column names give quantity, frame and unit (`COLUMNS`). Covariance is optional. Values that the table does not
 give are NaN. `bench.evaluation.errors.resampling` says what lies between rows.
@@ -29,7 +29,7 @@ _LIMITS = (
     (-2 * np.pi, 2 * np.pi),
     (-np.inf, np.inf),
 )  # latitude, longitude, height
-_RADII = (6e6, 1e8)  # from the centre of the Earth [m]
+_RADII = (6e6, 1e8)  # from the center of the Earth [m]
 _NEAR, _FAST = 1e5, 1e3  # a start farther off than [m] plus [m/s] times the time is in another unit
 
 _STATES = tuple(f"{block}_{axis}" for block in ("pos", "vel", "phi") for axis in "ned")
@@ -226,7 +226,7 @@ def check_unit(solution: ForeignSolution, t: float, lla: FloatArray) -> None:
 
 
 class FileEstimator:
-    """An estimator that returns the solution in a file: ``use = "file:solution.csv"``."""
+    """A filter that returns the solution in a file: ``use = "file:solution.csv"``."""
 
     def __init__(self, path: Path, *, t_0_s: float = 0.0, max_gap_s: float | None = None) -> None:
         for name, value in (("t_0_s", t_0_s), ("max_gap_s", 0.0 if max_gap_s is None else max_gap_s)):

@@ -109,7 +109,7 @@ def write_baro_sheet(path: Path, sd: float, says: str, like: str) -> str:
         A barometer of the catalog.
     """
     if not sd > 0.0:
-        raise ConfigError(f"{path.name}: {says} = {sd:g} is no standard deviation")
+        raise ConfigError(f"{path.name}: {says} = {sd:g} is not a standard deviation")
     text = (PACKAGE / "catalog" / "baro" / f"{like}.toml").read_text(encoding="utf-8")
     lines = [f"# The barometer of {one_line(path.name)}: its noise by {says}, all else as {like}."]
     for line in text.splitlines():

@@ -47,7 +47,7 @@ class OwnMotion:
 
 @dataclass(frozen=True, slots=True)
 class OwnEstimate:
-    """The estimate of an autopilot, with what it claims and what it measured of itself."""
+    """The estimate of an autopilot, with what it reports and what it measured of itself."""
 
     motion: OwnMotion
     variances: tuple[

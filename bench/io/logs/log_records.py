@@ -1,4 +1,4 @@
-"""Convert recorded IMU, GNSS and barometer files to the records that estimators read.
+"""Convert recorded IMU, GNSS and barometer files to the records that filters read.
 
 The adapter of each format reads a file into the same columns (`LogRows`). t = 0 is the first row of the IMU.
 A rate is the mean over the interval that ends at its time. An interval much longer than the median is a gap;
@@ -36,7 +36,7 @@ from bench.simulation.signals.air import SEA_LEVEL_PRESSURE, SEA_LEVEL_TEMPERATU
 from bench.simulation.signals.orbits import DAY
 
 MOST_INSTANTS = 400_000
-"""Most instants of a solution, each of some kB: 11 hours at 10 Hz."""
+"""Most epochs of a solution, each of some kB: 11 hours at 10 Hz."""
 _SETTING = 10.0  # time at the start by which an altimeter is set [s]
 GAP = 3.0
 """An interval longer than this many median intervals is a gap [1]."""
@@ -85,7 +85,7 @@ def read_records(spec: LogSpec) -> LogRecords:
     if not ((fixes.t >= 0) & (fixes.t <= last)).any():
         there = f"{fixes.t.min() + origin:.9g} to {fixes.t.max() + origin:.9g} s"
         raise ConfigError(
-            f"{spec.gnss.path.name}: its times, {there}, do not overlap those of {spec.imu.path.name}, "
+            f"{spec.gnss.path.name}: its times, {there}, do not overlap with {spec.imu.path.name}, "
             f"{origin:.9g} to {last + origin:.9g} s; both files must use one clock"
         )
     if sky is not None:
@@ -112,7 +112,7 @@ def read_records(spec: LogSpec) -> LogRecords:
         sky=sky,
         observations=observations if observations is not None and len(observations) else None,
         instruments=instruments,
-        ground_alt=_find_ground(spec, instruments, fixes),
+        ground_alt=find_ground(spec, instruments, fixes),
         reported=_find_report(gnss_rows.values, spec),
         origin=origin,
         notes=tuple(note for rows in (imu_rows, gnss_rows, *others.values()) for note in rows.notes),
@@ -122,7 +122,7 @@ def read_records(spec: LogSpec) -> LogRecords:
 
 
 def _cut(record: Any, until: float) -> Any:
-    """Return the rows of a record until an instant [s]."""
+    """Return the rows of a record until a time [s]."""
     rows = record.t <= until
     return replace(record, **{one.name: getattr(record, one.name)[rows] for one in fields(record)})
 
@@ -226,7 +226,7 @@ def _check_length(imu: ImuData, spec: LogSpec) -> None:
     row = int(np.argmax(step))
     raise ConfigError(
         f"{spec.imu.path.name}: its times span {imu.t.max():.6g} s, at output_hz = {spec.output_rate:g} more "
-        f"than {MOST_INSTANTS} instants; the longest interval, {step[row]:.6g} s, ends at row {row + 2}"
+        f"than {MOST_INSTANTS} epochs; the longest interval, {step[row]:.6g} s, ends at row {row + 2}"
     )
 
 
@@ -352,8 +352,8 @@ def _make_instrument(kind: str, rows: LogRows, spec: LogSpec, origin: float) -> 
 def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float) -> BaroData:
     """Return a barometer set at the start to the height by the fixes, as a pilot sets it to that of a field.
 
-    Fixes from ``judged`` on [s] may be withheld to judge filters: they set it only if there is none before.
-    The pressure of the day is in no log: without that its heights are off by a hundred metres.
+    Fixes from ``judged`` on [s] may be withheld to evaluate filters: they set it only if there is none
+    before. The pressure of the day is in no log: without that its heights are off by a hundred meters.
     """
     near = fixes.valid & (fixes.t >= begin) & (fixes.t <= begin + _SETTING)
     before = near & (fixes.t < judged)
@@ -366,7 +366,7 @@ def set_altimeter(baro: BaroData, fixes: GnssFixes, begin: float, judged: float)
     return replace(baro, alt_baro=baro.alt_baro + np.median(fixes.lla[near, 2] - own))
 
 
-def _find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes) -> float:
+def find_ground(spec: LogSpec, instruments: Mapping[str, Any], fixes: GnssFixes) -> float:
     """Return the height of the ground below a radar: as the log says, or where it first looked on it [m]."""
     if spec.ground_alt is not None or "radar" not in instruments:
         return spec.ground_alt or 0.0
@@ -389,7 +389,7 @@ def divide_intervals(imu: ImuData, cuts: FloatArray) -> ImuData:
     imu : ImuData
         The record to divide.
     cuts : (M,) array
-        Instants [s]; those outside all intervals have no effect.
+        Epochs [s]; those outside all intervals have no effect.
     """
     parents = _find_ordered(imu)
     cuts = np.unique(cuts)

@@ -1,6 +1,6 @@
-"""The initial state for the estimators of a recording: what the log gives, and nothing more.
+"""The initial state for the filters of a recording: what the log gives, and nothing more.
 
-In the air ("hover") the fixes say how the velocity changed over a stretch, ``dv``, and with the gyros, which
+In the air ("hover") the fixes say how the velocity changed over a segment, ``dv``, and with the gyros, which
 carry each sample to the end of it, the specific force there is
 
     f_b T = sum C_bk dvel_k        C_nb f_b T = dv - g T        Groves, Principles of GNSS..., 2nd ed., 5.6.2
@@ -35,14 +35,14 @@ from bench.navigation.start.leveling import bias_sd
 from bench.simulation.signals.magnetic import field_n
 
 HOVER = 4.0
-"""Length of the stretch of a start in the air [s]."""
+"""Length of the segment of a start in the air [s]."""
 _ROUGH_TILT = np.deg2rad(1.0)  # of a start in the air: vibration, flexing, gusts between two fixes [rad]
 _TURNS = 20  # fixed-point steps for the heading of a magnetometer: each gains a factor of dv / (g T)
 
 _UP = np.array([0.0, 0.0, -1.0])  # a specific force at rest, n
 
 OwnAttitude = Callable[[float], FloatArray]
-"""Attitude (4,) of the autopilot at an instant [s]; NaN where it has none."""
+"""Attitude (4,) of the autopilot at a time [s]; NaN where it has none."""
 
 
 def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = None) -> InitialState:
@@ -51,7 +51,7 @@ def find_start(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None = N
     "given": position and velocity of the first usable fix, corrected for the lever arm, and the attitude of
     the log; if no fix has a velocity, zero with a large variance. "level": the position of that fix, with the
     length of the lever arm as additional uncertainty, and the heading if the log says whence. "hover":
-    position and velocity of the fix that ends a stretch of ``duration_s``, and the attitude by both.
+    position and velocity of the fix that ends a segment of ``duration_s``, and the attitude by both.
     "course": only the time. ``own`` gives the attitude of the autopilot, of which only the heading is used.
 
     Raises
@@ -124,12 +124,12 @@ def _first_fix(spec: LogSpec, usable: BoolArray) -> int:
 
 
 def _no_turn(t: float) -> FloatArray:
-    """Return the attitude of the body at t in that at the end of a stretch: it did not turn."""
+    """Return the attitude of the body at t in that at the end of a segment: it did not turn."""
     return np.array([1.0, 0.0, 0.0, 0.0])
 
 
 def _start_in_the_air(recording: LogRecords, spec: LogSpec, own: OwnAttitude | None) -> InitialState:
-    """Return the state at the fix that ends a stretch, by what fixes and IMU say of it."""
+    """Return the state at the fix that ends a segment, by what fixes and IMU say of it."""
     given, fixes, imu = spec.start, recording.fixes, recording.imu
     usable = fixes.valid & np.isfinite(fixes.vel_n).all(axis=1) & (fixes.t >= max(given.at, imu.t[0]))
     first = _first_fix(spec, usable)
@@ -204,7 +204,7 @@ def _find_heading(
     end: float,
     turn_to_end: Callable[[float], FloatArray],
 ) -> float:
-    """Return the heading at the end of a stretch, by the magnetometer or the autopilot [rad]."""
+    """Return the heading at the end of a segment, by the magnetometer or the autopilot [rad]."""
     place = f"{spec.name}.toml: [alignment] heading = {spec.start.heading_from!r}"
     if spec.start.heading_from == "autopilot":
         q_nb = own(end) if own is not None else np.full(4, np.nan)
@@ -248,7 +248,7 @@ def find_magnetic_heading(
 
 
 def choose_stretch(fixes: GnssFixes, first: float, last: float) -> float:
-    """Return where to start in the air between two instants: where the velocity changes least [s]."""
+    """Return where to start in the air between two epochs: where the velocity changes least [s]."""
     good = fixes.valid & np.isfinite(fixes.vel_n).all(axis=1) & (fixes.t >= first) & (fixes.t <= last)
     t, vel_n = fixes.t[good], fixes.vel_n[good]
     ends = np.searchsorted(t, t + HOVER)

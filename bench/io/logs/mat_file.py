@@ -188,7 +188,7 @@ class _MatBytes:
     def _look_at(self, element: tuple[int, int]) -> tuple[np.dtype[Any], int]:
         kind, length = element
         if kind not in _NUMBERS:
-            raise ValueError(f"an element of type {kind} does not hold numbers")
+            raise ValueError(f"an element of type {kind} does not contain numbers")
         stored = np.dtype(self.order + _NUMBERS[kind])
         return stored, length // stored.itemsize
 

@@ -1,8 +1,8 @@
-"""The log of an autopilot: what it holds, the truth of its simulator, and its own estimate as an estimator.
+"""The log of an autopilot: what it holds, the truth of its simulator, and its own estimate as a filter.
 
 ``use = "autopilot"`` is what flew, ``"autopilot:1"`` the second instance or core. An autopilot has used every
-fix, so none can be withheld from it: it is judged by a reference, by the fixes that end real outages, and by
-its own innovations.
+fix, so none can be withheld from it: it is evaluated by a reference, by the fixes that end real outages, and
+by its own innovations.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def read_estimate(source: SourceSpec, instance: int | None) -> OwnEstimate:
     """
     path = source.path
     if not find_format(source.format).knows:
-        raise ConfigError(f"estimator {AUTOPILOT!r}: {path.name} is no log of an autopilot")
+        raise ConfigError(f"filter {AUTOPILOT!r}: {path.name} is not a log of an autopilot")
     try:
         return _ask(source.format, path, "its estimate", "read_estimate", OwnEstimate, instance)
     except ConfigError as error:
@@ -86,7 +86,7 @@ def _ask(form: str, path: Path, what: str, function: str, kind: type[_Answer], *
 
 
 class AutopilotEstimator:
-    """What the autopilot estimated in flight, at the instants asked for.
+    """What the autopilot estimated in flight, at the epochs asked for.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ class AutopilotEstimator:
         self._shift = source.time_offset - origin
 
     def attitude(self, t: float) -> FloatArray:
-        """Return its attitude (4,) at an instant [s]; NaN where it has none."""
+        """Return its attitude (4,) at a time [s]; NaN where it has none."""
         moment = np.full(1, t)
         motion = self._own.motion
         times = motion.attitude_t + self._shift
@@ -145,7 +145,7 @@ class AutopilotEstimator:
 
 
 def build(use: str, source: SourceSpec, origin: float) -> AutopilotEstimator:
-    """Build the estimator that a log names ``autopilot`` or ``autopilot:INSTANCE``.
+    """Build the filter that a log names ``autopilot`` or ``autopilot:INSTANCE``.
 
     Raises
     ------

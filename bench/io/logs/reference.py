@@ -1,7 +1,7 @@
-"""The reference of a log: what another unit says of the same motion, and how it judges a solution.
+"""The reference of a log: what another unit says of the same motion, and how it evaluates a solution.
 
 The reference may be any file that fixes or solutions are read from. Solution and reference have times of
-their own: the one with more rows is interpolated at the instants of the other, never across a gap of it.
+their own: the one with more rows is interpolated at the epochs of the other, never across a gap of it.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         rows = meet_week(unwrap_week(rows, shown), origin, origin + last)
         t, values = rows.t, dict(rows.values)
         lla, vel_n = values["lla"], values.get("vel_n", np.full((len(t), 3), np.nan))
-        cov = _make_covariance(values, sd_phi, len(t))
+        cov = make_covariance(values, sd_phi, len(t))
         good = values.get("valid", np.ones(len(t))) > 0
     if spec.quality:
         if "quality" not in values:
@@ -79,13 +79,15 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         else:
             block[:] = np.nan
     if good.sum() < _FEWEST:
-        raise ConfigError(f"{shown}: {good.sum()} of {len(t)} rows can judge; at least {_FEWEST} are needed")
+        raise ConfigError(
+            f"{shown}: {good.sum()} of {len(t)} rows can evaluate; at least {_FEWEST} are needed"
+        )
     t = t[good] + source.time_offset - origin
     check_times(t, "time", shown)
     if t[-1] < 0.0 or t[0] > last:
         there = f"{t[0] + origin:.9g} to {t[-1] + origin:.9g} s"
         raise ConfigError(
-            f"{shown}: its times, {there}, do not overlap those of the IMU, {origin:.9g} to "
+            f"{shown}: its times, {there}, do not overlap with the IMU, {origin:.9g} to "
             f"{last + origin:.9g} s; [reference] time_offset_s is added to them"
         )
     q_b = rotation.conjugate(rotation.from_euler(*spec.mounting))
@@ -127,7 +129,7 @@ def _read_truth(source: SourceSpec) -> tuple[LogRows, FloatArray, None]:
     return LogRows(own.t, {"lla": own.lla, "vel_n": own.vel_n}), q_nb, None
 
 
-def _make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n: int) -> FloatArray:
+def make_covariance(values: dict[str, FloatArray], sd_phi: FloatArray | None, n: int) -> FloatArray:
     """Return covariances (N, 9, 9); zero where nothing is said, which counts as exact."""
     cov = np.zeros((n, 9, 9))
     for k, block in enumerate(("pos", "vel")):

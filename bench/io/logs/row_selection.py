@@ -1,4 +1,4 @@
-"""The rows of a file that a sensor measured: without those of other sensors, repetitions and empty claims."""
+"""The rows of a file that a sensor measured: without other sensors, repetitions and empty covariances."""
 
 from __future__ import annotations
 

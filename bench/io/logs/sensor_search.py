@@ -51,20 +51,23 @@ _SPELLINGS = {
 }
 
 
-def _guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
+def guess_time(t: FloatArray, longest: float = _OTHER_STEP) -> str:
+    """Return the unit with which steps are shorter than ``longest`` [s]."""
     step = float(np.nanmedian(np.abs(np.diff(t[:, 0])))) / longest if len(t) > 1 else 0.0
     return next((unit for most, unit in ((1.0, "s"), (1e3, "ms"), (1e6, "us")) if step < most), "ns")
 
 
-def _guess_rate(rate: FloatArray) -> str:
+def guess_rate(rate: FloatArray) -> str:
+    """Return the unit of angular rates by their size."""
     return "deg_s" if float(np.nanquantile(np.abs(rate), 0.99)) > 3.5 else "rad_s"
 
 
-def _guess_turn(dtheta: FloatArray) -> str:
+def guess_turn(dtheta: FloatArray) -> str:
+    """Return the unit of angular increments by their size."""
     return "deg" if float(np.nanquantile(np.abs(dtheta), 0.99)) > 0.2 else "rad"
 
 
-def _guess_force(force: FloatArray) -> str:
+def guess_force(force: FloatArray) -> str:
     """Return the unit with which the median is gravity, along the same axis most of the time; else empty."""
     size = float(np.nanmedian(np.linalg.norm(force, axis=1)))
     if not np.linalg.norm(np.nanmedian(force, axis=0)) > _SAME_WAY * size:
@@ -72,12 +75,13 @@ def _guess_force(force: FloatArray) -> str:
     return next((unit for unit, g in _GRAVITY.items() if abs(size / g - 1.0) < _NEAR), "")
 
 
-def _guess_angle(angle: FloatArray) -> str:
+def guess_angle(angle: FloatArray) -> str:
+    """Return the unit of latitudes and longitudes by their size."""
     largest = float(np.nanmax(np.abs(angle), initial=0.0))
     return "deg_e7" if largest > 1000.0 else "deg" if largest > np.pi else "rad"
 
 
-def _guess_length(value: FloatArray) -> str:
+def guess_length(value: FloatArray) -> str:
     """Return mm for integers, as receivers write them, else m."""
     return "mm" if np.array_equal(value, np.round(value)) and np.ptp(value) > 1.0 else "m"
 
@@ -96,10 +100,10 @@ def _name_axes(stem: str, words: str, guess: Callable[[FloatArray], str]) -> _Se
     return _SensorQuantity(tuple(f"{stem}_{axis}" for axis in "xyz"), patterns, guess)
 
 
-_TIME = _SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), _guess_time)
+_TIME = _SensorQuantity(("t",), (r"t|time|timestamp|.*_time|i?tow|sec(onds?)?(_elapsed)?",), guess_time)
 _INCREMENTS = (
     _TIME,
-    _name_axes("dtheta", "d(elta_?)?theta", _guess_turn),
+    _name_axes("dtheta", "d(elta_?)?theta", guess_turn),
     _name_axes("dvel", "d(elta_?)?v(el|elocity)?", lambda _: "m_s"),
 )
 _VELOCITY = r"(.*_)?v(el|elocity)?_?({})"
@@ -114,15 +118,15 @@ _ACCURACY = re.compile(r"(.*_)?(sd|std|stddev|sigma|var|cov|accuracy)(_.*)?")
 _NO_GRAVITY = re.compile(r"(.*_)?(linear|lin|free|user|gravity|bias|mag).*")
 """What is beside the specific force in the tables of phones and filters."""
 _TURNS = ("gyro_", "dtheta_")
-_MILLIMETRES = ("alt", "vel_n", "vel_e", "vel_d")
+_MILLIMETERS = ("alt", "vel_n", "vel_e", "vel_d")
 _RATES = (
     _TIME,
-    _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", _guess_rate),
-    _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", _guess_force),
+    _name_axes("gyro", r"gyr(o(scope)?)?s?|w|omega|rate|angular_(velocity|rate)", guess_rate),
+    _name_axes("accel", r"acc(el|eleration|elerometer)?|(?<![a-z])a|(?<![a-z])f|force", guess_force),
 )
 _FIX = (
     _TIME,
-    _SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), _guess_angle),
+    _SensorQuantity(("lat", "lon"), (r"(.*_)?lat(itude)?", r"(.*_)?(lon|lng|long|longitude)"), guess_angle),
     _SensorQuantity(("alt",), (r"(.*_)?(alt|altitude|height|hgt|h)",), lambda _: "m"),
     _name_velocity("d", "down"),
     _name_velocity("u", "up"),
@@ -206,8 +210,7 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
             where = f", there or in a table beside it ({named or 'there is none'})"
         because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide own-log"
         raise ConfigError(
-            f"{path.name}: no columns that look like those of {missing[0]}{where}; it has {there or 'none'}"
-            f"{because}"
+            f"{path.name}: no columns found for {missing[0]}{where}; it has {there or 'none'}{because}"
         )
     return found
 
@@ -259,7 +262,7 @@ def _find_fault(path: Path, imu_t: FloatArray) -> str:
         return str(error)
     first, last = fixes.t.min(), fixes.t.max()
     if not (first <= imu_t.max() and imu_t.min() <= last):
-        return f"{path.name}: its times, {first:.9g} to {last:.9g} s, do not overlap those of the IMU"
+        return f"{path.name}: its times, {first:.9g} to {last:.9g} s, do not overlap with the IMU"
     lat, lon, _ = np.abs(fixes.values["lla"]).T
     sd = fixes.values["sd_pos"]
     below = ((sd < 0) & (sd != _UNKNOWN)).any(axis=1)  # as an increment may be
@@ -343,9 +346,9 @@ def _guess_unit(
     names = [name for ours, name in columns.items() if _stem(ours, stems) in quantity.stems]
     values = np.column_stack(list(read_columns(path, names, MOST_ROWS).values()))
     if quantity is _TIME:
-        return _guess_time(values, longest)
-    if stem in _MILLIMETRES:
-        return _guess_length(values) + ("ps" if stem != "alt" else "")
+        return guess_time(values, longest)
+    if stem in _MILLIMETERS:
+        return guess_length(values) + ("ps" if stem != "alt" else "")
     return quantity.guess(values) or _refuse_force(path, names)
 
 
@@ -380,7 +383,7 @@ def _match_columns(
         if "" in endings:
             whole = [f"{prefix}{name}" for name in known]
             values = np.column_stack(list(read_columns(path, whole, MOST_ROWS).values()))
-            unit = _guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
+            unit = guess_time(values, longest) if quantity is _TIME else quantity.guess(values)
             if not unit:
                 unit = _refuse_force(path, known)
             guessed.append(f"{', '.join(known)}: taken as {unit} by the values")

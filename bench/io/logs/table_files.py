@@ -1,7 +1,7 @@
 """Read columns of numbers from CSV, Parquet or MATLAB files of other people.
 
 Column names give quantity, frame and unit, for example ``gyro_x_deg_s``. Nothing in a file is executed or
-unpickled, and a file that is too large is refused before it fills the memory.
+unpickled, and a file that is too large is rejected before it fills the memory.
 """
 
 from __future__ import annotations
@@ -431,7 +431,7 @@ def _choose(
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:
                 raise ConfigError(
-                    f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity; "
+                    f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity. "
                     "give one of them"
                 )
             unit = split_unit(by_stem[stem][0])[1]

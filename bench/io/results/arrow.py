@@ -23,19 +23,19 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
     Parameters
     ----------
     result : RunResult
-        As `bench.run`, `bench.navigate_log` or `bench.load` returns it.
+        As `bench.run`, `bench.navigate` or `bench.read_result` returns it.
     record : str
-        "errors", "solutions" or "innovations" of the estimators; "truth", "air" or "controls" of the flight;
+        "errors", "solutions" or "innovations" of the filters; "truth", "air" or "controls" of the flight;
         "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the errors drawn for them; "sky";
         "events".
     estimator : str or None
-        Return only the rows of this estimator; None returns those of all, with a first column ``estimator``.
+        Return only the rows of this filter; None returns those of all, with a first column ``estimator``.
 
     Returns
     -------
     table : pyarrow.Table
-        One row per instant. Column names end in their unit (SI and radians); the metadata of a field holds
-        ``unit`` and ``frame``. A state that an estimator does not have is null.
+        One row per time. Column names end in their unit (SI and radians); the metadata of a field holds
+        ``unit`` and ``frame``. A state that a filter does not have is null.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def _to_table(record: object) -> pa.Table:
 
 
 def _list_records(result: RunResult) -> dict[str, object]:
-    """Return the records that belong to the flight and its sensors, not to an estimator, by name."""
+    """Return the records that belong to the flight and its sensors, not to a filter, by name."""
     found: dict[str, object] = {"events": result.events}
     if (truth := result.truth) is not None:
         found |= {"truth": truth, "air": truth.air, "controls": truth.controls}

@@ -24,7 +24,7 @@ TRUTH: Layout = columns_of(Trajectory)
 MOTION: Layout = {name: TRUTH[name] for name in ("t", "lla", "vel_n", "q_nb")}
 
 _BETWEEN = ("dtheta_b", "dvel_b")
-"""Columns of the truth with a row for each interval between two instants."""
+"""Columns of the truth with a row for each interval between two epochs."""
 
 _BANDED = {"frequency": "hz", "pseudorange": "m", "range_rate": "mps", "cn0": "dbhz"}
 
@@ -61,7 +61,7 @@ def take_block(record: object, layout: Layout, rows: slice) -> object:
         elif isinstance(record, Trajectory) and name in _BETWEEN:
             stop = None if rows.stop is None else rows.stop - 1
             increments = getattr(record, name)[max(rows.start - 1, 0) : stop]
-            none = np.full((1, 3), np.nan)  # the first instant ends no interval
+            none = np.full((1, 3), np.nan)  # the first time ends no interval
             block[name] = increments if rows.start else np.vstack([none, increments])
         else:
             block[name] = getattr(record, name)[rows]

@@ -9,13 +9,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import bench
 from bench.core.files.file_checks import check_file, read_json
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.exceptions import BenchError, ConfigError
+from bench.core.words.renames import check_format
 from bench.io.results import parquet
 
-FORMAT = 1
 """Number of the layout of a results folder; a change that an older bench cannot read raises it."""
 
 RESULT = "result.json"
@@ -39,7 +38,6 @@ def read_summary(folder: Path) -> dict[str, Any]:
         summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         layout = summary.pop("format", 1)
         missing = [name for name in SUMMARY if name not in summary]
-        written_by = summary.get("provenance", {}).get("versions", {}).get("bench", "?")
     except OSError as error:
         if folder.is_file():
             raise ConfigError(f"{folder}: is a file; name its folder, {folder.parent}") from None
@@ -48,11 +46,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
         raise ConfigError(f"{folder}: not a results folder, {what}; 'bench run' writes one") from None
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise ConfigError(f"{path}: not written by bench, or damaged") from None
-    if not isinstance(layout, int) or layout > FORMAT:
-        raise ConfigError(
-            f"{folder}: written by bench {written_by} in format {layout}; this is bench {bench.__version__}, "
-            f"which reads formats up to {FORMAT}"
-        )
+    check_format({"format": layout}, str(path))
     if missing:
         raise ConfigError(f"{path}: not written by bench, it has no {missing[0]!r}")
     wrong = next(_find_wrong_entries(summary), None)
@@ -63,7 +57,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 _KINDS = {
     "reason": str,
-    "unmodelled": list,
+    "unmodeled_errors": list,
     "same_as": str,
     "program": dict,
     "no_value": dict,
@@ -104,7 +98,7 @@ def _find_wrong_entries(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]
         if not isinstance(values.get("converged"), bool):
             yield f"metrics.{label}.converged", "true or false"
     if not by_label:
-        yield "metrics", "a table for each estimator"
+        yield "metrics", "a table for each filter"
 
 
 @contextlib.contextmanager

@@ -28,8 +28,8 @@ _MOST_BYTES = 2_000_000_000
 _NOTES, _SUM = "notes", "sha256"
 
 
-def save_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
-    """Write the state of a filter to a file, whole or not at all; :func:`resume_filter` goes on with it.
+def write_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
+    """Write the state of a filter to a file, whole or not at all; :func:`read_filter` goes on with it.
 
     Raises
     ------
@@ -50,15 +50,15 @@ def save_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
         "state": _take_arrays(state, "", arrays),
     }
     arrays[_NOTES] = np.array(json.dumps(notes, default=_to_plain))
-    arrays[_SUM] = np.array(_sum(arrays))
+    arrays[_SUM] = np.array(hash_arrays(arrays))
     memory = io.BytesIO()
     np.savez(memory, **arrays)
     durable.write(place, memory.getvalue())
     return place
 
 
-def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> PieceFilter:
-    """Return the filter that :func:`save_filter` wrote: it goes on as if it had never stopped.
+def read_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> PieceFilter:
+    """Return the filter that :func:`write_filter` wrote: it goes on as if it had never stopped.
 
     The file is data alone. Its state is held against that of the same filter before its first piece: names,
     shapes and types, and whatever compiled code takes as a place in memory.
@@ -87,7 +87,7 @@ def resume_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> 
         made, known, use, options = (notes[name] for name in ("bench", "format", "use", "options"))
     except Exception as error:  # nothing but the file is read here
         raise EstimatorError(f"{what}: {one_line(str(error))[:200]}") from error
-    if total != _sum(arrays):
+    if total != hash_arrays(arrays):
         raise EstimatorError(f"{what}: it has been changed or damaged; save it again")
     if known != FORMAT:
         raise EstimatorError(
@@ -150,7 +150,8 @@ def _give_arrays(value: Any, arrays: dict[str, Any]) -> Any:
     return value
 
 
-def _sum(arrays: Mapping[str, Any]) -> str:
+def hash_arrays(arrays: Mapping[str, Any]) -> str:
+    """Return the checksum of arrays, with their names, types and shapes."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         one = arrays[name]

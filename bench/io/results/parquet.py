@@ -20,7 +20,7 @@ from bench.io.results.columns import Layout, layout_of, take_block
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_GROUP = 1 << 21  # values of a table that are written and read at a time
+GROUP = 1 << 21  # values of a table that are written and read at a time
 
 
 def damages() -> tuple[type[Exception], ...]:
@@ -64,7 +64,7 @@ def write(path: Path, record: object, layout: Layout | None = None, **facts: Any
 def _cut_tables(record: object, columns: Layout, facts: Mapping[str, Any]) -> Iterator[pa.Table]:
     """Yield a record as tables of a few MB that follow on each other: one at least."""
     count = len(getattr(record, next(iter(columns))))
-    step = max(1, _GROUP // max(1, sum(len(one.names) for one in columns.values())))
+    step = max(1, GROUP // max(1, sum(len(one.names) for one in columns.values())))
     for first in range(0, max(count, 1), step):
         if first:
             disk_arrays.release()

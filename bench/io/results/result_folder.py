@@ -37,8 +37,9 @@ from bench.core.records.fields import columns_of
 from bench.core.records.instruments import INSTRUMENTS, InstrumentData
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.renames import FORMAT
 from bench.io.results import columns, parquet
-from bench.io.results.damage import FORMAT, RESULT, SUMMARY, TRUTH, read_summary, report_damage
+from bench.io.results.damage import RESULT, SUMMARY, TRUTH, read_summary, report_damage
 from bench.io.results.start_document import (
     START,
     load_start,
@@ -58,7 +59,7 @@ DRAWN = "sensors-drawn.parquet"
 SKY = "sensors-sky.parquet"
 EVENTS = "sensors-events.parquet"
 WITHHELD, REFERENCE = "sensors-withheld.parquet", "reference.parquet"
-"""What judges a log: fixes that no estimator got, or the reference."""
+"""What evaluates a log: fixes that no filter got, or the reference."""
 PATH = "truth-path.parquet"
 """How far a flight that an estimate flew was off its path."""
 PRINTED = "printed-{}.txt"
@@ -85,7 +86,7 @@ def save(folder: Path, result: RunResult) -> None:
             parquet.write(folder / f"truth-{name}.parquet", getattr(truth, name))
         parquet.write(folder / DRAWN, sensed.truth)
     for name, record in list_aiding(data).items():
-        parquet.write(folder / f"sensors-{name}.parquet", record, **_describe_record(record, data))
+        parquet.write(folder / f"sensors-{name}.parquet", record, **describe_record(record, data))
     parquet.write(folder / "sensors-imu.parquet", data.imu)
     if sensed.sky is not None:
         parquet.write(folder / SKY, sensed.sky)
@@ -114,7 +115,7 @@ def list_aiding(data: SensorData) -> dict[str, Any]:
     return {name: record for name, record in receiver.items() if record is not None} | data.instruments
 
 
-def _describe_record(record: object, data: SensorData) -> dict[str, Any]:
+def describe_record(record: object, data: SensorData) -> dict[str, Any]:
     """Return the facts that the file of a record holds beside its columns."""
     if isinstance(record, GnssObservations):
         return {
@@ -168,7 +169,7 @@ def _save_solution(folder: Path, label: str, solution: NavSolution) -> None:
     parquet.write(folder / f"innovations-{label}.parquet", solution.innovations, sensors=sensors)
 
 
-def load(folder: str | os.PathLike[str]) -> RunResult:
+def read_result(folder: str | os.PathLike[str]) -> RunResult:
     """Read a results folder back.
 
     Parameters
@@ -194,7 +195,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
         solutions = {label: load_solution(folder, label) for label, _ in _find_files(folder, "solution")}
     for label, errors_of in errors.items():
         if label in solutions and not np.isin(errors_of.t, solutions[label].t).all():
-            raise ConfigError(f"{folder}: errors-{label}.parquet has instants that its solution has not")
+            raise ConfigError(f"{folder}: errors-{label}.parquet has epochs that its solution has not")
     labels = list(summary["metrics"])
     without = sorted(set(labels) - set(solutions))
     if without:
@@ -209,7 +210,7 @@ def load(folder: str | os.PathLike[str]) -> RunResult:
 
 
 def _order(by_label: Mapping[str, _T], labels: Sequence[str]) -> dict[str, _T]:
-    """Return records in the order in which the estimators ran; those without metrics follow."""
+    """Return records in the order in which the filters ran; those without metrics follow."""
     return {label: by_label[label] for label in (*labels, *by_label) if label in by_label}
 
 
@@ -265,7 +266,7 @@ def load_sensors(
 
 
 def load_output_times(folder: str | os.PathLike[str]) -> FloatArray:
-    """Read the instants (M,) that estimators of a results folder were asked for [s]; none if all failed."""
+    """Read the epochs (M,) that filters of a results folder were asked for [s]; none if all failed."""
     paths = [path for _, path in _find_files(Path(folder), "solution")]
     outputs = (parquet.read(path, {"t": columns.TRUTH["t"]})["t"] for path in paths)
     return next((t for t in outputs if np.isfinite(t).all()), np.empty(0))
@@ -416,5 +417,5 @@ def _load_errors(path: Path) -> ErrorSeries:
 
 
 def _find_files(folder: Path, kind: str) -> list[tuple[str, Path]]:
-    """Return label and file of each estimator that has a file of the given kind."""
+    """Return label and file of each filter that has a file of the given kind."""
     return [(path.stem.removeprefix(f"{kind}-"), path) for path in sorted(folder.glob(f"{kind}-*.parquet"))]

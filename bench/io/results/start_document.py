@@ -1,4 +1,4 @@
-"""What an estimator gets besides the measurements: initial state, antenna, assumed datasheets."""
+"""What a filter gets besides the measurements: initial state, antenna, assumed datasheets."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def assumed_document(specs: AssumedSpecs) -> dict[str, Any]:
 
 
 def load_start(folder: str | os.PathLike[str]) -> Mapping[str, Any]:
-    """Read the document that `make_start_document` made for the estimators of a results folder.
+    """Read the document that `make_start_document` made for the filters of a results folder.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def make_sensor_data(
     output_t: FloatArray,
     observations: GnssObservations | None,
 ) -> SensorData:
-    """Return the input of an estimator from its records and a start document."""
+    """Return the input of a filter from its records and a start document."""
     return SensorData(
         imu=imu,
         fixes=fixes,

@@ -30,7 +30,7 @@ class _StoredSeries(_Stored):
     t: _Numbers
     values: list[_Numbers] | _Numbers
     names: list[str]
-    colours: list[Annotated[tuple[int, int, int], ROWS]]
+    colors: list[Annotated[tuple[int, int, int], ROWS]]
     widths: list[float]
     marks: bool
     band: Annotated[tuple[_Line, _Line], ROWS] | None
@@ -41,7 +41,7 @@ class _StoredSeries(_Stored):
         lines = len(self.names)
         rows = [row if isinstance(row, list) else [row] for row in self.values]
         whole = len(rows) == len(self.t) and all(len(row) == lines for row in rows)
-        if not whole or {len(self.colours), len(self.widths)} != {lines} or max(self.band or (0,)) >= lines:
+        if not whole or {len(self.colors), len(self.widths)} != {lines} or max(self.band or (0,)) >= lines:
             raise ValueError("the columns of a line do not fit each other")
         if self.labels and len(self.labels) != len(self.t):
             raise ValueError("not every dot has its name")
@@ -69,7 +69,7 @@ class _StoredStudy(_Stored):
     options: dict[str, Any]
     verdicts: list[str]
     tables: list[str]
-    draws: Annotated[int, Field(ge=0)]
+    runs: Annotated[int, Field(ge=0)]
     good: bool
     undecided: bool = False
     wall_s: float
@@ -80,7 +80,7 @@ TABLES, FIGURES = "tables", "figures.json"
 """Folder of the tables, and the file of the figures."""
 
 
-def save_study(folder: Path, result: StudyResult, *, force: bool = False) -> None:
+def write_study(folder: Path, result: StudyResult, *, force: bool = False) -> None:
     """Write a study into a new folder, completely or not at all.
 
     Raises
@@ -119,7 +119,7 @@ def _summarize(result: StudyResult) -> dict[str, Any]:
         "command": result.command,
         "options": result.options,
         "verdicts": result.verdicts,
-        "draws": result.findings.draws,
+        "runs": result.findings.runs,
         "good": result.findings.good,
         "undecided": result.findings.undecided,
         "wall_s": result.wall_s,
@@ -127,7 +127,7 @@ def _summarize(result: StudyResult) -> dict[str, Any]:
     }
 
 
-def load_study(folder: str | os.PathLike[str]) -> StudyResult:
+def read_study(folder: str | os.PathLike[str]) -> StudyResult:
     """Read the folder of a study back.
 
     Raises
@@ -142,7 +142,7 @@ def load_study(folder: str | os.PathLike[str]) -> StudyResult:
             plots = [_StoredPlot.model_validate(one) for one in read_json(folder / FIGURES)["figures"]]
             tables = tuple(_read_table(folder / TABLES, name) for name in found.tables)
             figures = tuple(map(_make_plot, plots))
-        findings = Findings(tuple(found.verdicts), tables, figures, found.draws, found.good, found.undecided)
+        findings = Findings(tuple(found.verdicts), tables, figures, found.runs, found.good, found.undecided)
         named = found.study, found.question, found.command, found.options
         return StudyResult(*named, findings, found.provenance, found.wall_s)
 
@@ -176,7 +176,7 @@ def _make_series(found: _StoredSeries) -> Series:
         np.array(found.t, float),
         np.array(found.values, float).reshape(len(found.t), len(found.names)),
         tuple(found.names),
-        tuple(found.colours),
+        tuple(found.colors),
         tuple(found.widths),
         marks=found.marks,
         band=found.band,

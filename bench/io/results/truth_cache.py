@@ -1,8 +1,8 @@
 """The cache of flown truth: found by content hash, written atomically, read memory-mapped, never unpickled.
 
 A flight is flown and written in pieces, so that a long one needs no more memory than a short one. A piece is
-a `Trajectory` that begins at the last instant of the piece before. The columns in `SHARED` repeat that
-instant; all others hold only later rows.
+a `Trajectory` that begins at the last time of the piece before. The columns in `SHARED` repeat that
+time; all others hold only later rows.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ _INDEX = "index.json"  # SHA-256 of every other file of an entry
 _TEXTS = "texts.json"
 _PARTS = ("air", "controls", "events")
 _EVENT_TEXTS = ("kind", "text", "sensor")
-_PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
+PIECE = 6000  # samples of truth read at a time: 30 s at 200 Hz
 _Array = np.ndarray[Any, Any]
 SHARED = ("t", "lla", "vel_n", "q_nb")
 """Columns in which a piece repeats the last row of the piece before."""
 
-_SOURCES = (
+SOURCES = (
     "bench/simulation/flight",
     "bench/io/logs/mat_file.py",
     "bench/io/logs/table_files.py",
@@ -60,7 +60,7 @@ _SOURCES = (
 )
 """Files and folders that truth depends on."""
 
-_LOOP = (
+LOOP_SOURCES = (
     "bench/pipeline/closed_loop.py",
     "bench/core/records/instruments.py",
     "bench/navigation",
@@ -163,10 +163,10 @@ def truth_key(spec: Flight, flown_by: Sequence[str] = ()) -> str:
     values, files = _list_inputs(spec)
     if flown_by:
         values["flown_by"] = list(flown_by)
-        files += map(locate_source, _LOOP)
+        files += map(locate_source, LOOP_SOURCES)
     digest = hashlib.sha256()
     digest.update(json.dumps({**values, "versions": list_versions()}, sort_keys=True).encode())
-    for root in (*files, *map(locate_source, _SOURCES)):
+    for root in (*files, *map(locate_source, SOURCES)):
         for path in _list_files(root):
             digest.update(f"{root.name}/{path.relative_to(root)}\0{path.stat().st_size}\0".encode())
             with path.open("rb") as file:
@@ -203,7 +203,7 @@ def _list_files(root: Path) -> list[Path]:
     return sorted(p for p in root.rglob("*") if p.is_file() and p.suffix not in (".pyc", ".md"))
 
 
-def _get_columns(truth: Trajectory) -> dict[str, _Array]:
+def get_columns(truth: Trajectory) -> dict[str, _Array]:
     """Return the numeric columns of a trajectory by name: ``lla``, ``air.t`` ..."""
     parts: dict[str, Any] = {"": truth} | {part: getattr(truth, part) for part in _PARTS}
     return {
@@ -215,7 +215,7 @@ def _get_columns(truth: Trajectory) -> dict[str, _Array]:
 
 
 def _make_trajectory(arrays: Mapping[str, _Array], texts: Mapping[str, Sequence[str]]) -> Trajectory:
-    """Return the trajectory that has these columns, named as `_get_columns` names them."""
+    """Return the trajectory that has these columns, named as `get_columns` names them."""
     rows: dict[str, dict[str, Any]] = {part: {} for part in ("", *_PARTS)}
     for label, array in arrays.items():
         part, _, name = label.rpartition(".")
@@ -231,9 +231,9 @@ def join_pieces(pieces: Iterable[Trajectory]) -> Trajectory:
     first, *rest = pieces
     if not rest:
         return first
-    arrays = {name: [array] for name, array in _get_columns(first).items()}
+    arrays = {name: [array] for name, array in get_columns(first).items()}
     for piece in rest:
-        for name, array in _get_columns(piece).items():
+        for name, array in get_columns(piece).items():
             arrays[name].append(array[name in SHARED :])
     events = [piece.events for piece in (first, *rest)]
     texts = {part: [text for e in events for text in getattr(e, part)] for part in _EVENT_TEXTS}
@@ -259,21 +259,21 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
     with make_scratch(entry.parent) as scratch:
         new = scratch / "new"
         new.mkdir()
-        columns: dict[str, _GrowingColumn] = {}
+        columns: dict[str, GrowingColumn] = {}
         texts: dict[str, list[str]] = {name: [] for name in _EVENT_TEXTS}
         with contextlib.ExitStack() as files:
             for number, piece in enumerate(fly()):
-                for name, array in _get_columns(piece).items():
+                for name, array in get_columns(piece).items():
                     if not number:
                         file = files.enter_context(durable.open_binary(new / f"{name}.npy"))
-                        columns[name] = _GrowingColumn(file, array)
+                        columns[name] = GrowingColumn(file, array)
                     columns[name].append(array[number > 0 and name in SHARED :])
                 for name in _EVENT_TEXTS:
                     texts[name] += getattr(piece.events, name)
             for column in columns.values():
                 column.finish()
         durable.write(new / _TEXTS, json.dumps(texts))
-        write_hashed(new / _INDEX, {path.name: _hash_file(path) for path in new.iterdir()})
+        write_hashed(new / _INDEX, {path.name: hash_file(path) for path in new.iterdir()})
         (new / LOCK).touch()
         if not _is_sound(entry):  # else another process has just written it
             durable.sync_tree(new)
@@ -281,7 +281,7 @@ def _write_entry(entry: Path, fly: Callable[[], Iterable[Trajectory]]) -> None:
             durable.rename(new, entry)
 
 
-class _GrowingColumn:
+class GrowingColumn:
     """A .npy file to which rows are appended."""
 
     def __init__(self, file: IO[bytes], like: _Array) -> None:
@@ -291,6 +291,7 @@ class _GrowingColumn:
         self._write_header()
 
     def append(self, rows: _Array) -> None:
+        """Write the next rows."""
         self._file.write(rows.tobytes())
         self._rows += len(rows)
 
@@ -308,7 +309,7 @@ def _is_sound(entry: Path) -> bool:
     """Return whether an entry exists, its files have their hashes, and none holds a pickle."""
     try:
         hashes = read_hashed(entry / _INDEX)
-        if not hashes or any(_hash_file(entry / name) != wanted for name, wanted in hashes.items()):
+        if not hashes or any(hash_file(entry / name) != wanted for name, wanted in hashes.items()):
             return False
         for name in _list_columns(entry):
             _map_column(entry, name)
@@ -351,8 +352,8 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
     names, texts = _list_columns(entry), _read_texts(entry)
     end = len(_map_column(entry, "t")) - 1
     used = dict.fromkeys(_PARTS, 0)
-    for start in range(0, max(end, 1), _PIECE):
-        stop = min(start + _PIECE, end)
+    for start in range(0, max(end, 1), PIECE):
+        stop = min(start + PIECE, end)
         until = np.inf if stop == end else _map_column(entry, "t")[stop]
         ready = {
             part: int(np.searchsorted(_map_column(entry, f"{part}.t"), until, "right")) for part in _PARTS
@@ -367,6 +368,7 @@ def _read_pieces(entry: Path) -> Iterator[Trajectory]:
         yield _make_trajectory(arrays, texts if stop == end else dict.fromkeys(_EVENT_TEXTS, ()))
 
 
-def _hash_file(path: Path) -> str:
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -69,7 +69,7 @@ def make_frames(data: SensorData) -> list[tuple[int, bytes]]:
         streams.append(_make_payloads(FIX, fixes.t_arrival, columns, fixes.valid))
     rows = sorted(
         itertools.chain.from_iterable(streams), key=_find_arrival
-    )  # of one instant in order of streams
+    )  # of one time in order of streams
     return [(kind, body) for _, kind, body in rows]
 
 

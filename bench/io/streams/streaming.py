@@ -143,7 +143,7 @@ def listen(host: str, port: int, say: Callable[[str], object]) -> Iterator[socke
 
 
 def wait_until(due: float) -> None:
-    """Wait until an instant of ``time.monotonic`` [s]."""
+    """Wait until a time of ``time.monotonic`` [s]."""
     left = due - time.monotonic()
     if left > _ROUGH:
         time.sleep(left - _ROUGH)

@@ -121,7 +121,7 @@ def _parse_number(text: str | None) -> float:
 def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
     """GPX 1.1: trkpt with lat, lon, ele, time."""
     root, timed = read_xml(path, path.name), False
-    notes.append("heights are taken as ellipsoidal; GPX does not say which they are")
+    notes.append("heights are taken as ellipsoidal; GPX does not define them")
     for point in root.iter():
         if _strip(point) != "trkpt":
             continue
@@ -131,7 +131,7 @@ def _read_gpx(path: Path, notes: list[str]) -> Iterator[Fix]:
         lat, lon = _parse_number(point.get("lat")), _parse_number(point.get("lon"))
         yield t, lat, lon, _parse_number(inner.get("ele"))
     if not timed:
-        raise ConfigError(f"{path.name}: no <trkpt> with a <time>: a route without times is no motion")
+        raise ConfigError(f"{path.name}: no <trkpt> with a <time>: a route without times is not a motion")
 
 
 def _read_kml(path: Path, notes: list[str]) -> Iterator[Fix]:
@@ -235,7 +235,7 @@ def _read_igc(path: Path, notes: list[str]) -> Iterator[Fix]:
     if flat:
         notes.append(f"{flat} fixes are marked as two-dimensional")
     if not satellite:
-        notes.append("heights are those of the pressure, above 1013.25 hPa: the file has none of the GNSS")
+        notes.append("heights are pressure heights above 1013.25 hPa: the file has no GNSS heights")
     for t, lat, lon, by_pressure, by_gnss in rows:
         yield t, lat, lon, by_gnss if satellite else by_pressure
 

@@ -77,7 +77,7 @@ def fit_track(t: FloatArray, fixes: FloatArray, weights: FloatArray, noise: floa
             return math.log(square) - 2 * math.log(free) if free > 0 else math.inf
         return square + 2 * _CAUTION * noise**2 * trace / n
 
-    best = _find_least(risk, *_LOG_RANGE)
+    best = find_least(risk, *_LOG_RANGE)
     coefficients, left, trace = solve(best)
     free = max(1 - trace / n, 1e-6)
     square = float((weights[:, None] * left**2).mean())
@@ -126,7 +126,7 @@ def _to_banded(matrix: Any) -> FloatArray:
     return banded
 
 
-def _find_least(f: Any, low: float, high: float) -> float:
+def find_least(f: Any, low: float, high: float) -> float:
     """Return where f is least: the best of a grid, then golden section about it."""
     grid = np.linspace(low, high, 13)
     values = [f(x) for x in grid]

@@ -3,7 +3,7 @@
 The fixes are smoothed (`trajectories.track_fit`) and an attitude is added that a track does not have: an
 aircraft turns without sideslip and without side force, at an angle of incidence that is told; a ground
 vehicle keeps its wheels on the ground, points where it goes and does not lean. What cannot be known is said,
-and what no vehicle does is refused.
+and what no vehicle does is rejected.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ _HELD = 1e6  # weight of the place of a standstill
 _SLOW = 1.0  # the course of a slower vehicle is not known [m/s]
 _GAP = 3.0  # an interval longer than this many median intervals is told
 _GROWTH = 4.0**2  # a bounded acceleration leaves the middle of twice the interval off by 4 times, at least
-_BLURRED, _LOST = 2.0, 5.0  # turns taken for noise [m]: told, refused
+_BLURRED, _LOST = 2.0, 5.0  # turns taken for noise [m]: told, rejected
 _JUMP = 5.0  # times the speed of nine tenths of the steps is no motion; assumed
-_MISSED, _MISSED_NOISE = 15.0, 6.0  # a fix missed by more [m] and [sd] is not predicted by its neighbours
+_MISSED, _MISSED_NOISE = 15.0, 6.0  # a fix missed by more [m] and [sd] is not predicted by its neighbors
 _LOAD = (-0.5, 5.0)  # of an aircraft; assumed [g]
 _ROLL_RATE = math.radians(120.0)  # of an aircraft; assumed [rad/s]
 _VEHICLES = {"aircraft": "aircraft", "ground": "ground vehicle"}
@@ -67,7 +67,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
             f"{shown}: [track] from_s and to_s leave {int(asked.sum())} of {len(track.t)} fixes, which last "
             f"{track.t[-1]:.6g} s; at least {LEAST_FIXES} are needed"
         )
-    t, lla = _choose_piece(track.t[asked], track.lla[asked], spec.bridge, notes)
+    t, lla = choose_piece(track.t[asked], track.lla[asked], spec.bridge, notes)
     if len(t) < LEAST_FIXES:
         raise ConfigError(
             f"{shown}: the longest piece without a gap of more than {spec.bridge:g} s (bridge_s) has "
@@ -76,7 +76,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
         )
     origin, C_en = to_ecef(lla[0]), matrix_en(lla[0, 0], lla[0, 1])
     fixes = (to_ecef(lla) - origin) @ C_en
-    jump = _find_jump(t, fixes)
+    jump = find_jump(t, fixes)
     level, height = _smooth(t, fixes, spec, notes, shown, jump)
     at = np.arange(math.floor((t[-1] - t[0]) * _RATE + 1e-6) + 1) / _RATE + t[0]
     pos, vel, acc = (
@@ -92,7 +92,7 @@ def make_motion(track: FixSeries, spec: TrackSpec, shown: str) -> TableMotion:
     vel_n, acc_n = rotate(turn, vel @ C_en.T), rotate(turn, acc @ C_en.T)
     force_n = acc_n - np.array([0.0, 0.0, STANDARD_GRAVITY])
     if spec.vehicle == "aircraft":
-        matrices = _coordinate(vel_n - np.asarray(spec.wind_n), force_n, spec.incidence)
+        matrices = coordinate(vel_n - np.asarray(spec.wind_n), force_n, spec.incidence)
     else:
         matrices = _roll_on_wheels(vel_n)
     q_nb = continuous(from_matrix(matrices))
@@ -112,7 +112,7 @@ def doubt_degrees(lla: FloatArray) -> list[str]:
     return [f"{lat:.4f}, {lon:.4f} deg is in the sea off West Africa: are latitude and longitude in radians?"]
 
 
-def _choose_piece(
+def choose_piece(
     t: FloatArray, lla: FloatArray, bridge: float, notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     """Return the longest piece without an interval above ``bridge`` [s]; tell cuts, and gaps that stay."""
@@ -138,7 +138,7 @@ def _smooth(
     t: FloatArray, fixes: FloatArray, spec: TrackSpec, notes: list[str], shown: str, jump: str
 ) -> tuple[TrackFit, TrackFit]:
     """Fit north and east together, and down; without outliers, and at rest where the vehicle stands."""
-    used = ~_find_lone(t, fixes)
+    used = ~find_lone(t, fixes)
     weights, target = np.ones(len(t)), fixes.copy()
 
     def fit() -> tuple[TrackFit, TrackFit]:
@@ -168,7 +168,7 @@ def _smooth(
             "may be turns that they do not resolve, which the curve leaves out; noise_m keeps them"
         )
     speed = np.linalg.norm(level.spline.derivative()(t), axis=1)
-    stands, total = _find_standing(t, speed), 0.0
+    stands, total = find_standing(t, speed), 0.0
     if stands:
         for rows in stands:
             target[rows] = fixes[rows].mean(axis=0)
@@ -183,7 +183,8 @@ def _smooth(
     return level, height
 
 
-def _find_standing(t: FloatArray, speed: FloatArray) -> list[slice]:
+def find_standing(t: FloatArray, speed: FloatArray) -> list[slice]:
+    """Return the rows of each standstill that lasts long enough."""
     slow = np.concatenate([[False], speed < _STANDING, [False]])
     edges = np.flatnonzero(np.diff(slow.astype(int)))
     pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
@@ -208,10 +209,10 @@ def _speeds(t: FloatArray, fixes: FloatArray, skip: int = 1) -> FloatArray:
     return np.asarray(np.linalg.norm(fixes[skip:] - fixes[:-skip], axis=1) / (t[skip:] - t[:-skip]))
 
 
-def _find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
-    """Return which fixes are far from both neighbours, which are near each other.
+def find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
+    """Return which fixes are far from both neighbors, which are near each other.
 
-    One that is far enough bends the first curve so that its neighbours are off, too.
+    One that is far enough bends the first curve so that its neighbors are off, too.
     """
     steps, lone = _speeds(t, fixes), np.zeros(len(t), dtype=bool)
     there, back = steps[:-1], steps[1:]
@@ -220,7 +221,7 @@ def _find_lone(t: FloatArray, fixes: FloatArray) -> BoolArray:
     return lone
 
 
-def _find_jump(t: FloatArray, fixes: FloatArray) -> str:
+def find_jump(t: FloatArray, fixes: FloatArray) -> str:
     """Return the end of a message that names the fastest step between fixes, if no other is like it."""
     steps = _speeds(t, fixes)
     k = int(np.argmax(steps))
@@ -232,7 +233,7 @@ def _find_jump(t: FloatArray, fixes: FloatArray) -> str:
 def _check_resolved(
     t: FloatArray, level: TrackFit, blurred: float, spec: TrackSpec, shown: str, jump: str
 ) -> None:
-    """Refuse fixes that do not predict each other, and noise estimated of turns."""
+    """Reject fixes that do not predict each other, and noise estimated of turns."""
     lost = ""
     if level.missed > max(_MISSED, _MISSED_NOISE * (spec.noise or 0.0)):
         lost = f"one that is left out is missed by {level.missed:.3g} m"
@@ -244,9 +245,9 @@ def _check_resolved(
         )
 
 
-def _coordinate(air_n: FloatArray, force_n: FloatArray, incidence: float) -> FloatArray:
+def coordinate(air_n: FloatArray, force_n: FloatArray, incidence: float) -> FloatArray:
     """Return C_nb (T, 3, 3): x along the path through the air, turned up by the incidence; no side force."""
-    along = _fill_slow(air_n)
+    along = fill_slow(air_n)
     x = along / np.linalg.norm(along, axis=1, keepdims=True)
     down = -(force_n - (force_n * x).sum(axis=1, keepdims=True) * x)
     z = down / np.linalg.norm(down, axis=1, keepdims=True)
@@ -257,14 +258,14 @@ def _coordinate(air_n: FloatArray, force_n: FloatArray, incidence: float) -> Flo
 
 def _roll_on_wheels(vel_n: FloatArray) -> FloatArray:
     """Return C_nb (T, 3, 3): x along the path, y level."""
-    along = _fill_slow(vel_n)
+    along = fill_slow(vel_n)
     x = along / np.linalg.norm(along, axis=1, keepdims=True)
     y = np.cross(np.array([0.0, 0.0, 1.0]), x)
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-def _fill_slow(vel_n: FloatArray) -> FloatArray:
+def fill_slow(vel_n: FloatArray) -> FloatArray:
     """Return velocities whose direction is turned steadily where they are too slow to have one, and level."""
     speed = np.hypot(vel_n[:, 0], vel_n[:, 1])
     known = speed > _SLOW
@@ -289,7 +290,7 @@ def _report(
     shown: str,
     jump: str,
 ) -> None:
-    """Say what was changed and the extremes; refuse what no vehicle does."""
+    """Say what was changed and the extremes; reject what no vehicle does."""
     rms = [math.sqrt(float((fit.left**2).sum(axis=1).mean())) for fit in (level, height)]
     told = ["told" if given is not None else "estimated" for given in (spec.noise, spec.vertical_noise)]
     notes.append(
@@ -299,14 +300,14 @@ def _report(
     load = -rotate(conjugate(q_nb), force_n)[:, 2] / STANDARD_GRAVITY
     rates = to_rotvec(multiply(conjugate(q_nb[:-1]), q_nb[1:])) * _RATE
     push = np.hypot(force_n[:, 0], force_n[:, 1]) / STANDARD_GRAVITY
-    bank = _bank(q_nb)
+    bank = find_bank(q_nb)
     roll_rate = np.abs(rates[:, 0])
     speed = np.linalg.norm(vel_n, axis=1)
     if spec.vehicle == "aircraft":
         notes.append(
             f"load {load.min():.2f} to {load.max():.2f}, bank up to {math.degrees(bank.max()):.0f} deg, "
             f"roll up to {math.degrees(roll_rate.max()):.0f} deg/s; attitude by coordinated turns at an "
-            f"incidence of {math.degrees(spec.incidence):g} deg, which a track does not tell: "
+            f"incidence of {math.degrees(spec.incidence):g} deg, which a track does not contain: "
             f"pitch is off by as much as it is"
         )
         wrong = [
@@ -333,7 +334,8 @@ def _report(
             )
 
 
-def _bank(q_nb: FloatArray) -> FloatArray:
+def find_bank(q_nb: FloatArray) -> FloatArray:
+    """Return the size of the bank angles (N,) [rad]."""
     down_b = rotate(conjugate(q_nb), np.array([0.0, 0.0, 1.0]))
     bank: FloatArray = np.abs(np.arctan2(down_b[:, 1], down_b[:, 2]))
     return bank

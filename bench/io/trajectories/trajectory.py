@@ -47,7 +47,7 @@ _KNOT_RATE = 60.0  # largest rate of the knots of the spline [Hz]
 _FINE_RATE = 400.0  # smallest rate of the steps that make an increment [Hz]
 _CHUNK = 50_000  # truth samples made at a time
 
-_NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # |norm of a quaternion - 1| above which it is reported, refused
+_NORM_OFF, _NORM_WRONG = 1e-6, 1e-2  # |norm of a quaternion - 1| above which it is reported, rejected
 _GAP = 5.0  # an interval longer than this many median intervals is a gap
 _ALONG = 0.9  # mean cosine between heading and path above which the nose points along it
 _TURN_RATE = math.radians(720.0)  # largest rate between rows; aircraft turn slower; assumed [rad/s]
@@ -56,7 +56,7 @@ _SPEED_OFF = 0.05  # tolerance of the velocity against the derivative of the pos
 _SPEED_SHARE = 0.005  # ... or as a fraction of the speed [1]
 _OFF_TABLE = 1e-3  # tolerance of a row against the truth [m]
 _LIMITS = ((-0.5 * np.pi, 0.5 * np.pi), (-np.pi, 2 * np.pi), (-1e3, 1e5))  # latitude, longitude, height
-_RADII = (6.34e6, 6.48e6)  # from the centre of the Earth [m]
+_RADII = (6.34e6, 6.48e6)  # from the center of the Earth [m]
 _FORCE = 10.0  # largest specific force of most aircraft, assumed [g]
 
 _TIMES = (group("time", "t"), group("time", "time"))
@@ -208,7 +208,7 @@ def check_positions(
     """Raise ConfigError at the first position (N, 3) outside its limits, with the number of its row.
 
     ``limits``: lowest and highest latitude, longitude [rad] and height [m]; ``radii``: smallest and largest
-    distance of an Earth-fixed position from the centre of the Earth [m].
+    distance of an Earth-fixed position from the center of the Earth [m].
     """
     if table.stems["position"][0] == "lat":
         for name, values, (low, high) in zip(table.names["position"], position.T, limits, strict=True):
@@ -219,7 +219,7 @@ def check_positions(
         return
     km, low, high = np.linalg.norm(position, axis=1) / 1e3, radii[0] / 1e3, radii[1] / 1e3
     if (k := find_first((km < low) | (km > high))) is not None:
-        text = f"ecef position is {km[k]:.6g} km from the centre of the Earth, outside {low:g} to {high:g} km"
+        text = f"ecef position is {km[k]:.6g} km from the center of the Earth, outside {low:g} to {high:g} km"
         raise ConfigError(f"{shown}: row {numbers[k]}: {text}")
 
 
@@ -315,7 +315,7 @@ def _choose_knots(t: FloatArray) -> Any:
 
 
 def _make_stretches(fit: _Fit, rate: float, samples: int) -> Iterator[Stretch]:
-    """Yield the motion in stretches, ``samples`` in all; frame i is frame e at t = 0."""
+    """Yield the motion in segments, ``samples`` in all; frame i is frame e at t = 0."""
     substeps = max(1, math.ceil(_FINE_RATE / rate))
     dt = 1.0 / (rate * substeps)
     for begun in range(0, samples, _CHUNK):

@@ -15,7 +15,7 @@ HIGHEST, FASTEST = 1e7, 1e5
 class Earthbound(SessionState):
     """Blanks answers from the first on that is beyond the Earth, in all pieces of a record."""
 
-    left: Kept[float]  # instant of that answer [s]
+    left: Kept[float]  # time of that answer [s]
 
     def __init__(self) -> None:
         self.left = np.inf

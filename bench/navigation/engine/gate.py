@@ -21,15 +21,16 @@ from bench.navigation.engine.timeline import TIME_TOLERANCE
 OUTAGE = 10.0
 """Time without fixes after which a filter takes its own drift for possible [s]."""
 LEAST_REFUSALS = 3
-"""So many measurements of a sensor are refused before one is believed again, however long that takes."""
+"""So many measurements of a sensor are rejected before one is re-admitted, however long that takes."""
 NOISIER = 3.0
-"""A receiver may be so many times as noisy as its datasheet says and is still believed again."""
+"""A receiver may be so many times as noisy as its datasheet says and is still re-admitted."""
 REFUSED, SOUND, DRIFTED, STEPPED, LOST = range(5)
 """What becomes of a measurement. It is used where it is sound, or tells that the filter drifted while there
-were no fixes, and after long refusals: then the instrument made a step, or the filter itself may be lost."""
+were no fixes, and after long rejections: then the instrument made a step, or the filter itself may be
+lost."""
 
 Refused = dict[int, tuple[float, float, int]]
-"""Channel -> instants of the first and the last [s] and number of the refusals that have not ended."""
+"""Channel -> epochs of the first and the last [s] and number of the rejections that have not ended."""
 
 
 class Trust(NamedTuple):
@@ -38,11 +39,13 @@ class Trust(NamedTuple):
     Channels 0 and 1 are position and velocity of a fix.
     """
 
-    misses: Growing[IntArray]  # (channels,) refusals in a row
-    since: Growing[FloatArray]  # (channels,) instant of the first of them [s]
-    used: Growing[FloatArray]  # (channels,) instant of the last measurement used [s]
-    way: FloatArray  # (3, 3) of refused fixes: first innovation of position, integral of velocity's, its last
-    way_t: FloatArray  # (2,) instants of the first, since which they agree, and of the last of them [s]
+    misses: Growing[IntArray]  # (channels,) rejections in a row
+    since: Growing[FloatArray]  # (channels,) time of the first of them [s]
+    used: Growing[FloatArray]  # (channels,) time of the last measurement used [s]
+    way: (
+        FloatArray  # (3, 3) of rejected fixes: first innovation of position, integral of velocity's, its last
+    )
+    way_t: FloatArray  # (2,) epochs of the first, since which they agree, and of the last of them [s]
 
     def with_channels(self, channels: int, start: float) -> Trust:
         """Return a memory of at least so many channels."""
@@ -91,7 +94,7 @@ def refusals(
     *,
     last: bool,
 ) -> list[EventRow]:
-    """Return an event for every row of refusals of one channel that has ended, from its first to its last.
+    """Return an event for every row of rejections of one channel that has ended, from its first to its last.
 
     ``so_far`` holds those of earlier pieces that have not; after the ``last`` piece all have.
     """
@@ -114,7 +117,7 @@ def refusals(
         if ended and ended[-1][0] == channel and not last and (not len(rows) or refused[-1]):
             so_far[channel] = ended.pop()[1]
     return sorted(
-        (begin, end, "refused", f"{names[channel]}: {count} in a row refused", names[channel])
+        (begin, end, "refused", f"{names[channel]}: {count} in a row rejected", names[channel])
         for channel, (begin, end, count) in ended
     )
 
@@ -134,7 +137,7 @@ def decide_kernel(
 
     ``sound``: it passes its tests; ``drifted``: it fails by a drift of the filter (:func:`drift_kernel`);
     ``opens``: the filter has states that may have made a step, and can grow for it. After
-    ``readmit_after_s`` of nothing but refusals, at least `LEAST_REFUSALS`, it is believed again. Where GNSS
+    ``readmit_after_s`` of nothing but rejections, at least `LEAST_REFUSALS`, it is re-admitted. Where GNSS
     was used meanwhile another instrument made a step, and the filter is not lost. Channels of satellites
     begin at ``satellites``.
     """
@@ -161,7 +164,7 @@ def decide_kernel(
 
 @kernel
 def returns_kernel(t: float, trust: Trust) -> bool:
-    """Return whether a fix comes after an outage: none was there, used or refused.
+    """Return whether a fix comes after an outage: none was there, used or rejected.
 
     Channels 0 and 1 are its position and velocity.
     """
@@ -173,10 +176,10 @@ def returns_kernel(t: float, trust: Trust) -> bool:
 def moves_kernel(
     t: float, y: FloatArray, var: FloatArray, limit: float, readmit_after_s: float, trust: Trust
 ) -> bool:
-    """Return whether refused fixes have moved as their velocities say for readmit_after_s; remember this one.
+    """Return whether rejected fixes have moved as their velocities for readmit_after_s; remember this one.
 
     A receiver that is right where the filter is wrong does; one whose output is frozen, or whose position
-    alone is pulled away, does not, and is not believed again. y (6,) are the innovations of position [m] and
+    alone is pulled away, does not, and is not re-admitted. y (6,) are the innovations of position [m] and
     velocity [m/s] in axes that do not turn, var (6,) their variances, ``limit`` the largest NIS of three
     components.
     """
@@ -203,10 +206,10 @@ def drift_kernel(position: float, velocity: float, both: float, apart: float, li
     """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
 
     A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
-    to be beyond the gate as well; or to be expected once the position is used, if the filter claims to know
+    to be beyond the gate as well; or to be expected once the position is used, if the filter reports to know
     its place worse than the fix does. Given are the NIS of the position, of the velocity and of both, the
     ``limit`` for three components, and how far ``apart`` the trace of S and twice that of the noise of the
-    position are [m^2]: above 0 for such a claim.
+    position are [m^2]: above 0 for such a covariance.
     """
     return position > limit and (velocity > limit or (apart > 0.0 and both - position <= limit))
 
@@ -241,7 +244,7 @@ def fix_kernel(
 ) -> tuple[bool, bool, bool]:
     """Return `drift_kernel`, `moves_kernel` and `contradicts_kernel` of a fix z (6,) = H dx + v.
 
-    The first asks only after an outage, the last also while fixes are refused.
+    The first asks only after an outage, the last also while fixes are rejected.
 
     dx is 0. ``work`` (6, 7), ``HP`` (6, n) and ``at`` (6, n + 1) end as `kalman.nis_kernel` of the position
     leaves them.
@@ -285,8 +288,8 @@ def note_kernel(
 def growth(verdict: int, x: FloatArray, H: FloatArray, e: FloatArray, opens: BoolArray) -> FloatArray:
     """Return columns E (n, m + 1): P grows by E E' where compiled filters let an array grow in place.
 
-    `kalman.open_kernel` says why. ``x`` (n,) is the correction that the filter refused, P H' S^-1 e; H (m, n)
-    and e (m,) are those of the sub-vector, ``opens`` (n,) the states that may have made a step.
+    `kalman.open_kernel` says why. ``x`` (n,) is the correction that the filter rejected, P H' S^-1 e; H (m,
+    n) and e (m,) are those of the sub-vector, ``opens`` (n,) the states that may have made a step.
     """
     along = np.where(opens, H, 0.0)
     size2 = np.sum(along**2, axis=1)
@@ -298,13 +301,13 @@ class InnovationGate(SessionState):
     """The gate of a filter in Python.
 
     The code of one of the ``sensors`` is its channel; the first two are position and velocity of a fix. The
-    record begins at ``start`` [s], and ``probability`` is the chance of refusing a sound measurement.
+    record begins at ``start`` [s], and ``probability`` is the chance of rejecting a sound measurement.
     """
 
     trust: Kept[Trust]
     drifted: Kept[bool]  # the fix in use: by a drift of the filter
     moves: Kept[bool]  # the fix in use: as it says itself
-    contradicts: Kept[bool]  # the fix in use: its position is refused
+    contradicts: Kept[bool]  # the fix in use: its position is rejected
     refused: Kept[Refused]
     _numbers: Kept[list[tuple[float, float, float, float]]]  # the log
     _marks: Kept[list[tuple[int, int, int, int]]]
@@ -365,7 +368,7 @@ class InnovationGate(SessionState):
         self.drifted, self.moves, self.contradicts = False, True, False
 
     def take(self, *, last: bool) -> tuple[Innovations, list[EventRow]]:
-        """Return the innovations, and events of refusals that have ended, since this was called last."""
+        """Return the innovations, and events of rejections that have ended, since this was called last."""
         numbers = np.array(self._numbers).reshape(-1, 4).T
         marks = np.array(self._marks, np.int64).reshape(-1, 4).T
         self._numbers, self._marks = [], []

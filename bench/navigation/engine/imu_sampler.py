@@ -36,7 +36,7 @@ class ImuSampler(SessionState, ABC):
         Returns
         -------
         t : (M,) array
-            Instants of the measurements [s].
+            Epochs of the measurements [s].
         values : (M, m) array
         variance : (6,) array
         """

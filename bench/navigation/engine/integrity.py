@@ -1,7 +1,7 @@
 """Is a measurement sound? Tests of an innovation sub-vector, and how long an uncorrected navigator may run.
 
 Sources: A-5.4.6 and A-5.4.7 (innovations), A-5.4.T (tolerance), A-5.4.10 (correction period). Pure functions;
-the estimators decide what to do with the answer.
+the filters decide what to do with the answer.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def tolerance(
     order : int
         Integrals of acceleration: 2 for position, 1 for velocity.
     max_acceleration : float
-        What the aircraft can do unnoticed [m/s^2].
+        What the aircraft can do undetected [m/s^2].
     sigmas : float
         Multiple of ``sd`` granted to the receiver.
     """

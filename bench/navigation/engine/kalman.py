@@ -89,10 +89,10 @@ def nis_of_kernel(
 
 @kernel
 def stretch_kernel(P: FloatArray, H: FloatArray, work: FloatArray, row: FloatArray) -> None:
-    """Let P (n, n) grow by x x', x = P H' S^-1 e the correction that the filter refused; ``row`` ends as x.
+    """Let P (n, n) grow by x x', x = P H' S^-1 e the correction that the filter rejected; ``row`` ends as x.
 
     An error along the covariance explains the innovation then. A smoother's P stays as it is: the gain of
-    its way back is that of an error which has been too large all along. ``work`` (m, m + 1) is as
+    its backward pass is that of an error which has been too large all along. ``work`` (m, m + 1) is as
     :func:`nis_kernel` left it.
     """
     m, n = H.shape
@@ -122,7 +122,7 @@ def open_kernel(
     work: FloatArray,
     row: FloatArray,
 ) -> None:
-    """Let P (n, n) grow until the innovation e (m,) the filter refused is to be expected (A-5.4.7).
+    """Let P (n, n) grow until the innovation e (m,) the filter rejected is to be expected (A-5.4.7).
 
     A step of the states ``opens`` (n,) alone explains it, the least that does. If the filter may be ``lost``,
     so does an error along the covariance (:func:`stretch_kernel`): P grows by both, and the next measurements
@@ -153,7 +153,7 @@ def open_kernel(
 def open_all_kernel(P: FloatArray, before: FloatArray, size: float, opens: BoolArray) -> None:
     """Let P (n, n), and ``before`` with it, grow by a step of some size of each of the states ``opens``.
 
-    For a row that is one of many refused together: which of the states made the step, the others tell.
+    For a row that is one of many rejected together: which of the states made the step, the others tell.
     """
     for i in range(P.shape[0]):
         if opens[i]:

@@ -1,4 +1,4 @@
-"""What an estimator must offer to run in pieces, as `bench.navigation.open_filters.PieceFilter` asks it."""
+"""What a filter must offer to run in pieces, as `bench.navigation.open_filters.PieceFilter` asks it."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class InPieces(Protocol):
         """Instant of the last IMU sample taken, or of the start [s]."""
         ...
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that nothing can change any more.
 
         Parameters
         ----------
         piece : SensorData
-            IMU samples and instants wanted by their time, measurements by their arrival.
+            IMU samples and epochs wanted by their time, measurements by their arrival.
         look_back : float
             Longest time from the validity of a measurement to its arrival [s].
         last : bool
@@ -60,7 +60,7 @@ class InPieces(Protocol):
         """
         ...
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at :attr:`end`, were that the end of the record: one row.
 
         It may change the filter: callers ask a copy. ``head`` is a piece without rows.
@@ -90,10 +90,10 @@ class KnowsImuErrors(InPieces, Protocol):
 
 @runtime_checkable
 class RunsInPieces(Protocol):
-    """An estimator that runs in pieces.
+    """A filter that runs in pieces.
 
     Its ``run`` on the whole record gives the same bits. An attribute ``finds_start = True`` is optional: the
-    estimator takes an incomplete start and does its own alignment.
+    filter takes an incomplete start and does its own alignment.
     """
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
@@ -104,7 +104,7 @@ class RunsInPieces(Protocol):
         first : SensorData
             Its records say which sensors there are, and its datasheets are those assumed.
         initial : InitialState
-            Start; complete, unless the estimator does its own alignment.
+            Start; complete, unless the filter does its own alignment.
         events : list of (t, t_end, kind, text)
             What went before.
 
@@ -118,7 +118,7 @@ class RunsInPieces(Protocol):
 
 def answer_now(filter_: InPieces, head: SensorData) -> NavSolution:
     """Return the last of the answers to a record that ends with what a filter has taken."""
-    solution = filter_.feed(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
+    solution = filter_.update(replace(head, output_t=np.array([filter_.end])), 0.0, last=True)
     return solution if len(solution) == 1 else take_answers(solution, slice(-1, None))
 
 
@@ -130,7 +130,7 @@ def take_answers(solution: NavSolution, rows: slice) -> NavSolution:
 
 
 def take_after(answered: float, told: float, solution: NavSolution) -> NavSolution:
-    """Return a solution without the answers until an instant, and without what it told until another [s]."""
+    """Return a solution without the answers until a time, and without what it told until another [s]."""
     if np.isfinite(answered):
         solution = take_answers(solution, slice(int(np.searchsorted(solution.t, answered, "right")), None))
     table = solution.innovations

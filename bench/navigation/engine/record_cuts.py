@@ -16,19 +16,19 @@ from bench.navigation.engine.timeline import TIME_TOLERANCE
 
 
 def newest_sample(record: SensorData) -> float:
-    """Return the instant of the last IMU sample [s], -inf without one."""
+    """Return the time of the last IMU sample [s], -inf without one."""
     t = record.imu.t[np.isfinite(record.imu.t)]
     return float(t.max(initial=-np.inf))
 
 
 def first_sample(record: SensorData) -> float:
-    """Return the instant of the first IMU sample [s], inf without one."""
+    """Return the time of the first IMU sample [s], inf without one."""
     t = record.imu.t[np.isfinite(record.imu.t)]
     return float(t.min(initial=np.inf))
 
 
 def nothing_known(t: FloatArray) -> NavSolution:
-    """Return a solution that knows nothing at instants t (M,)."""
+    """Return a solution that knows nothing at epochs t (M,)."""
     none = np.full((len(t), 9, 9), np.nan)
     three, four = none[:, 0, :3], none[:, 0, :4]
     return NavSolution(t, three, three, four, three, three, none, (), none[:, 0, :0], none[:, 0, :0])
@@ -55,10 +55,30 @@ def take_head(piece: SensorData) -> SensorData:
     return replace(piece, imu=imu, output_t=piece.output_t[none], specs=specs, **cut)
 
 
-def take_piece(record: SensorData, begin: float, end: float) -> SensorData:
-    """Return what came after an instant and until another [s]: the piece that a filter is fed next.
+def slice_sensors(record: SensorData, begin: float, end: float) -> SensorData:
+    """Return the part of a sensor record with begin < t <= end.
 
-    IMU samples and wanted answers by their time, measurements by their arrival.
+    Use it to update a filter from `open_filter` with a recorded flight. IMU samples and output times are
+    selected by their time, aiding measurements by their time of arrival.
+
+    Parameters
+    ----------
+    record : SensorData
+        Complete record.
+    begin, end : float
+        Start (exclusive) and end (inclusive) of the interval [s].
+
+    Returns
+    -------
+    SensorData
+        The same sensors and datasheets, with the rows of the interval. A sensor without rows is kept, empty.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> float(bench.slice_sensors(sensed.data, 10.0, 11.0).imu.t[-1])
+    11.0
     """
     t = record.imu.t
     return cut_piece(record, (t > begin) & (t <= end), begin, end)
@@ -84,7 +104,7 @@ def arrivals(record: Any) -> FloatArray:
 def cut_piece(
     record: SensorData, samples: slice | IntArray | BoolArray, after: float, until: float
 ) -> SensorData:
-    """Return some IMU samples of a record, and what arrived or is wanted after an instant until another [s].
+    """Return some IMU samples of a record, and what arrived or is wanted after a time until another [s].
 
     Both may be infinite; what has no time is there from the begin of the record.
     """
@@ -100,7 +120,7 @@ def cut_piece(
 
 
 def goes_beyond(record: SensorData, t: float) -> bool:
-    """Return whether anything arrives or is wanted after an instant [s], IMU samples aside."""
+    """Return whether anything arrives or is wanted after a time [s], IMU samples aside."""
     arrival = (one.t_arrival for one in aiding_records(record).values())
     late = any(len(one) and (one > t + TIME_TOLERANCE).any() for one in arrival)
     return late or bool(len(record.output_t) and (record.output_t > t).any())

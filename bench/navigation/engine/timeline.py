@@ -21,7 +21,7 @@ from bench.core.records.sensor_specs import ImuSpec
 from bench.navigation.engine.imu_range import IN_RANGE, find_beyond, limits
 from bench.navigation.engine.session import Kept, SessionState
 
-TIME_TOLERANCE = 1e-6  # instants closer than this are the same [s]
+TIME_TOLERANCE = 1e-6  # epochs closer than this are the same [s]
 BRIDGE_STEP = 0.05  # longest step over a gap: the transition over it is right to second order [s]
 _MOST_ROWS = 4000  # before a gap that are looked at: 2 s of a unit with 2 kHz
 _BRIDGE_STEPS = 20_000  # over one gap at most, so that a wild time tag fills no memory
@@ -37,9 +37,9 @@ _BLOCK = 0.1  # means whose spread that is: shorter ones show the noise of the s
 # Rates over a gap: the mean held, off by what they varied by of late, and a manoeuvre that forgets itself.
 # Rolling into a 30 deg turn within a few seconds changes rates by 0.1 to 0.2 rad/s and the specific force by
 # 2 to 3 m/s^2 per axis.
-_BRIDGE_RATE_SD = 0.15  # [rad/s]
+BRIDGE_RATE_SD = 0.15  # [rad/s]
 _BRIDGE_FORCE_SD = 2.5  # [m/s^2]
-_BRIDGE_CORRELATION = 3.0  # [s]
+BRIDGE_CORRELATION = 3.0  # [s]
 # Where the last sample is near the end of its range, the true rates are likely beyond it.
 _NEAR = 0.8  # [1]
 _BEYOND = 10.0, 1.0  # from the held ones [m/s^2, rad/s]
@@ -68,13 +68,13 @@ def bridge_variance(elapsed: FloatArray, spread: FloatArray) -> FloatArray:
     a Gauss-Markov process less its value at the start of the gap. The variance of the integral of the latter
     is ``sd^2 2/3 T^3 / tau`` for short gaps, ``sd^2 T^2`` for long ones.
     """
-    tau = _BRIDGE_CORRELATION
+    tau = BRIDGE_CORRELATION
     u = elapsed / tau
     lost = -np.expm1(-u)
     integral = 2.0 * (u - lost) + u * u - 2.0 * u * lost
     short = u < 1e-3  # the difference above is rounding
     integral = np.where(short, 2.0 / 3.0 * u**3, integral)
-    sd = np.array([_BRIDGE_FORCE_SD, _BRIDGE_RATE_SD])
+    sd = np.array([_BRIDGE_FORCE_SD, BRIDGE_RATE_SD])
     variance: FloatArray = integral[:, None] * (sd * tau) ** 2 + (spread * elapsed[:, None]) ** 2
     return variance
 
@@ -177,7 +177,7 @@ def needed_rows(imu: ImuData, rows: IntArray) -> IntArray:
 
 
 def _inside(instants: FloatArray, ends: FloatArray) -> FloatArray:
-    """Return the instants that lie between the first and the last of ``ends`` and at none of them."""
+    """Return the epochs that lie between the first and the last of ``ends`` and at none of them."""
     instants = instants[(instants > ends[0]) & (instants < ends[-1])]
     if len(instants) == 0:
         return instants
@@ -233,7 +233,7 @@ class ImuIntake(SessionState):
             return _NO_ROWS, imu.t, [], _NO_ROWS
         start = self.newest
         span, events = np.empty(len(imu.t)), list[EventRow]()
-        gaps = _check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *limits(spec), span)
+        gaps = check_kernel(imu.t, imu.dt, imu.valid, imu.dtheta_b, imu.dvel_b, start, *limits(spec), span)
         if gaps >= 0:
             rows, again = self._hold(np.arange(len(imu.t)), imu.t, last)
             span = span[: len(rows)]
@@ -296,7 +296,7 @@ def _list_gaps(imu: ImuData, rows: IntArray, span: FloatArray) -> list[EventRow]
 
 
 @kernel
-def _check_kernel(
+def check_kernel(
     t: FloatArray, dt: FloatArray, valid: BoolArray, dtheta_b: FloatArray, dvel_b: FloatArray,
     start: float, most_rate: float, most_force: float, span: FloatArray,
 ) -> int:  # fmt: skip
@@ -337,7 +337,7 @@ def fix_rows(fixes: GnssFixes, imu_t: FloatArray, start: float) -> tuple[IntArra
     fixes : GnssFixes
         Record; rows that are flagged, not finite or repeated are left out.
     imu_t : (K,) array
-        Instants of the IMU samples in use [s].
+        Epochs of the IMU samples in use [s].
     start : float
         Instant of the initial state [s]; rows that arrive earlier are left out.
     """

@@ -68,7 +68,7 @@ def declared_errors(spec: Any) -> Errors:
 class AidingSensor:
     """One aiding sensor, its place in the records and what a filter makes of it."""
 
-    option: str  # of the estimator, that switches it on
+    option: str  # of the filter, that switches it on
     record: str  # of `SensorData`
     spec: str  # of `AssumedSpecs`; its name in events, too
     kind: int  # of its rows
@@ -208,7 +208,7 @@ def _read_field(record: MagData, *_: object) -> tuple[FloatArray, FloatArray]:
 
 
 def magnetic_map(lla: FloatArray, date: float) -> FloatArray:
-    """Return the field (4, 3) at a place [T], n, and its change by metre north, east and down.
+    """Return the field (4, 3) at a place [T], n, and its change by meter north, east and down.
 
     What is left out at 100 km is up to 16 nT, at 500 km 400 nT.
     """
@@ -238,9 +238,7 @@ def records_needed(aiding: Sequence[AidingSensor]) -> tuple[str, ...]:
     return (*usual[:1], *(sensor.record for sensor in aiding if sensor.on_request))
 
 
-def unmodelled(
-    specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collection[str]
-) -> tuple[str, ...]:
+def unmodeled(specs: AssumedSpecs, aiding: Iterable[AidingSensor], taken: Collection[str]) -> tuple[str, ...]:
     """Return the errors of the IMU and of the sensors in use, but those that are ``taken``, in words."""
     found = list(imu_errors(specs.imu))
     for sensor in aiding:

@@ -1,4 +1,4 @@
-"""What a run stored at the instants that were asked for, as a solution."""
+"""What a run stored at the epochs that were asked for, as a solution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def spread(values: FloatArray, rows: IntArray, count: int) -> FloatArray:
 def solution(
     t: FloatArray, layout: StateLayout, state: FloatArray, P: FloatArray, table: Innovations, events: Events
 ) -> NavSolution:
-    """Return states (M, n + 1) and covariances (M, n, n) at instants t (M,) as a solution."""
+    """Return states (M, n + 1) and covariances (M, n, n) at epochs t (M,) as a solution."""
     variance = np.einsum("kii->ki", P)[:, 9:]
     return answers(t, layout, state, P[:, :9, :9], variance, table, events)
 

@@ -4,7 +4,7 @@
     velocity   dv - [C (w x l) x] phi + C [l x] db_g + C [w x] dl
 
 with l the antenna in b and w the rate of b relative to e. Where the clock of the fixes is off by an estimated
-dt, they show the antenna of another instant, p + v dt + a dt^2 / 2 and v + a dt. What has a column for a bias
+dt, they show the antenna of another time, p + v dt + a dt^2 / 2 and v + a dt. What has a column for a bias
 has one for each state that adds to it (`corrections`).
 """
 
@@ -122,7 +122,7 @@ def fix_rows_kernel(site: Site, values: FloatArray, H: FloatArray, z: FloatArray
 
 @inner
 def _late_rows_kernel(site: Site, vel_n: FloatArray, H: FloatArray, z: FloatArray) -> None:
-    """Move z (6,) and H (6, n) to the instant that a fix shows by the estimated offset of its clock.
+    """Move z (6,) and H (6, n) to the time that a fix shows by the estimated offset of its clock.
 
     z[3:] is the velocity of the antenna, from which the measured ``vel_n`` (3,) is not yet taken. The
     acceleration is that of the IMU, without Coriolis: 2 mm/s at 50 m/s, 0.25 s.

@@ -1,11 +1,11 @@
 """The error state: its layout, its linear dynamics F, the transition over a step, and the feedback.
 
-Errors are estimate minus truth: position in metres along n, velocity in n, and the attitude
+Errors are estimate minus truth: position in meters along n, velocity in n, and the attitude
 
     C_nb_est = exp([tilt x]) exp([heading x]) C_nb_true,   phi_n = (tilt_N, tilt_E, heading)
 
 a turn about the vertical, then a tilt about a horizontal axis. F is the Jacobian of
-`bench.navigation.mechanization`: A-5.1.10 in north, east, down and metres (equations 1.3: alpha_NED =
+`bench.navigation.mechanization`: A-5.1.10 in north, east, down and meters (equations 1.3: alpha_NED =
 -phi_n), with the radii of the ellipsoid and their change with latitude.
 
 To first order phi_n is a rotation vector; the order of the two turns counts where a heading is corrected. The

@@ -101,7 +101,7 @@ def _answer_kernel(now: FilterState, at: int, stores: Stores) -> None:
 
 
 @kernel
-def _fusion_kernel(
+def fusion_kernel(
     schedule: IntArray,
     fillers: IntArray,
     ahead: FloatArray,
@@ -199,20 +199,20 @@ def _fusion_kernel(
 
 @dataclass(frozen=True, slots=True)
 class Nodes:
-    """A forward run, or a stretch of one, at the instants of its measurements and outputs, for a smoother."""
+    """A forward run, or a segment of one, at the epochs of its measurements and outputs, for a smoother."""
 
     layout: StateLayout
     t: FloatArray  # (N,) [s]
     state: FloatArray  # (N, 2, n + 1) before and after: nav state (10), gyro bias, accelerometer bias, extra
     P: FloatArray  # (N, 2, n, n) before and after
     Phi: FloatArray  # (N, n, n) transition of the errors from the node before
-    output: IntArray  # (M,) node of each instant of its solution, -1 outside the record
+    output: IntArray  # (M,) node of each time of its solution, -1 outside the record
 
 
 class ForwardRun(SessionState):
     """A filter on its way through a record.
 
-    ``antenna_b`` is (3,) [m], ``field`` (4, 3) the magnetic field at the start and its change by metre [T],
+    ``antenna_b`` is (3,) [m], ``field`` (4, 3) the magnetic field at the start and its change by meter [T],
     n, ``interval`` that of the covariance step [s], 0: every sample. With ``keep`` it stores the nodes of a
     smoother, on disk if the record comes in pieces.
     """
@@ -251,7 +251,7 @@ class ForwardRun(SessionState):
         self.pending = pending_for(n, 1, 6)
         shown = first_of_satellites(model.index, n)
         none = np.empty((0, shown + 1)), np.empty((0, shown, shown)), no_innovations(), no_events()
-        self.nothing = solution(np.empty(0), model.layout, *none)  # without instants
+        self.nothing = solution(np.empty(0), model.layout, *none)  # without epochs
         self.moved, self.refused, self.bound = False, {}, Earthbound()
 
     @property
@@ -329,7 +329,7 @@ class ForwardRun(SessionState):
         )
         site = Site(now, data, index, pending, work.measure)
         kinds = set(entries[entries[:, 1] < USE, 2].tolist())
-        _fusion_kernel(
+        fusion_kernel(
             entries,
             place_fillers(kinds, site, sky),
             plan.ahead,

@@ -32,7 +32,7 @@ FLICKER_STAGES = (0.05, 0.55, 6.0)
 def thermal_figures(t: float, height: float, imu: ImuSpec) -> FloatArray:
     """Return the temperature of an IMU in the standard atmosphere, switched on at t = 0 (`Process`).
 
-    It begins at an instant [s] and a height [m].
+    It begins at a time [s] and a height [m].
     """
     spec = imu.thermal
     ground = air.SEA_LEVEL_TEMPERATURE + spec.self_heating - spec.reference
@@ -46,7 +46,7 @@ def core_states(specs: AssumedSpecs, *, changing: bool) -> list[States]:
     """Return the states of every layout; P of the first three comes from the initial state.
 
     ``changing`` biases hold temperature and rate random walk, too, and the noise what the samples are rounded
-    by: its sum is carried, so it differs between two instants by the variance of two roundings.
+    by: its sum is carried, so it differs between two epochs by the variance of two roundings.
     """
     gyro, accel = specs.imu.gyro, specs.imu.accel
     pos, vel, phi, gyro_bias, accel_bias = CORE_BLOCKS

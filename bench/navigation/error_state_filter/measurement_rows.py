@@ -65,7 +65,7 @@ ABSENT = -1
 
 FIX_ROWS, SATELLITE_ROWS, BARO_ROWS, MAGNETIC_ROWS, AIRSPEED_ROWS, STANDSTILL_ROWS = range(6)
 RADAR_ROWS, ODOMETER_ROWS, VEHICLE_ROWS, COURSE_ROWS, HEADING_ROWS = range(6, 11)
-"""Kinds of records; at one instant they are used in this order."""
+"""Kinds of records; at one time they are used in this order."""
 
 _SLOWEST_AIR = 5.0  # slower, a pitot tube measures nothing useful [m/s]
 _LEAST_LEVEL = 0.1  # horizontal part of two antennas apart, below which they tell no heading [1]
@@ -104,7 +104,7 @@ def _fix_kernel(row: int, first: int, site: Site) -> int:
         for i in range(6):
             H[i, index.gnss_pos + i] = 1.0
             z[i] += state[index.gnss_pos + 1 + i]
-    if not np.isfinite(values[0]):  # a position that a test before the filter has refused
+    if not np.isfinite(values[0]):  # a position that a test before the filter has rejected
         for i in range(3):
             pending.tags[first + i, 0], z[i] = ABSENT, 0.0
     return 6 if np.isfinite(values[3] + values[4] + values[5]) else 3  # a fix may have no velocity
@@ -332,14 +332,14 @@ OPENS = {
     HEADING: ("heading_bias",),
     NONHOLONOMIC: ("slip_yaw", "slip_pitch"),
 }
-"""The states that may have made a step where a sensor is believed again after refusals.
+"""The states that may have made a step where a sensor is re-admitted after rejections.
 
 A sensor whose states a filter does not have stays out until it agrees with the rest.
 """
 
 
 def opened_states(code: int, layout: StateLayout) -> BoolArray:
-    """Return which states (n,) of a layout open where a sensor is believed again (`OPENS`)."""
+    """Return which states (n,) of a layout open where a sensor is re-admitted (`OPENS`)."""
     opens, names = np.zeros(layout.size, np.bool_), OPENS.get(code, ())
     if all(layout.has(name) for name in names):
         for name in names:

@@ -50,10 +50,10 @@ class Gate(NamedTuple):
 
     nis: FloatArray  # (4,) largest NIS by length of the sub-vector; inf: no test
     trace: float  # largest trace ratio; inf: no test
-    max_acceleration: float  # tolerance test: unnoticed acceleration of the aircraft [m/s^2]; inf: no test
+    max_acceleration: float  # tolerance test: undetected acceleration of the aircraft [m/s^2]; inf: no test
     sigmas: float  # tolerance test: standard deviations granted to the receiver
     memory: float  # weight of a new measurement in the adapted noise; 0: noise of the datasheet
-    readmit_after_s: float  # time of nothing but refusals after which a sensor is believed again [s]
+    readmit_after_s: float  # time of nothing but rejections after which a sensor is re-admitted [s]
     opens: BoolArray  # (sensors, n) states whose variance then grows; none: it stays out until it agrees
     trust: Trust
     level: FloatArray  # (sensors,) adapted variance over that of the datasheet

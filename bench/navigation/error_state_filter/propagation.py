@@ -70,7 +70,7 @@ class MeasureWork(NamedTuple):
     vectors: FloatArray  # (8, 3) the last three are sums over a step of the covariance
     C: FloatArray  # (3, 3)
     lever: FloatArray  # (3,)
-    motion: FloatArray  # (2, 3) the same of the instants that the measurement is of
+    motion: FloatArray  # (2, 3) the same of the epochs that the measurement is of
     known: FloatArray  # (4,) `Carried.known`
     drives: IntArray  # (D, 3) `Process.drives`
     factor: FloatArray  # (D,) what a drive multiplies its state by in this motion
@@ -83,7 +83,7 @@ class Measurements(NamedTuple):
     values: FloatArray  # (R, 9); columns 6 to 8 of a fix: its antenna [m], b
     variance: FloatArray  # (R, 6)
     antenna_b: FloatArray  # (3,) of the satellites [m], b
-    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per metre north, east, down
+    field: FloatArray  # (4, 3) magnetic field at field_lla [T], n, and its change per meter north, east, down
     field_lla: FloatArray  # (3,)
 
 

@@ -58,7 +58,7 @@ class Schedule(SessionState):
     Parameters
     ----------
     compensate : bool
-        Measure at the instant of validity, not at that of arrival.
+        Measure at the time of validity, not at that of arrival.
     accuracy : str
         What the variance of a fix comes from, see :func:`aiding_sensors.weigh_fixes`.
     watch : MovedFixes or None
@@ -66,7 +66,7 @@ class Schedule(SessionState):
     cut : bool
         End a step at every answer: a smoother has a node there.
     as_sampled : bool
-        End no step at what arrives in a gap either, and answer at the first step's end from the instant on.
+        End no step at what arrives in a gap either, and answer at the first step's end from the time on.
     """
 
     t: Kept[float]  # end of the last step taken [s]
@@ -145,11 +145,11 @@ class Schedule(SessionState):
 
     @property
     def imu_t(self) -> FloatArray:
-        """Instants (N,) of the samples to process [s]."""
+        """Epochs (N,) of the samples to process [s]."""
         return take_increasing(self.imu.t, self.rows)
 
     def take(self, sensors: SensorData, *, last: bool) -> ImuData:
-        """Take the IMU samples of the next piece and the instants at which it asks for answers.
+        """Take the IMU samples of the next piece and the epochs at which it asks for answers.
 
         Returns
         -------
@@ -221,7 +221,7 @@ class Schedule(SessionState):
         self._wait(sensor.kind, t, arrival, values[rows], variance[rows])
 
     def add_samples(self, kind: int, t: FloatArray, values: FloatArray, variance: FloatArray) -> None:
-        """Take measurements made from the IMU at instants t (M,): values (M, m), variance (6,)."""
+        """Take measurements made from the IMU at epochs t (M,): values (M, m), variance (6,)."""
         if len(t):
             self._wait(kind, t, t, values, variance)
 
@@ -358,7 +358,7 @@ class Schedule(SessionState):
             self.waiting = rows.take(~outside)
 
     def advance(self, plan: StepPlan) -> FloatArray:
-        """Forget what a filter has done by a plan; return the instants (M,) of the answers that are final."""
+        """Forget what a filter has done by a plan; return the epochs (M,) of the answers that are final."""
         final = self.last | (self.output_t < self.start - TIME_TOLERANCE)
         final[plan.outputs] = True
         answered, self.output_t = self.output_t[final], self.output_t[~final]

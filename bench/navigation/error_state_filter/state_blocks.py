@@ -3,7 +3,7 @@
 A state beyond position, velocity, attitude and IMU biases is a :class:`Block` here and its column of H
 (`measurement_rows`, `ranging`), found by :class:`Index`. A state that adds to the
 errors of the IMU needs no column: ``drives`` says how it acts. All figures come from the datasheets that the
-estimator assumes.
+filter assumes.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def state_model(
     initial : InitialState
         Covariance of position, velocity and attitude at the start, and theirs with the biases.
     specs : AssumedSpecs
-        The datasheets that the estimator assumes.
+        The datasheets that the filter assumes.
     blocks : iterable of Block
         The further states, in the order of the layout.
     gyro_sd : float or None
@@ -158,7 +158,7 @@ def state_model(
     if layout.has("gnss_pos"):  # estimate, zero, less truth
         own = layout.slice("gnss_pos")
         P[:3, own], P[own, :3] = -np.diag(initial.fix_cov), -np.diag(initial.fix_cov)
-    if layout.has("time_offset"):  # a start by fixes is that of another instant
+    if layout.has("time_offset"):  # a start by fixes is that of another time
         variance = P[layout.slice("time_offset"), layout.slice("time_offset")][0, 0]
         P[:3, :3] += variance * np.outer(initial.vel_n, initial.vel_n)
         P[3:6, 3:6] += variance * TURNING**2 * np.eye(3)

@@ -52,7 +52,7 @@ def assumed(specs: AssumedSpecs, name: str) -> Any:
     Raises
     ------
     ValueError
-        If the estimator was given none.
+        If the filter was given none.
     """
     spec = getattr(specs, name)
     if spec is None:

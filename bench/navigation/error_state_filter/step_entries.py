@@ -18,7 +18,7 @@ FREE = -3  # step until which a slot is taken that nothing waits in
 
 @kernel
 def find_kernel(t: FloatArray, wanted: float, near: int) -> int:
-    """Return the first of increasing instants t (K,) that is not before the one ``wanted``; K: none.
+    """Return the first of increasing epochs t (K,) that is not before the one ``wanted``; K: none.
 
     It is looked for from ``near`` on, in growing steps, where it is not before that.
     """
@@ -40,7 +40,7 @@ def find_kernel(t: FloatArray, wanted: float, near: int) -> int:
 
 @inner
 def _step_kernel(t: FloatArray, start: float, wanted: float, near: int) -> int:
-    """Return the step out of those that end at t (K,) that ends at an instant [s], -1 at the start."""
+    """Return the step out of those that end at t (K,) that ends at a time [s], -1 at the start."""
     return -1 if wanted < start + TIME_TOLERANCE else find_kernel(t, wanted - TIME_TOLERANCE, near)
 
 
@@ -104,7 +104,7 @@ def plan_kernel(
     The steps end at t (K,) after ``span``, the first begins at ``now`` [s]. Of the rows that wait (M,)
     ``order`` is that of validity, the slots go on, and ``left`` is what has not been used then. Of ``wanted``
     (A,) those that are due fill ``outputs``, and how far ahead of a step's end each lies; with ``at_ends``
-    each is given at the first step's end from its instant on.
+    each is given at the first step's end from its time on.
     """
     kind, slot = rows.kind, rows.slot
     measure, use, e, m, near = work[0], work[1], 0, 0, 0

@@ -62,14 +62,14 @@ class GnssOnly:
         """
         if not len(sensors.output_t):  # without an output no fix is used
             sensors = replace(sensors, fixes=None)
-        return FixPassage(self.options, initial, []).feed(sensors, 0.0, last=True)
+        return FixPassage(self.options, initial, []).update(sensors, 0.0, last=True)
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> FixPassage:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
         return FixPassage(self.options, initial, events)
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of the receiver that the estimator has no state for, in words."""
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of the receiver that the filter has no state for, in words."""
         return () if specs.gnss is None else remaining(fix_errors(specs.gnss), {LATENCY})
 
 
@@ -101,7 +101,7 @@ class FixPassage(SessionState):
         """Instant of the last IMU sample, or of a newer fix in use [s]."""
         return self.sampled if self.track is None else max(self.sampled, self.track.t)
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers to all that has come with it.
 
         A fix is used for the next answer wanted, and by ``look_back`` after its arrival without one.
@@ -194,7 +194,7 @@ class FixPassage(SessionState):
             x, P = np.concatenate([nothing[0], x]), np.concatenate([nothing[1], P])
         return x, P
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at :attr:`end`, by all that has arrived."""
         self.wanted = self.wanted[self.wanted < self.end - timeline.TIME_TOLERANCE]
         self.passed = -np.inf
@@ -207,5 +207,5 @@ def _unknown(count: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _latest(t: float, *more: FloatArray) -> float:
-    """Return the latest finite instant of all [s]."""
+    """Return the latest finite time of all [s]."""
     return max(t, *(float(one[np.isfinite(one)].max(initial=-np.inf)) for one in more))

@@ -23,7 +23,7 @@ from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.engine.session import Kept
-from bench.navigation.error_state_filter.aiding_sensors import FIXES, unmodelled
+from bench.navigation.error_state_filter.aiding_sensors import FIXES, unmodeled
 from bench.navigation.error_state_filter.answers import answers as join_answers
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSORS, VELOCITY
@@ -51,7 +51,7 @@ class InvariantEkf:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude and biases."""
         initial, events = alignment.complete(sensors, initial)
-        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
+        return self.in_pieces(sensors, initial, events).update(sensors, 0.0, last=True)
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
@@ -64,9 +64,9 @@ class InvariantEkf:
         used = [] if first.fixes is None else [FIXES]
         return SteppedPassage(flight, schedule, used, first, initial, StateLayout())
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
-        return unmodelled(specs, [FIXES], ())
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
+        return unmodeled(specs, [FIXES], ())
 
 
 class InvariantFlight(SteppedFilter):
@@ -163,7 +163,7 @@ class InvariantFlight(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at instants (M,) [s], with the innovations since this was called last."""
+        """Return answers at epochs (M,) [s], with the innovations since this was called last."""
         table, refused = self.gate.take(last=last)
         state, cov, variance = answers
         told = Events.from_rows(events + refused)
@@ -177,14 +177,14 @@ class InvariantFlight(SteppedFilter):
         z, C = np.concatenate([place, C_tn @ fix[3:]]), np.kron(np.eye(2), C_tn)
         R: FloatArray = (C * r) @ C.T
         if moving:
-            y, H = self._compare(z, antenna_b)
+            y, H = self.compare(z, antenna_b)
             self.gate.see_fix(t, y, H @ self.P @ H.T + R, np.diag(R)[:3])
         else:
             self.gate.see_position()
         for code in (POSITION, VELOCITY)[: 1 + moving]:
             self._update(t, code, z, R, C_tn, antenna_b)
 
-    def _compare(self, z: FloatArray, antenna_b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def compare(self, z: FloatArray, antenna_b: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the innovation (6,) of position and velocity z (6,) of the antenna, t, and H (6, 15)."""
         C_tb, arm = self.C_tb, rotation.skew(antenna_b)
         earth_b = C_tb.T @ self.frame.w_t
@@ -200,7 +200,7 @@ class InvariantFlight(SteppedFilter):
     ) -> None:
         """Gate and use the position or the velocity of z (6,), t."""
         part = slice(3 * code, 3 * code + 3)
-        y, H = (one[part] for one in self._compare(z, antenna_b))
+        y, H = (one[part] for one in self.compare(z, antenna_b))
         R = R[part, part]
         S = H @ self.P @ H.T + R
         value = nis(y, S)
@@ -217,9 +217,9 @@ class InvariantFlight(SteppedFilter):
         K = np.linalg.solve(S, H @ self.P).T
         J = np.eye(15) - K @ H
         self.P = J @ self.P @ J.T + K @ R @ K.T
-        self._feed_back(K @ y)
+        self.feed_back(K @ y)
 
-    def _feed_back(self, x: FloatArray) -> None:
+    def feed_back(self, x: FloatArray) -> None:
         """Move the estimate by an error x (15,), and P to the errors of the moved estimate."""
         turn = rotation.matrix(rotation.from_rotvec(x[:3]))
         self.p_t, self.v_t = self.p_t + self.C_tb @ x[3:6], self.v_t + self.C_tb @ x[6:9]

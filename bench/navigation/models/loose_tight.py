@@ -5,8 +5,8 @@ estimated errors, the covariance follows its linear dynamics (`propagation`), an
 measurement (`measurement_rows`, `ranging`) is fed back at once. Loose coupling takes
 position and velocity of the GNSS antenna, tight coupling every satellite by itself.
 
-A measurement that arrives late is compared with the state of the instant it is valid at, and its H is carried
-to the instant of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
+A measurement that arrives late is compared with the state of the time it is valid at, and its H is carried
+to the time of arrival by the transition in between: the process noise of the latency is left out, 2e-4 of
 the variance of a 0.05 m/s fix for 0.2 s and 0.1 m/s/sqrt(h). The change of P by the turn of the frame at
 feedback (half the tilt correction) is neglected: below 1e-4 for corrections below 0.01 rad (equations 10).
 """
@@ -41,7 +41,7 @@ from bench.navigation.error_state_filter.aiding_sensors import (
     AidingSensor,
     magnetic_map,
     records_needed,
-    unmodelled,
+    unmodeled,
 )
 from bench.navigation.error_state_filter.error_state import CORE, GYRO
 from bench.navigation.error_state_filter.filter_run import LONGEST, ForwardRun, Nodes
@@ -102,10 +102,10 @@ class Fusion:
     def _run_whole(self, filter_: InPieces, sensors: SensorData) -> NavSolution:
         """Return the answers of a filter at its start to a whole record, in blocks if that is long."""
         if not is_long(sensors):
-            return filter_.feed(sensors, 0.0, last=True)
+            return filter_.update(sensors, 0.0, last=True)
         joined, wait, start = JoinedSolution(len(sensors.output_t)), longest_wait(sensors), filter_.end
         for piece, last in cut_blocks(sensors):
-            joined.add(filter_.feed(piece, wait, last=last))
+            joined.add(filter_.update(piece, wait, last=last))
         seen = sensors.observations
         if seen is None or SATELLITES not in self.aiding():
             return joined.solution()
@@ -116,7 +116,7 @@ class Fusion:
     ) -> tuple[NavSolution, list[Nodes], KnowsImuErrors]:
         """Return a solution, the nodes a smoother goes back over, and the filter at its end.
 
-        The nodes come in stretches, in their order; a record that is not long is one. There are none where
+        The nodes come in segments, in their order; a record that is not long is one. There are none where
         the heading was unknown and stayed so.
         """
         initial, events = alignment.complete(sensors, initial)
@@ -124,7 +124,7 @@ class Fusion:
             passage = Passage(self, sensors, initial, events, keep=True, gyros=gyros)
             return self._run_whole(passage, sensors), passage.stretches, passage
         search = ManyHeadings(partial(Passage, self, gyros=gyros), sensors, initial, events)
-        solution, stretches = search.feed(sensors, 0.0, last=True), list[Nodes]()
+        solution, stretches = search.update(sensors, 0.0, last=True), list[Nodes]()
         if search.complete:
             _, stretches, _ = self.forward(sensors, search.starts[search.best], gyros)
         return solution, stretches, search
@@ -231,12 +231,12 @@ class Fusion:
         """The records it cannot work without; a barometer beside GNSS is used if there is one."""
         return records_needed(self.aiding())
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
         taken = {words for block in self.blocks() for words in block.takes}
         if self.options.compensate_latency:
             taken.add(LATENCY)
-        found = unmodelled(specs, self.aiding(), taken)
+        found = unmodeled(specs, self.aiding(), taken)
         if not self.options.gnss and specs.imu.gyro.turn_on_bias_sd > _LINEAR_DRIFT:
             found += ("second order of a free drift by degrees of tilt",)
         return found
@@ -301,7 +301,7 @@ class Passage(SessionState):
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.schedule.end
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if not same_array(self.antenna_b, piece.antenna_b):
             self._go_over(piece.antenna_b)
@@ -313,7 +313,7 @@ class Passage(SessionState):
             self.stretches.append(nodes)
         return solution
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record; no answer ends a step."""
         self.schedule.output_t = np.empty(0)
         return answer_now(self, head)
@@ -363,7 +363,7 @@ class Passage(SessionState):
         kinds = {sensor.kind for sensor in self.used} | self.samplers.keys() | {measurement_rows.COURSE_ROWS}
         waiting = schedule.waiting
         known = kinds.issuperset(waiting.kind.tolist())
-        require(known, "waiting/kind", "must be those of the sensors of the filter")
+        require(known, "waiting/kind", "must be the sensors of the filter")
         require_range("waiting/slot", waiting.slot, len(live))
         held, of_satellites = np.full(len(waiting.t), 2 * LONGEST), waiting.kind == SATELLITES.kind
         held[of_satellites] = 2 * np.diff(sky.epoch_start)[waiting.number[of_satellites]]
@@ -394,7 +394,7 @@ class Tight(Fusion):
     """Tightly coupled INS/GNSS/baro filter: range and range rate of each satellite, the receiver's clock.
 
     With the clock, its drift and its offset for each system beside GPS as states it goes on with any number
-    of satellites, and refuses one without the others.
+    of satellites, and rejects one without the others.
     """
 
     _model = TightOptions

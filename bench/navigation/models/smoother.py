@@ -7,7 +7,7 @@ updates of node j) to x_{j+1}^- (before those of node j+1), with the error trans
     x_j^s = x_j - C_j (x_{j+1}^- - x_{j+1}^s)
     P_j^s = P_j + C_j (P_{j+1}^s - P_{j+1}^-) C_j'
 
-where the difference of two states is an error state: metres in n, the turns from one attitude to the other,
+where the difference of two states is an error state: meters in n, the turns from one attitude to the other,
 and plain differences of the rest (H. E. Rauch, F. Tung, C. T. Striebel, AIAA Journal 3 (8), 1965). Tilts are
 those of the axes of each state (`error_state`): P_{j+1}^s is turned to those of x_{j+1}^-,
 and P_j^s to those of x_j^s.
@@ -60,7 +60,7 @@ class Smoother:
         self.filter = forward(**self.options.model_dump(exclude={"over"}))
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate each instant from all measurements of the record, earlier and later."""
+        """Estimate each time from all measurements of the record, earlier and later."""
         options = self.options
         steady, whole = options.every_error and has_large_bias(sensors), options.every_error or options.mems
         errors, sd = np.zeros((2, 6))  # of the IMU at the end of the last run (`KnowsImuErrors`)
@@ -103,13 +103,13 @@ class Smoother:
         """What its forward run needs."""
         return self.filter.needs
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
-        return self.filter.unmodelled(specs)
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
+        return self.filter.unmodeled_errors(specs)
 
 
 def _answer(t: FloatArray, nodes: Nodes, antenna_b: FloatArray) -> NavSolution:
-    """Return smoothed nodes as answers at the instants t (M,) that they serve."""
+    """Return smoothed nodes as answers at the epochs t (M,) that they serve."""
     rows = np.flatnonzero(nodes.output >= 0)
     at = nodes.output[rows]
     shown = first_of_satellites(index_of(nodes.layout), nodes.layout.size)
@@ -165,7 +165,7 @@ def smooth(stretches: list[Nodes]) -> None:
 def _turn_heading(heading: float, turn: FloatArray) -> None:
     """Fill turn (5, 3) as `corrections.axes_kernel` does for a heading alone.
 
-    The biases stay: a smoother corrects each instant once, so that nothing adds up.
+    The biases stay: a smoother corrects each time once, so that nothing adds up.
     """
     for i in range(3):
         for k in range(3):

@@ -69,7 +69,7 @@ class SteppedFilter(SessionState, ABC):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers (M, ...) at instants t (M,) [s], with the innovations since this was called last."""
+        """Return answers (M, ...) at epochs t (M,) [s], with the innovations since this was called last."""
 
 
 class SteppedPassage(SessionState):
@@ -103,7 +103,7 @@ class SteppedPassage(SessionState):
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.schedule.end
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers to all that has come with it."""
         if not np.array_equal(self.antenna_b, piece.antenna_b):
             if self.flight.one_antenna:
@@ -116,7 +116,7 @@ class SteppedPassage(SessionState):
             return self._solution(np.empty(0), np.empty(0, np.int64), (), last=False)
         return self._go()
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
         wanted = self.schedule.output_t
         self.schedule.output_t = wanted[wanted < self.end - TIME_TOLERANCE]
@@ -125,7 +125,7 @@ class SteppedPassage(SessionState):
     def check(self) -> None:
         """Check that what waits is of the sensors in use."""
         known = {sensor.kind for sensor in self.aiding}.issuperset(self.schedule.waiting.kind.tolist())
-        require(known, "waiting/kind", "must be those of the sensors of the filter")
+        require(known, "waiting/kind", "must be the sensors of the filter")
 
     def _go(self) -> NavSolution:
         """Process the samples received so far; return the answers that are final."""
@@ -169,7 +169,7 @@ class SteppedPassage(SessionState):
     def _solution(
         self, t: FloatArray, at: IntArray, answers: Sequence[tuple[FloatArray, ...]], *, last: bool
     ) -> NavSolution:
-        """Return answers as the rows ``at`` (A,) of a solution at instants t (M,) [s], NaN in the others."""
+        """Return answers as the rows ``at`` (A,) of a solution at epochs t (M,) [s], NaN in the others."""
         columns = [np.full((len(t), *shape), np.nan) for shape in self.flight.shapes]
         for column, values in zip(columns, zip(*answers, strict=True), strict=False):
             column[at[: len(values)]] = values

@@ -1,10 +1,10 @@
 """An unscented Kalman filter on the error state and the mechanization of the loose filter: slow, no Jacobian.
 
 States, datasheets, gate and predictions are those of `loose_tight.Loose`, but each measurement is
-compared with the state at its arrival, however late. A row of H only says along what P grows where a refused
-sensor is believed again. Sigma points and their weights are filterpy's (R. van
+compared with the state at its arrival, however late. A row of H only says along what P grows where a rejected
+sensor is re-admitted. Sigma points and their weights are filterpy's (R. van
 der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x
-(estimate minus truth) stands for the truth "estimate less x". Each step draws sigma points of the error about
+(estimate minus truth) stands for the truth "estimate less x". Each step runs sigma points of the error about
 zero, carries the truth each one stands for through the strapdown with the same increments less its own
 biases, and takes the spread of what they became about the carried estimate; the mean is fed back at once. A
 measurement is predicted from each of the truths the points stand for.
@@ -26,7 +26,7 @@ from bench.navigation.engine.gate import REFUSED, SOUND, InnovationGate, growth
 from bench.navigation.engine.integrity import nis
 from bench.navigation.engine.piecewise import InPieces
 from bench.navigation.engine.session import Kept, Scratch
-from bench.navigation.error_state_filter.aiding_sensors import MAGNETOMETER, magnetic_map, unmodelled
+from bench.navigation.error_state_filter.aiding_sensors import MAGNETOMETER, magnetic_map, unmodeled
 from bench.navigation.error_state_filter.answers import solution
 from bench.navigation.error_state_filter.corrections import axes_kernel, reset_kernel
 from bench.navigation.error_state_filter.error_state import (
@@ -64,7 +64,7 @@ from bench.navigation.start.restart import between_gaps
 
 
 @kernel
-def _carry_kernel(
+def carry_kernel(
     points: FloatArray,
     before: FloatArray,
     dt: FloatArray,
@@ -127,7 +127,7 @@ class Unscented:
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
         """Estimate position, velocity, attitude, biases and their covariance."""
         initial, events = alignment.complete(sensors, initial)
-        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
+        return self.in_pieces(sensors, initial, events).update(sensors, 0.0, last=True)
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
@@ -155,10 +155,10 @@ class Unscented:
         """The records it cannot work without; a barometer beside GNSS is used if there is one."""
         return self.loose.needs
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
         taken = {words for block in self.loose.blocks() for words in block.takes}
-        return unmodelled(specs, self.loose.aiding(), taken)
+        return unmodeled(specs, self.loose.aiding(), taken)
 
 
 @dataclass
@@ -236,7 +236,7 @@ class SigmaPointFlight(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at instants (M,) [s], with the innovations since this was called last."""
+        """Return answers at epochs (M,) [s], with the innovations since this was called last."""
         table, refused = self.gate.take(last=last)
         estimates, P = answers
         return solution(t, self.model.layout, estimates, P, table, Events.from_rows(events + refused))
@@ -250,7 +250,7 @@ class SigmaPointFlight(SteppedFilter):
 
             a = self.options.spread
             beta = max(2.0, (1.0 / a - a) ** 2)  # the least with which no covariance can turn indefinite
-            family = MerweScaledSigmaPoints(len(live), alpha=a, beta=beta, kappa=0.0, sqrt_method=_root)
+            family = MerweScaledSigmaPoints(len(live), alpha=a, beta=beta, kappa=0.0, sqrt_method=root)
             self.families[len(live)] = family
         x = np.zeros((2 * len(live) + 1, len(self.P)))
         x[:, live] = family.sigma_points(np.zeros(len(live)), self.P[np.ix_(live, live)])
@@ -275,7 +275,7 @@ class SigmaPointFlight(SteppedFilter):
         before = np.tile(self.before, (len(states), 1))
         if self.before[6] > 0:  # what each of them takes off the interval before
             before[:-1, :6] += x[:, GYRO : GYRO + 6] * self.before[6]
-        _carry_kernel(states, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
+        carry_kernel(states, before, dt, dtheta, dvel, np.empty((5, 3)), np.empty((3, 3)))
         self.estimate, self.before = states[-1], before[-1]
         after = x * decay
         after[:, :GYRO] = state_errors(self.estimate, states[:-1])[:, :GYRO]
@@ -363,7 +363,7 @@ class SigmaPointFlight(SteppedFilter):
         self.estimate = less_errors(self.estimate, x)
 
 
-def _root(P: FloatArray) -> FloatArray:
+def root(P: FloatArray) -> FloatArray:
     """Return U with U' U = P, each state scaled by its deviation; P may be singular (a course is a velocity).
 
     Raises

@@ -6,8 +6,8 @@
     phi_N = -db_E / g      phi_E = db_N / g      phi_D = -dw_E / (w_ie cos lat) - phi_N tan lat
 
 (equations 10: heading sd 0.59 deg for 0.1 deg/h at 50 deg). ``course``, moving: heading is the course of the
-last fix of a stretch, roll and pitch are those that make the strapdown gain the velocity the fixes gained
-(fixes without velocity: the mean velocity between two of them, at both ends of the stretch);
+last fix of a segment, roll and pitch are those that make the strapdown gain the velocity the fixes gained
+(fixes without velocity: the mean velocity between two of them, at both ends of the segment);
 with F the mean specific force in n and e the error of the gain over its time,
 
     phi_E = (e_N + phi_D F_E) / F_D      phi_N = (phi_D F_N - e_E) / F_D

@@ -21,7 +21,7 @@ from bench.navigation.start.leveling import WINDOW, Rows, common_variance, mean_
 LEAST_SPEED = 5.0  # over ground, for a course [m/s]
 _ROLLS = 0.0, np.pi, 0.5 * np.pi, -0.5 * np.pi  # at the start, until one leads to an attitude [rad]
 _FALLS = 3.0  # mean vertical acceleration that the fixes do not have: no error of an IMU is so large [m/s^2]
-SHARE = 1.0 / 3.0  # of a stretch without velocities, at each end, whose positions give its velocity [1]
+SHARE = 1.0 / 3.0  # of a segment without velocities, at each end, whose positions give its velocity [1]
 
 
 def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[InitialState, Rows]:
@@ -43,12 +43,12 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     if by_velocity:
         inside &= moving
     usable, arrival = usable[inside], arrival[inside]
-    speed = np.hypot(*fixes.vel_n[usable, :2].T) if by_velocity else _speeds(fixes, usable)
+    speed = np.hypot(*fixes.vel_n[usable, :2].T) if by_velocity else speeds(fixes, usable)
     long = np.flatnonzero(span - sensors.imu.dt[rows] > timeline.LONGEST_BRIDGE)
     edges = np.sort(np.concatenate([t[long], t[long + 1] - sensors.imu.dt[rows[long]]]))
-    first, last = _moving(fixes.t[usable], speed, initial.align_for, edges)
+    first, last = find_motion(fixes.t[usable], speed, initial.align_for, edges)
     i, j = usable[first], usable[last]
-    ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else _quartet(fixes, usable[first : last + 1])
+    ends: tuple[int, ...] = (int(i), int(j)) if by_velocity else quartet(fixes, usable[first : last + 1])
     samples = [int(np.argmin(np.abs(t - fixes.t[k]))) for k in ends]  # next to them
     a, b = samples[0], samples[-1]
     stop = min(int(arrival[last]) + 2, len(t) - 1)  # after it has arrived, so that nobody uses it again
@@ -135,10 +135,10 @@ def align_on_the_move(sensors: SensorData, initial: InitialState) -> tuple[Initi
     return found, [(float(fixes.t[i]), found.t, "alignment", text)]
 
 
-def _moving(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
-    """Return the first and last fix of the first stretch of a length [s] that moves throughout.
+def find_motion(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) -> tuple[int, int]:
+    """Return the first and last fix of the first segment of a length [s] that moves throughout.
 
-    ``edges`` are where long gaps of the IMU begin and end: no stretch reaches over one.
+    ``edges`` are where long gaps of the IMU begin and end: no segment reaches over one.
     """
     start, passed = 0, np.searchsorted(edges, t)
     for k in range(len(t)):
@@ -156,7 +156,7 @@ def _moving(t: FloatArray, speed: FloatArray, length: float, edges: FloatArray) 
     )
 
 
-def _speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
+def speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
     """Return the speed (K,) over ground between each fix and the place a window before it [m/s]."""
     t = fixes.t[rows]
     if len(t) == 0:
@@ -168,8 +168,8 @@ def _speeds(fixes: GnssFixes, rows: IntArray) -> FloatArray:
     return np.asarray(np.where(passed > 0, way / np.where(passed > 0, passed, 1.0), 0.0))
 
 
-def _quartet(fixes: GnssFixes, rows: IntArray) -> tuple[int, int, int, int]:
-    """Return the first and last fix of a stretch, and the two that lie ``SHARE`` of it inside."""
+def quartet(fixes: GnssFixes, rows: IntArray) -> tuple[int, int, int, int]:
+    """Return the first and last fix of a segment, and the two that lie ``SHARE`` of it inside."""
     t = fixes.t[rows]
     away = SHARE * (t[-1] - t[0])
     after = max(int(np.searchsorted(t, t[0] + away + timeline.TIME_TOLERANCE)) - 1, 1)

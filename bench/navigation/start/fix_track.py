@@ -28,7 +28,7 @@ def unknown_arm(antenna_b: FloatArray, swing: float = SWING) -> FloatArray:
 
 
 class FixTrack(SessionState):
-    """The filter at the instant of its last fix.
+    """The filter at the time of its last fix.
 
     It starts at ``t`` [s] with position ``lla`` (3,), velocity ``vel_n`` (3,) and their ``cov`` (6, 6), n.
     """
@@ -88,12 +88,12 @@ class FixTrack(SessionState):
         at : (K,) int array
             The first output after each.
         output_t : (M,) array
-            Instants [s].
+            Epochs [s].
         """
         return self._run(Fixes(fixes.t[rows], fixes.lla[rows], fixes.vel_n[rows], r[rows], at), output_t)
 
     def at(self, t: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the states (M, 9) and P (M, 9, 9) carried to instants (M,) [s], NaN before the track."""
+        """Return the states (M, 9) and P (M, 9, 9) carried to epochs (M,) [s], NaN before the track."""
         none, rows = np.empty(0), np.empty((0, 3))
         return self._run(Fixes(none, rows, rows, np.empty((0, 6)), np.empty(0, np.int64)), t)
 

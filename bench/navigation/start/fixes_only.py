@@ -42,7 +42,7 @@ class End(NamedTuple):
 
 
 def lost_at(t: float, end: End) -> End:
-    """Return the end of a filter that is lost at an instant [s]: its attitude may be any that is usual."""
+    """Return the end of a filter that is lost at a time [s]: its attitude may be any that is usual."""
     none, cov = np.full(3, np.nan), np.full((9, 9), np.nan)
     cov[6:, 6:] = np.diag(np.square([_TILT_SD, _TILT_SD, UNKNOWN_HEADING_SD]))
     return end._replace(t=t, lla=none, vel_n=none, cov=cov)
@@ -73,7 +73,7 @@ class Coast(SessionState):
         self.end, self._names, self._accuracy = end, names, accuracy
         self._gnss = gnss = assumed(head.specs, "gnss")
         self._total = fix_variance(gnss, gnss_markov=False)
-        self._white = np.where(_lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
+        self._white = np.where(lasts(gnss, end.vel_n), fix_variance(gnss, gnss_markov=True), self._total)
         self.offset = self._total - self._white
         self._antenna_b, self._arm = head.antenna_b, unknown_arm(head.antenna_b)
         self._beyond, self._used = False, False
@@ -100,7 +100,7 @@ class Coast(SessionState):
         self._fixes = fixes if self._fixes is None else join_rows(self._fixes, fixes)
 
     def at(self, t: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return position (3,), velocity (3,) and covariance (9, 9) at an instant, in order of time."""
+        """Return position (3,), velocity (3,) and covariance (9, 9) at a time, in order of time."""
         if self._fixes is not None:
             self._use(int(np.searchsorted(self._fixes.t_arrival, t + timeline.TIME_TOLERANCE, side="right")))
         cov = np.full((9, 9), np.nan)
@@ -133,7 +133,7 @@ class Coast(SessionState):
                 self._track.run(used, np.array([k]), r, np.zeros(1, np.int64), np.empty(0))
 
     def answers(self, t: FloatArray) -> NavSolution:
-        """Return the answers at instants t (M,), in order of time, with the innovations since the last."""
+        """Return the answers at epochs t (M,), in order of time, with the innovations since the last."""
         m, end = len(t), self.end
         lla, vel_n, cov = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 9, 9))
         for k in range(m):
@@ -150,7 +150,7 @@ class Coast(SessionState):
         )
 
 
-def _lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:
+def lasts(gnss: GnssSpec, vel_n: FloatArray) -> BoolArray:
     """Return which correlated errors (6,) of fixes stay while a track of a few seconds averages them."""
     speed = float(np.nan_to_num(np.linalg.norm(vel_n)))
     pos, vel = gnss.pos_decay_time + gnss.pos_decay_distance * speed, gnss.vel_decay_time

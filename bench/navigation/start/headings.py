@@ -111,10 +111,10 @@ class ManyHeadings(SessionState):
         """Return those of the hypothesis that is the estimate (`piecewise.KnowsImuErrors`)."""
         return cast("KnowsImuErrors", self.members[0 if self.complete else self.best]).steady_errors()
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if self.complete:
-            return self.members[0].feed(piece, look_back, last=last)
+            return self.members[0].update(piece, look_back, last=last)
         wait = max(look_back, longest_wait(piece)) if last else look_back
         wanted, newest = np.append(self.later, piece.output_t), newest_sample(piece)
         reached = np.inf if last else max(self.end, newest)
@@ -129,14 +129,14 @@ class ManyHeadings(SessionState):
             rest = cut_piece(rest, ahead, until, np.inf)
             found += self._step(part, wait, last=False)
         if self.complete:
-            found.append(self.members[0].feed(rest, look_back, last=last))
+            found.append(self.members[0].update(rest, look_back, last=last))
         else:
             found += self._step(rest, look_back, last=last)
         return join_solutions(found)
 
     def _step(self, part: SensorData, look_back: float, *, last: bool) -> list[NavSolution]:
         """Feed a part to all hypotheses; return their joint estimate, or that of the last one left."""
-        solutions = [member.feed(part, look_back, last=last) for member in self.members]
+        solutions = [member.update(part, look_back, last=last) for member in self.members]
         for k, solution in enumerate(solutions):
             self.tables[k] = join_tables([one for one in (self.tables[k], solution.innovations) if len(one)])
             self.events[k] += solution.events.rows()
@@ -159,7 +159,7 @@ class ManyHeadings(SessionState):
             self.span *= 2.0
         if last:
             rest = take_answers(solutions[self.best], slice(done, None))
-            found.append(self._end(rest, self.end, "no motion told it"))
+            found.append(self._end(rest, self.end, "no motion showed it"))
         return found
 
     def _end(self, solution: NavSolution, until: float, text: str) -> NavSolution:
@@ -182,15 +182,15 @@ class ManyHeadings(SessionState):
                     _take_table(table, part) for part in (slice(count), slice(count, None))
                 )
                 of = np.searchsorted(t, used.t - TIME_TOLERANCE)
-                total = np.cumsum(np.append(self.log[k], _gains(used, rest[of], self.by_rest)))
+                total = np.cumsum(np.append(self.log[k], gains(used, rest[of], self.by_rest)))
                 log[k], self.log[k] = total[np.searchsorted(of, np.arange(len(t)), side="right")], total[-1]
                 tables.append(used)
                 rows.append(of)
             weight = np.exp(log - log.max(axis=0))
             weight = np.asarray(weight / weight.sum(axis=0))
-            leader = _leading(weight, self.best)
+            leader = leading(weight, self.best)
             self.best = int(leader[-1])
-            self.apart = _heading_spread(parts, weight, self.best)
+            self.apart = heading_spread(parts, weight, self.best)
             led = [_take_table(tables[k], np.flatnonzero(leader[rows[k]] == k)) for k in range(COUNT)]
             order = np.argsort(
                 np.concatenate([rows[k][leader[rows[k]] == k] for k in range(COUNT)]), kind="stable"
@@ -198,10 +198,10 @@ class ManyHeadings(SessionState):
             table = join_tables([one for one in led if len(one)])
             return replace(_combine(parts, weight, leader), innovations=_take_table(table, order))
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
         self.later = np.empty(0)
-        return self.members[0].answer(head) if self.complete else answer_now(self, head)
+        return self.members[0].current(head) if self.complete else answer_now(self, head)
 
     def make_parts(self) -> None:
         """Keep one hypothesis alone once it represents all."""
@@ -249,10 +249,10 @@ def _take_table(table: Innovations, rows: slice | IntArray) -> Innovations:
     return replace(table, **{name: getattr(table, name)[rows] for name in names})
 
 
-def _gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray:
+def gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArray:
     """Return what each innovation (K,) adds to the logarithm of the weight of its hypothesis.
 
-    Until an instant at which the aircraft may stand, ``rest`` (K,), only the sensors ``by_rest`` count: in
+    Until a time at which the aircraft may stand, ``rest`` (K,), only the sensors ``by_rest`` count: in
     others noise and the drift of the filter lie along some heading by chance, and the filter would take them
     for motion.
     """
@@ -262,8 +262,8 @@ def _gains(table: Innovations, rest: BoolArray, by_rest: list[str]) -> FloatArra
     return np.asarray(np.where(np.isfinite(gain), gain, -np.inf))
 
 
-def _leading(weight: FloatArray, now: int) -> IntArray:
-    """Return which hypothesis is the estimate at each instant; it changes only for a much likelier one."""
+def leading(weight: FloatArray, now: int) -> IntArray:
+    """Return which hypothesis is the estimate at each time; it changes only for a much likelier one."""
     leader = np.empty(weight.shape[1], np.int64)
     for j, column in enumerate(weight.T):
         if column.max() > AHEAD * column[now]:
@@ -288,7 +288,7 @@ def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -
         turn = rotation.multiply(values["q_nb"], rotation.conjugate(member.q_nb))
         d[:, PHI:] = rotation.to_rotvec(turn)
         J = np.tile(np.eye(9), (len(rows), 1, 1))
-        J[:, PHI:, PHI:] = _inverse_jacobian(d[:, PHI:])
+        J[:, PHI:, PHI:] = inverse_jacobian(d[:, PHI:])
         square = J @ member.cov @ np.swapaxes(J, 1, 2) + d[:, :, None] * d[:, None, :]
         apart = values["extra"] - member.extra
         cov += np.where(w > 0, w, 0.0)[:, None, None] * np.where(w[:, None, None] > 0, square, 0.0)
@@ -297,7 +297,7 @@ def _combine(members: list[NavSolution], weight: FloatArray, leader: IntArray) -
     return replace(members[0], **found, events=Events.from_rows([]))
 
 
-def _inverse_jacobian(d: FloatArray) -> FloatArray:
+def inverse_jacobian(d: FloatArray) -> FloatArray:
     """Return J (M, 3, 3) of rotation vectors d (M, 3) up to pi: log(exp(d) exp(e)) = d + J e."""
     angle = np.linalg.norm(d, axis=1)
     half = 0.5 * np.maximum(angle, 1e-3)
@@ -307,8 +307,8 @@ def _inverse_jacobian(d: FloatArray) -> FloatArray:
     return J
 
 
-def _heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
-    """Return at the last instant how far the hypotheses lie from the best, rms, and its own sd [rad]."""
+def heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
+    """Return at the last time how far the hypotheses lie from the best, rms, and its own sd [rad]."""
     last = [member.q_nb[-1] for member in members]
     apart = [rotation.to_rotvec(rotation.multiply(last[best], rotation.conjugate(q)))[2] for q in last]
     spread = np.nansum(weight[:, -1] * np.square(apart))

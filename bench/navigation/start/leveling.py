@@ -65,7 +65,7 @@ def align_at_rest(sensors: SensorData, initial: InitialState) -> tuple[InitialSt
     bias_cov = np.zeros((9, 6))  # of an error of the bias: estimate, zero, less truth
     bias_cov[6:, 3:] = -J[:, :2] @ C[:2] * common_variance(accel, T)
     heading_sd = float(np.sqrt(phi_cov[2, 2]))
-    text = f"levelled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
+    text = f"leveled at rest, {T:.0f} s: tilt sd {np.rad2deg(np.sqrt(phi_cov[0, 0])):.2g} deg each axis; "
     given_sd = float(np.sqrt(initial.cov[8, 8]))
     if np.isfinite(initial.q_nb).all() and given_sd < min(heading_sd, UNKNOWN_HEADING_SD):
         q_nb = rotation.multiply(plumb, rotation.from_euler(roll, pitch, rotation.to_euler(initial.q_nb)[2]))

@@ -1,7 +1,7 @@
-"""Fixes that a filter refuses for long although they agree with each other: then the filter is wrong.
+"""Fixes that a filter rejects for long although they agree with each other: then the filter is wrong.
 
-The gate believes refused fixes again after a while (`engine.gate`) and opens position and velocity for it.
-Where the attitude is lost that is no help: the filter drifts off again, and refuses the next. What tells a
+The gate assumes rejected fixes again after a while (`engine.gate`) and opens position and velocity for it.
+Where the attitude is lost that is no help: the filter drifts off again, and rejects the next. What tells a
 lost filter from a receiver that errs are the fixes alone. Those of a frozen receiver, of one whose position
 is pulled away and of one in a burst of noise move otherwise than their velocities (`velocity_consistency`).
 Whoever spoofs position and velocity alike passes, as at the gate.
@@ -23,20 +23,20 @@ from bench.navigation.error_state_filter.measurement_rows import POSITION, SENSO
 from bench.navigation.options import FixAccuracy
 
 SHARE = 0.75
-"""Part of the time of a window in which positions are refused."""
+"""Part of the time of a window in which positions are rejected."""
 _FEWEST = 10  # fixes in a window; none stands for more than a tenth of its time
 _FALSE_ALARM = 1e-5  # chance that a sound fix counts as one that does not agree
 
 
 class RefusedFixes(SessionState):
-    """Tells when a filter has refused sound fixes for long, from its innovations and the fixes.
+    """Tells when a filter has rejected sound fixes for long, from its innovations and the fixes.
 
     A window is twice as long as ``readmit_after_s`` of its gate [s], and no shorter than the fixes are
     compared over.
     """
 
     _fixes: Replaced[GnssFixes | None]  # of the last window
-    _t: Replaced[FloatArray]  # (K,) instants of its verdicts on positions [s]
+    _t: Replaced[FloatArray]  # (K,) epochs of its verdicts on positions [s]
     _stood: Replaced[FloatArray]  # (K,) time that each of them stands for [s]
     _refused: Replaced[BoolArray]  # (K,)
     _begun: Kept[float]  # first verdict [s]
@@ -62,11 +62,11 @@ class RefusedFixes(SessionState):
 
     @property
     def any_refused(self) -> bool:
-        """Whether a position of the last window was refused."""
+        """Whether a position of the last window was rejected."""
         return bool(self._refused.any())
 
     def find(self, table: Innovations) -> float | None:
-        """Return the first instant [s] at which the filter is lost, by its next innovations."""
+        """Return the first time [s] at which the filter is lost, by its next innovations."""
         if not len(table):
             return None
         code = table.sensor.index(SENSORS[POSITION]) if SENSORS[POSITION] in table.sensor else -1
@@ -97,13 +97,13 @@ class RefusedFixes(SessionState):
         return None
 
     def last(self, t: float) -> GnssFixes:
-        """Return the last fix that had arrived at an instant [s]."""
+        """Return the last fix that had arrived at a time [s]."""
         assert self._fixes is not None
         (rows,) = np.nonzero(self._fixes.t_arrival <= t + TIME_TOLERANCE)
         return self._fixes.take(rows[-1:])
 
     def _agree(self, now: float) -> bool:
-        """Tell whether all fixes of a window until an instant [s] moved as their velocities say."""
+        """Tell whether all fixes of a window until a time [s] moved as their velocities say."""
         assert self._fixes is not None
         arrival = self._fixes.t_arrival
         inside = (arrival > now - self.window) & (arrival <= now + TIME_TOLERANCE)

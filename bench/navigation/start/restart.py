@@ -1,13 +1,13 @@
 """Over a long gap in the IMU record a filter with fixes coasts on them, and then starts again.
 
 Over seconds without IMU the tilt may be anything, and the linear error model of a filter breaks: it would
-come back metres off and claim decimetres. So it stops at the last sample before the gap. From there on
+come back meters off and claim decimeters. So it stops at the last sample before the gap. From there on
 position and velocity come from the fixes alone (`fixes_only`); the attitude is held and its
 covariance grows. When the samples are back, the alignment at rest or on the move finds the attitude
 (`alignment`), and the filter starts again. Its IMU biases are kept, each with its variance; all other
 states begin as at the first start. A filter without fixes ends at the gap: nothing tells where it is.
 
-A filter that has refused sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
+A filter that has rejected sound fixes for long is lost (`refused_fixes`): it is reset in the same way, with
 nothing taken over of what it said, biases included: with a heading wrong by 90 deg it has learnt wrong ones.
 """
 
@@ -53,11 +53,11 @@ from bench.navigation.start.fixes_only import Coast, End, fresh_fixes, lost_at
 from bench.navigation.start.learnt_biases import UNLEARNT, LearntBiases, learn_biases
 from bench.navigation.start.refused_fixes import SHARE, RefusedFixes
 
-_ALIGN_FOR = 10.0  # of a stretch that gives the course, or of a standstill [s]
+_ALIGN_FOR = 10.0  # of a segment that gives the course, or of a standstill [s]
 _STILL = 0.3  # speed below which an aircraft stood before a gap [m/s]
 _SIGMAS = 5.0  # by which it may seem to have moved in it
 _LONG = 10.0  # piece within which a filter may get lost: a copy of it is kept [s]
-_LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
+LONGEST_KEPT = 120.0  # of a record that is kept beside such a copy [s]
 
 Begin = Callable[[SensorData, InitialState, list[EventRow]], InPieces]
 
@@ -76,7 +76,7 @@ class _Pause(SessionState):
     why: Kept[list[str]]  # the others did
 
     def due(self, until: float) -> FloatArray:
-        """Remove and return the output times up to an instant [s]."""
+        """Remove and return the output times up to a time [s]."""
         due = self.wanted <= until
         found, self.wanted = self.wanted[due], self.wanted[~due]
         return found
@@ -113,7 +113,7 @@ class BetweenGaps(SessionState):
     pause: Kept[_Pause | None]
     watch: Kept[RefusedFixes | None]
     filter: Kept[InPieces | None]
-    fork: Kept[InPieces | None]  # the filter as it was before the first of some refusals
+    fork: Kept[InPieces | None]  # the filter as it was before the first of some rejections
     since: Replaced[SensorData | None]  # what has come since
     told: Replaced[tuple[float, float]]  # last answer and last innovation given since [s]
 
@@ -143,7 +143,7 @@ class BetweenGaps(SessionState):
         """Instant of the last IMU sample taken, or of the start [s]."""
         return self.intake.newest
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         record = self._with_held(piece, look_back)
         imu, before = record.imu, self.intake.newest
@@ -180,7 +180,7 @@ class BetweenGaps(SessionState):
                 raise EstimatorError("it cannot go over to another antenna before it has started again")
             if held is not None:  # of the antenna before
                 assert self.filter is not None
-                self.filter.feed(
+                self.filter.update(
                     self._less(cut_piece(held, slice(0), -np.inf, np.inf)), look_back, last=False
                 )
                 held = replace(take_head(held), imu=held.imu)
@@ -210,7 +210,7 @@ class BetweenGaps(SessionState):
         self._keep_copy(part)
         before = self.biases
         if ended is None:
-            solution = self._own(self.filter.feed(self._less(part), look_back, last=last))
+            solution = self._own(self.filter.update(self._less(part), look_back, last=last))
         else:
             solution = self._end_at(part, ended)
         lost = None if self.watch is None else self.watch.find(solution.innovations)
@@ -222,10 +222,10 @@ class BetweenGaps(SessionState):
         self._drop_copy(solution)
 
     def _end_at(self, part: SensorData, ended: float) -> NavSolution:
-        """Let the filter take a part and end at an instant [s]; keep what it has learnt."""
+        """Let the filter take a part and end at a time [s]; keep what it has learnt."""
         assert self.filter is not None
         wanted = np.union1d(part.output_t, ended)
-        solution = self._own(self.filter.feed(self._less(replace(part, output_t=wanted)), 0.0, last=True))
+        solution = self._own(self.filter.update(self._less(replace(part, output_t=wanted)), 0.0, last=True))
         self.stopped, self.names = _last_answer(solution), solution.extra_names
         steady = cast("KnowsImuErrors", self.filter).steady_errors() if self.whole else None
         self.biases = learn_biases(self.stopped, self.head.specs.imu, self.biases, steady)
@@ -243,12 +243,12 @@ class BetweenGaps(SessionState):
             self.fork, self.since, self.told = self.filter.copy(), part, (-np.inf, -np.inf)
 
     def _drop_copy(self, solution: NavSolution) -> None:
-        """Drop the copy where nothing was refused of late; else remember what has been given since."""
+        """Drop the copy where nothing was rejected of late; else remember what has been given since."""
         if self.since is None:
             return
         assert self.watch is not None
         kept = self.filter is not None and self.watch.any_refused
-        if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > _LONGEST_KEPT:
+        if not kept or newest_sample(self.since) - self.since.imu.t.min(initial=np.inf) > LONGEST_KEPT:
             self.fork, self.since = None, None
         answered, told = self.told
         self.told = float(solution.t.max(initial=answered)), float(solution.innovations.t.max(initial=told))
@@ -269,7 +269,7 @@ class BetweenGaps(SessionState):
         assert self.accuracy is not None
         coast = Coast(self.head, lost_at(t, self.stopped), self.names, self.accuracy)
         coast.take(fix)
-        why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s refused that moved as their velocities say"
+        why = f"fixes of {SHARE:.0%} of {self.watch.window:g} s rejected that moved as their velocities"
         self.pause = _Pause(coast, (t, t), "reset", why, np.empty(0), None, [], [])
         self.watch.forget()
         self.newest = float(fix.t[-1])
@@ -277,11 +277,11 @@ class BetweenGaps(SessionState):
         self._take(rest, look_back, found, last=last, ended=ended)
 
     def _stop(self, silent: tuple[float, float], found: list[NavSolution]) -> None:
-        """Continue from fixes alone in a gap from one instant until another [s], or without end."""
+        """Continue from fixes alone in a gap from one time until another [s], or without end."""
         if self.accuracy is None:
             if self.stopped is not None:
                 length, because = f"{silent[1] - silent[0]:.6g} s", name_ranges(self.lost)
-                text = f"IMU silent for {length}{because}: it ends; without fixes nothing tells where it is"
+                text = f"IMU silent for {length}{because}: it ends; without fixes its position is unknown"
                 events: list[EventRow] = [
                     (*silent, "timeline", f"imu: gap of {length}", "imu"),
                     (*silent, "ended", text, "imu"),
@@ -304,7 +304,7 @@ class BetweenGaps(SessionState):
         )
 
     def _unknown(self, t: FloatArray) -> NavSolution:
-        """Return a solution of NaN at instants t (M,), with the further states of the filter."""
+        """Return a solution of NaN at epochs t (M,), with the further states of the filter."""
         none = np.full((len(t), len(self.names)), np.nan)
         return replace(nothing_known(t), extra_names=self.names, extra=none, extra_sd=none)
 
@@ -319,7 +319,7 @@ class BetweenGaps(SessionState):
         stretch = replace(cut_piece(part, slice(None), begin, np.inf), output_t=np.empty(0))
         if pause.record is None:
             found.append(pause.coast.answers(pause.due(begin)))
-            pause.record, pause.ways = stretch, _ways(begin, pause.coast)
+            pause.record, pause.ways = stretch, list_starts(begin, pause.coast)
         else:
             pause.record = join_pieces(pause.record, stretch)
         start, text = None, ""
@@ -375,10 +375,10 @@ class BetweenGaps(SessionState):
         """Return a solution of the filter with the biases added that were taken off its increments."""
         return self.biases.given_back(solution) if self.again else solution
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
         if self.filter is not None and self.pause is None:
-            return self._own(self.filter.answer(self._less(head)))
+            return self._own(self.filter.current(self._less(head)))
         if self.pause is None:
             return self._unknown(np.array([self.end]))
         self.pause.wanted = np.empty(0)
@@ -418,8 +418,8 @@ def between_gaps(
     return BetweenGaps(begin, first, start, events, accuracy, whole=whole, readmit_after_s=readmit_after_s)
 
 
-def _ways(begin: float, coast: Coast) -> list[StartSearch]:
-    """Return the search for an alignment after a gap that ended at an instant [s]: at rest, then moving."""
+def list_starts(begin: float, coast: Coast) -> list[StartSearch]:
+    """Return the search for an alignment after a gap that ended at a time [s]: at rest, then moving."""
     lla, vel_n, cov = coast.at(begin)
     before, unknown = coast.end, np.full(4, np.nan)
     speed = float(np.nan_to_num(np.hypot(*vel_n[:2])))  # a filter may have ended without a velocity

@@ -44,11 +44,11 @@ class Manoeuvres(NamedTuple):
     sd: float  # of the acceleration along each axis [m/s^2]
     tau: float  # its correlation time [s]
     nis: float  # largest NIS of a position or a velocity
-    readmit_after_s: float  # time of nothing but refusals after which fixes are believed again [s]
+    readmit_after_s: float  # time of nothing but rejections after which fixes are re-admitted [s]
 
 
 class SingerTrack(NamedTuple):
-    """The filter at the instant of its last fix."""
+    """The filter at the time of its last fix."""
 
     t: FloatArray  # (1,) [s]
     x: FloatArray  # (9,) position [rad, rad, m], velocity [m/s] and acceleration [m/s^2], n
@@ -242,7 +242,7 @@ def track_kernel(
     P: FloatArray,
     work: TrackWork,
 ) -> None:
-    """Fill x (M, 9) and P (M, 9, 9) at the instants output_t (M,) [s], none before the track.
+    """Fill x (M, 9) and P (M, 9, 9) at the epochs output_t (M,) [s], none before the track.
 
     Each fix is used before the output ``at`` it, unless it is older than the track.
     """

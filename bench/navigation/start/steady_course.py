@@ -30,7 +30,7 @@ from bench.navigation.error_state_filter.state_processes import Block, States
 from bench.navigation.start.course import LEAST_SPEED
 
 LARGE = float(np.deg2rad(15.0)) / 600.0  # sd of a bias that turns the heading out of what is linear [rad/s]
-FIRST = 20.0  # stretch at the start that tells the bias alone (`turn_on`) [s]
+FIRST = 20.0  # segment at the start that tells the bias alone (`turn_on`) [s]
 INTERVAL = 10.0  # after it, in which what moves nose and course apart is another [s]
 STRAIGHT = float(np.deg2rad(10.0))  # largest change of the course [rad]
 TURNED_SD = float(np.deg2rad(5.0))  # of the change of an angle that the course does not show [rad]
@@ -135,7 +135,7 @@ class SteadyCourse(SessionState):
         return t, course[:, None], np.full(6, sd**2)
 
     def _has_stood(self, now: float) -> bool:
-        """Return whether the gyros show a standstill from the last measured angle until an instant [s]."""
+        """Return whether the gyros show a standstill from the last measured angle until a time [s]."""
         span = now - self.measured
         return math.isinf(span) or float(np.sum(self.stood <= now)) * WINDOW >= STANDS * (span - WINDOW)
 

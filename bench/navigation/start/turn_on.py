@@ -1,11 +1,11 @@
 """A large turn-on bias of the gyros, learnt in the first seconds before a linear filter takes it.
 
 In straight flight no measurement shows the heading. A bias of degrees per second turns it by tens of degrees
-until the first turn, and a linear filter is then lost. So the mean rate over a stretch in which the course
+until the first turn, and a linear filter is then lost. So the mean rate over a segment in which the course
 stays is taken for the bias: the attitude of a vehicle that flies or drives straight changes little. At rest
 it does not change at all. The filter begins again at the start with what is left of the bias, first after
-1.5 s and then with what a longer stretch tells; answers that were given are not changed. What is left is
-learnt while the course stays (`steady_course`). A start in a turn has no such stretch: see `turning_start`.
+1.5 s and then with what a longer segment tells; answers that were given are not changed. What is left is
+learnt while the course stays (`steady_course`). A start in a turn has no such segment: see `turning_start`.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ from bench.navigation.start.steady_course import (
 )
 
 LARGE = float(np.deg2rad(0.3))  # sd of a bias that turns the heading by 18 deg in a minute [rad/s]
-STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the stretch so far is looked at [s]
-SHORTEST, FIRST_LOOK = 5.0, 0.9  # stretch that has ended; one that goes on, which a longer one replaces [s]
+STEPS = (1.5, 2.5, 3.5, 5.0, 10.0, FIRST)  # after the start, when the segment so far is looked at [s]
+SHORTEST, FIRST_LOOK = 5.0, 0.9  # segment that has ended; one that goes on, which a longer one replaces [s]
 MOST = 5.0  # sd; no unit errs by more
 
 Run = Callable[[SensorData, InitialState, float | None], NavSolution]
@@ -67,14 +67,14 @@ class TurnOn:
 
     bias_b: FloatArray  # (3,) [rad/s], b
     sd: float  # [rad/s]
-    until: float  # end of the stretch that it comes from [s]
+    until: float  # end of the segment that it comes from [s]
     turning: bool = False  # that is no straight
 
 
 class FromTurnOn(SessionState):
     """A filter that gets a large bias of the gyros taken off its increments (`InPieces`).
 
-    While the stretch goes on it takes the record so far once more, from the start, whenever the bias is known
+    While the segment goes on it takes the record so far once more, from the start, whenever the bias is known
     better: in the first seconds a bias of 10 deg/s is beyond what a linear filter can learn. Where the course
     leaves it begins near the bias that :mod:`turning_start` finds.
 
@@ -82,7 +82,7 @@ class FromTurnOn(SessionState):
     what is left of the bias [rad/s]; None: that of the datasheet. The attitude at the start is given.
     """
 
-    record: Replaced[SensorData]  # from the start on, until the stretch has ended
+    record: Replaced[SensorData]  # from the start on, until the segment has ended
     step: Kept[int]  # of `STEPS`, that is to come
     found: Kept[TurnOn | None]
     told: Kept[float]  # until then the filter before has told its innovations [s]
@@ -105,7 +105,7 @@ class FromTurnOn(SessionState):
         mean, sd = cast("KnowsImuErrors", self.filter).steady_errors()
         return mean + (0.0 if self.found is None else np.append(self.found.bias_b, np.zeros(3))), sd
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         """Take the next piece; return the answers that are final (`piecewise.InPieces`)."""
         if not np.array_equal(self.head.antenna_b, piece.antenna_b):
             self.step = len(STEPS)  # the record from the start is of another antenna
@@ -120,7 +120,7 @@ class FromTurnOn(SessionState):
             near = np.zeros(3) if self.found is None else self.found.bias_b
             found = find_turn_on(self.record, self.initial, due)
             found = found or find_turning(self.record, self.initial, due, near)
-            if self._is_other(found):
+            if self.is_other(found):
                 before, piece = _until(piece, due), _after(piece, due)
                 solution = self._take(before, 0.0, last=True)
                 events = [*solution.events.rows(), _event(self.initial, found, due)]
@@ -134,9 +134,9 @@ class FromTurnOn(SessionState):
         return join_solutions([*parts, self._take(piece, look_back, last=last)])
 
     def _take(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
-        return self._own(self.filter.feed(self._less(piece), look_back, last=last))
+        return self._own(self.filter.update(self._less(piece), look_back, last=last))
 
-    def _is_other(self, found: TurnOn | None) -> bool:
+    def is_other(self, found: TurnOn | None) -> bool:
         """Return whether a new estimate of the bias replaces the one in use."""
         if found is None or self.found is None:
             return found is not self.found
@@ -152,22 +152,22 @@ class FromTurnOn(SessionState):
             else _give_back(self.found, take_after(-np.inf, self.told, solution))
         )
 
-    def answer(self, head: SensorData) -> NavSolution:
+    def current(self, head: SensorData) -> NavSolution:
         """Return state and covariance at the end, were that the end of the record."""
-        return self._own(self.filter.answer(self._less(head)))
+        return self._own(self.filter.current(self._less(head)))
 
     def make_parts(self) -> None:
-        """Make the filter before or after the stretch."""
+        """Make the filter before or after the segment."""
         self.filter = self._begin(self.head, self.initial, [], self.found.sd if self.found else None)
 
 
 def _until(record: SensorData, t: float) -> SensorData:
-    """Return what has come until an instant [s]."""
+    """Return what has come until a time [s]."""
     return cut_piece(record, np.flatnonzero(~(record.imu.t > t)), -np.inf, t)
 
 
 def _after(record: SensorData, t: float) -> SensorData:
-    """Return what comes after an instant [s]."""
+    """Return what comes after a time [s]."""
     return cut_piece(record, np.flatnonzero(record.imu.t > t), t, np.inf)
 
 
@@ -181,7 +181,7 @@ def may_be_learnt(first: SensorData, initial: InitialState) -> bool:
 def smooth_from_turn_on(
     run: Run, sensors: SensorData, initial: InitialState
 ) -> tuple[NavSolution, FloatArray]:
-    """Return what `FromTurnOn` does of a smoother, which knows the stretch from its first answer on.
+    """Return what `FromTurnOn` does of a smoother, which knows the segment from its first answer on.
 
     The second is the bias (3,) of the gyros [rad/s] that it did not see.
     """
@@ -256,7 +256,7 @@ def find_turn_on(sensors: SensorData, initial: InitialState, until: float = math
         turn_b = rotation.rotate(rotation.conjugate(initial.q_nb), turn_n)
         sd, bias_b = TURNED_SD, sensors.imu.dtheta_b[inside].sum(axis=0) / span - turn_b
         height, end = height[:count], float(fixes.t_arrival[used[count - 1]])
-    sd = math.hypot(sd / span, _warming_sd(span, height, spec, initial))
+    sd = math.hypot(sd / span, warming_sd(span, height, spec, initial))
     before = gyro_error_sd(spec, initial)
     if span < (SHORTEST if ended else FIRST_LOOK) or sd > before:
         return None
@@ -276,7 +276,7 @@ def find_turning(sensors: SensorData, initial: InitialState, until: float, near:
     return TurnOn(found[0], found[1], until, turning=True)
 
 
-def _warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
+def warming_sd(span: float, height: FloatArray, spec: ImuSpec, initial: InitialState) -> float:
     """Return a bound of the sd by which warming changes a bias over a span [s] at heights [m]."""
     begun, ground, lapse, time_constant = thermal_figures(initial.t, float(initial.lla[2]), spec)
     change = float(np.nanmax(np.abs(ground + lapse * height - begun), initial=0.0))

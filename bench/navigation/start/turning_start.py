@@ -1,6 +1,6 @@
-"""A bias of the gyros by a start in a turn, where no stretch is straight.
+"""A bias of the gyros by a start in a turn, where no segment is straight.
 
-The attitude at an instant is taken for that of coordinated flight: the heading has turned with the course,
+The attitude at a time is taken for that of coordinated flight: the heading has turned with the course,
 the bank is that of the turn, the pitch is that of the start. The bias is what leads there.
 """
 

@@ -1,4 +1,4 @@
-"""Estimators that take a record only as a whole, started again after each long gap in its IMU."""
+"""Filters that take a record only as a whole, started again after each long gap in its IMU."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def run_between_gaps(
         return _WholeRun(run, start, events, gyro_sd, steady_errors)
 
     between = BetweenGaps(begin, sensors, start, events, accuracy, whole=steady_errors is not None)
-    return between.feed(sensors, 0.0, last=True)
+    return between.update(sensors, 0.0, last=True)
 
 
 def _has_long_gap(sensors: SensorData, start: float) -> bool:
@@ -88,7 +88,7 @@ class _WholeRun:
     gyro_sd: float | None
     steady_errors: Errors | None
 
-    def feed(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
+    def update(self, piece: SensorData, look_back: float, *, last: bool) -> NavSolution:
         assert last
         solution = self.run(piece, self.start, self.gyro_sd)
         return replace(solution, events=Events.from_rows([*self.events, *solution.events.rows()]))

@@ -69,7 +69,7 @@ def _read_attitude(data: Mapping[str, FloatArray], scale: float = np.pi / 180) -
 
 
 def read_estimate(path: Path, core: int | None) -> OwnEstimate:
-    """Return the estimate of a core; None: of the one that flew at each instant.
+    """Return the estimate of a core; None: of the one that flew at each time.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def read_estimate(path: Path, core: int | None) -> OwnEstimate:
 
 
 class _Lanes:
-    """The records of one core of a family, or of the one that flew at each instant."""
+    """The records of one core of a family, or of the one that flew at each time."""
 
     def __init__(self, log: DataFlash, family: str, core: int | None) -> None:
         self.log, self.family, self.events = log, family, list[EventRow]()
@@ -177,7 +177,7 @@ def _list_messages(log: DataFlash) -> list[EventRow]:
 
 
 def _read_variances(lanes: _Lanes, motion: OwnMotion) -> tuple[FloatArray, FloatArray]:
-    """Return the claims of EKF3; those of the quaternion become angles in n."""
+    """Return the covariances of EKF3; those of the quaternion become angles in n."""
     if lanes.family != "XKF" or "XKV1" not in lanes.log:
         return no_values(9)
     t, data = lanes.take("V1")

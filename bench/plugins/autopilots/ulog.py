@@ -88,7 +88,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     try:
         t = times(data)
         if kind == "imu":
-            values = _read_imu(log, name, instance, data)
+            values = read_imu(log, name, instance, data)
             _check_cover(path, name, t, data)
         elif kind in ("gnss", "heading"):
             t, fix = _read_gnss(log, t, data, instance, notes)
@@ -196,7 +196,7 @@ def _read_duration(data: Data, name: str) -> FloatArray:
 def measure_cover(t: FloatArray, data: Data) -> float:
     """Return the part of the time between two rows that the rows measured themselves, by the median."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    if not step > 0.0:  # rows of the same instant: reading them says more
+    if not step > 0.0:  # rows of the same time: reading them says more
         return 1.0
     name = next((one for one in ("delta_angle_dt", "gyro_integral_dt") if one in data), None)
     if name is None:
@@ -214,7 +214,7 @@ def _check_cover(path: Path, name: str, t: FloatArray, data: Data) -> None:
         )
 
 
-def _read_imu(log: ULog, name: str, instance: int, data: Data) -> dict[str, FloatArray]:
+def read_imu(log: ULog, name: str, instance: int, data: Data) -> dict[str, FloatArray]:
     """Return rates, or those over the interval that the increments are of; clipped rows are not valid."""
     values: dict[str, FloatArray]
     if "delta_angle[0]" in data:
@@ -311,7 +311,8 @@ def _read_heading(data: Data) -> dict[str, FloatArray]:
     return {"heading": heading, **({"sd": sd} if (sd[told] > 0).all() else {})}
 
 
-def _read_radar(data: Data) -> dict[str, FloatArray]:
+def read_radar(data: Data) -> dict[str, FloatArray]:
+    """Return heights, valid where the sensor looks down and measures within its limits."""
     distance = np.asarray(data["current_distance"], float)
     good = (distance > np.asarray(data["min_distance"])) & (distance < np.asarray(data["max_distance"]))
     if "orientation" in data:
@@ -321,4 +322,4 @@ def _read_radar(data: Data) -> dict[str, FloatArray]:
     return {"height": distance, "valid": good.astype(float)}
 
 
-_READERS = {"baro": _read_baro, "mag": _read_mag, "airspeed": _read_airspeed, "radar": _read_radar}
+_READERS = {"baro": _read_baro, "mag": _read_mag, "airspeed": _read_airspeed, "radar": read_radar}

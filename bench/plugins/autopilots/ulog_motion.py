@@ -1,9 +1,9 @@
 """The truth of a simulator and the estimates of EKF2 in a ULog.
 
 EKF2 runs for each IMU and magnetometer; ``estimator_selector_status`` says which one flies. Its position is
-``vehicle_local_position``, in metres from a reference; its claims: ``eph``, ``epv``, ``evh``, ``evv`` there,
-and the diagonal of the covariance in ``estimator_states`` (before PX4 1.12 ``estimator_status``). That has
-four elements of the quaternion, from PX4 1.15 on three angles in n.
+``vehicle_local_position``, in meters from a reference; its covariances: ``eph``, ``epv``, ``evh``, ``evv``
+there, and the diagonal of the covariance in ``estimator_states`` (before PX4 1.12 ``estimator_status``). That
+has four elements of the quaternion, from PX4 1.15 on three angles in n.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ def has_estimate(log: ULog) -> bool:
 
 
 def read_estimate(log: ULog, instance: int | None, undulation: float) -> OwnEstimate:
-    """Return the estimate of an instance of EKF2; None: of the one that flew at each instant.
+    """Return the estimate of an instance of EKF2; None: of the one that flew at each time.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def _list_lanes(selector: Data) -> list[EventRow]:
 def _read_variances(
     log: ULog, local: Data, instance: int, motion: OwnMotion
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the claims: of position and velocity as published, of the attitude by the covariance."""
+    """Return the covariances: of position and velocity as published, of the attitude by the covariance."""
     variance = np.full((len(motion.t), 9), np.nan)
     for first, h, v in ((0, "eph", "epv"), (3, "evh", "evv")):
         if h in local and np.any(local[h]):

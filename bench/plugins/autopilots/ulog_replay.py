@@ -149,7 +149,7 @@ it.
 
 {listed}
 {lost}
-t = 0 is {_BOOTED:g} s after boot. Heights over the sea are those over the ellipsoid: no geoid is modelled.
+t = 0 is {_BOOTED:g} s after boot. Heights over the sea are those over the ellipsoid: no geoid is modeled.
 `hdop`, `vdop` and what else the run does not know is 0, a heading of a receiver with one antenna NaN.
 `vehicle_land_detected` says landed below {_STANDS:g} m/s by the receiver; `vehicle_status` says armed, a
 fixed wing."""

@@ -45,7 +45,7 @@ ESTIMATORS = {
         "package": "gtsam",
     },
 }
-"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+"""Name of a filter -> its row in `bench.navigation.built_in`."""
 
 _SMALL = 0.01  # step of the last pass, in standard deviations
 _LEAST = np.array([1e-7, 1e-6, 1e-10, 1e-8])  # of noise of gyro and accelerometer, of their biases, SI
@@ -56,7 +56,7 @@ _LEAST_WALK = 1e-6  # of a bias from node to node, over that at the start
 class GraphSmoother:
     """INS/GNSS smoother as a factor graph.
 
-    Innovations are those of the first pass; what its test refuses is left out of the graph.
+    Innovations are those of the first pass; what its test rejects is left out of the graph.
 
     Options: `bench.plugins.graph.graph_options.GraphOptions`.
     """
@@ -67,14 +67,14 @@ class GraphSmoother:
         self.options = read_options(GraphOptions, options)
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
-        """Estimate each instant from all fixes of the record, earlier and later.
+        """Estimate each time from all fixes of the record, earlier and later.
 
         Raises
         ------
         bench.EstimatorError
-            Where :meth:`refuses` says why, and as for an alignment.
+            Where :meth:`check_sensors` says why, and as for an alignment.
         """
-        if sensors.fixes is not None and (said := self.refuses(sensors.specs)):
+        if sensors.fixes is not None and (said := self.check_sensors(sensors.specs)):
             raise EstimatorError(said)
         return run_between_gaps(self._run, sensors, initial, "datasheet")
 
@@ -90,13 +90,13 @@ class GraphSmoother:
         steps = plan.steps
         dtheta, dvel = (one[steps.row] * steps.share[:, None] for one in (steps.dtheta_b, steps.dvel_b))
         dvel = dvel + 0.5 * np.cross(dtheta, dvel)  # along the axes at the start of the step
-        chain = _Chain(gtsam, self.options, sensors, initial)
+        chain = Chain(gtsam, self.options, sensors, initial)
         done, outputs, waiting = -1, [], iter(plan.outputs.tolist())
         for k, action, _, row, _ in plan.entries.tolist():
             if k > done:
                 part = slice(done + 1, k + 1)
                 unknown = steps.unknown[part].sum(axis=0)
-                chain.links.append(_Link(steps.span[part], dtheta[part], dvel[part], unknown))
+                chain.links.append(Link(steps.span[part], dtheta[part], dvel[part], unknown))
                 chain.fixes.append([])
                 done = k
             if action == OUTPUT:
@@ -123,10 +123,11 @@ class GraphSmoother:
         told = Events.from_rows(events + refused)
         return answers(sensors.output_t, StateLayout(), out, cov, variance, table, told)
 
-    def refuses(self, specs: AssumedSpecs) -> str:
+    def check_sensors(self, specs: AssumedSpecs) -> str:
         """Return why it takes no fixes of the receiver assumed; "" where they are white.
 
-        Averaged over a whole record, errors that last for minutes would leave a claim ten times too small.
+        Averaged over a whole record, errors that last for minutes would leave a covariance ten times too
+        small.
         """
         gnss = specs.gnss
         if gnss is None or not max(gnss.pos_h_markov_sd, gnss.pos_v_markov_sd, gnss.vel_markov_sd):
@@ -136,12 +137,12 @@ class GraphSmoother:
             "'smoother' has states for them"
         )
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
-        return Loose(gnss_markov=False, baro=False, compensate_latency=False).unmodelled(specs)
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
+        return Loose(gnss_markov=False, baro=False, compensate_latency=False).unmodeled_errors(specs)
 
 
-class _Link(NamedTuple):
+class Link(NamedTuple):
     """What the IMU measured between two nodes."""
 
     dt: FloatArray  # (K,)
@@ -180,7 +181,7 @@ class _Biases:
         return np.exp(-0.5 * twice), np.maximum(new, _LEAST_WALK * self.sd)
 
 
-class _Chain:
+class Chain:
     """The nodes, their factors, and the elimination along them.
 
     The error of a node (15,) is that of gtsam: attitude, position and velocity along the body axes, then the
@@ -197,7 +198,7 @@ class _Chain:
         self.R0[:9, :9] = _triangle(_invert_root(P + _LEAST_SD**2 * np.eye(9)))
         self.R0[9:, 9:] = np.diag(1.0 / self.biases.sd)
         self.states, self.bias = [self.prior], [np.zeros(6)]
-        self.links: list[_Link] = []
+        self.links: list[Link] = []
         self.fixes: list[list[_Vector]] = [[]]
         self.gate = InnovationGate(SENSORS, initial.t, options.gate_probability, options.readmit_after_s)
 
@@ -232,11 +233,11 @@ class _Chain:
         for k, fixes in enumerate(self.fixes):
             kept = []
             for i, one in enumerate(fixes):
-                H, y = self._compare(k, one)
+                H, y = self.compare(k, one)
                 if first:
                     if one.code == POSITION:
                         self._see(k, fixes[i : i + 2], Rz)
-                    grown = self._test(one, H, y, Rz)
+                    grown = self.test(one, H, y, Rz)
                     if grown is None:
                         continue
                     Rz = grown
@@ -252,8 +253,8 @@ class _Chain:
             if k == len(self.links):
                 break
             if len(preintegrated) == k:
-                preintegrated.append(self._preintegrate(k))
-            A = self._join(k, preintegrated[k], Rz, first=first)
+                preintegrated.append(self.preintegrate(k))
+            A = self.join(k, preintegrated[k], Rz, first=first)
             both = _triangle(A)
             self.rows.append(both[:15])
             Rz = both[15:30, 15:]
@@ -288,7 +289,7 @@ class _Chain:
         by_start, by_end = (np.zeros((9, 9), order="F") for _ in range(2))
         return start.localCoordinates(end, by_start, by_end), by_start, by_end
 
-    def _preintegrate(self, k: int) -> Any:
+    def preintegrate(self, k: int) -> Any:
         """Return what the IMU measured from a node on, as over a flat, resting Earth with gravity there."""
         gtsam, link, state = self.gtsam, self.links[k], self.states[k]
         C_tb, v_t, frame = state.attitude().matrix(), state.velocity(), self.frame
@@ -308,7 +309,7 @@ class _Chain:
             now += dt
         return measured
 
-    def _join(self, k: int, measured: Any, Rz: FloatArray, *, first: bool) -> FloatArray:
+    def join(self, k: int, measured: Any, Rz: FloatArray, *, first: bool) -> FloatArray:
         """Return the rows (30, 31) of two nodes: the factor between them, and the prior of the former."""
         F, by_state, by_bias = np.zeros((15, 15)), np.zeros((9, 9), order="F"), np.zeros((9, 6), order="F")
         left, new = self.biases.over(measured.deltaTij())
@@ -333,7 +334,7 @@ class _Chain:
         A[15:, 30] = Rz[:, 15]
         return A
 
-    def _compare(self, k: int, one: _Vector) -> tuple[FloatArray, FloatArray]:
+    def compare(self, k: int, one: _Vector) -> tuple[FloatArray, FloatArray]:
         """Return H (3, 15) and the innovation (3,) of a vector of a fix, t."""
         state = self.states[k]
         C_tb = state.attitude().matrix()
@@ -351,15 +352,15 @@ class _Chain:
         if [one.code for one in fix] != [POSITION, VELOCITY]:
             self.gate.see_position()
             return
-        H, y = (np.concatenate(both) for both in zip(*(self._compare(k, one) for one in fix), strict=True))
+        H, y = (np.concatenate(both) for both in zip(*(self.compare(k, one) for one in fix), strict=True))
         root = solve_triangular(Rz[:, :15], np.eye(15))
         R = block_diag(*(one.C_tn @ np.diag(one.r) @ one.C_tn.T for one in fix))
         self.gate.see_fix(fix[0].t, y, H @ root @ root.T @ H.T + R, np.diag(R)[:3])
 
-    def _test(self, one: _Vector, H: FloatArray, y: FloatArray, Rz: FloatArray) -> FloatArray | None:
+    def test(self, one: _Vector, H: FloatArray, y: FloatArray, Rz: FloatArray) -> FloatArray | None:
         """Note the innovation of a vector of a fix; return the rows (15, 16) before its use, None without.
 
-        Those of one that is used after refusals have grown for the filter of the first pass, and no other.
+        Those of one that is used after rejections have grown for the filter of the first pass, and no other.
         """
         root = solve_triangular(Rz[:, :15], np.eye(15))
         P = root @ root.T

@@ -20,8 +20,8 @@ from bench.io.streams.streaming import wait_until
 from bench.simulation.flight.guidance.steering import Commands
 
 _BLOCK = 1 << 16
-_PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
-_ALONE = 2.0  # that a client has to begin in while another one waits [s]
+PATIENCE = 2.0  # for the last words to be sent, and for what the client still sends [s]
+ALONE = 2.0  # that a client has to begin in while another one waits [s]
 
 
 class ClientSession(ABC):
@@ -55,7 +55,7 @@ class ClientSession(ABC):
 
     @abstractmethod
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by an instant [s] and return the estimate of the client; NaN: none."""
+        """Send what has arrived by a time [s] and return the estimate of the client; NaN: none."""
 
     def recount(self) -> list[NavSolution]:
         """Return nothing: a client does not say what it made of the sensors."""
@@ -88,7 +88,7 @@ class ClientSession(ABC):
             say(f"a client has come from {address[0]}")
             self._line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._come.clear()
-            self._begins_until = time.monotonic() + _ALONE
+            self._begins_until = time.monotonic() + ALONE
             try:
                 self.begin()
             except EstimatorStoppedError as error:
@@ -103,10 +103,10 @@ class ClientSession(ABC):
         if self._line is None:
             return
         with contextlib.suppress(OSError):
-            self._line.settimeout(_PATIENCE)
+            self._line.settimeout(PATIENCE)
             self._line.sendall(self.make_end(words, good=good))
             self._line.shutdown(socket.SHUT_WR)
-            until = time.monotonic() + _PATIENCE
+            until = time.monotonic() + PATIENCE
             # what it has sent and nobody read would take the last words from it
             while time.monotonic() < until and self._line.recv(_BLOCK):
                 pass
@@ -125,7 +125,7 @@ class ClientSession(ABC):
             self.refuse("has closed the connection")
 
     def receive(self) -> Any:
-        """Return the next message; a client that is silent is refused."""
+        """Return the next message; a client that is silent is rejected."""
         found = self.receive_until(time.monotonic() + self.patience)
         if found is None:
             self.refuse(f"has been silent for {self.patience:g} s")
@@ -142,7 +142,7 @@ class ClientSession(ABC):
             places = [self._line] if alone > 0 else [self._line, self._server]
             ready = select.select(places, [], [], min(left, alone) if alone > 0 else left)[0]
             if self._server in ready and self._begins_until is not None:
-                self.refuse(f"has not begun in {_ALONE:g} s, and another one waits")
+                self.refuse(f"has not begun in {ALONE:g} s, and another one waits")
             if self._server in ready:
                 self._send_away()
             if self._line in ready:
@@ -159,7 +159,7 @@ class ClientSession(ABC):
         return found
 
     def keep_pace(self, t: float, rate: float) -> None:
-        """Wait until the flight may go on from an instant [s] at a rate."""
+        """Wait until the flight may go on from a time [s] at a rate."""
         now = time.monotonic()
         if math.isnan(self._begun):
             self._begun = now - t / rate

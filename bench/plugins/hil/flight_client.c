@@ -5,7 +5,7 @@
  *     ./flight_client 5700 commands     steers, too: a gentle turn at the height of the start
  *
  * The messages are those of `bench guide serve`. The filter is a strapdown that fixes pull by constant gains:
- * an example of a client, not of a filter. It needs a start that is told. Licence: Apache-2.0. */
+ * an example of a client, not of a filter. It needs a start that is told. License: Apache-2.0. */
 
 #define _POSIX_C_SOURCE 200112L
 #include <arpa/inet.h>

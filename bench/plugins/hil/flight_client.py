@@ -43,7 +43,7 @@ class FlightClient:
     OSError
         If there is no server.
     ConnectionError
-        If it refuses the client, in its words.
+        If it rejects the client, in its words.
 
     Examples
     --------
@@ -139,5 +139,7 @@ class FlightClient:
             raise ConnectionError(frame.payload[:-1].decode("utf-8", "replace"))
         if frame.kind != kind:
             wanted = FlightFrame(kind, b"").name
-            raise ConnectionError(f"the server sent {frame.name} where {wanted} comes; it is no bench serve")
+            raise ConnectionError(
+                f"expected {wanted}, received {frame.name}. Is this a 'bench serve' server?"
+            )
         return frame

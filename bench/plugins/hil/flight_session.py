@@ -82,7 +82,7 @@ class FlightSession(ClientSession):
         return make_frame(messages.END, self._number if known else 0, body)
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by an instant [s], wait for the answer, and return the estimate in it.
+        """Send what has arrived by a time [s], wait for the answer, and return the estimate in it.
 
         Without an estimate a row of NaN.
 
@@ -169,7 +169,7 @@ class FlightSession(ClientSession):
             self.refuse("sent an ESTIMATE whose quaternion has not the length 1")
         sd = row[:, 16:25]
         if not (np.abs(vel_n) < _FASTEST).all() or (np.abs(row[:, 10:16]) > _LARGEST_BIAS).any():
-            self.refuse("sent an ESTIMATE whose velocity or bias is that of no aircraft")
+            self.refuse("sent an ESTIMATE with a velocity or bias beyond any aircraft")
         if (sd <= 0).any() or (sd > _LARGEST_SD).any():
             self.refuse(
                 f"sent an ESTIMATE with a standard deviation that is not in 0 to {_LARGEST_SD:g}; NaN: none"

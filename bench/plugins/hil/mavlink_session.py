@@ -73,7 +73,7 @@ class ActuatorChannels:
             name, _, number = part.partition("=")
             sign, digits = number[:1], number.removeprefix("-")
             if name not in names:
-                raise ConfigError(f"--channels: {name[:_SHOWN]!r} is none of {', '.join(names)}")
+                raise ConfigError(f"--channels: {name[:_SHOWN]!r} must be one of {', '.join(names)}")
             if name in found:
                 raise ConfigError(f"--channels: {name} is given twice")
             short = digits.isascii() and digits.isdecimal() and len(digits) <= 2
@@ -159,7 +159,7 @@ class MavlinkSession(ClientSession):
         try:
             return self._mav.parse_buffer(data) or []
         except self._dialect.MAVError as error:
-            raise ValueError(f"sent what is no message of MAVLink: {error}") from None
+            raise ValueError(f"sent an invalid MAVLink message: {error}") from None
 
     @property
     def inside(self) -> bool:
@@ -177,7 +177,7 @@ class MavlinkSession(ClientSession):
         self._flying = piece
 
     def answer(self, data: SensorData, initial: InitialState, end: float) -> NavSolution:
-        """Send what has arrived by an instant [s] and take the controls that answer it.
+        """Send what has arrived by a time [s] and take the controls that answer it.
 
         An autopilot that has not commanded is given real time to start; after that the flight waits for an
         answer to each HIL_SENSOR.

@@ -1,4 +1,4 @@
-"""Fly a profile with a client, and judge the flight like any run."""
+"""Fly a profile with a client, and evaluate the flight like any run."""
 
 from __future__ import annotations
 
@@ -57,9 +57,9 @@ def serve(
         Shipped name or path of a TOML file; or a profile already read, with ``[guidance]``
         ``navigation = "client"``.
     run : int
-        Number of the noise draw.
+        Number of the run.
     seed, overrides : int or None, mapping or None
-        As for `bench.load_profile`; not with a profile already read.
+        As for `bench.read_profile`; not with a profile already read.
     address : str
         ``IP:PORT`` to wait at; port 0 takes any free port.
     remote : bool
@@ -83,11 +83,11 @@ def serve(
     bench.ConfigError
         If the profile or an argument is wrong, or pymavlink is not there.
     bench.EstimatorError
-        If an estimator of the profile cannot be built.
+        If a filter of the profile cannot be built.
     bench.FlightError
         If the aircraft cannot be loaded or trimmed.
     bench.core.words.exceptions.EstimatorStoppedError
-        If the flight ended before it can be judged.
+        If the flight ended before it can be evaluated.
     OSError
         If the address cannot be used.
     """
@@ -107,7 +107,7 @@ def serve(
     assert isinstance(profile.flight, FlightSpec)
     pipeline.build_estimators(profile)  # fails before a client comes
     if truth and mavlink is None:
-        raise ConfigError("--truth goes with --mavlink: the messages of bench hold no truth")
+        raise ConfigError("--truth needs --mavlink: the messages of bench contain no truth")
     steers = gives == "commands" or mavlink is not None
     if steers:
         closed_loop.find_length(profile)
@@ -138,7 +138,9 @@ def serve(
         result = pipeline.run(profile, run, truth=flown.truth, steered=flown.answers)
     except ConfigError as error:  # the flight is too short
         ended = flown.ended or "the flight is over"
-        raise EstimatorStoppedError(f"{ended} after {seconds:g} s, nothing can be judged: {error}") from None
+        raise EstimatorStoppedError(
+            f"{ended} after {seconds:g} s, nothing can be evaluated: {error}"
+        ) from None
     spoken = VERSION if mavlink is None else "MAVLink"
     gives, turn = "commands" if steers else gives, profile.guidance.period
     told = {"gives": gives, "messages": spoken, "turn_s": turn, "ended": flown.ended}

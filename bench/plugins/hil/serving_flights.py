@@ -11,7 +11,6 @@ import click
 
 from bench.cli import completion
 from bench.cli.group import (
-    STATUS,
     end_flight,
     estimator_option,
     json_option,
@@ -33,7 +32,7 @@ PUBLIC = "bench.plugins.hil.serving"
 """What holds its function in ``bench``."""
 
 
-@click.command(epilog=STATUS)
+@click.command()
 @click.argument("profile", shell_complete=completion.profile)
 @click.option("--port", type=click.IntRange(0, 65535), help="0 takes a free one  [default: 5700]")
 @click.option("--bind", default="127.0.0.1", metavar="IP", help="address to wait at")
@@ -57,7 +56,7 @@ PUBLIC = "bench.plugins.hil.serving"
 @estimator_option("evaluate only this one, of the profile")
 @set_option
 @seed_option
-@click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th noise draw")
+@click.option("--run", "draw", type=click.IntRange(min=0), default=0, metavar="K", help="the K-th run")
 @json_option("the metrics")
 @results_options("profile")
 @strict_option
@@ -72,7 +71,7 @@ def serve(
     strict: bool,
     **options: Any,
 ) -> int:
-    """Fly a profile with a client, a program in any language, in lock-step over a socket.
+    """Fly a profile with an external program.
 
     The client gets the rows of the sensors as they arrive. At each turn it gives an estimate, by which the
     aircraft then flies, or steering commands. The result is that of bench run. bench guide serve has the
@@ -133,7 +132,9 @@ def _fly(
     profile = load_served(name, overrides, mavlink=session["mavlink"] is not None, **profile_options)
     folder = out or flight_verbs.RUNS / f"{profile.name}-{profile.seed}-served"
     results.check_folder(folder, force=force)
-    console.print(flight_verbs.describe_run(profile.title, profile.seed, draw, profile.evaluation))
+    console.print(
+        flight_verbs.describe_run(profile.name, profile.document, profile.seed, draw, profile.evaluation)
+    )
     begun = time.perf_counter()
     served = serving.serve(profile, draw, say=console.print, **session)
     with flight_verbs.write_first(

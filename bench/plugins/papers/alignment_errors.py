@@ -43,9 +43,9 @@ from bench.plugins.papers.attitude_errors import (
 from bench.plugins.papers.mechanizations.error_integral import quaternion_error
 from bench.plugins.papers.vector_matching import match_vectors, misalignment
 
-QUESTION = "What do errors of an alignment cost on a route, how do they travel, and what tells them?"
+QUESTION = "What do errors of an alignment cost on a route, how do they propagate, and what shows them?"
 
-_ROWS = 9  # instants of the course in the table
+_ROWS = 9  # epochs of the course in the table
 _STEP = 0.01  # of the quaternions [s]
 _TURN = np.array([0.05, -0.02, 0.1])  # rates along which their error is integrated [rad/s]
 
@@ -77,10 +77,10 @@ class Options(StudyOptions):
     """error of the vector of velocity by axis, 1 sigma [m/s]"""
     range_km: Positive = 316.0
     """length of the vector of position [km]"""
-    draws: Count = 1000
-    """noise draws of each angle"""
+    runs: Count = 1000
+    """runs of each angle"""
     seed: Seed = 0
-    """seed of the draws"""
+    """seed of the runs"""
 
 
 def run(options: Options, work: StudyWorkers) -> Findings:
@@ -97,7 +97,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     course = np.column_stack([t, errors / ARCSEC])[rows].tolist()
     turned = ("t_s", "integral_arcsec", "exact_arcsec", "apart_arcsec")
     told = ("angle_deg", "largest_mrad", "drawn_mrad", "low_mrad", "high_mrad", "observability")
-    title = f"Attitude by two vectors, 1 sigma; {options.draws} draws beside the covariance"
+    title = f"Attitude by two vectors, 1 sigma; {options.runs} runs beside the covariance"
     return Findings(
         verdicts=tuple(_tell(options, errors, apart, quaternion, vectors)),
         tables=(
@@ -109,7 +109,7 @@ def run(options: Options, work: StudyWorkers) -> Findings:
             make_table("vectors", title, told, vectors),
         ),
         figures=tuple(_plot(options, t, errors)),
-        draws=options.draws,
+        runs=options.runs,
     )
 
 
@@ -131,7 +131,7 @@ def find_allowed(length: float, cross_track: float) -> float | None:
 
 
 def travel(options: Options) -> tuple[FloatArray, FloatArray, float]:
-    """Return instants (M,) [s], alpha, delta and delta_u (M, 9), and how far they are apart [rad].
+    """Return epochs (M,) [s], alpha, delta and delta_u (M, 9), and how far they are apart [rad].
 
     Each has its own differential equation; alpha is that of the 15 error equations, with position errors.
     """
@@ -190,7 +190,7 @@ def integrate_errors(options: Options) -> Iterator[tuple[float, float, float, fl
 
 
 def match_at(options: Options, angle: float) -> tuple[Any, ...]:
-    """Return angle [deg], largest 1 sigma of the attitude by covariance and draws [mrad], observability."""
+    """Return angle [deg], largest 1 sigma of the attitude by covariance and runs [mrad], observability."""
     across, along = math.sin(angle * DEG), math.cos(angle * DEG)
     position = 1e3 * options.range_km * np.array([1.0, 0.0, 0.0])
     both = np.array([options.speed_mps * np.array([along, across, 0.0]), position])
@@ -203,11 +203,11 @@ def match_at(options: Options, angle: float) -> tuple[Any, ...]:
     turns = np.array(
         [
             misalignment(np.eye(3), match_vectors(both + sd[:, None] * noise, both, sd).matrix)
-            for noise in rng.standard_normal((options.draws, 2, 3))
+            for noise in rng.standard_normal((options.runs, 2, 3))
         ]
     )
     drawn = float(np.sqrt(np.mean(np.square(turns @ axes[:, -1]))))
-    half = 1.96 / math.sqrt(2.0 * options.draws)  # of the logarithm of a standard deviation
+    half = 1.96 / math.sqrt(2.0 * options.runs)  # of the logarithm of a standard deviation
     ends = (1e3 * drawn * math.exp(-half), 1e3 * drawn * math.exp(half))
     return angle, 1e3 * math.sqrt(values[-1]), 1e3 * drawn, *ends, match.observability
 
@@ -243,7 +243,7 @@ def _tell(
         for row in known
     ]
     if told:
-        yield f"Vectors of position and velocity tell the attitude, worst axis: {'; '.join(told)}."
+        yield f"Vectors of position and velocity give the attitude, worst axis: {'; '.join(told)}."
     if blind:
         yield f"At {', '.join(blind)} they are parallel: the turn about them stays unknown."
 
@@ -253,8 +253,8 @@ def _plot(options: Options, t: FloatArray, errors: FloatArray) -> Iterator[Plot]
     for name, first, axes in (("alpha", 0, local), ("delta", 3, others), ("delta_u", 6, others)):
         lines = []
         for k, axis in enumerate(axes):
-            values, colour = errors[:, first + k] / ARCSEC, series.AXIS_COLOURS[k]
-            lines.append(series.draw_line(f"{name} {axis}", t, values, axis, colour))
+            values, color = errors[:, first + k] / ARCSEC, series.AXIS_COLORS[k]
+            lines.append(series.draw_line(f"{name} {axis}", t, values, axis, color))
         path = ("alignment", name.replace("_", "-"))
         yield Plot(path, f"attitude error {name} [arcsec]", tuple(lines))
     km = np.geomspace(1.0, 5000.0, 100)

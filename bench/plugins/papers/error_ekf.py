@@ -1,4 +1,4 @@
-"""The generic filter of the errors of two navigation systems, and the estimator that is one (B-15 to B-22).
+"""The generic filter of the errors of two navigation systems, and the filter that is one (B-15 to B-22).
 
 The first system (an INS) gives z1 = z1_true + M1 x, the second (GNSS and barometer) z2 = f(z1_true) + M2 x +
 noise, and one vector of errors x holds those of both, x+ = F x + noise (B-17 to B-19, with f where the paper
@@ -41,7 +41,7 @@ ESTIMATORS = {
         },
     },
 }
-"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+"""Name of a filter -> its row in `bench.navigation.built_in`."""
 
 _M1 = np.eye(15, SIZE)  # errors in z1
 _M2 = np.zeros((7, SIZE))  # errors in z2
@@ -71,7 +71,7 @@ class _ErrorEkfState(WholeForm):
 
 
 class _Loop(FilterLoop):
-    """Navigator and measurements; positions are reduced metres from where the navigator is."""
+    """Navigator and measurements; positions are reduced meters from where the navigator is."""
 
     given: Scratch[tuple[Fix | None, float | None]]  # what has arrived
 

@@ -41,7 +41,7 @@ ESTIMATORS = {
         "fixed": {"form": "joseph", "covariance_precision": "double", "rows": 7},
     },
 }
-"""Name of an estimator -> its row in `bench.navigation.built_in`."""
+"""Name of a filter -> its row in `bench.navigation.built_in`."""
 
 BIAS_TIME, SETTLED = 10.0, 300.0  # of the fixed gain: how long an error of the IMU lasts, and its flight [s]
 _NORTHWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # B of level flight to the north
@@ -65,7 +65,7 @@ class GivenGain(WholeForm):
 
 
 class ConstantGain(GivenGain):
-    """A gain (22, 7) for metres and for a flight to the north, turned with the heading."""
+    """A gain (22, 7) for meters and for a flight to the north, turned with the heading."""
 
     def __init__(self, P: FloatArray, K: FloatArray) -> None:
         super().__init__(P)
@@ -96,7 +96,7 @@ def settle_gain(P: FloatArray, nav: Nav, sig: Sigmas, rates: tuple[float, float]
     Parameters
     ----------
     P : (22, 22) array
-        Covariance at the start, in metres.
+        Covariance at the start, in meters.
     nav : Nav
         Where it is; its ground speed is that of the flight.
     sig : Sigmas
@@ -164,7 +164,7 @@ class CompensatedDifferences(GivenGain):
 class FadingFit(GivenGain):
     """Least squares over the past: every measurement once, its weight fading with its age.
 
-    At each instant the inertial errors and the bias of the barometer minimize
+    At each time the inertial errors and the bias of the barometer minimize
 
         sum_i exp(-(t - t_i) / memory) |Y_i - H_i Phi(t_i, t) x|^2 / R_i  +  |x|^2 / P0
 
@@ -217,7 +217,7 @@ def _inverse(A: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (inverse + inverse.T))
 
 
-def _rates(sensors: SensorData) -> tuple[float, float]:
+def find_rates(sensors: SensorData) -> tuple[float, float]:
     """Return the rates of fixes and barometer by their datasheets [Hz], 0 where there is no record."""
     gnss, baro = sensors.specs.gnss, sensors.specs.baro
     return (
@@ -239,7 +239,7 @@ class FixedGain(Classic22):
         unit = np.ones(SIZE)
         unit[[0, 16]], unit[[1, 17]] = reduced(loop.nav, ellipsoid(loop.nav.lat, loop.nav.h))
         metric = P / np.outer(unit, unit)
-        K = settle_gain(metric, loop.nav, loop.sig, _rates(sensors))
+        K = settle_gain(metric, loop.nav, loop.sig, find_rates(sensors))
         loop.form = ConstantGain(P, K)
         return loop
 
@@ -256,7 +256,7 @@ class Complementary(Classic22):
     def make_loop(self, sensors: SensorData, initial: InitialState) -> FilterLoop:
         """Return the loop with the gains of the complementary filter."""
         loop = FilterLoop(self.options, sensors, initial)
-        P, rates = loop.form.covariance, _rates(sensors)
+        P, rates = loop.form.covariance, find_rates(sensors)
         loop.form = CompensatedDifferences(P, rates, self.options.time_constant)
         return loop
 

@@ -1,4 +1,4 @@
-"""Frames, rates, attitude algorithms, series and accelerometers alone: what each costs in metres and time.
+"""Frames, rates, attitude algorithms, series and accelerometers alone: what each costs in meters and time.
 
 All fly the same banked S-turns in closed form with exact increments (`flight.closed_form`): what is off
 at the end is the algorithm. Coning is a cone of a given half angle, sampled at several rates. The time of a
@@ -21,7 +21,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import ARCSEC, DEG, HOUR, STANDARD_GRAVITY
 from bench.core.records.findings import Findings, FindingTable, series
 from bench.core.records.findings.series import Plot, Series
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.experiments.studies.study import Numbers, Positive, StudyOptions, StudyWorkers
 from bench.navigation import mechanization
 from bench.plugins.papers.mechanizations import accelerometers, coning, earth_series
@@ -30,7 +30,7 @@ from bench.plugins.papers.mechanizations.earth_series import EarthModel
 from bench.plugins.papers.mechanizations.solving import FRAMES, IntervalMotion, Rates, navigate
 from bench.simulation.flight.closed_form import SwingingFlight
 
-QUESTION = "What do frame, task rates, attitude algorithm and series of a strapdown cost in metres and time?"
+QUESTION = "What do frame, task rates, attitude algorithm and series of a strapdown cost in meters and time?"
 
 _TINY = 1e-11  # error of the angular acceleration that stays linear for an hour [rad/s^2]
 _VECTOR, _PICARD = "rotation-vector", "two-quaternions"
@@ -67,13 +67,16 @@ class AlgorithmCosts(NamedTuple):
     """Processor time of a sample."""
 
 
-class _TrueFlight(NamedTuple):
+class TrueFlight(NamedTuple):
+    """A flight with its increments, to navigate with different algorithms."""
+
     nav: FloatArray
     dtheta: FloatArray
     dvel: FloatArray
     interval: float
 
     def fly(self, name: str, **options: Any) -> AlgorithmCosts:
+        """Navigate with an algorithm and return its errors at the end and its CPU time."""
         begun = time.process_time()
         motion = navigate(name, self.nav[0], self.interval, self.dtheta, self.dvel, **options)
         spent = time.process_time() - begun
@@ -87,7 +90,7 @@ class _TrueFlight(NamedTuple):
         )
 
     def growth(self, motion: IntervalMotion) -> FloatArray:
-        """Return the position error (M,) at the instants of a motion [m]."""
+        """Return the position error (M,) at the epochs of a motion [m]."""
         step = round((len(self.nav) - 1) / (len(motion.t) - 1))
         return np.asarray(np.linalg.norm(earth.difference_n(motion.nav[:, :3], self.nav[::step, :3]), axis=1))
 
@@ -103,7 +106,7 @@ def _compare(asked: tuple[Options, int]) -> tuple[list[str], FindingTable, list[
     """Return sentences, table and figures of a part of the study."""
     options, part = asked
     interval = 1.0 / options.rate_hz
-    flight = _TrueFlight(*SwingingFlight().fly(options.duration_s, options.rate_hz), interval)
+    flight = TrueFlight(*SwingingFlight().fly(options.duration_s, options.rate_hz), interval)
     navigate("ned", flight.nav[0], interval, flight.dtheta[:100], flight.dvel[:100])  # compiles it
     parts = (_compare_attitudes, _compare_frames, _compare_series, _compare_accelerometers)
     return parts[part](options, flight)
@@ -115,15 +118,15 @@ def _list_attitudes() -> list[tuple[str, str, int]]:
     return sums + [(f"{_VECTOR}, {m}", _VECTOR, m) for m in range(1, coning.MOST_SAMPLES + 1)]
 
 
-def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
-    flat = _TrueFlight(
+def _compare_attitudes(options: Options, flight: TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
+    flat = TrueFlight(
         *SwingingFlight(bank=0.0, climb=0.0, nod=0.0).fly(options.duration_s, options.rate_hz),
         flight.interval,
     )
     columns: dict[str, list[Any]] = {}
     lines, cones, ends, drifts = [], [], {}, {}
     rates = np.array(sorted(options.coning_rates_hz), float)
-    colours = iter(series.ESTIMATORS), iter(series.ESTIMATORS)
+    colors = iter(series.ESTIMATORS), iter(series.ESTIMATORS)
     for label, name, samples in _list_attitudes():
         schedule = Rates(fast=options.rate_hz / samples)
         flown = flight.fly("nhe", rates=schedule, attitude=name)
@@ -142,10 +145,10 @@ def _compare_attitudes(options: Options, flight: _TrueFlight) -> tuple[list[str]
             columns.setdefault(key, []).append(value)
         if samples == 1:
             t = flown.motion.t[1:]
-            lines.append(_line(name, t, flight.growth(flown.motion)[1:], next(colours[0])))
+            lines.append(_line(name, t, flight.growth(flown.motion)[1:], next(colors[0])))
         if name in (_PICARD, _VECTOR):
             shown = "sum" if name == _PICARD else f"vector, {samples}"
-            cones.append(_line(shown, rates, np.array(drift), next(colours[1])))
+            cones.append(_line(shown, rates, np.array(drift), next(colors[1])))
     worst, best = (choose(ends, key=ends.__getitem__) for choose in (max, min))
     told = [
         f"After {options.duration_s} s of banked turns at {options.rate_hz} Hz the attitude is off by "
@@ -193,7 +196,7 @@ def coning_drift(
     return float(np.linalg.norm(turn)) / float(t[-1]) / (DEG / HOUR)
 
 
-def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
+def _compare_frames(options: Options, flight: TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
     columns: dict[str, list[Any]] = {}
     slow = (100.0, 10.0, 1.0)
     medium = {100.0: 100.0, 10.0: 50.0, 1.0: 10.0}  # rates of the table of A-2.2.6
@@ -219,8 +222,8 @@ def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], F
                     columns.setdefault(key, []).append(value)
             if name in _SHOWN:
                 label = f"{name}{'' if lead else ', lagging'}"
-                colour = series.ESTIMATORS[_SHOWN.index(name) + (0 if lead else len(_SHOWN))]
-                lines.append(_line(label, np.array(slow)[::-1], np.array(ends)[::-1], colour))
+                color = series.ESTIMATORS[_SHOWN.index(name) + (0 if lead else len(_SHOWN))]
+                lines.append(_line(label, np.array(slow)[::-1], np.array(ends)[::-1], color))
     chosen = {
         lead: p
         for p, lead, rate, name in zip(
@@ -239,7 +242,7 @@ def _compare_frames(options: Options, flight: _TrueFlight) -> tuple[list[str], F
     return told, table, [plot]
 
 
-def _compare_series(options: Options, flight: _TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
+def _compare_series(options: Options, flight: TrueFlight) -> tuple[list[str], FindingTable, list[Plot]]:
     columns: dict[str, list[Any]] = {"figure": [], "formula": [], "largest_error": [], "position_m": []}
     rates = Rates(100.0, 50.0, 10.0)
     for kind, names, measure in (
@@ -284,7 +287,7 @@ def gravity_error(name: str, height: float = 12_000.0) -> float:
 
 
 def _compare_accelerometers(
-    options: Options, flight: _TrueFlight
+    options: Options, flight: TrueFlight
 ) -> tuple[list[str], FindingTable, list[Plot]]:
     del flight
     t = np.unique(np.rint(np.geomspace(30.0, 3600.0, 25)))
@@ -303,8 +306,8 @@ def _compare_accelerometers(
         columns["position_then_m"].append(float(law(lost, error)))
         for T in (10.0, 60.0):
             columns[f"position_{T:g}_s_m"].append(float(law(T, error)))
-        colour = series.ESTIMATORS[k % len(series.ESTIMATORS)]
-        lines.append(_line(f"{base:g} m", fine, law(fine, error), colour))
+        color = series.ESTIMATORS[k % len(series.ESTIMATORS)]
+        lines.append(_line(f"{base:g} m", fine, law(fine, error), color))
     middle = acceleration_error(sorted(options.bases_m)[len(options.bases_m) // 2], bias)
     lines.append(series.draw_dots("strapdown", t, measured * middle, "strapdown", series.TRUTH, 3.0))
     off = np.abs(measured * _TINY / law(t, _TINY) - 1.0)[t <= 1800].max()
@@ -350,5 +353,5 @@ def simulate_accelerometers(t: FloatArray, lat: float = 45.0 * DEG) -> FloatArra
     return np.asarray(np.hypot(apart[:, 0], apart[:, 1]))
 
 
-def _line(label: str, x: FloatArray, y: FloatArray, colour: Colour) -> Series:
-    return series.draw_line(label, x, y, label, colour, most=2.0)
+def _line(label: str, x: FloatArray, y: FloatArray, color: Color) -> Series:
+    return series.draw_line(label, x, y, label, color, most=2.0)

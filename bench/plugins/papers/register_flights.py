@@ -1,4 +1,4 @@
-"""Numbers of the register that take a flight: what filters make of it, over a few draws."""
+"""Numbers of the register that take a flight: what filters make of it, over a few runs."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from bench.evaluation.consistency.chi_square import MeanNis, mean_nis, nis_by_se
 from bench.experiments.studies import rnp
 from bench.experiments.studies.study import StudyWorkers
 from bench.experiments.studies.watched_flights import WatchedFlight
-from bench.io.config import load_profile
-from bench.navigation.engine.record_cuts import take_piece
+from bench.io.config import read_profile
+from bench.navigation.engine.record_cuts import slice_sensors
 from bench.navigation.open_filters import PieceFilter
 from bench.plugins.papers.register_measures import Bounded, RowFinding, below
 from bench.simulation import sensors
@@ -38,14 +38,14 @@ _STEP: Mapping[str, Any] = {  # a turn that pulls 2 g within a second, fixes at 
 _FIXES = ("gnss_position", "gnss_velocity")
 _NOSE, _TAIL = (2.0, 0.3, -0.4), (-9.0, 0.0, -1.5)  # antennas [m], b
 _DRAWS = 4
-_FLIGHTS = 12  # that #33 rests on: without a bad one they show 78 %
+FLIGHTS = 12  # that #33 rests on: without a bad one they show 78 %
 _ALERT_LIMIT, _OPERATION = 0.3 * 1852.0, 15  # of RNP 0.3 [m], [s]
 _STEP_S = 12.0  # from the rise of the force on [s]
 
 
 def load_step(**values: object) -> Profile:
-    """Return the flight with a step of 2 g; errors as for `load_profile`."""
-    return load_profile("high-dynamics", {**_STEP, **values}, None, None)
+    """Return the flight with a step of 2 g; errors as for `read_profile`."""
+    return read_profile("high-dynamics", {**_STEP, **values}, None, None)
 
 
 @cache
@@ -57,7 +57,7 @@ def fly_step() -> tuple[Trajectory, float]:
 
 
 def measure_step(**values: object) -> dict[str, MeanNis]:
-    """Return the mean NIS of loose-15 by sensor through the step, with its 99.9 % band, over draws."""
+    """Return the mean NIS of loose-15 by sensor through the step, with its 99.9 % band, over runs."""
     profile = load_step(**values)
     truth, begin = fly_step()
     sensed = [pipeline.sense(profile, truth, draw) for draw in range(_DRAWS)]
@@ -110,8 +110,8 @@ def go_over(told: tuple[float, float, float]) -> dict[str, MeanNis]:
         built = pipeline.build_estimator(profile.estimators[0])
         one = PieceFilter("loose-15", {}, built, nose.initial, 1.0)
         later = replace(tail.data, antenna_b=np.array(told))
-        solutions += [one.feed(take_piece(nose.data, -np.inf, begin))]
-        solutions += [one.feed(take_piece(later, begin, np.inf)), one.finish()]
+        solutions += [one.update(slice_sensors(nose.data, -np.inf, begin))]
+        solutions += [one.update(slice_sensors(later, begin, np.inf)), one.finish()]
     return average_nis(solutions, begin + 0.05, begin + _STEP_S)
 
 
@@ -166,7 +166,7 @@ def require_performance() -> RowFinding:
     """#33: the lines of a procedure by flights of tight, held against a count of their seconds."""
     work = _KeepingWorkers(1)
     with work:
-        found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", draws=_FLIGHTS), work)
+        found = rnp.run(rnp.Options(profiles=("waypoints",), gnss="sky-l1", runs=FLIGHTS), work)
     table = found.tables[0].columns
     columns = (table[name] for name in ("value", "low", "high", "word"))
     rows = dict(zip(table["figure"], zip(*columns, strict=True), strict=True))
@@ -177,11 +177,11 @@ def require_performance() -> RowFinding:
         off.append(0.0 if word == said else math.inf)
         off += [abs(a - b) / max(abs(b), 1e-12) for a, b in zip(ours, counted, strict=True)]
     hours = sum(len(one.t) for one in work.kept) / HOUR
-    text = f"{_FLIGHTS} flights, {hours:.2g} h: {', '.join(told)}"
+    text = f"{FLIGHTS} flights, {hours:.2g} h: {', '.join(told)}"
     return RowFinding(text, tuple(below(one, 1e-9) for one in off))
 
 
 def come_back() -> RowFinding:
     """#60: the increments of ten minutes, integrated, against the truth."""
-    found = pipeline.fly_over(load_profile("figure-eight", {}, None, None))
+    found = pipeline.fly_over(read_profile("figure-eight", {}, None, None))
     return RowFinding(f"{1e3 * found['replay_position_m']:.1g} mm", (below(found["replay_position_m"], 1.0),))

@@ -1,4 +1,4 @@
-"""Numbers of the register on the linear flight of section 7.1: covariances, and draws along them."""
+"""Numbers of the register on the linear flight of section 7.1: covariances, and runs along them."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def keep_step() -> RowFinding:
 def draw_consistency(
     runs: int, seconds: int = 900, seed: int = 5, believed: Sigmas | None = None
 ) -> tuple[float, float]:
-    """Return mean NIS and NEES over the draws of a linear flight of grade 3 with turns.
+    """Return mean NIS and NEES over the runs of a linear flight of grade 3 with turns.
 
     ``believed`` are the figures of the receiver and the barometer that the filter takes for true.
     """
@@ -65,7 +65,7 @@ def draw_consistency(
 
 
 def be_consistent() -> RowFinding:
-    """#34: the filter with 22 states over 200 draws of 900 s."""
+    """#34: the filter with 22 states over 200 runs of 900 s."""
     nis, nees = draw_consistency(200)
     return RowFinding(f"NIS {nis:.2f}, NEES {nees:.1f}", (near(nis, 7.0, 0.1), near(nees, 22.0, 1.5)))
 

@@ -249,7 +249,7 @@ def describe_attitude_error() -> RowFinding:
 
 
 def match_directions() -> RowFinding:
-    """#59: a misalignment of 3.7 mrad by vectors of position and velocity 57.6 deg apart, 300 draws."""
+    """#59: a misalignment of 3.7 mrad by vectors of position and velocity 57.6 deg apart, 300 runs."""
     position = np.array([0.314, 0.949, 0.03])
     across = np.cross(position, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across)

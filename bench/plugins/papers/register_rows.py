@@ -43,7 +43,7 @@ _TRUTH = "tests/flight/test_recorder.py::test_"
 ROWS: tuple[Row, ...] = (
     Row(1, "NHE mechanization", "A-2.2.2", "V x w: 1.8 km in 300 s",
         "w x V: at rest 1 h < 0.01 m; ENU < 1e-6 m/s",
-        _MECH + "1_an_hour_at_rest_is_below_a_centimetre", measure.rest_for_an_hour),
+        _MECH + "1_an_hour_at_rest_is_below_a_centimeter", measure.rest_for_an_hour),
     Row(2, "ENU mechanization", "A-5.1.4", "g_T = +mu/a^2: 5.6 mg", "ECEF differentiation within 1e-9 m/s^2",
         _MECH + "2_coriolis_and_transport_are_those_of_the_earth_fixed_frame"),
     Row(3, "inertial frame", "A-2.2", "", "ENU within 0.01 m after 600 s",
@@ -167,8 +167,8 @@ ROWS: tuple[Row, ...] = (
         measure.cross_track),
     Row(55, "delays of ranges", "B-10", "+dD_Tr; 8.8 m", "-dD_Tr; Klobuchar 23.784 m",
         "tests/signals/test_delays.py::test_klobuchar_of_the_register", measure.ionosphere),
-    Row(56, "iterated least squares", "B-13", "", "6 iterations from the centre",
-        _SQUARES + "from_the_centre_of_the_earth_in_six_steps"),
+    Row(56, "iterated least squares", "B-13", "", "6 iterations from the center",
+        _SQUARES + "from_the_center_of_the_earth_in_six_steps"),
     Row(57, "Doppler velocity", "B-14b", "no formula", "noise-free 1e-9 m/s",
         _SQUARES + "doppler_velocity_is_exact"),
     Row(58, "generic error filter", "B-19", "F(z)", "f(z): = the first filter 1e-9",
@@ -177,7 +177,7 @@ ROWS: tuple[Row, ...] = (
         "tests/plugins/papers/test_second_source.py::test_59_vectors_find_a_misalignment_of_3_7_mrad",
         measure.match_directions),
     Row(60, "6-DOF truth", "A-2.4", "", "there and back < 1 m in 600 s",
-        _TRUTH + "at_200_hz_ten_minutes_come_back_within_a_millimetre_and_a_microradian",
+        _TRUTH + "at_200_hz_ten_minutes_come_back_within_a_millimeter_and_a_microradian",
         flights.come_back),
 )  # fmt: skip
 """Every row, in order."""

@@ -1,4 +1,4 @@
-"""Where a receiver really was, for judging its fixes: a known point, or a table of positions."""
+"""Where a receiver really was, for evaluation its fixes: a known point, or a table of positions."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def read_truth(text: str) -> Truth:
         except ValueError:
             raise ConfigError(f"--truth {text!r}: LAT,LON,H must be three numbers [deg, deg, m]") from None
         if not (abs(lat) <= 90 and abs(lon) <= 360 and -1000 <= alt <= 1e6):
-            raise ConfigError(f"--truth {text!r}: LAT,LON,H is no place on Earth [deg, deg, m]")
+            raise ConfigError(f"--truth {text!r}: expected LAT,LON,HEIGHT [deg, deg, m] of a place on Earth")
         return Truth(0.0, np.empty(0), np.array([[np.deg2rad(lat), np.deg2rad(lon), alt]]))
     return _read_table(Path(text), text)
 
@@ -69,7 +69,9 @@ def _read_table(path: Path, shown: str) -> Truth:
     try:
         head, *rows = path.read_text(encoding="utf-8").splitlines()
     except FileNotFoundError:
-        raise ConfigError(f"--truth {shown}: is no LAT,LON,H and no file") from None
+        raise ConfigError(
+            f"--truth {shown}: expected LAT,LON,HEIGHT [deg, deg, m] or the path of an existing file"
+        ) from None
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise ConfigError(f"{shown}: cannot be read: {error}") from None
     names = [name.strip() for name in head.split(",")]

@@ -65,7 +65,7 @@ def solve_fixes(
         if recording is not None:
             from bench.plugins.receiver import fixes_recording
 
-            fixes_recording.find_shown(solved)  # refused before anything is written
+            fixes_recording.find_shown(solved)  # rejected before anything is written
         if out is not None:
             solved.write_csv(out, datum)
             sentences.append(f"fixes in {datum}: {out}")

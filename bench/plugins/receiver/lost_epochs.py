@@ -39,7 +39,7 @@ def explain(
     if rest.any():
         found[rest] = len(reasons)
         reasons.append(
-            "the ranges do not agree with one position, and too few of them agree to tell which are wrong"
+            "the ranges do not agree with one position, and too few of them agree to show which are wrong"
         )
     return reasons, found
 

@@ -9,7 +9,6 @@ import click
 
 from bench.cli.group import (
     FILE,
-    STATUS,
     FiniteRange,
     force_option,
     json_option,
@@ -22,7 +21,7 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
 """What holds its function in ``bench``."""
 
 
-@click.command(epilog=STATUS)
+@click.command()
 @click.argument("files", nargs=-1, required=True, type=FILE, metavar="OBSERVATIONS... NAVIGATION...")
 @click.option(
     "--truth",
@@ -35,7 +34,7 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
     "truth_sd_m",
     type=FiniteRange(0, 1000),
     default=0.0,
-    metavar="METRES",
+    metavar="METERS",
     help="how far the truth or the header may be off, sd along each axis, the same at all epochs",
 )
 @click.option(
@@ -101,7 +100,7 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
 @force_option("file")
 @json_option("the figures")
 def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
-    """Compute the fixes of a GNSS receiver from its observations.
+    """Compute GNSS fixes from RINEX files.
 
     The files are those of one receiver and the navigation files of its day: RINEX 2, 3
     or 4, as they are or as .gz, .Z or Compact RINEX, u-blox UBX, or SP3 for precise orbits, in any order.

@@ -11,7 +11,7 @@ from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import split_unit
 from bench.core.records.findings import series
-from bench.core.records.findings.series import AXIS_COLOURS, FIX, Plot, Series
+from bench.core.records.findings.series import AXIS_COLORS, FIX, Plot, Series
 from bench.core.records.orbit_sets import SYSTEM_NAMES
 from bench.plugins.receiver.rinex_fixes import RinexFixes
 from bench.views.plots.tabs.satellites import draw_satellites, plot_sky
@@ -90,7 +90,7 @@ def plot_fixes(solved: RinexFixes, error: FloatArray) -> Iterator[Plot]:
     moving = np.isfinite(fixes.vel_n).all(axis=1) & good
     if moving.any():
         lines = tuple(
-            series.draw_dots(axis, t[moving], fixes.vel_n[moving, k], axis, AXIS_COLOURS[k])
+            series.draw_dots(axis, t[moving], fixes.vel_n[moving, k], axis, AXIS_COLORS[k])
             for k, axis in enumerate(series.AXES_N)
         )
         yield Plot(("fixes", "velocity"), "velocity [m/s]", lines)

@@ -14,7 +14,7 @@ from bench.plugins.receiver.rinex import ephemerides
 from bench.plugins.receiver.rinex.lines import find_kind
 
 
-def recognises(path: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Return whether a file is RINEX, SP3, UBX or a YUMA almanac."""
     try:
         find_kind(path, path.name)

@@ -49,7 +49,7 @@ _VALID = {GLONASS: 900.0}
 Of GLONASS about a multiple of it in UTC: RTKLIB rounds the reference time to such a one.
 """
 _KEPLER_VALID = 300.0
-_NEAR = 1.0  # an epoch so near to a fix has a place; in a gap of 2 s it is good to metres [s]
+_NEAR = 1.0  # an epoch so near to a fix has a place; in a gap of 2 s it is good to meters [s]
 _ACCURACY = {GPS: 2.0, GALILEO: 3.12, BEIDOU: 2.0}  # stated by a sound satellite [m]: URA 0, SISA 107
 _LEAST = 1e-99
 _INAV = 517.0  # data source of Galileo: I/NAV of E1, clock of E5b and E1, table A8
@@ -61,7 +61,7 @@ class _Ranges(NamedTuple):
     tag: FloatArray  # (M,) of each epoch by the clock of the receiver [s]
     start: IntArray  # (M + 1,)
     rows: IntArray  # (K,) of the observations
-    sent: FloatArray  # (K,) instants of transmission [s]
+    sent: FloatArray  # (K,) epochs of transmission [s]
 
 
 def write(folder: Path, out: ExportData, kind: str) -> str:
@@ -115,7 +115,7 @@ def _describe_errors(far: Mapping[int, float]) -> str:
 def _place_in_time(o: GnssObservations, out: ExportData, midnight: float) -> tuple[_Ranges, int, int]:
     """Return the epochs by the receiver's clock, how many a frozen receiver repeats, how many have no place.
 
-    The distances follow from its fixes: their errors move neither clock nor satellites by a millimetre. Where
+    The distances follow from its fixes: their errors move neither clock nor satellites by a millimeter. Where
     it has none they follow from the tracks that are exported, too.
     """
     fixes = out.select_fixes()

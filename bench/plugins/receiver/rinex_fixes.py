@@ -350,13 +350,13 @@ def solve_files(
     notes += [*_describe_lost(raw, "epoch"), *_describe_lost(nav, "ephemeris"), *nav.notes, *unserved]
     notes += lost_epochs.describe_lacking(raw, nav, processing, seen.sat_clock)
     if raw.recounted:
-        notes.append(f"{raw.recounted} epochs have another number of satellites than they say: kept")
+        notes.append(f"{raw.recounted} epochs have another number of satellites than announced: kept")
     if raw.others:
         notes.append(f"not used: {', '.join(raw.others)}")
     notes += _describe_unsolved(solved)
     fixes = solved.fixes.valid
     if truth is not None and (covered := int(np.isfinite(solved.errors()[fixes, 0]).sum())) < fixes.sum():
-        notes.append(f"the truth covers {covered} of {fixes.sum()} fixes: the others are not judged")
+        notes.append(f"the truth covers {covered} of {fixes.sum()} fixes: the others are not evaluated")
     return replace(solved, notes=tuple(notes))
 
 

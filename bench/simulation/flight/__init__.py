@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec, ScriptSpec
 from bench.simulation.flight.guidance.belief import Belief
-from bench.simulation.flight.summary import Summary, summarise
+from bench.simulation.flight.summary import Summary, summarize
 
-__all__ = ["Summary", "fly", "fly_pieces", "summarise"]
+__all__ = ["Summary", "fly", "fly_pieces", "summarize"]
 
 
 def fly(spec: FlightSpec | ScriptSpec, progress: Callable[[float], None] | None = None) -> Trajectory:

@@ -92,7 +92,7 @@ class SwingingFlight:
         return velocity, velocity_rate, height, euler, np.column_stack([bank_rate, pitch_rate, turn])
 
     def sense(self, t: FloatArray, lat: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return w_ib_b [rad/s] and f_b [m/s^2], (K, 3), at instants (K,) and the latitudes (K,) there."""
+        """Return w_ib_b [rad/s] and f_b [m/s^2], (K, 3), at epochs (K,) and the latitudes (K,) there."""
         velocity, velocity_rate, height, euler, euler_rate = self._motion(t)
         R_M, R_P = radii(lat)
         s, c = np.sin(lat), np.cos(lat)

@@ -30,7 +30,7 @@ _SPEED_CHANGE = 0.5
 class Cockpit:
     """The controls and instruments of one flight.
 
-    Attitude, height, velocity and position are those that are believed; without a ``belief`` the true ones.
+    Attitude, height, velocity and position are those that are assumed; without a ``belief`` the true ones.
     """
 
     def __init__(self, fdm: Any, spec: FlightSpec, belief: Belief | None = None) -> None:
@@ -163,7 +163,7 @@ class Cockpit:
         )
 
     def hold_heading(self) -> None:
-        """Hold the heading of this instant from here on."""
+        """Hold the heading of this time from here on."""
         self.course = self.heading()
         self.set_heading(self.course)
         self.lat_mode(2)
@@ -216,7 +216,7 @@ class Cockpit:
             self._plan = (self.speed_wanted, speed, 0, n)
 
     def tick(self) -> None:
-        """Go on with what moves by itself; once per instant."""
+        """Go on with what moves by itself; once per time."""
         if self._plan is not None:
             begun, end, k, n = self._plan
             self.speed_wanted = begun + smoothstep((k + 1) / n) * (end - begun)

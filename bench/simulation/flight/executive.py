@@ -67,7 +67,7 @@ def load_aircraft(aircraft: AircraftSpec, dt: float, *, rough: bool = False) -> 
     gains = {**aircraft.gains, **aircraft.rough_gains} if rough else aircraft.gains
     for name, gain in gains.items():
         if not NAME.fullmatch(name):
-            raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is no name of a gain")
+            raise FlightError(f"aircraft {aircraft.name}: [guidance] {name!r} is not the name of a gain")
         find_property(fdm, f"guidance/{name}").set_double_value(gain)
     fdm["guidance/bank-limit-rad"] = aircraft.max_bank
     fdm["guidance/climb-limit-mps"] = aircraft.max_climb
@@ -158,7 +158,7 @@ def _add_guidance(aircraft: AircraftSpec, model: ElementTree.Element) -> Element
 
 def _check_property(aircraft: AircraftSpec, key: str, name: str) -> None:
     if not _PROPERTY.fullmatch(name):
-        raise FlightError(f"aircraft {aircraft.name}: {key} {name!r} is no property")
+        raise FlightError(f"aircraft {aircraft.name}: {key} {name!r} is not a property")
 
 
 def find_property(fdm: Any, name: str) -> Any:

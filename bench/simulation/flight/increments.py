@@ -10,7 +10,7 @@ an accelerometer integrate over a smooth motion through the same states is
     alpha_k = th_k - (th_{k-1} x th_k + th_k x th_{k+1}) / 24
     beta_k  = be_k - (th_{k-1} x be_k + be_{k-1} x th_k + th_k x be_{k+1} + be_k x th_{k+1}) / 24
 
-An IMU at l off the centre of gravity is at r + C l. Its velocity is that of the centre of
+An IMU at l off the center of gravity is at r + C l. Its velocity is that of the center of
 gravity plus the derivative of C l, taken from the recorded attitudes by a central difference
 of fourth order: position, velocity and attitude stay one motion, which reported rates would
 break. The sum of such differences is the difference of positions, so nothing accumulates.
@@ -64,7 +64,7 @@ def from_states(
 def at_point(motion: Motion, point_b: tuple[float, float, float]) -> Motion:
     """Return the motion of a point fixed in the body, at point_b [m] from that of ``motion``, b.
 
-    The last two rows are missing, because the velocity of a row needs two neighbours on either
+    The last two rows are missing, because the velocity of a row needs two neighbors on either
     side. The first two have one-sided differences of the same order. A point that is not
     off at all has the rows of ``motion``, bit for bit.
     """

@@ -1,7 +1,7 @@
 """JSBSim files of others, made safe: copied without what writes files or opens sockets.
 
 ``<output>`` writes any file the user can write, ``<input>`` opens ports, ``<notify>``
-prints. Names go unchecked into paths: one that leaves the folder is refused. So a model or script is read,
+prints. Names go unchecked into paths: one that leaves the folder is rejected. So a model or script is read,
 stripped and written into a scratch folder, and only that copy is loaded.
 """
 
@@ -24,7 +24,7 @@ LONGEST_SCRIPT = 4 * 3600.0
 _FILE = re.compile(r"[A-Za-z0-9_.-]+")
 _WITHIN = re.compile(r"(?!\.+(/|$))[\w .+-]+(/(?!\.+(/|$))[\w .+-]+)*")  # the path of a file below a folder
 _DEEPEST = 100  # elements within each other; the deepest file of the jsbsim wheel has 13
-_MOST_ELEMENTS = 2_000_000  # of one file; those of a track of 20 MB are fewer
+MOST_ELEMENTS = 2_000_000  # of one file; those of a track of 20 MB are fewer
 _MOST_FILES = 500
 _MOST_BYTES = 20_000_000  # of one file; the largest of the jsbsim wheel has 0.2 MB
 _UNWANTED = ("input", "output")
@@ -67,8 +67,8 @@ class _ElementBuilder(ElementTree.TreeBuilder):
         self._count, self._depth = self._count + 1, self._depth + 1
         if self._depth > _DEEPEST:
             raise FlightError(f"{self._shown}: more than {_DEEPEST} elements within each other")
-        if self._count > _MOST_ELEMENTS:
-            raise FlightError(f"{self._shown}: more than {_MOST_ELEMENTS} elements")
+        if self._count > MOST_ELEMENTS:
+            raise FlightError(f"{self._shown}: more than {MOST_ELEMENTS} elements")
         return super().start(tag, attrs)
 
     def end(self, tag: Any, /) -> ElementTree.Element:
@@ -78,7 +78,7 @@ class _ElementBuilder(ElementTree.TreeBuilder):
 
 
 def _check_references(element: ElementTree.Element, shown: str) -> None:
-    """Refuse an element that names a file or a child model outside of the folders of the aircraft."""
+    """Reject an element that names a file or a child model outside of the folders of the aircraft."""
     for key in ("file", "name") if element.tag == "child" else ("file",):
         name = element.get(key)
         if name is not None and element.tag not in _UNWANTED and not _WITHIN.fullmatch(name.strip()):

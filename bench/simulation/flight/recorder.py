@@ -23,7 +23,7 @@ from bench.simulation.flight.jsbsim_units import FT
 from bench.simulation.flight.model_files import script_facts
 from bench.simulation.flight.sanity import choose_flight, report_sanity
 from bench.simulation.flight.standing import stand
-from bench.simulation.flight.state_log import NEIGHBOURS, StateLog
+from bench.simulation.flight.state_log import NEIGHBORS, StateLog
 from bench.simulation.flight.trimming import Say, TrimCondition, keep_quiet, settle, trim_aircraft
 from bench.simulation.flight.truth import Stretch, make_truth
 from bench.simulation.flight.turbulence.dryden import through_turbulence
@@ -66,7 +66,7 @@ def fly_pieces(
         Called with what is done before and after the flight.
     belief : Belief, optional
         What guidance and legs believe, of a plan. Who takes a piece changes it before asking for the next;
-        each comes 50 ms after the instant at which it ends. A flight that fails then ends there, with an
+        each comes 50 ms after the time at which it ends. A flight that fails then ends there, with an
         event of kind "crash".
 
     Yields
@@ -96,7 +96,7 @@ def record_plan(
     say: Say = keep_quiet,
     belief: Belief | None = None,
 ) -> Iterator[Stretch]:
-    """Fly a plan and yield it in stretches; parameters and errors as for :func:`fly_pieces`."""
+    """Fly a plan and yield it in segments; parameters and errors as for :func:`fly_pieces`."""
     _, dt = simulation_step(spec.rate)
     fdm, cockpit = prepare(spec, dt, say, belief)
     craft = spec.aircraft
@@ -124,7 +124,7 @@ def record_plan(
             raise
         ended = [(flown[-1].end, flown[-1].end, "crash", str(error))]
     log.keep_air()
-    for _ in range(NEIGHBOURS):
+    for _ in range(NEIGHBORS):
         run()
         keep_state()
     yield log.cut_rest([*((leg.start, leg.end, "leg", leg.text) for leg in flown), *ended])
@@ -133,17 +133,17 @@ def record_plan(
 def record_script(
     spec: ScriptSpec, progress: Progress | None = None, seconds: float = PIECE, say: Say = keep_quiet
 ) -> Iterator[Stretch]:
-    """Fly a script to its end and yield the part that truth can be made of in stretches.
+    """Fly a script to its end and yield the part that truth can be made of in segments.
 
     Its states stay in memory until the end, which shows the part; the rest is as for :func:`record_plan`.
     """
     what = f"script {spec.name}"
     substeps, dt = simulation_step(spec.rate, max(script_facts(spec.path).step, _FINEST))
     say("loading")
-    log = _run_script(spec, what, dt, progress)
-    steps, events = choose_flight(_tell(log.motions_of_centre(), say, "looking at its motion"), what)
+    log = run_script(spec, what, dt, progress)
+    steps, events = choose_flight(_tell(log.motions_of_center(), say, "looking at its motion"), what)
     log.leave_out(math.ceil(steps.start / log.per_tick), steps.stop)  # truth begins on a tick
-    end = (log.count_steps() - NEIGHBOURS) // substeps * substeps * dt
+    end = (log.count_steps() - NEIGHBORS) // substeps * substeps * dt
     yield from _tell(log.cut(seconds), say, "making its truth")
     yield log.cut_rest([*events, (0.0, end, "leg", what)])
 
@@ -156,7 +156,8 @@ def _tell(parts: Iterable[_Part], say: Say, doing: str) -> Iterator[_Part]:
         yield part
 
 
-def _run_script(spec: ScriptSpec, what: str, dt: float, progress: Progress | None) -> StateLog:
+def run_script(spec: ScriptSpec, what: str, dt: float, progress: Progress | None) -> StateLog:
+    """Run a script of JSBSim and return its states."""
     fdm = load_script(spec, dt)
     log = StateLog(fdm, dt, what)
     log.keep_state()

@@ -54,7 +54,7 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
     """Return the steps of the first continuous flight worth the name, and what was left out.
 
     A trim or a reset inside a script puts the aircraft somewhere else between two steps. Truth
-    is one motion: the first stretch of at least 10 s between such changes, else the longest.
+    is one motion: the first segment of at least 10 s between such changes, else the longest.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
     first, end = long_enough[0] if long_enough else max(flights, key=lambda ab: ab[1] - ab[0])
     if (end - first) * dt < _LEAST:
         where = f"{cuts[0] * dt:.2f} s" if cuts else "its end"
-        raise FlightError(f"{what}: no truth can be made of it, the motion jumps (the first at {where})")
+        raise FlightError(f"{what}: no truth can be made of it: the motion jumps (the first at {where})")
     if not cuts:
         return slice(first, end), []
     times = ", ".join(f"{k * dt:.2f} s" for k in cuts[:5])
@@ -97,7 +97,7 @@ def choose_flight(motions: Iterable[Motion], what: str) -> tuple[slice, list[Eve
 
 
 def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stretch]:
-    """Pass the stretches of a flight on; the last gets an event for each kind of excess besides its own.
+    """Pass the segments of a flight on; the last gets an event for each kind of excess besides its own.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def report_sanity(stretches: Iterable[Stretch], category: str) -> Iterator[Stret
 
 
 class _Report:
-    """What is beyond the class of an aircraft, collected from the stretches of its flight."""
+    """What is beyond the class of an aircraft, collected from the segments of its flight."""
 
     def __init__(self, category: str) -> None:
         self._category, self._limits = category, LIMITS[category]
@@ -128,7 +128,7 @@ class _Report:
         self._most: dict[str, float] = {}
 
     def add(self, stretch: Stretch) -> None:
-        """Take in the next stretch, and the step beyond it."""
+        """Take in the next segment, and the step beyond it."""
         motion, limits, dt, before = stretch.motion, self._limits, stretch.motion.dt, stretch.before
         th, be = (column[2 * before :] for column in step_increments(motion))
         t: FloatArray = dt * (stretch.first + before + np.arange(1.0, len(th) + 1))
@@ -174,7 +174,7 @@ class _Report:
             "jump": f"specific force jumps by {{1:.1f}} g in a step, beyond {self._jump:g} {of_class}",
             "hit": f"wheels hit the ground at {{1:.1f}} m/s, beyond {_HARD:.2f}",
             "scrape": "not only wheels touch the ground, at up to {1:.1f} m/s",
-            "under": "the centre of gravity is up to {1:.1f} m under the ground",
+            "under": "the center of gravity is up to {1:.1f} m under the ground",
             "infinite": "air data or controls are not finite; they stand as 0",
         }
         rows = list[EventRow]()

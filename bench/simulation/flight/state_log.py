@@ -1,12 +1,12 @@
 """What JSBSim does with a model, step by step.
 
 Each step gives position, velocity and attitude, nothing else: the rates and accelerations JSBSim reports lag
-or lead them and are not used. JSBSim moves the centre of gravity, truth is the motion of the IMU. Two things
+or lead them and are not used. JSBSim moves the center of gravity, truth is the motion of the IMU. Two things
 are different with models that were not made for the bench:
 
-- Their centre of gravity moves while tanks empty. The IMU is a fixed point of the body, given from the centre
-  of gravity at the start: with the offset l from the present centre to it, C l is added to the position
-  and its derivative to the velocity. A jump of the centre (a load is dropped) does not move the body:
+- Their center of gravity moves while tanks empty. The IMU is a fixed point of the body, given from the center
+  of gravity at the start: with the offset l from the present center to it, C l is added to the position
+  and its derivative to the velocity. A jump of the center (a load is dropped) does not move the body:
   the offset of such a step is left out.
 - Their integrators are their own. Position is the velocity integrated by the trapezoid,
   so that the increments replay it exactly; it stays within the integration error of JSBSim.
@@ -33,8 +33,8 @@ from bench.simulation.flight.increments import Motion, at_point, derivative, fro
 from bench.simulation.flight.jsbsim_units import FT, INCH, KT, PSF, RANKINE, RPM
 from bench.simulation.flight.truth import Stretch
 
-NEIGHBOURS = 3
-"""Steps on either side of a stretch that its truth depends on: 2 by velocity, 1 by increments."""
+NEIGHBORS = 3
+"""Steps on either side of a segment that its truth depends on: 2 by velocity, 1 by increments."""
 
 _MOTION = (  # per step
     *(f"position/eci-{axis}-ft" for axis in "xyz"),
@@ -44,7 +44,7 @@ _MOTION = (  # per step
     "position/long-gc-rad",
     "position/epa-rad",
 )
-_CENTRE = tuple(f"inertia/cg-{axis}-in" for axis in "xyz")
+_CENTER = tuple(f"inertia/cg-{axis}-in" for axis in "xyz")
 _AIR = (  # at 20 Hz, with the factor to SI
     ("atmosphere/P-psf", PSF),
     ("atmosphere/T-R", RANKINE),
@@ -60,7 +60,7 @@ _ENGINES = ("propulsion/engine/propeller-rpm", "propulsion/engine/engine-rpm")
 _GROUND = (("position/h-agl-ft", FT), ("velocities/v-down-fps", FT))
 _CONTACTS = 40  # gear legs and other contact points looked at
 _PART = 12_000  # steps looked at at a time
-_JUMP = 1e-4  # the centre of gravity jumped when it moved further in one step [m]
+_JUMP = 1e-4  # the center of gravity jumped when it moved further in one step [m]
 
 
 class StateLog:
@@ -75,7 +75,7 @@ class StateLog:
     what : str
         How messages call it: "aircraft c310".
     imu_b : tuple
-        The IMU relative to the centre of gravity at the start [m], b.
+        The IMU relative to the center of gravity at the start [m], b.
     guided : bool
         Whether the model was made for the bench. Of others what they do not have is 0.
 
@@ -108,18 +108,18 @@ class StateLog:
         engine = next((name for name in _ENGINES if manager.get_node(name)), "none")
         foreign = (*_AIR, (engine, RPM), *_SURFACES, ("fcs/throttle-cmd-norm", 1.0))
         slow = _OWN if guided else (*foreign, *_GROUND)
-        names = _MOTION if guided else (*_MOTION, *_CENTRE)
+        names = _MOTION if guided else (*_MOTION, *_CENTER)
         self.dt, self.per_tick = dt, round(1.0 / (GUIDANCE_RATE * dt))
         self._what, self._imu_b, self._guided = what, imu_b, guided
         self._read_state = [read(name) for name in names]
         contacts = [] if guided else [touch("gear"), touch("contact")]
         self._read_slow = [*(read(name) for name, _ in slow), *contacts]
         self._units = np.array([*(unit for _, unit in slow), *(1.0 for _ in contacts)])
-        self._states, self._slow = array("d"), array("d")  # of them the next stretch is made
+        self._states, self._slow = array("d"), array("d")  # of them the next segment is made
         self._extend = self._states.extend  # looked up once, not at every step
         self._given = 0  # rows of states that were handed out and are still there
-        self._begun = 0  # the tick at which the next stretch begins
-        self._offset_b = np.zeros(3)  # from the present centre of gravity to the first one [m]
+        self._begun = 0  # the tick at which the next segment begins
+        self._offset_b = np.zeros(3)  # from the present center of gravity to the first one [m]
         self._origin_i = self._moved_i = np.zeros(3)  # position of the IMU: at t = 0, and since then [m]
 
     def keep_state(self) -> None:
@@ -137,7 +137,7 @@ class StateLog:
         values = [read() for read in self._read_slow]
         state = self._states[-len(self._read_state) :]
         if not math.isfinite(sum(state) + (sum(values) if self._guided else 0.0)):
-            t = self._begun / GUIDANCE_RATE + (self._left() + NEIGHBOURS) * self.dt
+            t = self._begun / GUIDANCE_RATE + (self._left() + NEIGHBORS) * self.dt
             raise FlightError(f"{self._what}: the motion is no longer finite at {t:.2f} s")
         self._slow.extend(values)
 
@@ -145,10 +145,10 @@ class StateLog:
         """Return the number of steps after the first state that is still here."""
         return max(0, len(self._states) // len(self._read_state) - 1)
 
-    def motions_of_centre(self) -> Iterator[Motion]:
-        """Yield the motion of the centre of gravity in parts that share their first and last rows."""
+    def motions_of_center(self) -> Iterator[Motion]:
+        """Yield the motion of the center of gravity in parts that share their first and last rows."""
         for first in range(0, self.count_steps(), _PART):
-            yield self._motion_of_centre(self._table(first, first + _PART + 1))
+            yield self._motion_of_center(self._table(first, first + _PART + 1))
 
     def leave_out(self, first: int, end: int) -> None:
         """Leave out what is before the tick ``first``, the new t = 0, and from the step ``end`` on."""
@@ -157,7 +157,7 @@ class StateLog:
         del self._slow[((end - 1) // self.per_tick + 1) * slow :], self._slow[: first * slow]
 
     def cut(self, seconds: float, kept: int = 1) -> Iterator[Stretch]:
-        """Hand out stretches of so many seconds, as long as so many ticks more are left."""
+        """Hand out segments of so many seconds, as long as so many ticks more are left."""
         ticks = max(1.0, round(seconds * GUIDANCE_RATE, 6))
         while self._left() >= (ticks + kept) * self.per_tick:
             yield self._cut(math.floor(ticks))
@@ -168,19 +168,19 @@ class StateLog:
 
     def _left(self) -> int:
         """Return the steps that truth can be made of and that are not yet handed out."""
-        return self.count_steps() - self._given - self._before() - NEIGHBOURS
+        return self.count_steps() - self._given - self._before() - NEIGHBORS
 
     def _before(self) -> int:
-        return NEIGHBOURS if self._begun else 0
+        return NEIGHBORS if self._begun else 0
 
     def _cut(self, ticks: int | None) -> Stretch:
         before, begun = self._before(), self._begun
-        steps = self._left() + NEIGHBOURS if ticks is None else ticks * self.per_tick + NEIGHBOURS
+        steps = self._left() + NEIGHBORS if ticks is None else ticks * self.per_tick + NEIGHBORS
         slow_end = len(self._slow) if ticks is None else (ticks + (not begun)) * len(self._read_slow)
         states = self._table(self._given, self._given + before + 1 + steps)
         slow = np.array(self._slow[:slow_end]).reshape(-1, len(self._read_slow)) * self._units
         motion = self._motion_of_imu(states, before)
-        self._given += len(states) - 2 * NEIGHBOURS - 1
+        self._given += len(states) - 2 * NEIGHBORS - 1
         if 2 * self._given > self.count_steps():
             del self._states[: self._given * len(self._read_state)]
             self._given = 0
@@ -192,33 +192,33 @@ class StateLog:
         columns = len(self._read_state)
         return np.array(self._states[first * columns : end * columns]).reshape(-1, columns)
 
-    def _motion_of_centre(self, states: FloatArray) -> Motion:
+    def _motion_of_center(self, states: FloatArray) -> Motion:
         """Return the motion JSBSim reports of states (K, 12) or more columns."""
         pos_i, vel_i = FT * states[:, 0:3], FT * states[:, 3:6]
         return from_states(self.dt, states[:, 11], pos_i, vel_i, states[:, 6:9], states[:, 9:11])
 
     def _motion_of_imu(self, states: FloatArray, before: int) -> Motion:
-        """Return the motion of the IMU of states that begin so many steps before the stretch.
+        """Return the motion of the IMU of states that begin so many steps before the segment.
 
-        From one step before the stretch to all but the last two rows, whose velocity would need two more.
+        From one step before the segment to all but the last two rows, whose velocity would need two more.
         """
-        centre = self._motion_of_centre(states)
+        center = self._motion_of_center(states)
         begin = max(0, before - 1)
         if self._guided:
-            return at_point(centre, self._imu_b).select(slice(begin, None))
-        kept = centre.select(slice(begin, -2))
+            return at_point(center, self._imu_b).select(slice(begin, None))
+        kept = center.select(slice(begin, -2))
         moved = np.diff(INCH * states[:, 12:15], axis=0)  # x aft, y right, z up
         moved[np.linalg.norm(moved, axis=1) > _JUMP] = 0.0
         offset_b = np.cumsum(np.vstack([self._offset_b, moved * [1.0, -1.0, 1.0]]), axis=0)
-        arm_i = rotate(centre.q_ib, self._imu_b + offset_b)
+        arm_i = rotate(center.q_ib, self._imu_b + offset_b)
         vel_i = kept.vel_i + derivative(arm_i, self.dt)[begin:]
         steps = 0.5 * self.dt * (vel_i[1:] + vel_i[:-1])
         moved_i = np.cumsum(np.vstack([self._moved_i, steps]), axis=0)
         if not before:
-            self._origin_i = centre.pos_i[0] + arm_i[0]
+            self._origin_i = center.pos_i[0] + arm_i[0]
         pos_i = self._origin_i + moved_i
-        # where the states of the next stretch begin, and where its motion does
-        self._offset_b, self._moved_i = offset_b[-2 * NEIGHBOURS - 1], moved_i[-3]
+        # where the states of the next segment begin, and where its motion does
+        self._offset_b, self._moved_i = offset_b[-2 * NEIGHBORS - 1], moved_i[-3]
         lat, lon, _ = split_last(to_geodetic(pos_i))  # longitude from the axis x of i
         q_nb = continuous(multiply(conjugate(from_matrix(matrix_en(lat, lon))), kept.q_ib))
         return replace(kept, pos_i=pos_i, vel_i=vel_i, q_nb=q_nb)

@@ -15,7 +15,7 @@ from bench.core.records.flight_specs import TerrainSpec
 from bench.simulation.signals.terrain import ground_at
 
 
-def summarise(truth: Trajectory) -> dict[str, Any]:
+def summarize(truth: Trajectory) -> dict[str, Any]:
     """Return the extremes of a flight; see `Summary`."""
     summary = Summary()
     summary.add(truth)
@@ -40,7 +40,7 @@ class Summary:
         self._table: list[tuple[float, float, str]] = []
 
     def add(self, piece: Trajectory) -> None:
-        """Take in the next piece, which begins with the instant at which the last one ended."""
+        """Take in the next piece, which begins with the time at which the last one ended."""
         over_ground = np.hypot(*difference_n(piece.lla[1:], piece.lla[:-1])[:, :2].T)
         self._distance += float(over_ground.sum())
         self._samples += len(over_ground) + (not self._samples)

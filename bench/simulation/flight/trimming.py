@@ -27,7 +27,7 @@ _FOREIGN_STARTS = ((0.05, 0.0, 0.6), (0.1, -0.1, 0.8), (0.02, 0.1, 0.4))
 _ACTUATORS = 200  # steps for actuators to arrive: 0.5 s at 400 Hz
 _PARTS = 30.0  # until gear and flaps have moved [s]
 _DIFFERENCE = 1e-3  # of a state in a search within travel
-_ENGINE_STEP, _ENGINE_RUN = 0.01, 20.0  # until spools, propellers and governors are steady [s]
+_ENGINE_STEP, ENGINE_RUN = 0.01, 20.0  # until spools, propellers and governors are steady [s]
 _HISTORY = 5  # past derivatives the integrators of JSBSim keep
 _SETTLE = 10.0  # for the lags of guidance to arrive, against corners of 2 rad/s and more [s]
 ON_WHEELS = {"rate/rotational": 1, "rate/translational": 1}
@@ -79,7 +79,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
     """Solve for the steady flight of a condition, and leave the model there.
 
     Six accelerations are brought to zero by angle of attack, sideslip, roll, aileron, elevator and throttle;
-    the rudder stays centred. Models of the bench answer smoothly and at once: a root is found. Those of
+    the rudder stays centerd. Models of the bench answer smoothly and at once: a root is found. Those of
     others have actuators with play, and engines that come to a steady state by iteration and are no smooth
     function of the throttle: least squares within the travel of the controls.
 
@@ -110,7 +110,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
         found = present_accelerations(fdm)
         return found if np.isfinite(found).all() else np.full(6, 1e3)
 
-    starts, settled, solve = _OWN if guided else _FOREIGN
+    starts, settled, solve = _OWN if guided else FOREIGN
     if not guided:  # gear and flaps come to where they are asked to be
         place(fdm, condition, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5)
         wait(fdm, round(_PARTS / fdm.get_delta_t()))
@@ -157,7 +157,7 @@ def _fit_within_travel(f: Callable[[FloatArray], FloatArray], start: FloatArray)
 
 
 _OWN = (_OWN_STARTS, 1e-9, _find_root)
-_FOREIGN = (_FOREIGN_STARTS, 1e-3, _fit_within_travel)  # 0.1 mg
+FOREIGN = (_FOREIGN_STARTS, 1e-3, _fit_within_travel)  # 0.1 mg
 """Where the search for a trim begins; the largest acceleration it may leave [m/s^2, rad/s^2]; the search."""
 
 
@@ -189,7 +189,7 @@ def run_engines(fdm: Any) -> None:
     fdm["propulsion/fuel_freeze"] = 1.0  # the next state that is tried has the same mass
     fdm.set_dt(_ENGINE_STEP)
     # always as long: the same throttle gives the same thrust
-    for _ in range(round(_ENGINE_RUN / _ENGINE_STEP)):
+    for _ in range(round(ENGINE_RUN / _ENGINE_STEP)):
         fdm.run()
     fdm.set_dt(dt)
     fdm["propulsion/fuel_freeze"] = frozen

@@ -1,4 +1,4 @@
-"""The one maker of truth: of a motion in stretches, with its exact increments, at the truth rate."""
+"""The one maker of truth: of a motion in segments, with its exact increments, at the truth rate."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ NO_AIR, NO_GROUND = np.empty((0, 14)), np.empty((0, 4))
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A stretch of a flight: motion at every step, air data, controls and ground contacts at 20 Hz.
+    """A segment of a flight: motion at every step, air data, controls and ground contacts at 20 Hz.
 
-    The increments of a step depend on its neighbours: the motion goes one step beyond the stretch, and
-    begins one step before it, unless it is the first. The instant at which two stretches meet is a row of
+    The increments of a step depend on its neighbors: the motion goes one step beyond the segment, and
+    begins one step before it, unless it is the first. The time at which two segments meet is a row of
     the motion of both; air data, controls and contacts of it are in the earlier one.
     """
 
@@ -28,11 +28,11 @@ class Stretch:
     motion: Motion
     air: FloatArray  # (A, 14): the columns of AirData and Controls but t
     ground: FloatArray  # (A, 4): height above it [m], sink rate [m/s], wheels touch, others touch; or (A, 0)
-    events: list[EventRow] | None = None  # of the whole flight, with its last stretch
+    events: list[EventRow] | None = None  # of the whole flight, with its last segment
 
     @property
     def before(self) -> int:
-        """Steps of the motion before the stretch."""
+        """Steps of the motion before the segment."""
         return 1 if self.first else 0
 
     @property
@@ -44,7 +44,7 @@ class Stretch:
 
 
 def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory]:
-    """Yield the truth of each stretch of a flight: put together it is that of one stretch, bit for bit.
+    """Yield the truth of each segment of a flight: put together it is that of one segment, bit for bit.
 
     Parameters
     ----------
@@ -56,10 +56,10 @@ def make_truth(stretches: Iterable[Stretch], rate: float) -> Iterator[Trajectory
     Yields
     ------
     Trajectory
-        A piece begins with the instant at which the one before ends; air data and controls of that instant
+        A piece begins with the time at which the one before ends; air data and controls of that time
         are in the earlier one, all events in the last.
     """
-    q_nb = None  # at the end of the last stretch
+    q_nb = None  # at the end of the last segment
     for stretch in stretches:
         motion, before = stretch.motion, stretch.before
         substeps = round(1.0 / (rate * motion.dt))

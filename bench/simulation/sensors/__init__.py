@@ -31,7 +31,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     spec : SensorsSpec
         The sensors on board, outages and faults.
     seed, run : int
-        Select the draw; the same pair gives the same bits.
+        Select the run; the same pair gives the same bits.
 
     Returns
     -------
@@ -69,7 +69,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
 class SensedPiece(NamedTuple):
     """What the sensors measured over a piece of a flight."""
 
-    data: SensorData  # rows by their time of validity; no instants of answers
+    data: SensorData  # rows by their time of validity; no epochs of answers
     initial: InitialState  # at the start of the flight
     truth: SensorTruth
     above: SkyView | None
@@ -79,7 +79,7 @@ class SensedPiece(NamedTuple):
 def sense_piece(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> SensedPiece:
     """Simulate all sensors over the next piece of a flight; a flight in one piece has the same bits.
 
-    ``truth`` begins with the last instant of the piece before, and so do its air data. All but the last piece
+    ``truth`` begins with the last time of the piece before, and so do its air data. All but the last piece
     end on the 20 Hz of the guidance. ``draws`` keeps what the sensors carry on. Errors as for :func:`sense`.
     """
     outages = spec.gnss_outages if spec.gnss is not None else ()

@@ -211,7 +211,7 @@ def report(
 ) -> _Record:
     """Return the rows of a record that are put out, with their times of arrival.
 
-    ``heard`` (M,) marks the rows whose instants have no outage; None: there is none.
+    ``heard`` (M,) marks the rows whose epochs have no outage; None: there is none.
     """
     if not any(select_faults(faults, sensor)) and (heard is None or heard.all()):
         return record

@@ -40,7 +40,7 @@ def measure(
     truth : Trajectory
         The motion of the IMU, or a piece of it.
     spec : GnssSpec
-        The receiver. Its Markov errors are in metres, stationary from the first epoch, and continue through
+        The receiver. Its Markov errors are in meters, stationary from the first epoch, and continue through
         outages, so that an outage changes no fix outside of it.
     antenna_b : (3,) tuple
         Antenna relative to the IMU [m], b.
@@ -144,7 +144,7 @@ def rate_at(
 ) -> FloatArray:
     """Return the rate (M, k) at some rows of t (N,), from the increments (N - 1, k) up to there alone.
 
-    The straight line through the mean rates of the last two intervals, carried on to the instant; its error
+    The straight line through the mean rates of the last two intervals, carried on to the time; its error
     is dt^2 / 3 times the second derivative. Where there is one interval only, its mean.
 
     ``draws`` keeps the last intervals under ``name`` for the next piece.

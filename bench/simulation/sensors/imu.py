@@ -4,7 +4,7 @@ For each triad: motion at the sensors and their response (`imu_terms.apply_respo
 ``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
 clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
 errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
-a term that is off draws nothing.
+a term that is off runs nothing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FAST = 1.0  # a bias stage with a shorter correlation time has a step at every 
 
 
 class ImuBias(NamedTuple):
-    """The applied biases: linear between instants that include the first and last of the truth."""
+    """The applied biases: linear between epochs that include the first and last of the truth."""
 
     t: FloatArray  # (B,) [s]
     gyro_b: FloatArray  # (B, 3) [rad/s], b
@@ -35,7 +35,7 @@ class ImuBias(NamedTuple):
 
 
 @kernel
-def _measure_kernel(
+def measure_kernel(
     t: FloatArray, first: int, increment: FloatArray, M: FloatArray, knots: IntArray, bias: FloatArray,
     white: FloatArray, random_walk: FloatArray, lsb: float, motion_errors: FloatArray, limit: float,
     rest: FloatArray, out: FloatArray, valid: BoolArray,
@@ -83,7 +83,7 @@ def measure(truth: Trajectory, spec: ImuSpec, draws: SensorDraws) -> tuple[ImuDa
     Parameters
     ----------
     truth : Trajectory
-        The motion at N instants, and the air for temperature and vibration.
+        The motion at N epochs, and the air for temperature and vibration.
     spec : ImuSpec
         The IMU; with all errors 0 the record equals the true increments.
     draws : SensorDraws
@@ -150,7 +150,7 @@ def _measure_triad(
         white = memory[: len(out[rows])]
         if noise is not None:
             noise.standard_normal(out=white)
-        _measure_kernel(
+        measure_kernel(
             t, rows.start, increment[rows], M, knots, bias, white, random_walk,
             spec.quantization, motion_errors[rows], spec.range, rest, out[rows], valid[rows],
         )  # fmt: skip
@@ -213,12 +213,12 @@ def _draw_bias(
 
 
 def _intervals(t: FloatArray, new: bool) -> FloatArray:
-    """Return the time before each instant t (B,): 0 before the first, which is left out if not ``new``."""
+    """Return the time before each time t (B,): 0 before the first, which is left out if not ``new``."""
     return t[1:] - t[:-1] if new else np.diff(t, prepend=t[0])
 
 
 def choose_bias_step(spec: TriadSpec, interval: float) -> float:
-    """Return the interval between the instants of the simulated biases of a triad [s]."""
+    """Return the interval between the epochs of the simulated biases of a triad [s]."""
     fast = spec.bias_instability > 0 and choose_bias_stages(spec)[0].min() < _FAST
     return interval if fast else max(1, round(_BIAS_STEP / interval)) * interval
 

@@ -36,7 +36,7 @@ def check_imu(spec: ImuSpec) -> list[str]:
     if spec.accel.g_sensitivity_sd > 0 or spec.accel.g2_sensitivity_sd > 0:
         wrong.append("[accel] g_sensitivity_sd and g2_sensitivity_sd are for gyros; give quadratic_sd")
     if spec.accel_arms and np.shape(spec.accel_arms) != (3, 3):
-        wrong.append(f"accel_arms must be three positions of three metres, not {np.shape(spec.accel_arms)}")
+        wrong.append(f"accel_arms must be three positions of three meters, not {np.shape(spec.accel_arms)}")
     if not 0 <= spec.accel_cone < np.pi / 2:
         wrong.append(f"accel_cone must be 0 to below pi / 2 rad, not {spec.accel_cone:g}")
     shaken = spec.vibration
@@ -99,7 +99,7 @@ def resolve_along_axes(
         dtheta_b = np.concatenate([before[:, :3], dtheta_b])
         dvel_b = np.concatenate([np.zeros((lead, 3)), dvel_b])
         dt = np.concatenate([before[:, 3], dt])
-    _along_kernel(
+    along_kernel(
         dtheta_b, dvel_b, dt, np.zeros((3, 3)) if arms is None else arms, N, lead, np.empty((3, 3)), out
     )
     draws.put("samples before", np.column_stack([dtheta_b[-2:], dt[-2:]]))
@@ -110,19 +110,20 @@ def rotate_rows(C: FloatArray, rows: FloatArray) -> FloatArray:
     """Multiply every row (K, 3) by C: ``rows @ C.T`` without threads."""
     out = disk_arrays.empty(rows.shape)
     for block in disk_arrays.blocks(len(rows)):
-        _rotate_rows_kernel(C, rows[block], out[block])
+        rotate_rows_kernel(C, rows[block], out[block])
     return out
 
 
 @kernel
-def _rotate_rows_kernel(C: FloatArray, rows: FloatArray, out: FloatArray) -> None:
+def rotate_rows_kernel(C: FloatArray, rows: FloatArray, out: FloatArray) -> None:
+    """Fill out (N, 3) with C times each row (N, 3)."""
     for k in range(rows.shape[0]):
         for i in range(3):
             out[k, i] = C[i, 0] * rows[k, 0] + C[i, 1] * rows[k, 1] + C[i, 2] * rows[k, 2]
 
 
 @kernel
-def _along_kernel(
+def along_kernel(
     dtheta_b: FloatArray, dvel_b: FloatArray, dt: FloatArray, arms: FloatArray, N: FloatArray, lead: int,
     w: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
@@ -192,7 +193,7 @@ def apply_response(t: FloatArray, increment: FloatArray, spec: TriadSpec, draws:
     width, hard, delay = spec.dead_zone * interval, spec.dead_zone_kind == "hard", spec.delay / interval
     state = draws.keep("filter", lambda: np.array([increment[0] / interval, np.zeros(3)]))
     held = draws.keep("delayed", lambda: np.tile(increment[0], (int(delay) + 1, 1)))
-    _response_kernel(increment, delay, cutoff, step, interval, width, hard, held, state, out)
+    response_kernel(increment, delay, cutoff, step, interval, width, hard, held, state, out)
     held[:] = np.concatenate([held, increment[-len(held) :]])[-len(held) :]
     return out
 
@@ -221,7 +222,7 @@ def compute_oscillator_step(w: float, damping: float, interval: float) -> FloatA
 
 
 @kernel
-def _response_kernel(
+def response_kernel(
     increment: FloatArray, delay: float, cutoff: float, step: FloatArray, interval: float, width: float,
     hard: bool, held: FloatArray, state: FloatArray, out: FloatArray,
 ) -> None:  # fmt: skip
@@ -281,7 +282,7 @@ def draw_motion_errors(
 ) -> FloatArray:
     """Return the errors that depend on the motion in other ways than M: (K, 3), or no rows if all are off.
 
-    ``increment`` (K, 3) [unit] is that of the triad after its response, between the instants t (K + 1,) [s];
+    ``increment`` (K, 3) [unit] is that of the triad after its response, between the epochs t (K + 1,) [s];
     ``dvel_b`` (K, 3) [m/s] that of the specific force at the IMU.
 
     Notes
@@ -297,7 +298,7 @@ def draw_motion_errors(
     full = spec.range if spec.nonlinearity_sd > 0 else 1.0
     for rows in disk_arrays.blocks(len(out)):
         instants = t[rows.start : rows.stop + 1]
-        _motion_errors_kernel(instants, increment[rows], dvel_b[rows], *figures, full, out[rows])
+        motion_errors_kernel(instants, increment[rows], dvel_b[rows], *figures, full, out[rows])
     return out
 
 
@@ -322,11 +323,12 @@ def _draw_figures(
 
 
 @kernel
-def _motion_errors_kernel(
+def motion_errors_kernel(
     t: FloatArray, increment: FloatArray, dvel_b: FloatArray,
     asymmetry: FloatArray, nonlinearity: FloatArray, quadratic: FloatArray, G: FloatArray, H: FloatArray,
     full: float, out: FloatArray,
 ) -> None:  # fmt: skip
+    """Fill out (K, 3) with the errors of increments that depend on the motion."""
     for k in range(increment.shape[0]):
         dt = t[k + 1] - t[k]
         f0, f1, f2 = dvel_b[k, 0], dvel_b[k, 1], dvel_b[k, 2]

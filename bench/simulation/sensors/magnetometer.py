@@ -28,7 +28,7 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
 
     Parameters
     ----------
-    truth, spec, draws
+    truth, spec, runs
         As for `Sampler`; the magnetometer as mounted.
     date : float
         Decimal year of the flight.
@@ -49,7 +49,7 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
     samples = Sampler("mag", truth, spec, draws)
     rows = samples.rows
     true_b = rotation.rotate(rotation.conjugate(truth.q_nb[rows]), field_n(truth.lla[rows], date))
-    distortion, hard_iron_b = _draw_calibration(samples, spec)
+    distortion, hard_iron_b = draw_calibration(samples, spec)
     mag: MagData = samples.report(true_b + true_b @ distortion.T + hard_iron_b)
     if spec.range > 0:
         within: BoolArray = np.asarray((np.abs(mag.field_b) <= spec.range).all(axis=1))
@@ -57,7 +57,7 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
     return mag, hard_iron_b
 
 
-def _draw_calibration(samples: Sampler, spec: MagSpec) -> tuple[FloatArray, FloatArray]:
+def draw_calibration(samples: Sampler, spec: MagSpec) -> tuple[FloatArray, FloatArray]:
     """Draw the errors that remain after calibration: matrix of errors (3, 3) [1], offset (3,) [T]."""
     soft = samples.draw("soft_iron", spec.soft_iron_sd, 3, 3)
     angles = samples.draw("misalignment", spec.misalignment_sd, 3, 3)

@@ -16,12 +16,12 @@ _FLICKER_STAGES = (0.05, 0.55, 6.0)
 
 
 @kernel
-def _gauss_markov_kernel(
+def gauss_markov_kernel(
     decay: FloatArray, sd: FloatArray, noise: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
-    """Add K stages to out (B, 3); decay (B, K) since the instant before, sd (K,), unit noise (B, K, 3).
+    """Add K stages to out (B, 3); decay (B, K) since the time before, sd (K,), unit noise (B, K, 3).
 
-    ``state`` (K, 3) holds the stages before the first instant and becomes those at the last.
+    ``state`` (K, 3) holds the stages before the first time and becomes those at the last.
     """
     for stage in range(noise.shape[1]):
         for axis in range(3):
@@ -41,12 +41,12 @@ def simulate_gauss_markov(
     before: FloatArray | None = None,
     after: FloatArray | None = None,
 ) -> FloatArray:
-    """Simulate the sum (B, 3) of first-order Gauss-Markov stages, stationary from the first instant.
+    """Simulate the sum (B, 3) of first-order Gauss-Markov stages, stationary from the first time.
 
-    ``dt`` (B - 1,) are the intervals between the instants, ``correlation`` (K,) the correlation times of the
+    ``dt`` (B - 1,) are the intervals between the epochs, ``correlation`` (K,) the correlation times of the
     stages in the same unit, ``sd`` (K,) their standard deviations. ``generator`` draws the noise in order of
     time. The discretization is exact for any interval. With the stages ``before`` (K, 3) they go on from
-    there, and dt (B,) has the interval before each instant; ``after`` (K, 3) becomes those at the last.
+    there, and dt (B,) has the interval before each time; ``after`` (K, 3) becomes those at the last.
     """
     goes_on = before is not None
     out = disk_arrays.zeros((len(dt) + 1 - goes_on, 3))
@@ -57,7 +57,7 @@ def simulate_gauss_markov(
         if first < 0:
             decay = np.concatenate([np.zeros((1, len(sd))), decay])
         noise = generator.standard_normal((len(decay), len(sd), 3))
-        _gauss_markov_kernel(decay, sd, noise, state, out[rows])
+        gauss_markov_kernel(decay, sd, noise, state, out[rows])
     if after is not None:
         after[:] = state
     return out
@@ -98,7 +98,7 @@ def choose_bias_stages(triad: TriadSpec) -> tuple[FloatArray, FloatArray]:
 def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Covariance]:
     """Return the random processes of a triad at rest by name, without those that are off.
 
-    ``step`` is the interval between the instants of the simulated biases [s]; 0: continuous biases. Constant
+    ``step`` is the interval between the epochs of the simulated biases [s]; 0: continuous biases. Constant
     biases have no Allan deviation. The triad is at rest and at constant temperature, so temperature bias,
     vibration and errors that depend on motion are left out. Quantization acts on the integral. The variances
     are means over the axes.
@@ -119,7 +119,7 @@ def make_noise_terms(triad: TriadSpec, step: float = 0.0) -> dict[str, allan.Cov
 
 @kernel
 def lag_kernel(t: FloatArray, target: FloatArray, start: float, time: float, out: FloatArray) -> None:
-    """Fill out (B,) with the first-order lag of target (B,), which is linear between the instants t (B,)."""
+    """Fill out (B,) with the first-order lag of target (B,), which is linear between the epochs t (B,)."""
     x = start
     out[0] = x
     for k in range(1, len(t)):
@@ -131,9 +131,9 @@ def lag_kernel(t: FloatArray, target: FloatArray, start: float, time: float, out
 
 
 def apply_lag(t: FloatArray, target: FloatArray, start: float, time: float) -> FloatArray:
-    """Return the first-order lag, with a time constant [s], of a quantity target (B,) at instants t (B,) [s].
+    """Return the first-order lag, with a time constant [s], of a quantity target (B,) at epochs t (B,) [s].
 
-    The output begins at ``start`` and is exact for an input that is linear between the instants. A time
+    The output begins at ``start`` and is exact for an input that is linear between the epochs. A time
     constant of 0 leaves the input as it is.
     """
     if time <= 0:

@@ -27,13 +27,13 @@ def measure(
 
     Parameters
     ----------
-    truth, spec, draws
+    truth, spec, runs
         As for `Sampler`, with the air of the flight at 20 Hz, interpolated linearly; the reported ``sd`` is
         the ``white_sd`` of the spec.
     qnh : float
         Altimeter setting [Pa].
     static_port_b : (3,) tuple
-        Static port relative to the centre of gravity, to which the air data belong [m], b.
+        Static port relative to the center of gravity, to which the air data belong [m], b.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def measure(
 def compute_port_pressure(
     truth: Trajectory, unit: StaticPressureSpec, warmer: float, static_port_b: tuple[float, float, float]
 ) -> FloatArray:
-    """Return the pressure at the static port (A,) [Pa], at the instants of the air data.
+    """Return the pressure at the static port (A,) [Pa], at the epochs of the air data.
 
     The position error of the unit is in proportion to the impact pressure. ``warmer`` [K] is added to the air
     of the flight from sea level to the port; the pressure at sea level does not change. ``static_port_b``

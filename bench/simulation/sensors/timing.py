@@ -1,4 +1,4 @@
-"""Sample instants of the truth for epochs of an instrument, outages and output times."""
+"""Sample epochs of the truth for epochs of an instrument, outages and output times."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def find_epoch_rows(name: str, t: FloatArray, rate: float) -> IntArray:
     Raises
     ------
     ValueError
-        If two epochs fall on the same sample instant, or no epoch is within the truth.
+        If two epochs fall on the same sample time, or no epoch is within the truth.
     """
     count = check_duration(name, t, rate)
     return find_rows(name, t, t[0] + np.arange(1, count + 1) / rate)
@@ -30,14 +30,14 @@ def check_duration(name: str, t: FloatArray, rate: float) -> int:
 
 
 def find_rows(name: str, t: FloatArray, wanted: FloatArray) -> IntArray:
-    """Return the first row of t (N,) at or after each instant wanted (M,) [s]; ``name`` is for messages.
+    """Return the first row of t (N,) at or after each time wanted (M,) [s]; ``name`` is for messages.
 
     A row that lies before an epoch could not be told from the samples until then.
 
     Raises
     ------
     ValueError
-        If two of them fall on the same sample instant.
+        If two of them fall on the same sample time.
     """
     rows: IntArray = np.searchsorted(t, wanted - SAME_INSTANT)
     if not (rows[1:] > rows[:-1]).all():
@@ -62,9 +62,9 @@ def find_outage_rows(t: FloatArray, rows: IntArray, outages: tuple[tuple[float, 
 
 
 def select_output_times(t: FloatArray, rate: float, outages: tuple[tuple[float, float], ...]) -> FloatArray:
-    """Return the instants of the solutions (M,) [s], increasing.
+    """Return the epochs of the solutions (M,) [s], increasing.
 
-    Of the instants t (N,) of the truth: the first and the last, one every 1 / rate [Hz], and the first and
+    Of the epochs t (N,) of the truth: the first and the last, one every 1 / rate [Hz], and the first and
     last of each GNSS outage [start, end).
     """
     rows = [0, len(t) - 1]

@@ -50,19 +50,19 @@ def shake(truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> tuple[F
         size = np.sqrt(2) * engine / (spec.engine_order * spec.engine_reference) ** 2
         cosines, sines = -size[:, None] * np.cos(phases), size[:, None] * np.sin(phases)
         turned = draws.keep("angle", lambda: np.zeros(1))
-        _engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, turned, angle)
+        engine_angle_kernel(t, air.t, spec.engine_order * air.engine_speed, turned, angle)
         np.cos(angle, out=c)
         np.sin(angle, out=s)
     if gusts.any():
         shape = draws.constant("shape", 2, 3)
         shape = shape * gusts[:, None] * np.sqrt(3) / np.linalg.norm(shape, axis=1, keepdims=True)
-        _interpolate_kernel(t, air.t, compute_gust_rms(air, draws), strength)
-        _simulate_mode(t, spec, draws, displacement)
+        interpolate_kernel(t, air.t, compute_gust_rms(air, draws), strength)
+        simulate_mode(t, spec, draws, displacement)
     shaken = disk_arrays.empty(truth.dtheta_b.shape), disk_arrays.empty(truth.dvel_b.shape)
     for triad, (true, out) in enumerate(zip((truth.dtheta_b, truth.dvel_b), shaken, strict=True)):
         for rows in disk_arrays.blocks(len(out)):
-            at = slice(rows.start, None)  # instants at both ends of the samples
-            _shake_kernel(
+            at = slice(rows.start, None)  # epochs at both ends of the samples
+            shake_kernel(
                 t[at], true[rows], angle[at], c[at], s[at], cosines[triad], sines[triad],
                 displacement[at], strength[at], shape[triad], out[rows],
             )  # fmt: skip
@@ -70,7 +70,7 @@ def shake(truth: Trajectory, spec: VibrationSpec, draws: SensorDraws) -> tuple[F
 
 
 @kernel
-def _shake_kernel(
+def shake_kernel(
     t: FloatArray, true: FloatArray, angle: FloatArray, c: FloatArray, s: FloatArray,
     cosines: FloatArray, sines: FloatArray, displacement: FloatArray, strength: FloatArray,
     shape: FloatArray, out: FloatArray,
@@ -88,7 +88,7 @@ def _shake_kernel(
 
 
 @kernel
-def _interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: FloatArray) -> None:
+def interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: FloatArray) -> None:
     """Fill out (N,) with values (A,) at times ``at`` (A,), interpolated to t (N,) and held at both ends."""
     j = 0
     for k in range(len(t)):
@@ -100,14 +100,14 @@ def _interpolate_kernel(t: FloatArray, at: FloatArray, values: FloatArray, out: 
 
 
 @kernel
-def _engine_angle_kernel(
+def engine_angle_kernel(
     t: FloatArray, at: FloatArray, speed: FloatArray, turned: FloatArray, angles: FloatArray
 ) -> None:
     """Fill angles (N,) from the speed (A,) at times ``at`` (A,), linear in between; trapezoids.
 
     ``turned`` (1,) is the angle at t[0], and becomes that at the end.
     """
-    _interpolate_kernel(t, at, speed, angles)
+    interpolate_kernel(t, at, speed, angles)
     before, angle = angles[0], turned[0]
     angles[0] = angle
     for k in range(1, len(t)):
@@ -117,9 +117,9 @@ def _engine_angle_kernel(
 
 
 def compute_gust_rms(air: AirData, draws: SensorDraws) -> FloatArray:
-    """Return the rms of the gusts per axis (A,) in the 10 s before each instant of the air data [m/s].
+    """Return the rms of the gusts per axis (A,) in the 10 s before each time of the air data [m/s].
 
-    ``draws`` keeps what the next piece needs, which begins with the last instant of this one.
+    ``draws`` keeps what the next piece needs, which begins with the last time of this one.
     """
     begun = draws.keep("wind", lambda: [air.wind_n[0], np.zeros((1, 6)), 0.0])
     origin, sums, last = begun
@@ -137,7 +137,7 @@ def compute_gust_rms(air: AirData, draws: SensorDraws) -> FloatArray:
     return np.concatenate([[last], rms]) if repeated else rms
 
 
-def _simulate_mode(t: FloatArray, spec: VibrationSpec, draws: SensorDraws, displacement: FloatArray) -> None:
+def simulate_mode(t: FloatArray, spec: VibrationSpec, draws: SensorDraws, displacement: FloatArray) -> None:
     """Fill the displacement (N,) of a stationary mode with a rate of rms 1."""
     w = 2 * np.pi * spec.mode_frequency
     interval = draws.keep("interval", lambda: float(t[1] - t[0]))
@@ -152,11 +152,11 @@ def _simulate_mode(t: FloatArray, spec: VibrationSpec, draws: SensorDraws, displ
     displacement[0] = state[0]
     for rows in disk_arrays.blocks(len(t) - 1):
         noise = draws.stream("gust").standard_normal((rows.stop - rows.start, 2))
-        _mode_kernel(step, root, noise, state, displacement[rows.start + 1 : rows.stop + 1])
+        mode_kernel(step, root, noise, state, displacement[rows.start + 1 : rows.stop + 1])
 
 
 @kernel
-def _mode_kernel(
+def mode_kernel(
     step: FloatArray, added: FloatArray, noise: FloatArray, state: FloatArray, out: FloatArray
 ) -> None:
     """Fill out (K,) with the displacement; ``state`` (2,) is it and its rate before, then at the end."""

@@ -1,6 +1,6 @@
 """Overlapping Allan deviation, its analytic curves, and the confidence of an estimate.
 
-Each process has one function here, its generalised covariance ``k(h)``: the part of the covariance of the
+Each process has one function here, its generalized covariance ``k(h)``: the part of the covariance of the
 angle ``x`` (integral of the rate) at lag ``h`` that remains in second differences. It gives the Allan
 variance, ``sum c_a c_b k((a - b) tau) / (2 tau^2)``, ``c = (1, -2, 1)``, and the covariance of any two second
 differences, from which the effective degrees of freedom of an estimate follow.
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from bench.core.mathematics.arrays import FloatArray, IntArray
 
 Covariance = Callable[[FloatArray], FloatArray]
-"""Generalised covariance of an angle: lag h >= 0 [s] -> k [unit^2]."""
+"""Generalized covariance of an angle: lag h >= 0 [s] -> k [unit^2]."""
 
 _WEIGHTS = ((0, 6.0), (1, -8.0), (2, 2.0))  # c_a c_b summed by |a - b|
 
@@ -30,7 +30,7 @@ def white(random_walk: float) -> Covariance:
 def markov(sd: float, correlation: float, step: float = 0.0) -> Covariance:
     """Return the covariance of a first-order Gauss-Markov rate with sd [unit/s] and correlation time [s].
 
-    With a ``step`` [s], well below the correlation time, the rate is linear between instants one step apart,
+    With a ``step`` [s], well below the correlation time, the rate is linear between epochs one step apart,
     as in `rate_walk`.
     """
     walk = np.sqrt(2 / correlation) * sd  # equivalent rate random walk at short times
@@ -47,14 +47,14 @@ def markov(sd: float, correlation: float, step: float = 0.0) -> Covariance:
 def rate_walk(rate_random_walk: float, step: float = 0.0) -> Covariance:
     """Return the covariance of a rate random walk K [unit/s/sqrt(s)].
 
-    With a ``step`` [s] the rate is linear between instants one step apart, which lowers its Allan variance
+    With a ``step`` [s] the rate is linear between epochs one step apart, which lowers its Allan variance
     K^2 tau / 3 by K^2 step^2 / (12 tau) for tau not below the step.
     """
     return lambda h: rate_random_walk**2 * h**3 / 12 + _interpolation_term(rate_random_walk, step, h)
 
 
 def _interpolation_term(rate_random_walk: float, step: float, h: FloatArray) -> FloatArray:
-    """Return the change of the covariance of a rate random walk by linear interpolation between instants.
+    """Return the change of the covariance of a rate random walk by linear interpolation between epochs.
 
     Interpolation smooths the covariance of the rate, ``-K^2 |h| / 2`` up to a constant, with a cubic
     B-spline. The difference, ``-K^2 step (1 - u)^3 / 6`` with u = |h| / step < 1, is integrated twice.

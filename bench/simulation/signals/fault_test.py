@@ -1,4 +1,4 @@
-"""Which range of an epoch has a fault, by its normalised residuals."""
+"""Which range of an epoch has a fault, by its normalized residuals."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ _LOG_TAILS = np.log([erfc(x / np.sqrt(2.0)) for x in _SIZES])  # chance that it 
 _REFINED = 8  # steps to a threshold, of Newton; with 5e-3 three have all digits
 
 
-def find_alarms(normalised: FloatArray, share: FloatArray, false_alarm: float) -> tuple[BoolArray, IntArray]:
+def find_alarms(normalized: FloatArray, share: FloatArray, false_alarm: float) -> tuple[BoolArray, IntArray]:
     """Return which epochs (M,) have a fault, and the row (M,) that most likely has it.
 
-    A fault of b metres in row i shifts its normalised residual w by ``share`` s times b. If all sizes up to
-    some ten metres are equally likely, the odds of a fault in row i against none are
+    A fault of b meters in row i shifts its normalized residual w by ``share`` s times b. If all sizes up to
+    some ten meters are equally likely, the odds of a fault in row i against none are
     ``exp(w^2 / 2) / sqrt(1 + (30 m s)^2)``: of two rows with the same w the one with the smaller s has it.
     The test of the largest odds finds most of such faults (Neyman and Pearson). By its threshold the chances
     of all rows have the sum ``false_alarm`` (Bonferroni).
 
     Parameters
     ----------
-    normalised, share : (M, S) arrays
+    normalized, share : (M, S) arrays
         Both 0 where a row tells nothing; [1] and [1/m].
     """
     told = share > 0.0
     margin = np.where(told, np.log1p((_FAULT * share) ** 2), 0.0)
-    size = np.where(told, normalised**2 - margin, -np.inf)
+    size = np.where(told, normalized**2 - margin, -np.inf)
     limit = np.full(len(size), 10.0)
     for _ in range(_REFINED):
         x = np.sqrt(np.maximum(limit[:, None] + margin, 1e-2))

@@ -1,4 +1,4 @@
-"""Position and velocity of each epoch from ranges and range rates: iterated generalised least squares.
+"""Position and velocity of each epoch from ranges and range rates: iterated generalized least squares.
 
 Unknowns are the position and one clock offset per satellite system (B-13, B-14), then the velocity and the
 drift of the receiver's oscillator (B-14b). Every function takes whole records: a row per satellite and epoch,
@@ -28,7 +28,7 @@ _UNKNOWNS = 3 + _SYSTEMS
 _SINGULAR = 1e-13  # smallest determinant of a normal matrix with a unit diagonal
 _MEDIAN = 0.6745  # median of the size of a standard normal variable
 _ROUNDS = 10  # of new weights, `_reweight`
-_KEPT, _LEFT = 1.5, 3.0  # normalised residuals of full and of no weight; Yang 2002: 1 to 1.5, 2.5 to 8
+_KEPT, _LEFT = 1.5, 3.0  # normalized residuals of full and of no weight; Yang 2002: 1 to 1.5, 2.5 to 8
 _NEXT_TO_NOTHING = 1e3  # factor on a variance that leaves a range without weight
 EARTH_RADIUS = 6371e3  # [m]
 SHELL = EARTH_RADIUS + 350e3  # of the ionosphere [m]; IS-GPS-200, 20.3.3.5.2.5
@@ -57,7 +57,7 @@ class PositionFixes(NamedTuple):
     steps: IntArray  # (M,) iterations
     used: BoolArray  # (K,) rows in the final solution
     residual: FloatArray  # (K,) measured minus computed [m]; NaN where not used
-    normalised: FloatArray  # (K,) the same over its sd, the statistic of the w-test; NaN where untestable
+    normalized: FloatArray  # (K,) the same over its sd, the statistic of the w-test; NaN where untestable
     chi2: FloatArray  # (M,) weighted sum of squared residuals
     passed: BoolArray  # (M,) solved, and no fault is found among the satellites used
 
@@ -159,8 +159,8 @@ class _Solution(NamedTuple):
     cov: FloatArray  # (M, 7, 7)
     present: BoolArray  # (M, 4) systems
     residual: FloatArray  # (M, S)
-    normalised: FloatArray  # (M, S) absolute; 0 where it says nothing
-    share: FloatArray  # (M, S) by which a metre of a range changes it [1/m]; 0 where it says nothing
+    normalized: FloatArray  # (M, S) absolute; 0 where it says nothing
+    share: FloatArray  # (M, S) by which a meter of a range changes it [1/m]; 0 where it says nothing
     chi2: FloatArray  # (M,)
     spare: IntArray  # (M,) redundancy
 
@@ -216,32 +216,32 @@ def _iterate(
         at = np.flatnonzero(going)
         solved[at[done]] = True
         going[at[done | ~regular | ~np.isfinite(step).all(axis=1)]] = False
-    normalised, share, chi2 = np.zeros((M, S)), np.zeros((M, S)), np.full(M, np.nan)
+    normalized, share, chi2 = np.zeros((M, S)), np.zeros((M, S)), np.full(M, np.nan)
     if full:
         WH = weigh(H, np.ones(M, bool))
         weighted = (W @ residual[..., None])[..., 0]
         free = np.einsum("mss->ms", W) - np.einsum("msi,msi->ms", WH @ cov, WH)
         told = padded.used & (free > 1e-6 * np.einsum("mss->ms", W))
         share = np.sqrt(np.where(told, free, 0.0))
-        normalised = np.where(told, np.abs(weighted) / np.where(told, share, 1.0), 0.0)
+        normalized = np.where(told, np.abs(weighted) / np.where(told, share, 1.0), 0.0)
         chi2 = np.maximum(np.einsum("ms,ms->m", residual, weighted), 0.0)
-    return _Solution(x, solved, steps, cov, present, residual, normalised, share, chi2, spare)
+    return _Solution(x, solved, steps, cov, present, residual, normalized, share, chi2, spare)
 
 
-def _reweight(normalised: FloatArray, used: BoolArray, final: bool) -> FloatArray:
+def _reweight(normalized: FloatArray, used: BoolArray, final: bool) -> FloatArray:
     """Return the factor on the variance of each row (M, S): that of Huber at first, then that of IGG III.
 
     The first grows with the residual, from the bent solution that faults leave towards the one that most
     ranges agree with; the second has no bound. It takes residuals relative to their median, if that is larger
     than it would be without faults.
 
-    Yang, Song, Xu, Robust estimator for correlated observations based on bifactor equivalent weights,
+    Yang, Song, Xu, Robust filter for correlated observations based on bifactor equivalent weights,
     Journal of Geodesy 76 (2002) 353-358.
     """
     if not final:
-        return np.asarray(np.maximum(normalised / _KEPT, 1.0))
-    median = np.nanmedian(np.where(used, normalised, np.nan), axis=1, keepdims=True)
-    size = np.maximum(normalised / np.maximum(median / _MEDIAN, 1.0), _KEPT)
+        return np.asarray(np.maximum(normalized / _KEPT, 1.0))
+    median = np.nanmedian(np.where(used, normalized, np.nan), axis=1, keepdims=True)
+    size = np.maximum(normalized / np.maximum(median / _MEDIAN, 1.0), _KEPT)
     factor = _KEPT / size * np.clip((_LEFT - size) / (_LEFT - _KEPT), 1e-4, 1.0) ** 2
     return 1.0 / factor
 
@@ -255,7 +255,7 @@ def _make_unsolved(M: int, K: int) -> PositionFixes:
         steps=np.zeros(M, np.int64),
         used=np.zeros(K, bool),
         residual=np.full(K, np.nan),
-        normalised=np.full(K, np.nan),
+        normalized=np.full(K, np.nan),
         chi2=np.full(M, np.nan),
         passed=np.zeros(M, bool),
     )
@@ -295,7 +295,7 @@ def solve_positions(
     use : (K,) array of bool or None
         Rows that may be used; None: all.
     start_e : (M, 3) array or None
-        First guesses [m]. If NaN or None: the centre of the Earth.
+        First guesses [m]. If NaN or None: the center of the Earth.
     close : float
         A step shorter than this ends the iteration [m]; the error is its square over the range.
     shared : Shared or None
@@ -304,7 +304,7 @@ def solve_positions(
         Chance that a sound epoch loses a satellite. While a fault is found, its satellite is left out; an
         epoch where one is still found has not passed. 0: nothing is tested.
     robust : bool
-        Give large normalised residuals less weight before they are tested.
+        Give large normalized residuals less weight before they are tested.
     rough : bool
         Weights alone, no statistics: for a first guess.
     one_clock : bool
@@ -314,7 +314,7 @@ def solve_positions(
 
     Notes
     -----
-    The normalised residual of row i is ``(W v)_i / sqrt((W - W H (H' W H)^-1 H' W)_ii)``, W the inverse of
+    The normalized residual of row i is ``(W v)_i / sqrt((W - W H (H' W H)^-1 H' W)_ii)``, W the inverse of
     the covariance of the ranges and v their residuals: the w-test of Baarda for correlated measurements
     (Teunissen, Testing Theory, 2006). :func:`bench.simulation.signals.fault_test.find_alarms`
     finds the fault.
@@ -353,7 +353,7 @@ def solve_positions(
             found = found._replace(steps=found.steps + first)
             for step in range(_ROUNDS if robust else 0):
                 final = step >= _ROUNDS // 2
-                spread = _reweight(found.normalised * np.sqrt(spread), padded.used, final)
+                spread = _reweight(found.normalized * np.sqrt(spread), padded.used, final)
                 W = _weigh(padded, sd, shared, spread)
                 found = _iterate(padded, W, found.x, sat_pos_e, pseudorange, column, rate, close)
             light = padded.used & (spread > _NEXT_TO_NOTHING)
@@ -362,7 +362,7 @@ def solve_positions(
         left, spare = whole[padded.epochs] - kept, found.spare - weightless
         passed = found.solved & (rough | (spare >= left))
         if false_alarm > 0 and not rough:
-            alarm, worst = find_alarms(found.normalised, found.share, false_alarm)
+            alarm, worst = find_alarms(found.normalized, found.share, false_alarm)
             alarm &= found.solved
             passed &= ~alarm
             again = np.flatnonzero(alarm & (spare >= left + 2))  # the next one keeps what is said below
@@ -373,7 +373,7 @@ def solve_positions(
         _store(fixes, padded, found, passed, one_clock)
     fixes.used[~used] = False
     fixes.residual[~fixes.used] = np.nan
-    fixes.normalised[~fixes.used] = np.nan
+    fixes.normalized[~fixes.used] = np.nan
     return fixes
 
 
@@ -392,8 +392,8 @@ def _store(
     fixes.passed[at] = passed
     fixes.used[padded.rows[padded.used]] = np.broadcast_to(good[:, None], padded.used.shape)[padded.used]
     fixes.residual[padded.rows[padded.used]] = found.residual[padded.used]
-    told = np.where(found.normalised > 0, found.normalised, np.nan)
-    fixes.normalised[padded.rows[padded.used]] = told[padded.used]
+    told = np.where(found.normalized > 0, found.normalized, np.nan)
+    fixes.normalized[padded.rows[padded.used]] = told[padded.used]
 
 
 def solve_velocities(

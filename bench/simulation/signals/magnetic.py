@@ -86,7 +86,7 @@ def decimal_year(day: datetime.date) -> float:
 def _check_date(date: float) -> None:
     if not FIRST_YEAR <= date <= LAST_YEAR:
         raise ValueError(
-            f"the magnetic field is modelled from {FIRST_YEAR:g} to {LAST_YEAR:g}; got the date {date:g}"
+            f"the magnetic field is modeled from {FIRST_YEAR:g} to {LAST_YEAR:g}; got the date {date:g}"
         )
 
 

@@ -41,7 +41,7 @@ def fit_kepler(
     t_oe, t_oe_week : float
         Reference time since the origin of ``t``, and since the start of the week of its system [s].
     t : (N,) array
-        Instants [s].
+        Epochs [s].
     pos_e, vel_e : (N, 3) arrays
         Its position and velocity there [m, m/s], e.
     clock : (N,) array
@@ -49,7 +49,7 @@ def fit_kepler(
 
     Notes
     -----
-    Levenberg-Marquardt from the osculating orbit at the instant nearest to ``t_oe``. What a short arc does
+    Levenberg-Marquardt from the osculating orbit at the time nearest to ``t_oe``. What a short arc does
     not determine stays at that.
     """
     row = np.zeros(len(KEPLER))

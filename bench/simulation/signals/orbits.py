@@ -1,8 +1,8 @@
 """Orbits and clocks of satellites: Keplerian sets, GLONASS state vectors, nominal constellations.
 
 Times are GPS time in seconds since an origin that the caller chooses (a GPS midnight, or the start of the
-run), because small numbers keep their precision. Positions are Earth-fixed at the instant of transmission;
-:mod:`bench.simulation.signals.delays` rotates them to the instant of reception.
+run), because small numbers keep their precision. Positions are Earth-fixed at the time of transmission;
+:mod:`bench.simulation.signals.delays` rotates them to the time of reception.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _GM_PZ = 3.986004418e14  # [m^3/s^2], PZ-90.11 reference document, 2014
 _A_PZ = 6378136.0  # [m], the same
 _J2_PZ = 1.08262575e-3  # [1], the same
 _RATE_PZ = 7.292115e-5  # [rad/s], the same
-_STEP_PZ = 60.0  # longest Runge-Kutta step [s]; error below 1 mm after 15 min
+STEP_PZ = 60.0  # longest Runge-Kutta step [s]; error below 1 mm after 15 min
 GRAVITY = {GPS: 3.986005e14, GALILEO: 3.986004418e14, BEIDOU: 3.986004418e14, GLONASS: _GM_PZ}
 """[m^3/s^2]: IS-GPS-200, table 20-IV; Galileo OS SIS ICD 2.0, table 67; BDS-SIS-ICD-B1I-3.0, 5.2.4.12."""
 EARTH_RATES = {GPS: GPS_EARTH_RATE, GALILEO: GPS_EARTH_RATE, BEIDOU: 7.292115e-5, GLONASS: _RATE_PZ}
@@ -54,7 +54,7 @@ _STEPS[GLONASS, [1, 2]] = 562.5e3, 437.5e3  # channel spacing of G1 and G2 [Hz],
 
 
 class SatelliteStates(NamedTuple):
-    """States of satellites at their instants of transmission."""
+    """States of satellites at their epochs of transmission."""
 
     pos_e: FloatArray  # (K, 3) [m], e at transmission
     vel_e: FloatArray  # (K, 3) [m/s], e
@@ -107,7 +107,7 @@ def _compute_kepler(sets: KeplerSets, rows: IntArray, t: FloatArray) -> Satellit
     n = np.sqrt(gm / a) / a + q["delta_n"]
     mean = q["mean_anomaly"] + n * dt
     anomaly, going = mean, np.ones(len(t), bool)
-    for _ in range(20):  # no bit depends on the other instants
+    for _ in range(20):  # no bit depends on the other epochs
         step = np.where(going, (mean - anomaly + e * np.sin(anomaly)) / (1.0 - e * np.cos(anomaly)), 0.0)
         anomaly = anomaly + step
         going = np.abs(step) >= 1e-14
@@ -188,7 +188,7 @@ def _compute_glonass(sets: GlonassSets, rows: IntArray, t: FloatArray) -> Satell
     """Integrate sets ``rows`` (K,) to ``t`` (K,) with fourth-order Runge-Kutta."""
     q = np.ascontiguousarray(sets.state[rows].T)
     span = t - q[0]
-    steps = np.ceil(np.abs(span) / _STEP_PZ)
+    steps = np.ceil(np.abs(span) / STEP_PZ)
     h = span / np.maximum(steps, 1.0)
     s = q[1:7].copy()
     order = np.argsort(-steps, kind="stable")  # what needs most steps comes first, and the rest drops off
@@ -213,23 +213,23 @@ def _compute_glonass(sets: GlonassSets, rows: IntArray, t: FloatArray) -> Satell
 
 
 def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray) -> SatelliteStates:
-    """Compute the states of satellites at given instants.
+    """Compute the states of satellites at given epochs.
 
     Parameters
     ----------
     sets : KeplerSets or GlonassSets
         Ephemerides.
     rows : (K,) array of int
-        Row of the set to use at each instant.
+        Row of the set to use at each time.
     t : (K,) array
-        Instants of transmission, GPS time since the origin of ``sets`` [s].
+        Epochs of transmission, GPS time since the origin of ``sets`` [s].
 
     Notes
     -----
     Kepler sets: IS-GPS-200, table 20-IV, velocity by its derivative; Galileo OS SIS ICD and BDS-SIS-ICD-B1I
     have the same formulas with their own constants. GLONASS: Earth-fixed equations of motion
     with J2 and the broadcast luni-solar acceleration, Runge-Kutta of fourth order with steps up to 60 s;
-    PZ-90.11 and WGS 84 agree to centimetres, so its axes are taken for e.
+    PZ-90.11 and WGS 84 agree to centimeters, so its axes are taken for e.
     """
     t, rows = np.asarray(t, float), np.asarray(rows, np.int64)
     if isinstance(sets, KeplerSets):
@@ -238,7 +238,7 @@ def compute_states(sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray
 
 
 def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, oldest: float) -> IntArray:
-    """Return the row (K,) of the healthy set nearest in time for each satellite (K,) and instant t (K,) [s].
+    """Return the row (K,) of the healthy set nearest in time for each satellite (K,) and time t (K,) [s].
 
     It is -1 if no reference time is within ``oldest`` [s]. The sets may be in any order.
     """
@@ -261,7 +261,7 @@ def find_nearest(sets: KeplerSets | GlonassSets, sat: IntArray, t: FloatArray, o
 def find_transmission(
     sets: KeplerSets | GlonassSets, rows: IntArray, t: FloatArray, pseudorange: FloatArray
 ) -> tuple[FloatArray, SatelliteStates]:
-    """Compute the instants of transmission (K,) [s] and the satellites there, from measurements alone.
+    """Compute the epochs of transmission (K,) [s] and the satellites there, from measurements alone.
 
     Parameters
     ----------
@@ -277,7 +277,7 @@ def find_transmission(
 
 
 def step_back(shown: FloatArray, found: SatelliteStates) -> tuple[FloatArray, SatelliteStates]:
-    """Return the instants (K,) [s] when clocks show ``shown`` (K,), and the states then, from those at it."""
+    """Return the epochs (K,) [s] when clocks show ``shown`` (K,), and the states then, from those at it."""
     late = found.clock + found.relativity  # below 1 ms: what curves in it moves the satellite by 1e-6 m
     return shown - late, found._replace(
         pos_e=found.pos_e - found.vel_e * late[:, None], clock=found.clock - found.clock_rate * late

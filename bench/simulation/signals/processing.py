@@ -36,7 +36,7 @@ class ErrorBudget(NamedTuple):
     space_beidou_2: float = 1.0  # C01 to C16 [m], [M18]
     precise: tuple[float, float, float, float] = (0.36, 0.2, 0.15, 0.4)
     """Orbit and clock of SP3 files by system [m]: 0.1 m, and what the antennas of the blocks differ along the
-    axis to the Earth, because these orbits are of the centre of mass and the rest goes into the clock of the
+    axis to the Earth, because these orbits are of the center of mass and the rest goes into the clock of the
     receiver. Galileo IOV and FOC differ by 0.15 m (IGSMAIL-7356); GPS 0.35 m, GLONASS 0.17 m, BeiDou 0.4 m
     assumed."""
     delays_unknown: tuple[float, float, float, float] = (2.3, 1.4, 3.2, 7.7)

@@ -59,10 +59,11 @@ class ReceiverSolution(NamedTuple):
     used: BoolArray  # (K,) used for the position
     wanted: BoolArray  # (K,) could have been used: above the mask, with orbit and range
     residual: FloatArray  # (K,) [m]; NaN if not used
-    normalised: FloatArray  # (K,) residual over its standard deviation, without sign; NaN if it says nothing
+    normalized: FloatArray  # (K,) residual over its standard deviation, without sign; NaN if it says nothing
 
 
-def _look_around(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
+def look_around(o: GnssObservations, pos_e: FloatArray, processing: Processing) -> Look:
+    """Return where the satellites of the observations are, seen from a place (3,), e."""
     return compute_look(
         pos_e,
         epoch_start=o.epoch_start,
@@ -126,7 +127,7 @@ def _find_satellites(
                 continue
             out.accuracy[rows] = one.get("accuracy")[serving]
             if "group-delay" not in processing.without:
-                out.delay[rows] = C * _find_group_delay(one, serving, band[rows], free)
+                out.delay[rows] = C * find_group_delay(one, serving, band[rows], free)
     return out
 
 
@@ -157,8 +158,8 @@ def _take_precise(
             out.channel[rows[tuned]] = one.channel[serving[tuned]]
             continue
         new = (serving >= 0) & ~known
-        reference = _find_group_delay(one, serving[new], np.tile(pair, (int(new.sum()), 1)), True)
-        delay[new] = C * (_find_group_delay(one, serving[new], band[new], free) - reference)
+        reference = find_group_delay(one, serving[new], np.tile(pair, (int(new.sum()), 1)), True)
+        delay[new] = C * (find_group_delay(one, serving[new], band[new], free) - reference)
         known |= new
     good = (place >= 0) & tuned
     shown = (tag - code / C)[good]
@@ -179,7 +180,7 @@ def _rank(choices: Sequence[KeplerSets | GlonassSets], free: bool) -> Sequence[K
     return sorted(choices, key=lambda one: getattr(one, "message", first) not in (first, ""))
 
 
-def _find_group_delay(sets: KeplerSets, rows: IntArray, band: IntArray, free: bool) -> FloatArray:
+def find_group_delay(sets: KeplerSets, rows: IntArray, band: IntArray, free: bool) -> FloatArray:
     """Return the delay (K,) [s] of the range in use against the clock of the ephemerides.
 
     ``band`` (K, 2) has the RINEX digits of both carriers. The clock of GPS is that of L1 and L2 combined, of
@@ -278,7 +279,7 @@ def make_observations(
     pos_e = least_squares.solve_positions(
         epoch_start, found.pos, ranges, raw.sd_pseudorange, system, close=_ROUGH, rough=True
     ).pos_e
-    near = _look_around(raw, pos_e, processing)
+    near = look_around(raw, pos_e, processing)
     space = estimate_space_sd(system, sat, found.accuracy, budget)
     space = np.where(np.isfinite(found.precise), found.precise, space)
     thermal = estimate_code_sd(system, cn0[:, 0], budget)
@@ -340,7 +341,7 @@ def solve_fixes(
             start, o.sat_pos_e, delayed, o.sd_pseudorange, system,
             use=use, start_e=rough, close=_ROUGH, one_clock=one_clock, sagnac=sagnac, rough=True,
         ).pos_e  # fmt: skip
-        near = _look_around(o, rough, processing)
+        near = look_around(o, rough, processing)
     assert near is not None
     ranges = _subtract_delays(ranges, near, processing)
     wanted &= (near.el > processing.mask) & np.isfinite(ranges)
@@ -374,7 +375,7 @@ def solve_fixes(
         satellites=count,
     )
     return ReceiverSolution(
-        fixes, fix.clock, speed.drift, near.los_n, fix.used, wanted, fix.residual, fix.normalised
+        fixes, fix.clock, speed.drift, near.los_n, fix.used, wanted, fix.residual, fix.normalized
     )
 
 

@@ -57,7 +57,7 @@ def smooth_ranges(
     Notes
     -----
     The ionosphere moves code and phase apart: an average over 100 s is late by twice the rate of the delay
-    times 100 s, decimetres in a storm. An arc ends at a gap, where the receiver says so, where phase and
+    times 100 s, decimeters in a storm. An arc ends at a gap, where the receiver says so, where phase and
     Doppler disagree, and where the range is `_JUMP` off the smoothed one. With gain 1 / n the variance of
     white noise becomes 1 / n of it, and settles at 1 / (2 n - 1) as n stays.
     """

@@ -2,7 +2,7 @@
 
 An SRTM tile is named after its south-west corner (``N47E011.hgt``): n x n samples of a degree square,
 edges included, big-endian, from north to south. An ESRI ASCII grid has six lines of header, then rows from
-north to south; the samples are the centres of its cells.
+north to south; the samples are the centers of its cells.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _HEADER = re.compile(r"\s*([A-Za-z_]+)[ \t]+(\S+)[ \t]*(?:\r?\n|$)")
 _HEADER_LINES = 6
 _HIGHEST = 12_000.0  # no ground is further from the ellipsoid [m]
 _AROUND = 0.01  # of a cell that columns around the Earth may miss or overlap, by the digits of the file
-_BEFORE, _BEYOND, _BESIDE = 300.0, 3000.0, 100.0  # of a runway's threshold and centreline: level ground [m]
+_BEFORE, _BEYOND, _BESIDE = 300.0, 3000.0, 100.0  # of a runway's threshold and centerline: level ground [m]
 _ROUNDING = 1e-6  # of a place on the edge of a grid, in steps
 _EDGE = 300.0  # in which level ground goes over to that of the grid [m]
 
@@ -158,7 +158,7 @@ def _read(path: Path, shown: str) -> tuple[TerrainGrid, str]:
 def _parse_tile(raw: bytes, stem: str, shown: str) -> TerrainGrid:
     named, n = _TILE_NAME.fullmatch(stem), _TILES.get(len(raw))
     if named is None:
-        raise ConfigError(f"{shown}: the name of a tile is that of its south-west corner: N47E011.hgt")
+        raise ConfigError(f"{shown}: the name of a tile must be its south-west corner: N47E011.hgt")
     if n is None:
         sizes = " or ".join(f"{size} ({side} x {side})" for size, side in _TILES.items())
         raise ConfigError(f"{shown}: {len(raw)} bytes; a tile has {sizes}")
@@ -218,12 +218,12 @@ def _make_grid(south: float, west: float, step: float, heights: FloatArray, show
     ):
         where = f"{south:g} to {north:g} north, {west:g} to {east:g} east, a cell {step:g}"
         raise ConfigError(
-            f"{shown}: {where}: not degrees of latitude and longitude; a map projection is not read"
+            f"{shown}: {where}: expected latitude and longitude [deg]; map projections are not supported"
         )
     if abs(columns * step - 360) < _AROUND * step:
         step = 360 / columns
     if np.isnan(heights).all():
-        raise ConfigError(f"{shown}: it holds no height")
+        raise ConfigError(f"{shown}: it contains no height")
     if not np.nanmax(np.abs(heights)) <= _HIGHEST:
         wrong = float(heights.flat[int(np.nanargmax(np.abs(heights)))])
         raise ConfigError(

@@ -28,7 +28,7 @@ from bench.core.records.data import (
 from bench.core.records.findings.series import Plot, Rows, shorten
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import NothingToShowError
-from bench.core.words.palette import Colour, DrawnLook, choose_looks
+from bench.core.words.palette import Color, DrawnLook, choose_looks
 from bench.evaluation.errors.total_system import locate_path
 
 
@@ -52,7 +52,7 @@ FAR = 20.0
 
 
 def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> Carrier:
-    """Return the motion the first estimator that has one says there was, where it is finite.
+    """Return the motion the first filter that has one says there was, where it is finite.
 
     If not ``in_space``, a position is enough.
 
@@ -69,7 +69,7 @@ def carrier(solutions: Mapping[str, NavSolution], *, in_space: bool = True) -> C
                 disk_arrays.take(column, good) for column in (one.t, one.lla, one.vel_n, one.q_nb)
             )
             return Carrier(t, lla, vel_n, q_nb, no_air(), no_controls(), no_events())
-    raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
+    raise NothingToShowError("no filter has position, velocity and attitude at any time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Content:
 
     @property
     def desired(self) -> list[FloatArray]:
-        """The stretches (K, 3) of the path that the flight was to fly: latitude, longitude, height."""
+        """The segments (K, 3) of the path that the flight was to fly: latitude, longitude, height."""
         path, motion = self.path, self.motion
         if path is None:
             return []
@@ -96,13 +96,13 @@ class Content:
 
     @property
     def looks(self) -> dict[str, DrawnLook]:
-        """How each estimator is drawn."""
+        """How each filter is drawn."""
         return choose_looks(self.solutions)
 
     @property
-    def colours(self) -> dict[str, Colour]:
-        """The colour of each estimator."""
-        return {label: look.colour for label, look in self.looks.items()}
+    def colors(self) -> dict[str, Color]:
+        """The color of each estimator."""
+        return {label: look.color for label, look in self.looks.items()}
 
 
 def gather_content(result: RunResult, *, in_space: bool = True) -> Content | None:
@@ -129,7 +129,7 @@ def gather_content(result: RunResult, *, in_space: bool = True) -> Content | Non
 
 
 def split_at_gaps(rows: FloatArray) -> list[FloatArray]:
-    """Return the stretches of rows (M, k) without NaN."""
+    """Return the segments of rows (M, k) without NaN."""
     known = np.isfinite(rows).all(axis=1)
     edges = np.flatnonzero(np.diff(known)) + 1
     return [part for part in np.split(rows, edges) if len(part) and np.isfinite(part[0]).all()]
@@ -141,10 +141,10 @@ class Tab:
 
     name: str
     place: int  # tabs stand in the order of it
-    all_plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the estimator; "": of none
+    all_plots: Callable[[Content], Mapping[str, Rows]]  # by the label of the filter; "": of none
 
     def plots(self, content: Content) -> Mapping[str, Rows]:
-        """Return the plots by the label of the estimator; of a long flight what a screen can show."""
+        """Return the plots by the label of the filter; of a long flight what a screen can show."""
         shown = {
             label: [[replace(plot, series=tuple(map(shorten, plot.series))) for plot in row] for row in rows]
             for label, rows in self.all_plots(content).items()
@@ -154,7 +154,7 @@ class Tab:
 
 
 def share_scales(by_label: Mapping[str, Rows]) -> Mapping[str, Rows]:
-    """Return the plots of estimators with one vertical scale for each quantity.
+    """Return the plots of filters with one vertical scale for each quantity.
 
     One that reaches `FAR` times farther than the best keeps a scale of its own: it would flatten the others.
     """

@@ -15,7 +15,7 @@ _T = TypeVar("_T")
 
 
 def merge_results(results: Mapping[str, RunResult]) -> RunResult:
-    """Return one result that holds the estimators of several, each with the name of its result.
+    """Return one result that holds the filters of several, each with the name of its result.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def merge_results(results: Mapping[str, RunResult]) -> RunResult:
 
 
 def _join(by_result: Mapping[str, Mapping[str, _T]]) -> dict[str, _T]:
-    """Return all records by "estimator, result"."""
+    """Return all records by "filter, result"."""
     return {f"{label}, {name}": one for name, found in by_result.items() for label, one in found.items()}
 
 

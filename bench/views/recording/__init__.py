@@ -1,6 +1,6 @@
 """A run as a rerun recording: the flight in space, and every error with the 3 sigma of the filter.
 
-Spatial data are float32 metres in the local level frame of the start (rigid, north, east, down); plots are
+Spatial data are float32 meters in the local level frame of the start (rigid, north, east, down); plots are
 float64. The recording is for viewing a run, not for archiving it.
 """
 
@@ -37,19 +37,19 @@ def write(path: Path, name: str, result: RunResult) -> None:
     name : str
         Of the profile or log. The viewer keeps one layout for each name.
     result : RunResult
-        As `bench.run`, `bench.navigate_log` or `bench.load` returns it. The overview shows the first
-        estimator whose claim holds; without a truth, the first of all carries the vehicle.
+        As `bench.run`, `bench.navigate` or `bench.read_result` returns it. The overview shows the first
+        filter whose covariance holds; without a truth, the first of all carries the vehicle.
 
     Raises
     ------
     OSError
         If the file cannot be written.
     bench.core.words.exceptions.NothingToShowError
-        If there is no truth and no estimator has a motion to show.
+        If there is no truth and no filter has a motion to show.
     """
     content = gather_content(result)
     if content is None:
-        raise NothingToShowError("no estimator has position, velocity and attitude at any instant")
+        raise NothingToShowError("no filter has position, velocity and attitude at any time")
     plots = {
         tab.name: {
             label: [[drawing.linearize(plot) for plot in row] for row in rows]
@@ -100,7 +100,7 @@ def write_recording(folder: str | Path, out: str | Path | None = None, *, force:
         If the file cannot be written; an existing file is left unchanged.
     """
     folder = Path(folder)
-    result = results.load(folder)
+    result = results.read_result(folder)
     path = folder / results.RECORDING if out is None else Path(out)
     check_recording(path, force=force or out is None)
     write(path, result.name or folder.resolve().name, result)
@@ -133,7 +133,7 @@ def column(
     path : Path
         The recording.
     entity, component : str
-        Such as "/estimators/loose-15/position/north/error" and "Scalars:scalars".
+        Such as "/filters/loose-15/position/north/error" and "Scalars:scalars".
     timeline : str
         Its times.
 

@@ -27,15 +27,15 @@ def send(stream: Any, plot: Plot, shades: Sequence[Shade]) -> None:
     """Send the series of a plot, and shades over its whole height."""
     for series in plot.series:
         path, names = entity(*plot.path, series.key), list(series.names)
-        colours = [list(colour) for colour in series.colours]
+        colors = [list(color) for color in series.colors]
         style = (
-            rr.SeriesPoints(colors=colours, names=names, marker_sizes=series.widths)
+            rr.SeriesPoints(colors=colors, names=names, marker_sizes=series.widths)
             if series.marks
-            else rr.SeriesLines(colors=colours, names=names, widths=_choose_widths(series))
+            else rr.SeriesLines(colors=colors, names=names, widths=_choose_widths(series))
         )
         stream.log(path, style, static=True)
         keep = select_rows(series)
-        _send_scalars(stream, path, series.t[keep], series.values[keep])
+        send_scalars(stream, path, series.t[keep], series.values[keep])
     for shade in shades:
         _send_shade(stream, entity(*plot.path, "behind", shade.key), shade, plot)
 
@@ -52,7 +52,7 @@ def linearize(plot: Plot) -> Plot:
     return replace(take_logarithms(plot), title=title, log="")
 
 
-def _send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:
+def send_scalars(stream: Any, entity: str, t: FloatArray, values: FloatArray) -> None:
     """Send values (N, k); a row of nothing but NaN becomes an empty one, where the lines break."""
     there = ~np.isnan(values).all(axis=1)
     if len(t):
@@ -75,11 +75,11 @@ def _send_shade(stream: Any, entity: str, shade: Shade, plot: Plot) -> None:
     stream.log(
         entity,
         rr.SeriesLines(
-            colors=[[*shade.colour, 50]],
+            colors=[[*shade.color, 50]],
             names=shade.name,
             widths=1.0,
             aggregation_policy=rr.components.AggregationPolicy.Off,
         ),
         static=True,
     )
-    _send_scalars(stream, entity, np.concatenate(t), np.concatenate(y)[:, None])
+    send_scalars(stream, entity, np.concatenate(t), np.concatenate(y)[:, None])

@@ -21,10 +21,10 @@ from bench.views.recording.drawing import TIMELINE, entity
 from bench.views.recording.space import Scene
 
 Plots = Mapping[str, Mapping[str, Rows]]
-"""Name of the tab -> label of the estimator -> its rows of plots."""
+"""Name of the tab -> label of the filter -> its rows of plots."""
 
 SIDE_BY_SIDE = 3
-"""Up to this many estimators are shown side by side; with more, each has a tab."""
+"""Up to this many filters are shown side by side; with more, each has a tab."""
 
 _LEGEND_WIDTH, _LEGEND_HEIGHT = 0.25, 0.5
 """Of a plot."""
@@ -43,7 +43,7 @@ def make_blueprint(scene: Scene, plots: Plots, main: str) -> Any:
     plots : mapping of mappings
         Every plot, by tab and estimator.
     main : str
-        Label of the estimator the overview shows.
+        Label of the filter the overview shows.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def _show_past(scene: Scene, root: str) -> dict[Any, Any]:
     )
     shown: dict[Any, Any] = {path: rrb.VisibleTimeRanges(past) for path in scene.fixes}
     shown |= {path: rrb.EntityBehavior(visible=False) for path in scene.hidden}
-    return {path: behaviour for path, behaviour in shown.items() if path.startswith(root)}
+    return {path: behavior for path, behavior in shown.items() if path.startswith(root)}
 
 
 def _make_space_view(scene: Scene) -> Any:
@@ -215,8 +215,8 @@ def _make_space_view(scene: Scene) -> Any:
 
 def _make_map(scene: Scene) -> Any:
     # at zoom z a tile of 256 points covers (length of the parallel) / 2^z; a view has about 500 points
-    metres = 1.4 * scene.size / 500.0
-    zoom = np.log2(40_075_017.0 * np.cos(scene.lat) / 256.0 / metres)
+    meters = 1.4 * scene.size / 500.0
+    zoom = np.log2(40_075_017.0 * np.cos(scene.lat) / 256.0 / meters)
     return rrb.MapView(
         origin="/map",
         name="Map (its background needs the network)",

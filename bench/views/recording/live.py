@@ -18,7 +18,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import NavSolution, ShowFlight, Trajectory
 from bench.core.records.findings.series import ESTIMATORS, TRUTH
 from bench.core.records.specs import IN_FLIGHT
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.views.recording.drawing import TIMELINE
 
 _STEP = 1.0  # between two points of a path, and two values of a plot [s]
@@ -38,7 +38,7 @@ class LiveFlight:
         self._stream = stream
         self._origin: FloatArray | None = None
         self._lines: dict[str, list[FloatArray]] = {}
-        self._next = 0.0  # instant to show [s]
+        self._next = 0.0  # time to show [s]
         plots = [rrb.TimeSeriesView(origin=f"/{name}", name=f"{name} [m]") for name in ("altitude", "error")]
         stream.send_blueprint(
             rrb.Blueprint(
@@ -67,16 +67,16 @@ class LiveFlight:
             for name, value in (("horizontal", float(np.hypot(*off[:2]))), ("down", float(off[2]))):
                 self._stream.log(f"/error/{name}", rr.Scalars(value))
 
-    def _show(self, name: str, t: float, lla: FloatArray, colour: Colour) -> None:
-        """Show where somebody is at an instant [s]."""
+    def _show(self, name: str, t: float, lla: FloatArray, color: Color) -> None:
+        """Show where somebody is at a time [s]."""
         assert self._origin is not None
         stream, line = self._stream, self._lines.setdefault(name, [])
         stream.set_time(TIMELINE, duration=t)
         line.append(earth.local_ned(lla, self._origin))
         number = (len(line) - 1) // _MOST
         points, place = np.array(line[max(number * _MOST - 1, 0) :]), f"/world/{name}"
-        stream.log(f"{place}/path/{number}", rr.LineStrips3D([points], colors=[colour], radii=[-1.0]))
-        stream.log(f"{place}/position", rr.Points3D([line[-1]], colors=[colour], radii=[-6.0]))
+        stream.log(f"{place}/path/{number}", rr.LineStrips3D([points], colors=[color], radii=[-1.0]))
+        stream.log(f"{place}/position", rr.Points3D([line[-1]], colors=[color], radii=[-6.0]))
         stream.log(f"/altitude/{name}", rr.Scalars(float(lla[2])))
 
 

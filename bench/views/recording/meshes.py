@@ -11,7 +11,7 @@ from bench.core.mathematics.arrays import FloatArray
 
 Triangles = np.ndarray[Any, np.dtype[np.int64]]
 Mesh = tuple[FloatArray, Triangles, Triangles]
-"""Vertices (V, 3) in frame b with a wing span of 1, triangles (T, 3), a colour per triangle (T, 3)."""
+"""Vertices (V, 3) in frame b with a wing span of 1, triangles (T, 3), a color per triangle (T, 3)."""
 
 _ANGLE = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
 _CIRCLE = np.column_stack([0 * _ANGLE, np.cos(_ANGLE), np.sin(_ANGLE)])
@@ -70,14 +70,14 @@ def _make_wing(*sections: tuple[float, float, float, float]) -> list[tuple[Seque
 
 def _join_parts(parts: Iterable[tuple[Sequence[FloatArray], list[int]]]) -> Mesh:
     """Join the surfaces of all parts into one mesh."""
-    vertices, triangles, colours, start = [], [], [], 0
-    for rings, colour in parts:
+    vertices, triangles, colors, start = [], [], [], 0
+    for rings, color in parts:
         points, faces = _make_loft(*rings)
         vertices.append(points)
         triangles.append(faces + start)
-        colours.append(np.tile(colour, (len(faces), 1)))
+        colors.append(np.tile(color, (len(faces), 1)))
         start += len(points)
-    return np.vstack(vertices), np.vstack(triangles), np.vstack(colours)
+    return np.vstack(vertices), np.vstack(triangles), np.vstack(colors)
 
 
 def _make_uav() -> Mesh:

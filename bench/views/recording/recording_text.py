@@ -77,12 +77,12 @@ def _escape(text: str) -> str:
 
 
 def _name_faults(t: float, struck: Sequence[tuple[float, float, str]]) -> str:
-    """Return the names of the faults that are active at an instant [s]."""
+    """Return the names of the faults that are active at a time [s]."""
     return ", ".join(text.partition(":")[0] for start, end, text in struck if start <= t < end) or "none"
 
 
 def _send_phase(stream: Any, entity: str, changes: Sequence[tuple[float, str]], end: float) -> None:
-    """Send what holds from which instant on, until the end [s]."""
+    """Send what holds from which time on, until the end [s]."""
     if changes:
         t, states = zip(*changes, (end, ""), strict=True)
         stream.send_columns(
@@ -94,7 +94,7 @@ def make_summary(result: RunResult) -> str:
     """Return the markdown summary of a result: the experiment, and the metrics by estimator."""
     metrics, profile = result.metrics, result.profile
     begin = f"{result.evaluation.begin:g} s"
-    colours = ", ".join(f"{_escape(label)} {look.name}" for label, look in choose_looks(metrics).items())
+    colors = ", ".join(f"{_escape(label)} {look.name}" for label, look in choose_looks(metrics).items())
     truth = "Fixes are white dots" if result.truth is None else "Truth is green, fixes are white dots"
     grey = ["runway"] if profile.get("runway") else []
     grey += ["desired path"] if "tse_across_max_m" in metrics.get(IN_FLIGHT, {}) else []
@@ -109,7 +109,7 @@ def make_summary(result: RunResult) -> str:
         *([f"- GNSS outage {', '.join(lost)}"] if lost else []),
         *[f"- fault {_escape(text)}" for text in faults],
         "",
-        f"{truth}; {colours}. ±3σ is what a filter claims about itself. Plots are hatched where GNSS is lost "
+        f"{truth}; {colors}. ±3σ is what a filter reports about itself. Plots are hatched where GNSS is lost "
         f"or a fault is scripted, and scaled to what comes after {begin}.",
     ]
     for label, values in metrics.items():
@@ -118,9 +118,9 @@ def make_summary(result: RunResult) -> str:
         if values.get("same_as"):
             same = f"With these sensors **{_escape(label)}** is the same as **{_escape(values['same_as'])}**."
             lines += ["", same]
-        if values.get("unmodelled"):
-            missing = _escape(", ".join(values["unmodelled"]))
-            lines += ["", f"On board, but not modelled by **{_escape(label)}**: {missing}."]
+        if values.get("unmodeled_errors"):
+            missing = _escape(", ".join(values["unmodeled_errors"]))
+            lines += ["", f"On board, but not modeled by **{_escape(label)}**: {missing}."]
     lines += [
         "",
         f"**Metrics** from {begin} on",
@@ -136,10 +136,10 @@ def make_summary(result: RunResult) -> str:
 
 
 def make_verdict_table(result: RunResult) -> str:
-    """Return the verdicts of all estimators as a table in Markdown, with reason, error and claim."""
-    lines = ["| | verdict | horizontal error [m] | claimed [m] | NEES |", "|---|---|---:|---:|---:|"]
+    """Return the verdicts of all filters as a table in Markdown, with reason, error and claim."""
+    lines = ["| | verdict | horizontal error [m] | reported [m] | NEES |", "|---|---|---:|---:|---:|"]
     for label, values in result.metrics.items():
-        cells = (format_number(values.get(name)) for name in ("pos_rmse_h_m", "pos_claimed_h_m", "nees_mean"))
+        cells = (format_number(values.get(name)) for name in ("pos_rmse_h_m", "pos_sigma_h_m", "nees_mean"))
         word = "; ".join(filter(None, (values.get("verdict"), values.get("verdict_reason"))))
         lines.append(f"| {_escape(label)} | {_escape(word)} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

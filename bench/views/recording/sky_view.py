@@ -13,7 +13,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import SkyView, Trajectory
 from bench.core.records.findings.series import thin
 from bench.core.records.orbit_sets import name_satellite
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.views.plots.content import Content
 from bench.views.plots.tabs.satellites import USED, find_epochs
 from bench.views.recording.drawing import TIMELINE
@@ -21,10 +21,10 @@ from bench.views.recording.drawing import TIMELINE
 SKY = "/sky"
 """Entity of the sky plot: x east, y south, 1 at the horizon."""
 
-RECEIVED: Colour = (255, 205, 50)
-LOST: Colour = (230, 70, 70)
-_FRAME: Colour = (120, 120, 120)
-_ANTENNA: Colour = (90, 140, 250)
+RECEIVED: Color = (255, 205, 50)
+LOST: Color = (230, 70, 70)
+_FRAME: Color = (120, 120, 120)
+_ANTENNA: Color = (90, 140, 250)
 _PACE = 1.0  # of the sky plot [Hz]
 
 
@@ -43,12 +43,12 @@ def send(stream: Any, content: Content) -> None:
     edges = []
     for q_nb in truth.q_nb[at]:
         n, e, d = rotation.rotate(np.tile(q_nb, (73, 1)), edge_b).T
-        edges.append(_place(np.maximum(np.arcsin(np.clip(-d, -1.0, 1.0)), 0.0), np.arctan2(e, n)))
-    colour = np.tile(np.array(_ANTENNA, np.uint8), (len(edges), 1))
+        edges.append(place(np.maximum(np.arcsin(np.clip(-d, -1.0, 1.0)), 0.0), np.arctan2(e, n)))
+    color = np.tile(np.array(_ANTENNA, np.uint8), (len(edges), 1))
     stream.send_columns(
         f"{SKY}/antenna",
         [rr.TimeColumn(TIMELINE, duration=shown_from)],
-        rr.LineStrips2D.columns(strips=edges, colors=colour).partition(np.ones(len(edges), np.int64)),
+        rr.LineStrips2D.columns(strips=edges, colors=color).partition(np.ones(len(edges), np.int64)),
     )
 
 
@@ -58,7 +58,7 @@ def send_satellites(stream: Any, sky: SkyView, begin: float) -> tuple[FloatArray
     The first epoch stands from ``begin`` on [s]: a recording opens there.
     """
     circle = np.linspace(0.0, 2.0 * np.pi, 73)
-    rings = [_place(np.full(73, np.deg2rad(el)), circle) for el in (0.0, 30.0, 60.0)]
+    rings = [place(np.full(73, np.deg2rad(el)), circle) for el in (0.0, 30.0, 60.0)]
     stream.log(f"{SKY}/rings", rr.LineStrips2D(rings, colors=_FRAME), static=True)
     corners = [[0.0, -1.07], [1.07, 0.0], [0.0, 1.07], [-1.07, 0.0]]
     names = rr.Points2D(corners, labels=["N", "E", "S", "W"], colors=_FRAME, radii=0.005, show_labels=True)
@@ -78,7 +78,7 @@ def send_satellites(stream: Any, sky: SkyView, begin: float) -> tuple[FloatArray
         f"{SKY}/satellites",
         [rr.TimeColumn(TIMELINE, duration=shown_from)],
         rr.Points2D.columns(
-            positions=_place(sky.elevation[shown], sky.azimuth[shown]),
+            positions=place(sky.elevation[shown], sky.azimuth[shown]),
             colors=np.array([LOST, RECEIVED, USED], np.uint8)[state],
             labels=[
                 name_satellite(int(s), int(n)) for s, n in zip(sky.system[shown], sky.sat[shown], strict=True)
@@ -98,7 +98,7 @@ def make_view(words: str = "not received red; blue edge: below it the antenna is
     )
 
 
-def _place(elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
+def place(elevation: FloatArray, azimuth: FloatArray) -> FloatArray:
     """Return places (N, 2) of directions (N,) in the sky plot: north up, east right, zenith in the middle."""
     away = 1.0 - elevation / (0.5 * np.pi)
     return np.column_stack([away * np.sin(azimuth), -away * np.cos(azimuth)])

@@ -14,7 +14,7 @@ from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import GnssFixes, NavSolution, Trajectory
 from bench.core.records.findings.series import (
-    AXIS_COLOURS,
+    AXIS_COLORS,
     BAND,
     FIX,
     MOST_ROWS,
@@ -25,7 +25,7 @@ from bench.core.records.findings.series import (
     thin,
 )
 from bench.core.records.specs import IN_FLIGHT
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.views.plots.content import Content
 from bench.views.recording.drawing import TIMELINE, entity
 from bench.views.recording.meshes import MESHES
@@ -59,7 +59,7 @@ class Scene:
 
 
 def make_scene(content: Content) -> Scene:
-    """Make the scene of the views in space; all estimators are hidden but the first and what flew."""
+    """Make the scene of the views in space; all filters are hidden but the first and what flew."""
     truth = content.motion
     lla = disk_arrays.take(truth.lla, thin(truth.t))
     path = earth.local_ned(lla, truth.lla[0])
@@ -79,11 +79,11 @@ def make_scene(content: Content) -> Scene:
 def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     """Send paths, aircraft and fixes in the local level frame of the start, and the same on the map.
 
-    Without a truth the vehicle is where the first estimator has it. Without a mesh of `MESHES` in the scene
+    Without a truth the vehicle is where the first filter has it. Without a mesh of `MESHES` in the scene
     of the result it is a set of body axes.
     """
     mesh = scene.get("mesh")
-    truth, solutions, colours = content.motion, content.solutions, content.colours
+    truth, solutions, colors = content.motion, content.solutions, content.colors
     origin = truth.lla[0]
     keep = thin(truth.t, limit_rate(truth.t, MOST_ROWS))
     t, lla, q_nb = (disk_arrays.take(column, keep) for column in (truth.t, truth.lla, truth.q_nb))
@@ -95,7 +95,7 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
         rr.Arrows3D(
             origins=[pos.min(axis=0) * [1, 1, 0]] * 2,
             vectors=0.25 * size * np.eye(3)[:2],
-            colors=AXIS_COLOURS[:2],
+            colors=AXIS_COLORS[:2],
             labels=["north", "east"],
             show_labels=True,
         ),
@@ -110,7 +110,7 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
     for label, solution in solutions.items():
         sound = solution.lla[np.isfinite(solution.lla).all(axis=1)]
         if len(sound):
-            _send_path(stream, entity("estimators", label), sound, origin, colours[label])
+            _send_path(stream, entity("estimators", label), sound, origin, colors[label])
 
     time = [rr.TimeColumn(TIMELINE, duration=t)]
     vehicle = "truth/aircraft" if isinstance(truth, Trajectory) else "vehicle"
@@ -125,9 +125,9 @@ def send(stream: Any, scene: Mapping[str, Any], content: Content) -> None:
         _send_wind(stream, truth, origin, size)
         main = next(iter(solutions), None)
         if main is not None:
-            _send_estimate(stream, main, solutions[main], colours[main], mesh, origin, size)
-    colour = TRUTH if isinstance(truth, Trajectory) else next(iter(colours.values()))
-    stream.log(f"/map/{vehicle}", rr.GeoPoints.from_fields(colors=[colour], radii=[-7.0]), static=True)
+            _send_estimate(stream, main, solutions[main], colors[main], mesh, origin, size)
+    color = TRUTH if isinstance(truth, Trajectory) else next(iter(colors.values()))
+    stream.log(f"/map/{vehicle}", rr.GeoPoints.from_fields(colors=[color], radii=[-7.0]), static=True)
     slow = thin(truth.t, limit_rate(truth.t, SLOW))
     stream.send_columns(
         f"/map/{vehicle}",
@@ -155,12 +155,12 @@ def _send_estimate(
     stream: Any,
     label: str,
     solution: NavSolution,
-    colour: Colour,
+    color: Color,
     mesh: str | None,
     origin: FloatArray,
     size: float,
 ) -> None:
-    """Send the aircraft as the main estimator has it, in its colour, and its 3 sigma ellipsoid."""
+    """Send the aircraft as the main filter has it, in its color, and its 3 sigma ellipsoid."""
     good = np.isfinite(np.hstack([solution.lla, solution.q_nb])).all(axis=1)
     rows = np.flatnonzero(good)[thin(solution.t[good], limit_rate(solution.t, SLOW))]
     if not len(rows):
@@ -168,7 +168,7 @@ def _send_estimate(
     place, time = entity("world", "estimators", label), [rr.TimeColumn(TIMELINE, duration=solution.t[rows])]
     lla = solution.lla[rows]
     pos, q_sb = earth.local_ned(lla, origin), _convert_to_start_frame(solution.q_nb[rows], lla, origin)
-    _send_vehicle(stream, f"{place}/aircraft", mesh, size, colour)
+    _send_vehicle(stream, f"{place}/aircraft", mesh, size, color)
     stream.send_columns(
         f"{place}/aircraft",
         time,
@@ -182,7 +182,7 @@ def _send_estimate(
     axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]  # a rotation, no reflection
     stream.log(
         f"{place}/ellipsoid",
-        rr.Ellipsoids3D.from_fields(colors=[colour], line_radii=[-0.8], fill_mode="majorwireframe"),
+        rr.Ellipsoids3D.from_fields(colors=[color], line_radii=[-0.8], fill_mode="majorwireframe"),
         static=True,
     )
     stream.send_columns(
@@ -214,13 +214,11 @@ def _send_wind(stream: Any, truth: Trajectory, origin: FloatArray, size: float) 
     )
 
 
-def _send_vehicle(
-    stream: Any, place: str, mesh: str | None, size: float, colour: Colour | None = None
-) -> None:
-    """Send the shape of the vehicle, in its own colour if one is given; body axes without a mesh."""
+def _send_vehicle(stream: Any, place: str, mesh: str | None, size: float, color: Color | None = None) -> None:
+    """Send the shape of the vehicle, in its own color if one is given; body axes without a mesh."""
     scale = max(1.0, 0.12 * size)
     if mesh not in MESHES:
-        axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLOURS)
+        axes = rr.Arrows3D(vectors=0.5 * scale * np.eye(3), colors=AXIS_COLORS)
         stream.log(place, axes, static=True)
         return
     vertices, triangles, paint = MESHES[mesh]()
@@ -234,8 +232,8 @@ def _send_vehicle(
             vertex_positions=corners.reshape(-1, 3),
             vertex_normals=np.repeat(normals, 3, axis=0),
             vertex_colors=np.repeat(paint, 3, axis=0)
-            if colour is None
-            else np.tile(colour, (corners.size // 3, 1)),
+            if color is None
+            else np.tile(color, (corners.size // 3, 1)),
         ),
         static=True,
     )
@@ -279,17 +277,17 @@ def _send_runway(stream: Any, runway: Mapping[str, float], lla: FloatArray, orig
     )
 
 
-def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, colour: Colour) -> None:
+def _send_path(stream: Any, branch: str, lla: FloatArray, origin: FloatArray, color: Color) -> None:
     """Send a path in space and on the map, with every fifth point."""
     lla = np.vstack([lla[:-1:5], lla[-1:]])
     stream.log(
         f"/world{branch}/path",
-        rr.LineStrips3D([earth.local_ned(lla, origin)], colors=[colour], radii=[-1.0]),
+        rr.LineStrips3D([earth.local_ned(lla, origin)], colors=[color], radii=[-1.0]),
         static=True,
     )
     stream.log(
         f"/map{branch}/path",
-        rr.GeoLineStrings(lat_lon=[np.rad2deg(lla[:, :2])], colors=[colour], radii=[-1.0]),
+        rr.GeoLineStrings(lat_lon=[np.rad2deg(lla[:, :2])], colors=[color], radii=[-1.0]),
         static=True,
     )
 

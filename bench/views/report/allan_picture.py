@@ -23,7 +23,7 @@ _LINES = {
     "rate random walk": "#a23b72",
     "quantization": "#8c6bb1",
 }
-"""Term -> colour of its line."""
+"""Term -> color of its line."""
 _TITLES = {"gyro": "Gyroscopes", "accel": "Accelerometers"}
 
 
@@ -44,18 +44,19 @@ def draw_allan(path: Path, measured: AllanResult) -> None:
     curves = measured.curves
     figure = Figure(figsize=(6.4 * len(curves), 5.2), dpi=130, layout="constrained")
     for axes, curve in zip(figure.subplots(1, len(curves), squeeze=False)[0], curves, strict=True):
-        _draw_curve(axes, curve, measured.spec)
+        draw_curve(axes, curve, measured.spec)
     figure.suptitle(f"Allan deviation: {measured.name}", color=_INK, fontsize=13)
     with durable.open_binary(path) as file:
         figure.savefig(file, format=path.suffix[1:])
 
 
-def _draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
+def draw_curve(axes: Axes, curve: AllanCurve, spec: ImuSpec | None) -> None:
+    """Draw a measured Allan deviation beside that of the datasheet."""
     unit, factor = SHOWN_UNITS[curve.triad]
     tau, measured, low, high = curve.tau, factor * curve.measured, factor * curve.low, factor * curve.high
     floor = 0.3 * measured.min()
-    colour = _BLUE if curve.terms else _ORANGE
-    axes.fill_between(tau, low, high, color=colour, alpha=0.2, lw=0, label="99.9 % band")
+    color = _BLUE if curve.terms else _ORANGE
+    axes.fill_between(tau, low, high, color=color, alpha=0.2, lw=0, label="99.9 % band")
     if curve.terms:
         axes.plot(tau, factor * curve.expected, color=_BLUE, lw=1.6, label="datasheet, all terms")
     texts = format_noise_figures(curve.triad, getattr(spec, curve.triad)) if spec else {}

@@ -16,7 +16,7 @@ from bench.core.records.findings.looks import find_look
 from bench.core.records.findings.series import Plot, Series
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.notebook import ShownFigure, ShownText
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.metric_words import find_words, name_metric
@@ -31,11 +31,9 @@ from bench.views.report.page import CaptionedPlot
 _MOST_CONDITIONS = 6  # that have plots
 _MOST_NAMED = 4  # seeds and units in the head of the page
 _MOST_LOST = 50  # runs that are listed
-_FAR = (
-    20.0  # an estimator that errs so many times more than the middle one does not scale a plot, has no band
-)
+_FAR = 20.0  # a filter that errs so many times more than the middle one does not scale a plot, has no band
 _POOLED = (
-    f"Pooled over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals; ANEES / n of an honest "
+    f"Pooled over the runs that converged, with {100 * CONFIDENCE:.0f} % intervals; NEES / n of a consistent "
     "filter is 1 (99.5 %)"
 )
 _EXTREMES = "Horizontal position error, root mean square of the run, and the command that repeats it"
@@ -50,9 +48,9 @@ _COURSES = (
     ("tilt_deg", "tilt error [deg]"),
     ("heading_err_deg", "heading error [deg]"),
     ("nees", "NEES, mean of the runs"),
-    ("pos_sd_h_m", "claimed horizontal sigma [m]"),
-    ("pos_sd_d_m", "claimed vertical sigma [m]"),
-    ("heading_sd_deg", "claimed heading sigma [deg]"),
+    ("pos_sd_h_m", "reported horizontal sigma [m]"),
+    ("pos_sd_d_m", "reported vertical sigma [m]"),
+    ("heading_sd_deg", "reported heading sigma [deg]"),
 )
 """Columns of the table of epochs -> title."""
 
@@ -79,7 +77,7 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         Tables of a comparison, if the campaign is several in one.
     """
     labels = list(dict.fromkeys(one.label for one in campaign.outcomes))
-    colours = series.estimator_colours(labels)
+    colors = series.estimator_colors(labels)
     lost = _list_lost(campaign)
     several = len(campaign.conditions) > 1
     return page.render(
@@ -91,9 +89,9 @@ def make_page(name: str, campaign: Campaign, comparisons: Sequence[Mapping[str, 
         sentences=[] if several else [one.sentence for one in campaign.comparisons],
         figures=_tabulate(campaign),
         confidence=f"{100 * CONFIDENCE:.0f} %",
-        legend=[(label, svg.css_colour(colour), "line") for label, colour in colours.items()],
-        sweep=[figure for plot in _plot_sweep(campaign, colours) for figure in _draw(plot)],
-        sections=list(_draw_conditions(campaign, colours)),
+        legend=[(label, svg.css_color(color), "line") for label, color in colors.items()],
+        sweep=[figure for plot in plot_sweep(campaign, colors) for figure in _draw(plot)],
+        sections=list(_draw_conditions(campaign, colors)),
         left_out=max(len(campaign.conditions) - _MOST_CONDITIONS, 0),
         extremes=_tabulate_extremes(campaign, labels),
         lost=make_table("lost", "", ("estimator", "reason", "command"), lost[:_MOST_LOST]),
@@ -175,7 +173,7 @@ def _name_error(name: str) -> str:
 
 
 def _tabulate_extremes(campaign: Campaign, labels: Iterable[str]) -> FindingTable:
-    """Return estimator, which run, its horizontal error and its command: the median and the worst run."""
+    """Return filter, which run, its horizontal error and its command: the median and the worst run."""
     table, found = campaign.runs.to_pydict(), []
     names = ("estimator", "pos_rmse_h_m", "command")
     rows = list(zip(*map(table.get, names), strict=True)) if names[1] in table else []
@@ -188,7 +186,7 @@ def _tabulate_extremes(campaign: Campaign, labels: Iterable[str]) -> FindingTabl
 
 
 def _list_lost(campaign: Campaign) -> list[tuple[str, str, ShownText]]:
-    """Return estimator, reason and command of each run that did not converge."""
+    """Return filter, reason and command of each run that did not converge."""
     table = campaign.runs.to_pydict()
     columns = (table[name] for name in ("estimator", "converged", "reason", "command"))
     return [
@@ -201,22 +199,22 @@ def _list_lost(campaign: Campaign) -> list[tuple[str, str, ShownText]]:
 # --- drawings -----------------------------------------------------------------------------------------
 
 
-def _draw_conditions(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[Section]:
+def _draw_conditions(campaign: Campaign, colors: Mapping[str, Color]) -> Iterator[Section]:
     """Yield the plots of the first conditions."""
     runs = {name: np.array(column) for name, column in campaign.runs.to_pydict().items()}
-    for number, plots, shades in plot_courses(campaign, colours):
+    for number, plots, shades in plot_courses(campaign, colors):
         condition = campaign.conditions[number]
         of_runs = {name: column[runs["condition"] == number] for name, column in runs.items()}
         yield Section(
             str(condition["profile"]),
             ", ".join(f"{key} = {value}" for key, value in condition["values"].items()),
             [figure for plot in plots for figure in _draw(plot, shades)],
-            [figure for plot in _plot_distributions(of_runs, colours) for figure in _draw(plot)],
+            [figure for plot in _plot_distributions(of_runs, colors) for figure in _draw(plot)],
         )
 
 
 def plot_courses(
-    campaign: Campaign, colours: Mapping[str, Colour]
+    campaign: Campaign, colors: Mapping[str, Color]
 ) -> Iterator[tuple[int, list[Plot], tuple[series.Shade, ...]]]:
     """Yield number, plots of each channel along the run, and outages of the first conditions."""
     epochs = {name: np.array(column) for name, column in campaign.epochs.to_pydict().items()}
@@ -230,16 +228,16 @@ def plot_courses(
                 for row in flown.get("gnss_outage", ())
             )
             shades = (series.Shade("outage", "GNSS outage", series.OUTAGE, lost),) if lost else ()
-            yield number, list(_plot_courses(here, colours, begun)), shades
+            yield number, list(_plot_courses(here, colors, begun)), shades
 
 
 def _plot_courses(
-    epochs: Mapping[str, FloatArray], colours: Mapping[str, Colour], begun: float
+    epochs: Mapping[str, FloatArray], colors: Mapping[str, Color], begun: float
 ) -> Iterator[Plot]:
     """Yield a plot of each channel along the run: the median of the runs, and the middle 90 % as a band."""
     for channel, title in _COURSES:
         lines = []
-        for label, colour in colours.items():
+        for label, color in colors.items():
             mine = epochs["estimator"] == label
             middle, low, high = (
                 np.asarray(epochs[f"{channel}_{end}"][mine], float) for end in ("p50", "p05", "p95")
@@ -249,8 +247,8 @@ def _plot_courses(
                 low, high = (np.asarray(epochs[f"nees_{end}"][mine], float) for end in ("low", "high"))
             if np.isfinite(middle).any():
                 values = np.column_stack([middle, low, high])
-                of_band = series.BAND if channel == "nees" else colour
-                lines.append(_make_line(label, epochs["t_s"][mine], values, colour, of_band))
+                of_band = series.BAND if channel == "nees" else color
+                lines.append(_make_line(label, epochs["t_s"][mine], values, color, of_band))
         if lines:
             yield Plot(("campaign", channel), title, tuple(_drop_far_bands(lines, begun)), begun, _FAR)
 
@@ -261,28 +259,28 @@ def _drop_far_bands(lines: Sequence[Series], begun: float) -> Iterator[Series]:
         yield replace(line, values=line.values * [1.0, np.nan, np.nan]) if far else line
 
 
-def _make_line(label: str, t: FloatArray, values: FloatArray, colour: Colour, of_band: Colour) -> Series:
-    return Series(label, t, values, (label,) * 3, (colour, of_band, of_band), (1.5, 1.0, 1.0), band=(1, 2))
+def _make_line(label: str, t: FloatArray, values: FloatArray, color: Color, of_band: Color) -> Series:
+    return Series(label, t, values, (label,) * 3, (color, of_band, of_band), (1.5, 1.0, 1.0), band=(1, 2))
 
 
-def _plot_distributions(runs: Mapping[str, Any], colours: Mapping[str, Colour]) -> Iterator[Plot]:
+def _plot_distributions(runs: Mapping[str, Any], colors: Mapping[str, Color]) -> Iterator[Plot]:
     """Yield a plot of each main metric: the share of the runs in which it is at most so large."""
     for metric in POOLED:
         known = find_metric(metric)
         lines = []
-        for label, colour in colours.items():
+        for label, color in colors.items():
             values = np.array(runs[metric][runs["estimator"] == label] if metric in runs else (), float)
             values = np.sort(values[np.isfinite(values)])
             if len(values):
                 share = 100.0 * np.arange(len(values) + 1) / len(values)
                 x, y = np.repeat(values, 2), np.repeat(share, 2)[1:-1]
-                lines.append(series.draw_line(label, x, y, label, colour))
+                lines.append(series.draw_line(label, x, y, label, color))
         if lines and known is not None:
             title = f"runs with at most this {find_words(metric).words} [%]"
             yield Plot(("campaign", metric), title, tuple(lines), across=known.unit)
 
 
-def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[Plot]:
+def plot_sweep(campaign: Campaign, colors: Mapping[str, Color]) -> Iterator[Plot]:
     """Yield a plot of each error over the value that is varied, if it is the only one, and a number."""
     keys = {key for one in campaign.conditions for key in one["values"]}
     if len(keys) != 1 or len({one["profile"] for one in campaign.conditions}) != 1:
@@ -295,7 +293,7 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
         return
     for metric in dict.fromkeys(name for one in campaign.outcomes for name in one.errors):
         lines = []
-        for label, colour in colours.items():
+        for label, color in colors.items():
             found = sorted(
                 (float(values[one.condition]), one.errors[metric])
                 for one in campaign.outcomes
@@ -304,7 +302,7 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
             if found:
                 x = np.array([value for value, _ in found])
                 estimates = np.array([(one.value, one.low, one.high) for _, one in found])
-                lines.append(_make_line(label, x, estimates, colour, colour))
+                lines.append(_make_line(label, x, estimates, color, color))
         if lines:
             yield Plot(
                 ("campaign", metric),
@@ -316,7 +314,7 @@ def _plot_sweep(campaign: Campaign, colours: Mapping[str, Colour]) -> Iterator[P
 
 
 def _draw(plot: Plot, shades: tuple[series.Shade, ...] = ()) -> Iterator[CaptionedPlot]:
-    """Yield a plot; the axis of a distribution leaves out estimators that err far more."""
+    """Yield a plot; the axis of a distribution leaves out filters that err far more."""
     ends = np.array([line.t[-1] for line in plot.series])
     if plot.across == "s":
         yield page.make_figure(plot, (0.0, float(ends.max())), shades)

@@ -30,7 +30,7 @@ _TITLES = {
     "tilt": "How accurate are roll and pitch?",
     "heading": "How accurate is its heading?",
     "outages": "How does it hold through outages?",
-    "faults": "Does it notice and survive faults?",
+    "faults": "Does it detect and survive faults?",
     "alarms": "Does it raise false alarms?",
     "robustness": "What do gaps in the IMU and late fixes do to it?",
     "requirements": "Does it keep what is required?",
@@ -39,16 +39,16 @@ _TITLES = {
 """Topic -> its heading, in the order of the page."""
 
 _DRAWN = {
-    "accuracy": "Horizontal error over that of {}",
-    "heading": "Heading error over that of {}",
+    "accuracy": "Horizontal error / horizontal error of {}",
+    "heading": "Heading error / heading error of {}",
     "honesty": "NEES over its expectation",
 }
 """Topics that have a picture -> what it shows."""
 
 _UNITS = {"accuracy": "m", "height": "m", "velocity": "m/s", "tilt": "deg", "heading": "deg"}
-"""Topics whose draws are errors -> their unit."""
+"""Topics whose runs are errors -> their unit."""
 
-_SIZE = "median of the draws"
+_SIZE = "median of the runs"
 
 
 def write_card(path: Path, card: Card) -> None:

@@ -14,17 +14,17 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import ShownText
 from bench.core.words.wording import format_number
 from bench.evaluation.consistency.headline import make_headline
-from bench.experiments.campaigns.stored import load_campaign
+from bench.experiments.campaigns.stored import read_campaign
 from bench.io import results
-from bench.io.results.study_folder import load_study
+from bench.io.results.study_folder import read_study
 from bench.views.report import page
 
 INDEX = "index.html"
 
 
-_TITLE = "A row for each estimator of each run and campaign; horizontal errors, root mean square"
+_TITLE = "A row for each filter of each run and campaign; horizontal errors, root mean square"
 _KINDS = {
-    "folder": "", "estimator": "text", "verdict": "text", "error [m]": "", "claimed [m]": "", "IMU": "text",
+    "folder": "", "estimator": "text", "verdict": "text", "error [m]": "", "reported [m]": "", "IMU": "text",
     "written": "text", "draw": "text", "experiment": "words",
 }  # fmt: skip
 """Column -> its class."""
@@ -94,7 +94,7 @@ def _list_run(folder: Path, place: _Place) -> list[_Row]:
 
 
 def _list_campaign(folder: Path, place: _Place) -> list[_Row]:
-    campaign = load_campaign(folder)
+    campaign = read_campaign(folder)
     flown = campaign.conditions[0]["as_flown"]
     several = len(campaign.conditions) > 1
     rows: list[_Row] = []
@@ -111,9 +111,9 @@ def _list_campaign(folder: Path, place: _Place) -> list[_Row]:
 
 
 def _list_study(folder: Path, place: _Place) -> list[_Row]:
-    study = load_study(folder)
-    draws = f"{study.findings.draws} draws" if study.findings.draws else ""
-    about = "", place.written, draws, study.question
+    study = read_study(folder)
+    runs = f"{study.findings.runs} runs" if study.findings.runs else ""
+    about = "", place.written, runs, study.question
     return [(place.folder, f"study {study.name}", ShownText("–", "none"), "-", "-", *about)]
 
 

@@ -1,4 +1,4 @@
-"""The two pictures at the head of a report: errors beside their claims, and the track."""
+"""The two pictures at the head of a report: errors beside their covariances, and the track."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from bench.views.report import svg
 _LEAST = 1e-3  # smaller errors are drawn as this, the axis is logarithmic [m]
 _EVERY = 20  # row of the truth on the track
 _FEW = 2000  # rows of which every one is drawn
-_TIMES = 5  # instants that are written on the track, at most
+_TIMES = 5  # epochs that are written on the track, at most
 _DESIRED = "desired path"
-_LINES = 3  # filters whose claims are drawn: more would hide each other
+_LINES = 3  # filters whose covariances are drawn: more would hide each other
 
 
 def plot_errors(content: Content) -> Plot | None:
-    """Return the horizontal error of each estimator, and its claim, 1 sigma, dashed; None if none has one.
+    """Return the horizontal error of each filter, and its covariance, 1 sigma, dashed; None if none has one.
 
-    Claims are left out where a dash tells two estimators apart, or where there are too many.
+    Claims are left out where a dash tells two filters apart, or where there are too many.
     """
     lines = tuple(_list_lines(content))
     return (
@@ -42,17 +42,17 @@ def _list_lines(content: Content) -> Iterator[Series]:
         size = np.maximum(np.hypot(errors.pos_n[:, 0], errors.pos_n[:, 1]), _LEAST)
         if not np.isfinite(size).any():
             continue
-        yield series.draw_line(label, errors.t, size, label, look.colour, dashed=look.dashed)
+        yield series.draw_line(label, errors.t, size, label, look.color, dashed=look.dashed)
         sd = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
         if claimed and np.isfinite(sd).any():
-            name = f"{label} claims"
+            name = f"{label} covariances"
             yield series.draw_line(
-                name, content.solutions[label].t, np.maximum(sd, _LEAST), name, look.colour, dashed=True
+                name, content.solutions[label].t, np.maximum(sd, _LEAST), name, look.color, dashed=True
             )
 
 
 def draw_track(content: Content, shades: Sequence[Shade]) -> str:
-    """Return the track from above: paths, fixes, start and end, instants, and where something is shaded."""
+    """Return the track from above: paths, fixes, start and end, epochs, and where something is shaded."""
     motion = content.motion
     origin = motion.lla[0]
     rows = slice(None, None, _EVERY if len(motion.t) > _FEW else 1)
@@ -62,7 +62,7 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
     for label, solution in content.solutions.items():
         good = np.isfinite(solution.lla).all(axis=1)
         if good.any():
-            paths.append((label, content.colours[label], earth.local_ned(solution.lla[good], origin)[:, :2]))
+            paths.append((label, content.colors[label], earth.local_ned(solution.lla[good], origin)[:, :2]))
     paths += [(_DESIRED, series.BAND, earth.local_ned(stretch, origin)[:, :2]) for stretch in content.desired]
     if not paths:
         return ""
@@ -77,7 +77,7 @@ def draw_track(content: Content, shades: Sequence[Shade]) -> str:
 
 
 def name_instants(t: FloatArray, ground: FloatArray) -> list[tuple[str, FloatArray]]:
-    """Return start, end and round instants between them, each with its place (2,)."""
+    """Return start, end and round epochs between them, each with its place (2,)."""
     first, last = float(t[0]), float(t[-1])
     if first == last:
         return [("start", ground[0])]
@@ -89,9 +89,9 @@ def name_instants(t: FloatArray, ground: FloatArray) -> list[tuple[str, FloatArr
 
 
 def list_track_legend(content: Content) -> list[tuple[str, str, str]]:
-    """Return name, colour and kind of what the track shows."""
+    """Return name, color and kind of what the track shows."""
     known = isinstance(content.motion, Trajectory)
-    legend = [("truth", svg.css_colour(series.TRUTH), "line")] if known else []
-    legend += [(label, svg.css_colour(colour), "line") for label, colour in content.colours.items()]
-    legend += [(_DESIRED, svg.css_colour(series.BAND), "line")] if content.desired else []
-    return legend + ([("GNSS", svg.css_colour(series.FIX), "dots")] if content.sensed.data.fixes else [])
+    legend = [("truth", svg.css_color(series.TRUTH), "line")] if known else []
+    legend += [(label, svg.css_color(color), "line") for label, color in content.colors.items()]
+    legend += [(_DESIRED, svg.css_color(series.BAND), "line")] if content.desired else []
+    return legend + ([("GNSS", svg.css_color(series.FIX), "dots")] if content.sensed.data.fixes else [])

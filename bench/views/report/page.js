@@ -4,7 +4,7 @@
 const FONT = "11px system-ui, sans-serif", cursor = document.getElementById("cursor");
 const short = (x) => String(Number(x.toPrecision(4))).replace("-", "−");
 const mark = (x) => { const size = Math.abs(x); return size >= 1e7 || (size >= 1e-12 && size < 1e-4) ? Number(x.toPrecision(4)).toExponential().replace("+", "").replace(/-/g, "−") : size >= 1e4 ? `${short(x / 1e3)}k` : short(x); };
-const colourOf = (path) => { const style = getComputedStyle(path); return path.matches(".band") ? style.fill : style.stroke; };
+const colorOf = (path) => { const style = getComputedStyle(path); return path.matches(".band") ? style.fill : style.stroke; };
 const inkOf = (name) => getComputedStyle(document.documentElement).getPropertyValue(name);
 const off = new Set(), views = new Map(), charts = [];
 
@@ -64,9 +64,9 @@ function makeChart(area) {
   const toX = (x) => real("x", x0 + x / width * (x1 - x0)), toY = (y) => real("y", y1 - y / height * (y1 - y0));
   const tables = [], series = [{}], bands = [], full = { x: [toX(0), toX(width)], y: [toY(height), toY(0)] };
   for (const path of area.querySelectorAll("path[data-name]")) {
-    const stroke = () => colourOf(path), name = path.dataset.name, show = !off.has(name), runs = readRuns(path);
+    const stroke = () => colorOf(path), name = path.dataset.name, show = !off.has(name), runs = readRuns(path);
     const kinds = path.matches(".band") ? [runs.filter((_, k) => k % 2 === 0), runs.filter((_, k) => k % 2).map((run) => run.reverse())] : [runs];
-    if (kinds.length === 2) bands.push({ series: [series.length, series.length + 1], fill: () => { const c = document.createElement("canvas").getContext("2d"); c.fillStyle = colourOf(path); return `color-mix(in srgb, ${c.fillStyle} 28%, transparent)`; } });
+    if (kinds.length === 2) bands.push({ series: [series.length, series.length + 1], fill: () => { const c = document.createElement("canvas").getContext("2d"); c.fillStyle = colorOf(path); return `color-mix(in srgb, ${c.fillStyle} 28%, transparent)`; } });
     for (const one of kinds) {
       const table = readTable(one);
       if (!table) return;

@@ -31,10 +31,10 @@ from bench.views.plots.tabs import TABS
 from bench.views.report import overview, svg
 
 _INTRODUCTIONS = {
-    "Comparison": "All estimators in one plot each, scaled to those that stay near the middle one.",
-    "Position": "Estimate minus {against}, and ±3σ as the filter claims it: an honest filter stays inside.",
-    "Velocity": "Estimate minus {against}, and ±3σ as the filter claims it.",
-    "Attitude": "Error angles about north, east and down, and ±3σ as the filter claims it.",
+    "Comparison": "All filters in one plot each, scaled to those that stay near the middle one.",
+    "Position": "Estimate minus {against}, and the reported ±3σ: a consistent filter stays inside.",
+    "Velocity": "Estimate minus {against}, and ±3σ as the filter reports it.",
+    "Attitude": "Error angles about north, east and down, and ±3σ as the filter reports it.",
     "Biases": "Biases as estimated, with ±3σ{drawn}.",
     "Innovations": "Measured minus expected, with ±3√S. NIS and NEES, with the central 95 % of chi-square.",
     "Flight": "How it was flown, and what the instruments reported of it.",
@@ -42,7 +42,7 @@ _INTRODUCTIONS = {
 }
 """Name of a tab -> what its plots show."""
 
-_FIGURES = "Main metrics of each estimator, with the bounds of one run"
+_FIGURES = "Main metrics of each filter, with the bounds of one run"
 _WORST_FIRST = ("bad", "wide", "none", "good")
 _TRUTH = "truth"
 _COLUMNS = 3  # of plots on a wide page
@@ -52,7 +52,7 @@ class CaptionedPlot(NamedTuple):
     """A plot with its caption."""
 
     title: str
-    legend: tuple[tuple[str, str, str], ...]  # (name, colour, kind) of each line, band or dots
+    legend: tuple[tuple[str, str, str], ...]  # (name, color, kind) of each line, band or dots
     drawing: str
 
 
@@ -128,7 +128,7 @@ def _make_card(label: str, values: Mapping[str, Any], result: RunResult) -> dict
             for text in verdict.list_sentences(values)
         ],
         "remarks": remarks,
-        "unmodelled": list(values.get("unmodelled") or ()),
+        "unmodeled_errors": list(values.get("unmodeled_errors") or ()),
     }
 
 
@@ -228,7 +228,7 @@ def _draw_sections(
 def _make_group(
     label: str, rows: series.Rows, window: tuple[float, float], shades: tuple[series.Shade, ...]
 ) -> dict[str, Any]:
-    """Return the figures of an estimator on a tab; a legend that all of them share stands in the heading."""
+    """Return the figures of a filter on a tab; a legend that all of them share stands in the heading."""
     paired = len(rows) > 1 and all(len(row) == 2 for row in rows)
     plots = [plot for row in (zip(*rows, strict=True) if paired else rows) for plot in row]
     figures = [make_figure(plot, window, shades) for plot in plots]
@@ -247,11 +247,11 @@ def make_figure(
     """Draw a plot with its legend."""
     legend: dict[str, tuple[str, str, str]] = {}
     for one in plot.series:
-        for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
+        for k, (name, color) in enumerate(zip(one.names, one.colors, strict=True)):
             in_band = one.band is not None and k in one.band
             kind = "band" if in_band else "dots" if one.marks else "line dashed" if one.dashed else "line"
-            shown = one.colours[0] if in_band else colour
-            legend.setdefault(name, (name, svg.css_colour(shown), kind))
+            shown = one.colors[0] if in_band else color
+            legend.setdefault(name, (name, svg.css_color(shown), kind))
     title = plot.title.partition(": ")[2] or plot.title
     return CaptionedPlot(title, tuple(legend.values()), svg.draw(plot, window, shades))
 
@@ -295,8 +295,8 @@ def render(template: str, *, interactive: bool = True, **values: Any) -> str:
     """
     script, style = _read("page.js"), read_style()
     if interactive:
-        licence, library = _read("uplot/LICENSE"), _read("uplot/uPlot.iife.min.js")
-        script = f"/*\n{licence}*/\n{library}{script}"
+        terms, library = _read("uplot/LICENSE"), _read("uplot/uPlot.iife.min.js")
+        script = f"/*\n{terms}*/\n{library}{script}"
         style = f"{_read('uplot/uPlot.min.css')}\n{style}"
     policy = f"default-src 'none'; style-src 'unsafe-inline'; script-src '{_hash(script)}'"
     page: str = (

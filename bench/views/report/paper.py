@@ -13,7 +13,7 @@ from bench.core.records.findings import series
 from bench.core.records.findings.series import Plot, Shade
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.palette import Colour, find_light
+from bench.core.words.palette import Color, find_light
 from bench.core.words.wording import suggest
 from bench.views.plots.content import gather_content
 from bench.views.plots.tabs import TABS
@@ -43,7 +43,7 @@ _MARGIN = 40.0  # left of a plot [pt]
 _TURNED_MM = 24.0  # height of names that are turned [mm]
 _MOST_LETTERS = 40  # of the names below a plot that stand upright
 _MOST_NAMES = 6  # in a legend; a line for each satellite has none
-_DARKER = 0.72  # of the colours of the viewer, for white paper
+_DARKER = 0.72  # of the colors of the viewer, for white paper
 _RATIOS = ("accuracy", "height", "velocity", "tilt", "heading", "outages", "robustness", "honesty")
 """Topics of a card whose figures are ratios."""
 _SHADES = {"outage": (0.9, 0.9, 0.9), "fault": (0.94, 0.87, 0.94)}
@@ -68,7 +68,7 @@ def plot_result(
         the name of a figure; of a campaign a column of its table of epochs, such as "pos_err_n_m"; of a
         card a topic whose figures are ratios, such as "accuracy". None takes the first one.
     estimator : str or None
-        Of a run: whose; None takes the first one. Tabs that belong to no estimator have one drawing.
+        Of a run: whose; None takes the first one. Tabs that belong to no filter have one drawing.
     width_mm : float
         Width of the figure [mm].
     serif : bool
@@ -82,14 +82,14 @@ def plot_result(
     Raises
     ------
     ConfigError
-        If there is no such tab or estimator, or nothing to draw.
+        If there is no such tab or filter, or nothing to draw.
     """
     plots: Sequence[Plot]
     shades: Sequence[Shade] = ()
     if isinstance(result, RunResult):
         plots, shades = _find_drawing(result, tab, estimator)
     elif estimator is not None:
-        raise ConfigError(f"estimator = {estimator!r}: only the plots of a run belong to an estimator")
+        raise ConfigError(f"estimator = {estimator!r}: only the plots of a run belong to a filter")
     elif hasattr(result, "lines"):
         plots = [_choose(_draw_topics(cast("Card", result)), tab, "topics")]
     elif hasattr(result, "figures"):
@@ -103,7 +103,7 @@ def _find_drawing(
     result: RunResult, tab: str | None, estimator: str | None
 ) -> tuple[list[Plot], Sequence[Shade]]:
     """Return the plots of a tab, and what is shaded."""
-    drawings = {(name.lower(), label): plots for name, label, plots in _list_drawings(result)}
+    drawings = {(name.lower(), label): plots for name, label, plots in list_drawings(result)}
     by_tab: dict[str, list[str]] = {}
     for name, label in drawings:
         by_tab.setdefault(name, []).append(label)
@@ -111,7 +111,7 @@ def _find_drawing(
     labels = _choose(by_tab, name, "tabs")
     label = labels[0] if estimator is None or labels == [""] else estimator
     if label not in labels:
-        raise ConfigError(f"estimator = {label!r} has no plots there{suggest(label, labels, 'estimators')}")
+        raise ConfigError(f"estimator = {label!r} has no plots there{suggest(label, labels, 'filters')}")
     return drawings[name, label], series.shades(result.events)
 
 
@@ -119,10 +119,10 @@ def _find_courses(campaign: Campaign, quantity: str | None) -> tuple[list[Plot],
     """Return the plot of a quantity along the runs of each condition, and the outages of the first."""
     from bench.views.report import campaign_page
 
-    colours = series.estimator_colours(list(dict.fromkeys(one.label for one in campaign.outcomes)))
+    colors = series.estimator_colors(list(dict.fromkeys(one.label for one in campaign.outcomes)))
     by_name: dict[str, list[Plot]] = {}
     shaded: Sequence[Shade] = ()
-    for number, plots, shades in campaign_page.plot_courses(campaign, colours):
+    for number, plots, shades in campaign_page.plot_courses(campaign, colors):
         shaded = shaded if number else shades
         for plot in plots:
             by_name.setdefault(plot.path[-1], []).append(plot)
@@ -138,10 +138,10 @@ def _draw_topics(card: Card) -> dict[str, Plot]:
             x = np.arange(len(lines), dtype=float)
             ends = np.array([(one.low, one.high, np.nan) for one in lines], float).ravel()
             values = np.array([one.value for one in lines], float)
-            colour = series.ESTIMATORS[0]
+            color = series.ESTIMATORS[0]
             drawn = (
-                series.draw_line("interval", np.repeat(x, 3), ends, "95 % interval", colour),
-                series.draw_dots("value", x, values, card.estimator, colour),
+                series.draw_line("interval", np.repeat(x, 3), ends, "95 % interval", color),
+                series.draw_dots("value", x, values, card.estimator, color),
             )
             names = tuple((float(k), one.flight) for k, one in enumerate(lines))
             over = "" if topic == "honesty" else f" over that of {card.against}"
@@ -161,10 +161,10 @@ def _choose(known: Mapping[str, _T], name: str | None, what: str) -> _T:
 def write_figures(
     folder: Path, result: RunResult, form: str, *, width_mm: float = COLUMN_MM, serif: bool = False
 ) -> list[Path]:
-    """Draw every tab of a result into a folder, one file for each estimator, and return the files."""
+    """Draw every tab of a result into a folder, one file for each filter, and return the files."""
     drawings = {
         "-".join(part for part in (label, name.lower()) if part): plots
-        for name, label, plots in _list_drawings(result)
+        for name, label, plots in list_drawings(result)
     }
     return write_drawings(
         folder, drawings, series.shades(result.events), form, width_mm=width_mm, serif=serif
@@ -197,8 +197,8 @@ _METADATA: dict[str, dict[str, Any]] = {"pdf": {"CreationDate": None}, "svg": {"
 """What keeps the clock out of a file: the same result gives the same figure."""
 
 
-def _list_drawings(result: RunResult) -> Iterator[tuple[str, str, list[Plot]]]:
-    """Yield the name of the tab, the label of the estimator, and the plots of each drawing."""
+def list_drawings(result: RunResult) -> Iterator[tuple[str, str, list[Plot]]]:
+    """Yield the name of the tab, the label of the filter, and the plots of each drawing."""
     content = gather_content(result, in_space=False)
     if content is None:
         return
@@ -281,17 +281,17 @@ def _draw_plot(axes: Axes, plot: Plot, shades: Sequence[Shade]) -> None:
     for one in plot.series:
         if one.band is not None:
             low, high = (one.values[:, k] for k in one.band)
-            colour = _darken(one.colours[0])
-            axes.fill_between(one.t, low, high, color=colour, alpha=0.25, lw=0, label=one.names[one.band[0]])
+            color = _darken(one.colors[0])
+            axes.fill_between(one.t, low, high, color=color, alpha=0.25, lw=0, label=one.names[one.band[0]])
     seen = {one.names[one.band[0]] for one in plot.series if one.band is not None}
     for one in plot.series:
-        for k, (name, colour) in enumerate(zip(one.names, one.colours, strict=True)):
+        for k, (name, color) in enumerate(zip(one.names, one.colors, strict=True)):
             if one.band is None or k not in one.band:
                 label = name if name not in seen else None
                 line: dict[str, Any] = {"lw": 0.8, "ls": "--" if one.dashed else "-"}
                 if one.marks:
                     line = {"ls": "", "marker": ".", "ms": 1.5}
-                axes.plot(one.t, one.values[:, k], color=_darken(colour), label=label, **line)
+                axes.plot(one.t, one.values[:, k], color=_darken(color), label=label, **line)
                 for x, y, text in zip(one.t, one.values[:, k], one.labels, strict=False):
                     axes.annotate(text, (x, y), (3, 0), textcoords="offset points", fontsize=_NAME)
                 seen.add(name)
@@ -311,9 +311,9 @@ def _is_crowded(plot: Plot) -> bool:
     return sum(len(name) for _, name in plot.ticks) > _MOST_LETTERS
 
 
-def _darken(colour: Colour) -> tuple[float, float, float]:
-    """Return the tone of a colour for white paper [1]."""
-    light = find_light(colour)
-    tone, factor = (colour, _DARKER) if light is None else (light, 1.0)
+def _darken(color: Color) -> tuple[float, float, float]:
+    """Return the tone of a color for white paper [1]."""
+    light = find_light(color)
+    tone, factor = (color, _DARKER) if light is None else (light, 1.0)
     red, green, blue = (float(factor * part / 255.0) for part in np.asarray(tone))
     return red, green, blue

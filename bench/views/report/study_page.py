@@ -34,11 +34,9 @@ def make_page(result: StudyResult, written: str = "") -> str:
 
 
 def _list_facts(result: StudyResult) -> list[str]:
-    draws = result.findings.draws
+    runs = result.findings.runs
     return [
-        f"at least {draws} noise draws behind each interval"
-        if draws
-        else "nothing is drawn: the same each time",
+        f"at least {runs} runs behind each interval" if runs else "nothing is drawn: the same each time",
         f"{result.wall_s:.1f} s",
     ]
 

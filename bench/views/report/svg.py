@@ -14,14 +14,14 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.findings.series import FIX, Plot, Series, Shade, round_number, take_logarithms
-from bench.core.words.palette import Colour, find_slot
+from bench.core.words.palette import Color, find_slot
 from bench.core.words.wording import replace_control
 
 WIDTH, HEIGHT = 420, 170
 """Size of a plot with its numbers [pixels]."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 52, 14, 6, 20
 _GRAIN = 10.0  # steps per pixel
-_STRAIGHT = 2.0  # points so near the line between their neighbours are left out [steps]
+_STRAIGHT = 2.0  # points so near the line between their neighbors are left out [steps]
 _DOT = 3  # diameter [pixels]
 _END = 0.12  # of the width: numbers nearer to the end of a time axis give way to that of the end
 _LETTER, _ROW = 5.0, 10.0  # width of a letter and height of a row of the names of dots [pixels]
@@ -56,7 +56,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     plot : Plot
         What to draw.
     window : (float, float)
-        Where the horizontal axis begins and ends, such as the first and the last instant [s].
+        Where the horizontal axis begins and ends, such as the first and the last time [s].
     shades : sequence of Shade
         Intervals to shade behind the lines.
     """
@@ -96,7 +96,7 @@ def describe(plot: Plot) -> str:
 
 
 def draw_track(
-    paths: Sequence[tuple[str, Colour, FloatArray]],
+    paths: Sequence[tuple[str, Color, FloatArray]],
     dots: FloatArray,
     stretches: Sequence[tuple[str, FloatArray]] = (),
     instants: Sequence[tuple[str, FloatArray]] = (),
@@ -106,7 +106,7 @@ def draw_track(
 
     Parameters
     ----------
-    paths : sequence of (name, colour, (N, 2) array)
+    paths : sequence of (name, color, (N, 2) array)
         North and east [m], finite; the first sets the scale, without one the dots.
     dots : (M, 2) array
         North and east of fixes [m].
@@ -131,12 +131,12 @@ def draw_track(
     for key, path in stretches:
         if len(path):
             x, y = frame.place(path[:, 1], path[:, 0])
-            body.append(f'<path class="stretch {key}" d="{_join(np.column_stack([x, y]))}"/>')
+            body.append(f'<path class="segment {key}" d="{_join(np.column_stack([x, y]))}"/>')
     if len(dots):
         body.append(_draw_dots(frame, dots[:, 1], dots[:, 0], "fix", FIX, "GNSS"))
-    for name, colour, path in reversed(paths):
+    for name, color, path in reversed(paths):
         x, y = frame.place(path[:, 1], path[:, 0])
-        body.append(_write_path("line", _join(np.column_stack(_straighten(x, y))), colour, name))
+        body.append(_write_path("line", _join(np.column_stack(_straighten(x, y))), color, name))
     step = round_number(reach)
     bar = step / (2.0 * reach) * width
     columns, rows = frame.place(first[:, 1], first[:, 0])
@@ -181,15 +181,15 @@ def _name_places(frame: Frame, instants: Sequence[tuple[str, FloatArray]]) -> It
         yield f'<text class="place" x="{begin:.0f}" y="{y - 4:.0f}">{escape(name)}</text>'
 
 
-def _format_length(metres: float) -> str:
-    return f"{metres / 1e3:g} km" if metres >= 1e3 else f"{metres:g} m"
+def _format_length(meters: float) -> str:
+    return f"{meters / 1e3:g} km" if meters >= 1e3 else f"{meters:g} m"
 
 
 def _open_area(frame: Frame, plot: Plot) -> str:
     """Return the start of the area of the lines; the script of the page reads what its edges are worth."""
     edges = " ".join(f"{edge:.9g}" for edge in (*frame.x, *frame.y))
     named = any(one.labels for one in plot.series)
-    kind = "still" if plot.ticks or named else "area"  # the script draws numbers only
+    kind = "still" if plot.ticks or named else "area"  # the script runs numbers only
     return (
         f'<svg class="{kind}" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '
@@ -211,7 +211,7 @@ def round_steps(low: float, high: float, most: int) -> FloatArray:
     return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) + 0.0  # no -0
 
 
-def _round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[FloatArray, FloatArray]:
+def round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[FloatArray, FloatArray]:
     """Return where round numbers stand on an axis, and the numbers."""
     if not log:
         steps = round_steps(low, high, most)
@@ -228,12 +228,13 @@ def _round_marks(low: float, high: float, most: int, *, log: bool) -> tuple[Floa
 
 
 def _mark_rows(frame: Frame, log: bool) -> Iterable[tuple[float, str]]:
-    steps, numbers = _round_marks(*frame.y, 5, log=log)
+    steps, numbers = round_marks(*frame.y, 5, log=log)
     _, rows = frame.place(np.full(len(steps), frame.x[0]), steps)
-    return [(float(row), _format_mark(value)) for row, value in zip(rows, numbers, strict=True)]
+    return [(float(row), format_mark(value)) for row, value in zip(rows, numbers, strict=True)]
 
 
-def _format_mark(value: float) -> str:
+def format_mark(value: float) -> str:
+    """Return a number beside an axis, short enough for its room."""
     size = abs(value)
     if size >= 1e7 or 1e-12 <= size < 1e-4:
         digits, power = f"{value:.5e}".split("e")
@@ -249,14 +250,14 @@ def _mark_times(frame: Frame, plot: Plot) -> Iterable[str]:
         for column, (_, name) in zip(columns, plot.ticks, strict=True):
             yield _mark_time(_LEFT + column / _GRAIN, "middle", escape(name))
         return
-    steps, numbers = _round_marks(*frame.x, 7, log="x" in plot.log)
+    steps, numbers = round_marks(*frame.x, 7, log="x" in plot.log)
     if plot.across in ("s", "h") and not plot.log:
         last = frame.x[1] - _END * (frame.x[1] - frame.x[0])
         steps, numbers = steps[steps < last], numbers[numbers < last]
-        yield _mark_time(WIDTH - 2, "end", f"{_format_mark(float(f'{frame.x[1]:.4g}'))} {plot.across}")
+        yield _mark_time(WIDTH - 2, "end", f"{format_mark(float(f'{frame.x[1]:.4g}'))} {plot.across}")
     columns, _ = frame.place(steps, np.full(len(steps), frame.y[0]))
     for column, value in zip(columns, numbers, strict=True):
-        yield _mark_time(_LEFT + column / _GRAIN, "middle", _format_mark(value))
+        yield _mark_time(_LEFT + column / _GRAIN, "middle", format_mark(value))
 
 
 def _mark_time(x: float, anchor: str, text: str) -> str:
@@ -278,7 +279,7 @@ def _draw_shade(frame: Frame, shade: Shade) -> str:
 
 
 def _draw_band(frame: Frame, series: Series) -> str:
-    """Return the area between the two lines of a band, in the colour of the first line of the series."""
+    """Return the area between the two lines of a band, in the color of the first line of the series."""
     assert series.band is not None
     one, two = (series.values[:, k] for k in series.band)
     low, high = np.minimum(one, two), np.maximum(one, two)
@@ -291,7 +292,7 @@ def _draw_band(frame: Frame, series: Series) -> str:
             continue
         there, back = _straighten(x_up, up), _straighten(x, down)
         parts.append(_join(np.column_stack([*there])) + "L" + _join(np.column_stack([*back])[::-1])[1:] + "z")
-    return _write_path("band", "".join(parts), series.colours[0], series.names[series.band[0]])
+    return _write_path("band", "".join(parts), series.colors[0], series.names[series.band[0]])
 
 
 def _outline(frame: Frame, t: FloatArray, values: FloatArray, farther: np.ufunc) -> tuple[IntArray, IntArray]:
@@ -307,17 +308,17 @@ def _outline(frame: Frame, t: FloatArray, values: FloatArray, farther: np.ufunc)
 
 def _draw_series(frame: Frame, series: Series) -> Iterable[str]:
     edges = series.band or ()
-    for k, colour in enumerate(series.colours):
+    for k, color in enumerate(series.colors):
         values = series.values[:, k]
         good = np.isfinite(values)
         if k in edges or not good.any():
             continue
         if series.marks:
-            yield _draw_dots(frame, series.t[good], values[good], "dots", colour, series.names[k])
+            yield _draw_dots(frame, series.t[good], values[good], "dots", color, series.names[k])
         else:
             runs = [_thin(*frame.place(series.t[rows], values[rows])) for rows in _split_runs(good)]
             data = "".join(_join(np.column_stack(_straighten(*run))) for run in runs)
-            yield _write_path("line dashed" if series.dashed else "line", data, colour, series.names[k])
+            yield _write_path("line dashed" if series.dashed else "line", data, color, series.names[k])
 
 
 def _thin(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
@@ -354,7 +355,7 @@ def _draw_labels(frame: Frame, plot: Plot) -> Iterable[str]:
         yield f'<text class="name" x="{begin}" y="{row + line // 3}">{escape(text)}</text>'
 
 
-def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Colour, name: str) -> str:
+def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, color: Color, name: str) -> str:
     """Return dots; those of one pixel column that touch become one stroke."""
     good = np.isfinite(x) & np.isfinite(y)
     columns, rows = frame.place(x[good], y[good])
@@ -368,7 +369,7 @@ def _draw_dots(frame: Frame, x: FloatArray, y: FloatArray, kind: str, colour: Co
     at = grid * cells + grid // 2
     marks = zip(at[first].tolist(), at[last, 1].tolist(), strict=True)
     path = "".join(f"M{a} {b}v{end - b}" for (a, b), end in marks)
-    return _write_path(kind, path, colour, name)
+    return _write_path(kind, path, color, name)
 
 
 def _split_runs(good: np.ndarray) -> list[slice]:
@@ -378,7 +379,7 @@ def _split_runs(good: np.ndarray) -> list[slice]:
 
 
 def _straighten(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
-    """Leave out points that lie on the line between their neighbours."""
+    """Leave out points that lie on the line between their neighbors."""
     for _ in range(8):
         if len(x) < 3:
             break
@@ -402,16 +403,16 @@ def _join(points: IntArray) -> str:
     )
 
 
-def _write_path(kind: str, data: str, colour: Colour, name: str) -> str:
+def _write_path(kind: str, data: str, color: Color, name: str) -> str:
     """Return a path; the script of the page finds what belongs to a name of the legend by ``data-name``."""
     words = escape(replace_control(name))
-    return f'<path class="{kind}" d="{data}" style="--c:{css_colour(colour)}" data-name="{words}"/>'
+    return f'<path class="{kind}" d="{data}" style="--c:{css_color(color)}" data-name="{words}"/>'
 
 
-def css_colour(colour: Colour) -> str:
-    """Return a colour as it is written in CSS; one of the palette by its variable."""
-    slot = find_slot(colour)
+def css_color(color: Color) -> str:
+    """Return a color as it is written in CSS; one of the palette by its variable."""
+    slot = find_slot(color)
     if slot is not None:
         return f"var(--s{slot})"
-    red, green, blue = colour
+    red, green, blue = color
     return f"color-mix(in srgb, #{red:02x}{green:02x}{blue:02x} var(--deep), var(--into))"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
-from bench.experiments.campaigns.stored import load_campaign
+from bench.experiments.campaigns.stored import read_campaign
 from bench.io import results
-from bench.io.results.study_folder import load_study
+from bench.io.results.study_folder import read_study
 from bench.views.report import campaign_page, index, page, paper, study_page
 
 
@@ -56,11 +56,11 @@ def write_report(
     if not folders:
         name = folder.resolve().name
         if of_campaign:
-            text = campaign_page.make_page(name, load_campaign(folder))
+            text = campaign_page.make_page(name, read_campaign(folder))
         elif of_study:
-            text = study_page.make_page(load_study(folder), page.read_day(folder / results.STUDY_RESULT))
+            text = study_page.make_page(read_study(folder), page.read_day(folder / results.STUDY_RESULT))
         else:
-            text = page.make_page(name, results.load(folder))
+            text = page.make_page(name, results.read_result(folder))
         durable.write(path, text)
         if out is None:
             results.add_to_mark(folder, results.REPORT)
@@ -84,7 +84,7 @@ def write_figures(
     serif: bool = False,
     force: bool = False,
 ) -> list[Path]:
-    """Draw the figures of a results folder for a paper, one file for each tab and estimator, or of a study.
+    """Draw the figures of a results folder for a paper, one file for each tab and filter, or of a study.
 
     Parameters
     ----------
@@ -109,8 +109,8 @@ def write_figures(
     if form not in paper.FORMATS:
         raise ConfigError(f"form = {form!r} must be one of {', '.join(paper.FORMATS)}")
     out = Path(out)
-    study = load_study(folder) if (Path(folder) / results.STUDY_RESULT).is_file() else None
-    result = results.load(folder) if study is None else None
+    study = read_study(folder) if (Path(folder) / results.STUDY_RESULT).is_file() else None
+    result = results.read_result(folder) if study is None else None
     results.check_folder(out, force=force, kind=results.FIGURES)
     with results.make_folder(out, force=force, kind=results.FIGURES) as partial:
         if study is not None:

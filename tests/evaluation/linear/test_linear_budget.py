@@ -254,7 +254,7 @@ def test_the_distance_between_accelerometers_is_what_a_turn_makes_of_it():
     """A steady turn: each axis feels w x (w x r) of its own place, in m/s^2 and not in m/s."""
     truth, arms = turning(4.0, 100.0, turn_rate=0.5), 0.01 * np.array([[9.0, 1, 2], [3, 8, 1], [2, 1, 7]])
     imu = ImuSpec("made", TriadSpec(), TriadSpec(), accel_arms=tuple(map(tuple, arms.tolist())))
-    (found,) = terms._sampled_imu(truth, imu, 1)
+    (found,) = terms.sampled_imu(truth, imu, 1)
     w = (truth.dtheta_b / np.diff(truth.t)[:, None]).mean(axis=0)
     felt = [np.cross(w, np.cross(w, arm))[axis] for axis, arm in enumerate(arms)]
     signal = np.asarray(found.signal)[50:-50]

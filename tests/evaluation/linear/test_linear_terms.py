@@ -1,4 +1,4 @@
-"""Each source of the linear model by hand: its errors at given rates, its covariance, its instants."""
+"""Each source of the linear model by hand: its errors at given rates, its covariance, its epochs."""
 
 from __future__ import annotations
 
@@ -67,20 +67,20 @@ def test_constants_of_a_triad_are_those_of_its_error_equation(first):
         "alignment_sd": (w @ w) * np.eye(3) - np.outer(w, w),
     }.items():
         triad = TriadSpec(**{figure: sd, "range": 10.0})
-        found = list(terms._triad_constants("gyro", triad, first))
+        found = list(terms.list_triad_constants("gyro", triad, first))
         own = slice(first, first + 3)
         P = covariance(found)
         assert_allclose(P[own, own], sd**2 * expected, atol=1e-15, err_msg=figure)
         assert np.count_nonzero(P) == np.count_nonzero(P[own, own])
         assert len({one.source for one in found}) == 1
-    assert not list(terms._triad_constants("gyro", TriadSpec(), first))
+    assert not list(terms.list_triad_constants("gyro", TriadSpec(), first))
 
 
 def test_a_common_coefficient_turns_both_axes():
     """Non-orthogonality takes two axes the same way, an alignment one forth and the other back."""
-    both = [one.factors for one in terms._triad_constants("gyro", TriadSpec(nonorthogonality_sd=0.2), 0)]
+    both = [one.factors for one in terms.list_triad_constants("gyro", TriadSpec(nonorthogonality_sd=0.2), 0)]
     assert both == [((i, j, 0.1), (j, i, 0.1)) for i, j in ((1, 2), (2, 0), (0, 1))]
-    turn = [one.factors for one in terms._triad_constants("gyro", TriadSpec(alignment_sd=0.2), 3)]
+    turn = [one.factors for one in terms.list_triad_constants("gyro", TriadSpec(alignment_sd=0.2), 3)]
     assert turn == [((3 + i, 3 + j, 0.2), (3 + j, 3 + i, -0.2)) for i, j in ((1, 2), (2, 0), (0, 1))]
 
 
@@ -89,7 +89,7 @@ def test_processes_of_a_triad_have_the_figures_of_its_sheet():
         random_walk=0.1, rate_random_walk=0.02, bias_instability=0.5, bias_correlation=200.0,
         bias_model="gauss-markov",
     )  # fmt: skip
-    white, bias, walk = terms._triad_processes("gyro", triad, 3)
+    white, bias, walk = terms.list_triad_processes("gyro", triad, 3)
     assert_allclose(white.white, 0.01)
     assert_allclose(walk.density, 4e-4)
     correlation, sd = terms.choose_bias_stages(triad)
@@ -97,7 +97,7 @@ def test_processes_of_a_triad_have_the_figures_of_its_sheet():
     assert bias.decay_time == 1.0 / correlation[0]
     assert {one.first for one in (white, bias, walk)} == {3}
     assert (white.states, bias.states, walk.states) == (False, True, True)
-    assert len(list(terms._triad_processes("gyro", replace(triad, bias_instability=0.0), 0))) == 2
+    assert len(list(terms.list_triad_processes("gyro", replace(triad, bias_instability=0.0), 0))) == 2
 
 
 def test_jumps_of_fixes_come_at_their_mean_rate_or_where_satellites_change(monkeypatch):
@@ -108,7 +108,7 @@ def test_jumps_of_fixes_come_at_their_mean_rate_or_where_satellites_change(monke
         vel_jump_markov_sd=0.1,
     )  # fmt: skip
     truth, spec, rate = turning(10.0, 100.0, speed=50.0), units(gnss=gnss), 100.0 / 86400.0
-    place, wander, jumps, speed, drift, others = terms._gnss_processes(truth, spec, False)
+    place, wander, jumps, speed, drift, others = terms.list_gnss_processes(truth, spec, False)
     assert (place.acts, speed.acts) == (POSITION, VELOCITY)
     assert_allclose(place.white, [2.25, 2.25, 6.25])
     assert_allclose(speed.white, 0.0025)
@@ -122,19 +122,19 @@ def test_jumps_of_fixes_come_at_their_mean_rate_or_where_satellites_change(monke
     monkeypatch.setattr(
         terms, "find_constellation_changes", lambda t, lla: np.isin(np.arange(len(t)), [2, 5])
     )
-    *_, known = list(terms._gnss_processes(truth, spec, True))[:3]
+    *_, known = list(terms.list_gnss_processes(truth, spec, True))[:3]
     assert_allclose(known.at, [1.5, 3.0])  # epochs are at 0.5, 1.0, ... s
     assert_allclose(known.kick, [0.0, 0.0, 16.0])
     assert_allclose(known.white, [4.0, 4.0, 0.0])
     steady = replace(gnss, pos_h_jump_sd=0.0, pos_v_jump_markov_sd=0.0, vel_jump_markov_sd=0.0)
-    assert len(list(terms._gnss_processes(truth, units(gnss=steady), False))) == 4
+    assert len(list(terms.list_gnss_processes(truth, units(gnss=steady), False))) == 4
     forever = replace(gnss, pos_decay_time=0.0, pos_decay_distance=0.0)
-    lasting = list(terms._gnss_processes(truth, units(gnss=forever), False))[2]
+    lasting = list(terms.list_gnss_processes(truth, units(gnss=forever), False))[2]
     assert lasting.variance[2] == pytest.approx(16.0 * rate * 86400.0 / 2.0)  # forgotten within a day
 
 
 def test_what_is_drawn_counts_by_its_mean_square(monkeypatch):
-    """Eight draws of a barometer, of vibration: the sum of their squares is the mean of eight."""
+    """Eight runs of a barometer, of vibration: the sum of their squares is the mean of eight."""
     truth = turning(4.0, 100.0)
     spec = replace(units(), baro=BaroSpec("drawn", 5.0, 0.5, physical=StaticPressureSpec()))
     drawn = iter(np.arange(1.0, 9.0))
@@ -143,7 +143,7 @@ def test_what_is_drawn_counts_by_its_mean_square(monkeypatch):
         return SimpleNamespace(alt_baro=truth.lla[20::20, 2] + next(drawn)), None
 
     monkeypatch.setattr(terms.static_pressure, "measure", measure)
-    baro = list(terms._sampled_baro(truth, spec, 1))
+    baro = list(terms.sampled_baro(truth, spec, 1))
     assert len(baro) == 8
     assert_allclose(sum(one.height**2 for one in baro), np.mean(np.arange(1.0, 9.0) ** 2), rtol=1e-6)
     shaken = iter(np.arange(1.0, 9.0))
@@ -154,7 +154,7 @@ def test_what_is_drawn_counts_by_its_mean_square(monkeypatch):
 
     monkeypatch.setattr(terms.vibration, "shake", shake)
     imu = ImuSpec("shaken", TriadSpec(), TriadSpec(), vibration=VibrationSpec(engine_gyro=1.0))
-    found = list(terms._sampled_imu(truth, imu, 1))
+    found = list(terms.sampled_imu(truth, imu, 1))
     assert {one.source for one in found} == {"vibration"}
     rate = np.array([1.0, 1.0, 1.0, 3.0, 3.0, 3.0])  # 0.01 rad and 0.03 m/s of 0.01 s
     assert_allclose(
@@ -165,12 +165,12 @@ def test_what_is_drawn_counts_by_its_mean_square(monkeypatch):
 def test_roundings_and_lags_are_those_of_one_triad_and_the_same_in_every_draw():
     truth = turning(2.0, 100.0)
     rounded = TriadSpec(quantization=1e-4)
-    (gyro,) = terms._sampled_imu(truth, ImuSpec("x", rounded, TriadSpec()), 1)
+    (gyro,) = terms.sampled_imu(truth, ImuSpec("x", rounded, TriadSpec()), 1)
     assert (gyro.source, gyro.stochastic) == ("gyro quantization", False)
     assert_allclose(gyro.signal[:, 3:], 0.0, atol=1e-9)
     assert 0.1 * 1e-2 < np.abs(gyro.signal[:, :3]).max() <= 1.001 * 1e-2  # a step of 1e-4 rad in 0.01 s
     late = TriadSpec(delay=0.02)
-    (accel,) = terms._sampled_imu(truth, ImuSpec("x", TriadSpec(), late), 1)
+    (accel,) = terms.sampled_imu(truth, ImuSpec("x", TriadSpec(), late), 1)
     assert accel.source == "accelerometer lag and dead zone"
     assert_allclose(accel.signal[:, :3], 0.0, atol=1e-9)
 
@@ -310,7 +310,7 @@ def test_a_flight_has_gnss_but_in_its_outages():
 
 
 def test_draws_over_a_bound_have_the_interval_of_their_spread():
-    """Three draws of one epoch with the squares 2, 8 and 26 m^2: few draws hold the spread for larger."""
+    """Three runs of one epoch with the squares 2, 8 and 26 m^2: few runs hold the spread for larger."""
     horizontal, height, *_, heading = quantities.QUANTITIES
     errors = np.zeros((3, 1, 9))
     errors[:, 0, 2], errors[:, 0, 8] = np.sqrt([2.0, 8.0, 26.0]), np.deg2rad([1.0, 2.0, 3.0])
@@ -330,7 +330,7 @@ def test_draws_over_a_bound_have_the_interval_of_their_spread():
     for unknown in (quantities.compare_draws(errors, least * np.nan, height),
                     quantities.compare_run(errors[:, 0], least * np.nan, height)):  # fmt: skip
         assert unknown is None
-    assert quantities.count_freedom(np.full(3, 2.0)) > 1e6, "draws that are alike"
+    assert quantities.count_freedom(np.full(3, 2.0)) > 1e6, "runs that are alike"
 
 
 @pytest.mark.parametrize("alternate", [True, False])
@@ -346,13 +346,13 @@ def test_the_interval_of_one_run_counts_what_its_correlation_leaves(alternate):
 # --- the walk of the errors of a filter -------------------------------------------------------------------
 
 
-def walk(*processes: ErrorProcess, constants: tuple[Constant, ...] = ()) -> error_budget._Walk:
+def walk(*processes: ErrorProcess, constants: tuple[Constant, ...] = ()) -> error_budget.SourceWalk:
     """The errors of a filter of 15 states on a path of ten steps of 0.1 s."""
     path = make_path(turning(1.0, 100.0), ImuSpec("x", TriadSpec(), TriadSpec()), np.empty(0))
     none = np.zeros(15)
     process = SimpleNamespace(drives=np.empty((0, 3), np.int64), decay_time=none, decay_distance=none)
     model = SimpleNamespace(layout=SimpleNamespace(size=15), process=process)
-    return error_budget._Walk(path, terms.TruthModel((), constants, processes), model)
+    return error_budget.SourceWalk(path, terms.TruthModel((), constants, processes), model)
 
 
 def test_a_jump_comes_at_its_instant_and_fades():
@@ -403,8 +403,8 @@ def test_a_correction_is_that_of_the_matrix_equations():
 def test_a_measurement_comes_from_the_row_that_arrived_then():
     record = SimpleNamespace(t=np.arange(3.0), t_arrival=np.array([1.0, 2.0, 3.0]))
     data = SimpleNamespace(baro=record, fixes=None)
-    assert gains._numbers(np.array([1.0, 2.0, 3.5]), BARO, data).tolist() == [0, 1, 2]
-    assert gains._numbers(np.array([1.0, 2.0]), POSITION, data).tolist() == [0, 0]
+    assert gains.find_record_rows(np.array([1.0, 2.0, 3.5]), BARO, data).tolist() == [0, 1, 2]
+    assert gains.find_record_rows(np.array([1.0, 2.0]), POSITION, data).tolist() == [0, 0]
 
 
 def test_figures_are_roots_of_sums_in_their_units():

@@ -16,7 +16,7 @@ from tests.plugins.autopilots.flash import write_flash
 OFF_N = np.array([2.0, 1.0, 0.5])
 """Position of the estimate minus truth [m], n."""
 SD = np.array([1.5, 1.5, 1.0])
-"""What it claims [m]."""
+"""What it reports [m]."""
 HOME = np.array([47.0, 11.0, 600.0])  # deg, deg, m over the ellipsoid
 UNDULATION = -48.0  # GPA.Und [m]
 WEEK, DAY = 2300, 3  # of GPS: 4 February 2024 and three days
@@ -47,7 +47,7 @@ def write_flight(path: Path, *, truth: bool = True, silent: tuple[float, float] 
 
 @functools.cache
 def _make(truth: bool, silent: tuple[float, float]) -> bytes:
-    """Return a log: core 0 flies until 80 s, core 1, which is a metre further north, from then on.
+    """Return a log: core 0 flies until 80 s, core 1, which is a meter further north, from then on.
 
     No fix is logged from ``silent[0]`` to ``silent[1]`` [s].
     """

@@ -1,4 +1,4 @@
-"""The autopilot's own estimate as an estimator, the truth of a simulator, and starts that logs allow."""
+"""The autopilot's own estimate as a filter, the truth of a simulator, and starts that logs allow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from bench.evaluation.errors import used_fixes
 from bench.io.config.log import SourceSpec, load_log
 from bench.io.logs import log_start, own_estimate
 from bench.io.logs.log_contents import tell_innovations, turn_quaternion
-from bench.io.logs.log_records import _find_ground, read_records, set_altimeter
+from bench.io.logs.log_records import find_ground, read_records, set_altimeter
 from bench.io.logs.log_start import choose_stretch, find_magnetic_heading, find_start
 from bench.navigation.error_state_filter.rough_heading import UNKNOWN_HEADING_SD
 from bench.navigation.start.alignment import UNKNOWN_SPEED_SD
@@ -63,8 +63,8 @@ def write_log(folder: Path, more: str = "", start: str = 'kind = "course"', **ho
 
 @pytest.fixture(scope="module")
 def judged(tmp_path_factory):
-    """The flight of a simulator, judged by the truth in its own log."""
-    return bench.navigate_log(write_log(tmp_path_factory.mktemp("sim"), "[reference]"))
+    """The flight of a simulator, evaluated by the truth in its own log."""
+    return bench.navigate(write_log(tmp_path_factory.mktemp("sim"), "[reference]"))
 
 
 def test_the_truth_in_a_log_judges_both_in_one_table(judged):
@@ -111,10 +111,10 @@ def test_variances_of_innovations_follow_from_test_ratios(judged):
 def test_without_a_truth_no_fix_judges_it(tmp_path):
     """Its fixes are not withheld: it has used them. An outage that happened tells its drift."""
     log = log_pipeline.read_log(write_log(tmp_path, truth=False, silent=(90.05, 110.05)))
-    result = log_pipeline.navigate_log(log)
+    result = log_pipeline.navigate(log)
     values = result.metrics["autopilot"]
     assert "pos_rmse_h_m" not in values
-    assert values["verdict"] == "not judged"
+    assert values["verdict"] == "not evaluated"
     assert "has used every fix" in values["verdict_text"]
     assert result.metrics["loose-15"]["withheld_fixes"] > 50
     (row,) = [one for one in result.more["outages"] if one["estimator"] == "autopilot"]
@@ -122,11 +122,11 @@ def test_without_a_truth_no_fix_judges_it(tmp_path):
     assert row["rms_h_m"] == pytest.approx(
         np.hypot(3.0, 1.0), abs=0.2
     )  # 0.02 m of the fix, 2 m/s late by 10 ms
-    assert row["claimed_median_h_m"] == pytest.approx(1.1774 * 1.5, rel=1e-3)
+    assert row["reported_median_h_m"] == pytest.approx(1.1774 * 1.5, rel=1e-3)
 
 
 def test_cuts_are_for_filters_that_run_here(tmp_path):
-    result = log_pipeline.navigate_log(log_pipeline.read_log(write_log(tmp_path, truth=False)), outages=None)
+    result = log_pipeline.navigate(log_pipeline.read_log(write_log(tmp_path, truth=False)), outages=None)
     assert {row["estimator"] for row in result.more["outages"]} == {"loose-15"}
     assert [row["duration_s"] for row in result.more["outages"]] == [10.0, 30.0]
     assert [row["places"] for row in result.more["outages"]] == [10, 3]
@@ -148,12 +148,12 @@ def test_the_name_is_for_logs_of_autopilots(tmp_path, capsys):
     assert "for the log of an autopilot: bench navigate" in capsys.readouterr().err
     shutil.copy(Path(__file__).parents[2] / "logs" / "drive.toml", tmp_path)
     drive = Path(__file__).parents[2] / "logs" / "drive.toml"
-    with pytest.raises(ConfigError, match=r"imu\.parquet is no log of an autopilot"):
+    with pytest.raises(ConfigError, match=r"imu\.parquet is not a log of an autopilot"):
         log_pipeline.read_log(drive, estimators=["autopilot"])
 
 
 def test_a_real_estimate_agrees_with_the_receiver_that_it_used(tmp_path):
-    """The EKF of the copter keeps within its metres of the fixes, its heading with its magnetometer."""
+    """The EKF of the copter keeps within its meters of the fixes, its heading with its magnetometer."""
     shutil.copy(FLIGHTS / "copter.bin", tmp_path)
     assert main(["new", "log", str(tmp_path / "copter.bin")]) == 0
     spec = load_log(str(tmp_path / "copter.toml"))
@@ -287,7 +287,7 @@ def test_a_start_in_motion_finds_the_attitude(tmp_path, at, heading):
 
 def test_without_a_heading_several_are_tried(tmp_path):
     log = write_log(tmp_path, "[reference]", 'kind = "hover"\nat_s = 22.0')
-    values = bench.navigate_log(bench.read_log(log, estimators=["loose-15"])).metrics["loose-15"]
+    values = bench.navigate(bench.read_log(log, estimators=["loose-15"])).metrics["loose-15"]
     assert values["converged"]
     assert values["heading_rmse_deg_all"] is not None
 
@@ -317,14 +317,14 @@ def test_a_real_start_has_the_attitude_of_the_autopilot(tmp_path):
 )
 def test_a_start_that_cannot_be(tmp_path, start, says):
     with pytest.raises(ConfigError, match=says):
-        bench.navigate_log(write_log(tmp_path, start=start))
+        bench.navigate(write_log(tmp_path, start=start))
 
 
 # --- parts --------------------------------------------------------------------------------------------
 
 
 def test_variances_of_a_quaternion_become_those_of_angles():
-    """Monte Carlo, 200 000 draws of the elements: a variance is known to 0.32 %, 99.9 % band 1.1 %."""
+    """Monte Carlo, 200 000 runs of the elements: a variance is known to 0.32 %, 99.9 % band 1.1 %."""
     rng = np.random.default_rng(7)
     q = rotation.from_euler(0.3, -0.5, 2.0)
     diagonal = np.array([1e-6, 4e-6, 2e-6, 8e-6])
@@ -408,12 +408,12 @@ def test_the_ground_below_a_radar_is_where_it_first_looked_on_it():
     fixes = make_fixes(np.array([0.0, 5.0, 5.1, 6.0, 9.0]), np.array([500.0, 247.0, 900.0, 260.0, 270.0]))
     fixes = replace(fixes, valid=fixes.t != 5.1)
     log, looked = SimpleNamespace(ground_alt=None), {"radar": radar}
-    assert _find_ground(log, looked, fixes) == 217.0
-    assert _find_ground(SimpleNamespace(ground_alt=88.0), looked, fixes) == 88.0
+    assert find_ground(log, looked, fixes) == 217.0
+    assert find_ground(SimpleNamespace(ground_alt=88.0), looked, fixes) == 88.0
     blind = {"radar": replace(radar, valid=np.zeros(3, np.bool_))}
     lost = replace(fixes, valid=np.zeros(5, np.bool_))
     for there, by in (({}, fixes), (blind, fixes), (looked, lost)):
-        assert _find_ground(log, there, by) == 0.0
+        assert find_ground(log, there, by) == 0.0
 
 
 @pytest.mark.parametrize(("step", "longest"), [(0.2, 2.0), (1.0, 5.0)])
@@ -427,7 +427,7 @@ def test_only_long_silences_are_outages(step, longest):
 
 
 def test_an_outage_is_judged_by_the_fix_that_ends_it():
-    """Wrong by (3, 4, -12) m there and 1 m down before; it claims a variance of 2 and 14 m^2 there."""
+    """Wrong by (3, 4, -12) m there and 1 m down before; it reports a variance of 2 and 14 m^2 there."""
     truth = turning(12.0, 10.0)
     t = np.array([1.0, 2.0, 3.0, 10.0, 11.0])
     wrong = np.tile([0.0, 0.0, 1.0], (13, 1))

@@ -1,4 +1,4 @@
-"""The estimators in an Earth-fixed Cartesian frame: answers with fixes and without; the cost of flatness."""
+"""The filters in an Earth-fixed Cartesian frame: answers with fixes and without; the cost of flatness."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MISSING = "the extra 'graph' is not installed"
 
 
 def test_the_frame_keeps_place_velocity_and_covariance():
-    """There and back at a place 50 km from the origin, to a nanometre."""
+    """There and back at a place 50 km from the origin, to a nanometer."""
     frame = FlatFrame.at(np.array([0.83, 0.2, 400.0]), supply=True)
     rng = np.random.default_rng(1)
     A = rng.standard_normal((9, 9))
@@ -70,7 +70,7 @@ def test_the_frame_keeps_place_velocity_and_covariance():
 
 @pytest.mark.parametrize(("name", "within"), [("invariant-ekf", 0.5), ("graph-smoother", 0.05)])
 def test_earth_and_gravity_are_supplied(name, within):
-    """A minute without fixes: within what integration costs; over a flat, resting Earth metres are lost."""
+    """A minute without fixes: within what integration costs; over a flat, resting Earth meters are lost."""
     spec = replace(
         units(FINE), initial_pos_sd=(1e-6,) * 3, initial_vel_sd=(1e-6,) * 3, initial_tilt_sd=1e-9,
         initial_heading_sd=1e-9, output_rate=1.0,
@@ -101,7 +101,7 @@ def test_they_fly_with_fixes(name):
 
 
 def test_the_factor_graph_knows_its_errors():
-    """NEES of nine states in the middle of 40 s, on the mean of 8 draws: within its 99.9 % band."""
+    """NEES of nine states in the middle of 40 s, on the mean of 8 runs: within its 99.9 % band."""
     pytest.importorskip("gtsam", reason=MISSING)
     truth, spec = weaving(40.0, rate=50.0), replace(units(), output_rate=1.0)
     found = ensemble(load("graph-smoother", {}), truth, lambda k: sensors.sense(truth, spec, 7, k), 8, 20.0)
@@ -134,10 +134,10 @@ def falling(imu, *, dt, unknown=(0.0, 0.0)):
     """A chain over a flat Earth with one link of free fall and no turn, and what the IMU measured in it."""
     initial = replace(sensors.sense(weaving(1.0), units(), 1, 0).initial, bias_cov=np.zeros((9, 6)))
     data = sensors.sense(weaving(1.0), units(imu), 1, 0).data
-    chain = factor_graph._Chain(load_gtsam(), GraphOptions(flat=True), data, initial)
+    chain = factor_graph.Chain(load_gtsam(), GraphOptions(flat=True), data, initial)
     none = np.zeros((len(dt), 3))
-    chain.links.append(factor_graph._Link(np.array(dt), none, none, np.array(unknown)))
-    return chain, chain._preintegrate(0)
+    chain.links.append(factor_graph.Link(np.array(dt), none, none, np.array(unknown)))
+    return chain, chain.preintegrate(0)
 
 
 def test_white_noise_of_the_imu_is_what_its_integral_is():
@@ -179,11 +179,11 @@ def test_biases_move_on_along_a_link_as_their_process_does(tau):
     assert_allclose(chain.biases.sd, np.hypot(biases["turn_on_bias_sd"], sd), rtol=1e-12)
     chain.bias[0] = np.array([0.1, -0.2, 0.3, 0.0, 0.0, 0.0])
     prior = np.column_stack([chain.R0, np.arange(15.0)])
-    chain._join(0, measured, prior, first=True)
+    chain.join(0, measured, prior, first=True)
     assert_allclose(chain.bias[1], kept * chain.bias[0], rtol=1e-12)
     moved = np.array([0.2, 0.1, -0.1, 0.03, -0.01, 0.02])
     chain.bias[1] = chain.bias[1] + moved
-    A = chain._join(0, measured, prior, first=False)
+    A = chain.join(0, measured, prior, first=False)
     assert_allclose(A[15:], np.column_stack([chain.R0, np.zeros((15, 15)), np.arange(15.0)]))
     root = np.linalg.inv(A[:15, 15:30])
     F, Q, step = -root @ A[:15, :15], root @ root.T, root @ A[:15, 30]
@@ -210,12 +210,12 @@ def test_the_rows_of_a_fix_are_those_of_finite_differences():
     fix = np.concatenate([weaving(1.0).lla[0], [1.0, 2.0, 3.0]])
     state = chain.states[0]
     for one in chain.read_fix(0.0, fix, np.ones(6), np.array([0.4, -0.3, 0.7])):
-        H, columns = chain._compare(0, one)[0], []
+        H, columns = chain.compare(0, one)[0], []
         for x in np.eye(9) * 1e-4:
             ends = []
             for sign in (1.0, -1.0):
                 chain.states[0] = state.retract(sign * x)
-                ends.append(chain._compare(0, one)[1])
+                ends.append(chain.compare(0, one)[1])
             columns.append((ends[1] - ends[0]) / 2e-4)
             chain.states[0] = state
         assert_allclose(H[:, :9], np.transpose(columns), atol=1e-5)
@@ -223,19 +223,19 @@ def test_the_rows_of_a_fix_are_those_of_finite_differences():
 
 
 def test_a_place_that_is_refused_long_enough_opens_the_position():
-    """300 m off along the third axis: three refusals, then P grows so that it is to be expected, no more."""
+    """300 m off along the third axis: three rejections, then P grows until it is expected."""
     pytest.importorskip("gtsam", reason=MISSING)
     chain, _ = falling(IMU, dt=[0.5])
     chain.gate = InnovationGate(SENSORS, 0.0, 1e-5, 0.0)
     far, none = earth.displace(weaving(1.0).lla[0], np.array([0.0, 0.0, 300.0])), np.zeros(3)
     (fix, _) = chain.read_fix(1.0, np.append(far, none), np.ones(6), none)
     prior = np.column_stack([chain.R0, np.arange(15.0)])
-    H, y = chain._compare(0, fix)
+    H, y = chain.compare(0, fix)
     for t in (1.0, 2.0, 3.0):
         chain.gate.see_position()
-        assert chain._test(fix._replace(t=t), H, y, prior) is None
+        assert chain.test(fix._replace(t=t), H, y, prior) is None
     chain.gate.see_position()
-    grown = chain._test(fix._replace(t=4.0), H, y, prior)
+    grown = chain.test(fix._replace(t=4.0), H, y, prior)
     assert_allclose(grown[:, 15], prior[:, 15])
     assert not np.tril(grown[:, :15], -1).any()
     roots = (np.linalg.inv(R[:, :15]) for R in (prior, grown))
@@ -247,7 +247,7 @@ def test_a_place_that_is_refused_long_enough_opens_the_position():
     assert_allclose(after[9:], before[9:], rtol=1e-6, atol=1e-15)
     found = chain.gate.take(last=True)[0]
     assert found.accepted.tolist() == [False] * 9 + [True] * 3
-    assert_allclose(found.z[-1], 300.0, atol=10.0)  # the start is off by metres, too
+    assert_allclose(found.z[-1], 300.0, atol=10.0)  # the start is off by meters, too
     S = H @ before @ H.T + R
     assert_allclose(found.S[-3:], np.diag(fix.C_tn.T @ S @ fix.C_tn), rtol=1e-6)  # along n
 
@@ -266,7 +266,7 @@ def test_what_has_no_noise_has_a_little():
         assert_allclose(one.r, 1e-12, rtol=1e-12)
     start = replace(sensors.sense(weaving(1.0), units(), 1, 0).initial, cov=np.zeros((9, 9)))
     data = sensors.sense(weaving(1.0), units(imu), 1, 0).data
-    exact = factor_graph._Chain(load_gtsam(), GraphOptions(), data, start)
+    exact = factor_graph.Chain(load_gtsam(), GraphOptions(), data, start)
     assert_allclose(np.diag(exact.R0), np.repeat([1e6, 1e8, 1e10], [9, 3, 3]), rtol=1e-9)
 
 
@@ -277,12 +277,12 @@ def test_the_factor_graph_refuses_fixes_that_wander(sensed):
     line = (
         "it takes the errors of fixes for white, but those of 'weaving-gnss' last for minutes; 'smoother' has"
     )
-    with pytest.raises(EstimatorError, match=f"^estimator 'graph-smoother': {line}"):
+    with pytest.raises(EstimatorError, match=f"^filter 'graph-smoother': {line}"):
         check_needs(one, "graph-smoother", {"fixes"}, specs=specs)
     with pytest.raises(EstimatorError, match=line):
         one.run(replace(sensed.data, specs=specs), sensed.initial)
     check_needs(one, "graph-smoother", {"fixes"}, specs=sensed.data.specs)
-    assert one.refuses(replace(specs, gnss=None)) == ""
+    assert one.check_sensors(replace(specs, gnss=None)) == ""
 
 
 def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
@@ -292,7 +292,7 @@ def test_without_gtsam_one_line_says_what_to_install(sensed, monkeypatch):
 
 
 def test_gtsam_is_imported_by_a_run_alone():
-    """One door: neither the list of estimators nor their construction pays for the import."""
+    """One door: neither the list of filters nor their construction pays for the import."""
     code = (
         "import sys\nfrom bench.navigation.built_in import BUILT_IN, load\n"
         "[load(name, {}) for name in BUILT_IN]\nsys.exit('gtsam' in sys.modules)"
@@ -307,9 +307,9 @@ def test_the_invariant_filter_names_all_that_it_takes_for_white():
     """Each other error of the unit, and what wanders in the fixes, late as they are."""
     gnss = replace(UNITS.assumed.gnss, pos_h_markov_sd=3.0, vel_markov_sd=0.05, latency=0.1)
     imu = replace(IMU, gyro=replace(IMU.gyro, scale_factor_sd=0.01))
-    said = load("invariant-ekf", {}).unmodelled(replace(UNITS.assumed, gnss=gnss, imu=imu))
+    said = load("invariant-ekf", {}).unmodeled_errors(replace(UNITS.assumed, gnss=gnss, imu=imu))
     assert set(said) == {
         *("gyro scale factor", "GNSS latency"),
         *("time-correlated GNSS position error", "time-correlated GNSS velocity error"),
     }
-    assert load("invariant-ekf", {}).unmodelled(replace(UNITS.assumed, imu=FINE)) == ()
+    assert load("invariant-ekf", {}).unmodeled_errors(replace(UNITS.assumed, imu=FINE)) == ()

@@ -282,7 +282,7 @@ def test_until_it_commands_the_aircraft_holds_and_time_is_real(path):
     [
         ([math.nan] * 16, "sent HIL_ACTUATOR_CONTROLS with NaN in it in a channel of --channels"),
         ([0.0] * 4 + [1.5] + [0.0] * 11, "with a throttle that is not 0 to 1 in a channel of --channels"),
-        (b"GET / HTTP/1.1\r\n\r\n", "sent what is no message of MAVLink: invalid MAVLink prefix '71'"),
+        (b"GET / HTTP/1.1\r\n\r\n", "sent an invalid MAVLink message: invalid MAVLink prefix '71'"),
         (b"", "has sent no HIL_ACTUATOR_CONTROLS for 0.5 s"),
     ],
 )
@@ -310,7 +310,7 @@ def flood(line, message):
 
 
 class Stubborn(Autopilot):
-    """Commands until an instant, then is silent or sends HEARTBEATs alone, as many as it can."""
+    """Commands until a time, then is silent or sends HEARTBEATs alone, as many as it can."""
 
     def __init__(self, port, until, *, beats):
         self._until, self._beats = until, beats
@@ -370,7 +370,7 @@ def test_the_patience_of_the_boot_does_not_count_the_loading_of_the_flight(path,
     [
         ("", ActuatorChannels(-6, -8, -3, 5)),
         ("aileron=1,elevator=-2,throttle=16", ActuatorChannels(1, -2, -3, 16)),
-        ("flaps=3", "'flaps' is none of aileron, elevator, rudder, throttle"),
+        ("flaps=3", "'flaps' must be one of aileron, elevator, rudder, throttle"),
         ("aileron=1,aileron=2", "aileron is given twice"),
         ("aileron=" + 5000 * "9", "aileron='9{20}' must be a channel, 1 to 16 or -1 to -16"),
         ("aileron=0", "1 to 16 or -1 to -16"),

@@ -58,7 +58,7 @@ class Server:
 
     def __init__(self, path, changes=None, **options):
         given = {"duration_s": 40.0, **SHORT, **(changes or {})}
-        self._profile = config.load_profile(path, given)
+        self._profile = config.read_profile(path, given)
         self._options, self._said = {"address": "127.0.0.1:0", "patience": 20.0, **options}, Queue()
         self._found = None
         self._thread = threading.Thread(target=self._fly, daemon=True)
@@ -174,7 +174,7 @@ def test_a_client_gets_the_rows_that_are_recorded(tmp_path):
     rows = {1: imu.t, 2: baro.t, 3: sensors.mag.t, 8: sensors.fixes.t}
     told = [(kind, struct.unpack_from("<d", body)[0]) for kind, body in make_frames(sensors)]
     order = [(arrivals[kind][np.searchsorted(rows[kind], t)], kind) for kind, t in told]
-    assert order == sorted(order)  # of one instant the IMU first and the fixes last
+    assert order == sorted(order)  # of one time the IMU first and the fixes last
 
 
 GOOD = (0.8248, 0.1979, 1206.0, 0.0, 25.0, 0.0, 1.0, 0.0, 0.0, 0.0, *[math.nan] * 15)
@@ -222,7 +222,7 @@ def test_who_begins_wrongly_is_told_why_and_the_next_one_flies(tmp_path):
         (frame(19, 0.5, *GOOD[:6], 2.0, *GOOD[7:]), "sent an ESTIMATE whose quaternion has not the length 1"),
         (
             frame(19, 0.5, *GOOD[:3], 1e300, *GOOD[4:]),
-            "sent an ESTIMATE whose velocity or bias is that of no aircraft",
+            "sent an ESTIMATE with a velocity or bias beyond any aircraft",
         ),
         (
             frame(19, 0.5, *GOOD[:16], -3.0, *GOOD[17:]),
@@ -284,7 +284,7 @@ def test_an_estimate_whose_turn_was_never_ended_is_no_answer(tmp_path):
 
 
 def test_a_client_that_never_stops_sending_does_not_hold_the_server(path):
-    """It is refused, and the end is not waited for longer than two seconds."""
+    """It is rejected, and the end is not waited for longer than two seconds."""
     server, begun = Server(path, patience=1.0), time.monotonic()
     with socket.create_connection(("127.0.0.1", server.port)) as line, contextlib.suppress(OSError):
         while time.monotonic() < begun + 20.0:
@@ -297,8 +297,8 @@ def test_a_client_that_never_stops_sending_does_not_hold_the_server(path):
 @pytest.mark.parametrize(
     ("sent", "words"),
     [
-        (frame(18, 0.5), "the server sent TURN where HELLO comes; it is no bench serve"),
-        (frame(99), "the server sent kind 99 where HELLO comes; it is no bench serve"),
+        (frame(18, 0.5), "expected HELLO, received TURN. Is this a 'bench serve' server?"),
+        (frame(99), "expected HELLO, received kind 99. Is this a 'bench serve' server?"),
         (b"SSH-2.0-", "the server sent 53 53 where a message begins with aa 55"),
     ],
 )
@@ -329,8 +329,8 @@ def test_a_second_client_is_told_that_another_flies(tmp_path):
 
 
 def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, capsys, monkeypatch):
-    """A flight too short for a fix has nothing to judge: no traceback, of a client as of a profile."""
-    monkeypatch.setattr("bench.plugins.hil.client_session._PATIENCE", 0.1)
+    """A flight too short for a fix has nothing to evaluate: no traceback, of a client as of a profile."""
+    monkeypatch.setattr("bench.plugins.hil.client_session.PATIENCE", 0.1)
     slow = {"sensors.gnss": "l1-code", "guidance.period_s": 0.25}
     server = Server(path, slow, gives="commands")
     with socket.create_connection(("127.0.0.1", server.port)) as line:
@@ -339,7 +339,7 @@ def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, caps
     with pytest.raises(EstimatorStoppedError) as caught:
         server.join()
     assert str(caught.value) == (
-        "the client has closed the connection after 0.3 s, nothing can be judged: "
+        "the client has closed the connection after 0.3 s, nothing can be evaluated: "
         "gnss: no epoch at 1 Hz within 0.3 s of truth; it needs a longer flight or a higher rate"
     )
     tiny = write_straight(tmp_path / "tiny.toml", 0.5)
@@ -350,7 +350,7 @@ def test_a_client_that_leaves_in_the_first_second_is_a_line(path, tmp_path, caps
 
 
 def test_a_silent_client_shuts_nobody_out(tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.plugins.hil.client_session._ALONE", 0.2)
+    monkeypatch.setattr("bench.plugins.hil.client_session.ALONE", 0.2)
     server = Server(write_straight(tmp_path / "straight.toml", 2.0), {"duration_s": 2.0}, patience=60.0)
     with socket.create_connection(("127.0.0.1", server.port)) as silent:
         silent.sendall(frame(16, 1.0)[:7])
@@ -373,16 +373,14 @@ def test_a_served_flight_is_recorded_like_a_run(path, tmp_path, capsys):
     thread.join()
     said = capsys.readouterr()
     assert "Flew 45 s with the client" in " ".join(said.err.split())
-    found = bench.load(out)
+    found = bench.read_result(out)
     assert json.loads(said.out)["in-flight"]["pos_rmse_h_m"] == found.metrics["in-flight"]["pos_rmse_h_m"]
     truth, answers = found.truth, found.solutions["in-flight"]
     assert found.provenance["served"]["ended"] == ""
     rows = np.searchsorted(truth.t, answers.t - 1e-9)
     above = answers.lla[:, 2] - truth.lla[rows, 2]
     assert ((above > 12.0) & (above < 32.0)).all()
-    believed = answers.lla[
-        answers.t > 15.0, 2
-    ].mean()  # it flies where it believes the height asked for to be
+    believed = answers.lla[answers.t > 15.0, 2].mean()  # it flies where it assumes the height asked for to be
     assert_allclose(believed, truth.lla[0, 2], atol=10.0)
     assert main(["show", str(out)]) == 0
 
@@ -409,12 +407,12 @@ def _fly_high(port):
         ({"address": "0.0.0.0:0"}, "--allow-remote"),
         ({"rate": math.nan}, "must not be negative"),
         ({"patience": 0.0}, "must be above 0"),
-        ({"truth": True}, "--truth goes with --mavlink"),
+        ({"truth": True}, "--truth needs --mavlink"),
     ],
 )
 def test_wrong_options_are_refused_before_a_client_comes(options, message, path):
     with pytest.raises(ConfigError, match=message):
-        serving.serve(config.load_profile(path, SHORT), **options)
+        serving.serve(config.read_profile(path, SHORT), **options)
 
 
 def test_the_commands_of_the_guide_and_the_help_are_right(tmp_path, monkeypatch, capsys):
@@ -437,12 +435,12 @@ def stop(*_):
 def test_a_profile_for_a_client_is_no_run(path):
     with pytest.raises(ConfigError, match="bench serve flies it"):
         bench.run(path, overrides=SHORT)
-    with pytest.raises(ConfigError, match="say how long"):
-        serving.serve(config.load_profile(path, SHORT), gives="commands")
+    with pytest.raises(ConfigError, match="Set the duration: --set duration_s"):
+        serving.serve(config.read_profile(path, SHORT), gives="commands")
     with pytest.raises(ConfigError, match=r"needs \[guidance\] navigation = \"client\"; by its name"):
-        serving.serve(config.load_profile(path))
+        serving.serve(config.read_profile(path))
     with pytest.raises(ConfigError, match="seed and overrides change nothing"):
-        serving.serve(config.load_profile(path, SHORT), seed=1)
+        serving.serve(config.read_profile(path, SHORT), seed=1)
 
 
 def test_legs_that_do_not_fit_their_duration_are_refused_before_a_client_comes(path, capsys):

@@ -19,7 +19,7 @@ RADIUS = 6_371_000.0
 
 @pytest.fixture(scope="module")
 def found():
-    return bench.study("alignment", jobs=1, draws=400, duration_s=1200.0)
+    return bench.study("alignment", jobs=1, runs=400, duration_s=1200.0)
 
 
 def columns(found, name):
@@ -92,7 +92,7 @@ def test_the_words_and_pictures_are_those_of_the_tables(found):
             drawn = np.interp(course["t_s"], line.t, np.ravel(line.values))
             assert_allclose(drawn, course[f"{name}_{k}_arcsec"], atol=1e-9)
     (route,) = plots["route"].series
-    assert route.colours == series.ESTIMATORS[:1]
+    assert route.colors == series.ESTIMATORS[:1]
     assert np.interp(1000.0, route.t, np.ravel(route.values)) == pytest.approx(1738.2, rel=1e-3)
     assert (route.t[0], route.t[-1]) == pytest.approx((1.0, 5000.0))
 
@@ -112,7 +112,7 @@ def test_59_two_vectors_tell_the_attitude_as_their_angle_allows(found):
 
 def test_the_seed_changes_the_draws_and_nothing_else():
     one, other = (
-        bench.study("alignment", jobs=1, draws=20, duration_s=60.0, angles_deg="90", seed=seed)
+        bench.study("alignment", jobs=1, runs=20, duration_s=60.0, angles_deg="90", seed=seed)
         for seed in (1, 2)
     )
     first, second = (columns(each, "vectors") for each in (one, other))
@@ -134,11 +134,11 @@ def test_what_cannot_be_asked_is_one_line(given, message):
 
 
 def test_the_interval_of_drawn_attitudes_holds_their_covariance():
-    """Of 150 studies of 40 draws about 95 % hold it, 99.9 % band; one a tenth as wide would not."""
+    """Of 150 studies of 40 runs about 95 % hold it, 99.9 % band; one a tenth as wide would not."""
     held = 0
     for seed in range(150):
         _, by_cov, drawn, low, high, _ = alignment_errors.match_at(
-            alignment_errors.Options(draws=40, seed=seed), 57.6
+            alignment_errors.Options(runs=40, seed=seed), 57.6
         )
         held += low <= by_cov <= high
         assert low * high == pytest.approx(drawn**2), "the interval is one of its logarithm"

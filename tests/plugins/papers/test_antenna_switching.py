@@ -34,14 +34,14 @@ def go_over(draw, told, look_back=1.0):
     """Fly on the nose until AT, then on the tail, which the filter takes to be where it is ``told``."""
     initial, nose, tail = records(draw)
     filter_ = bench.open_filter("loose-15", initial, look_back=look_back)
-    found = [filter_.feed(bench.take_piece(nose, -1.0, AT))]
+    found = [filter_.update(bench.slice_sensors(nose, -1.0, AT))]
     tail = replace(tail, antenna_b=np.array(told))
-    found += [filter_.feed(bench.take_piece(tail, AT, np.inf)), filter_.finish()]
+    found += [filter_.update(bench.slice_sensors(tail, AT, np.inf)), filter_.finish()]
     return joined(found)
 
 
 def nis_after(told) -> dict[str, MeanNis]:
-    """Mean NIS by sensor of the fixes in the 10 s after the change, with its 99.9 % band, over draws."""
+    """Mean NIS by sensor of the fixes in the 10 s after the change, with its 99.9 % band, over runs."""
     rows: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {"gnss_position": [], "gnss_velocity": []}
     for draw in range(DRAWS):
         found = nis_by_sensor(go_over(draw, told).innovations)
@@ -76,8 +76,8 @@ def test_who_cannot_go_over_to_another_antenna_says_so():
         ("tight", {}, satellites, "'tight' cannot go over to another antenna"),
     ):
         filter_ = bench.open_filter(use, start, options)
-        filter_.feed(bench.take_piece(data, -1.0, 3.0))
-        piece = bench.take_piece(data, 3.0, 6.0)
+        filter_.update(bench.slice_sensors(data, -1.0, 3.0))
+        piece = bench.slice_sensors(data, 3.0, 6.0)
         with pytest.raises(EstimatorError, match=words):
-            filter_.feed(replace(piece, antenna_b=np.array(TAIL)))
-        filter_.feed(piece)
+            filter_.update(replace(piece, antenna_b=np.array(TAIL)))
+        filter_.update(piece)

@@ -142,7 +142,7 @@ def step_in_half_the_digits(form, steps=60):
 
 
 def test_37_in_single_precision_the_roots_survive_fine_fixes():
-    """#37: a linear flight with fixes of a millimetre: U D, Potter, Carlson stay positive, P - K H P not."""
+    """#37: a linear flight with fixes of a millimeter: U D, Potter, Carlson stay positive, P - K H P not."""
     assert step_in_half_the_digits("conventional") < 0
     for form in ("potter", "carlson", "ud"):
         assert step_in_half_the_digits(form) > -1e-9
@@ -157,9 +157,9 @@ def other_methods(runs=20, seconds=900, seed=9):
     Each corrects the same INS errors, without feedback, by the same measurements.
     """
     rng = np.random.default_rng(seed)
-    sig, P, metres = GRADE.sigmas, FLIGHT.start(GRADE), np.ones(22)
-    metres[[0, 16]], metres[[1, 17]] = FLIGHT.reduced
-    settled = given_gains.settle_gain(P / np.outer(metres, metres), NAV, sig, (1.0, 1.0))
+    sig, P, meters = GRADE.sigmas, FLIGHT.start(GRADE), np.ones(22)
+    meters[[0, 16]], meters[[1, 17]] = FLIGHT.reduced
+    settled = given_gains.settle_gain(P / np.outer(meters, meters), NAV, sig, (1.0, 1.0))
     methods = {
         "kalman": make_form(ClassicOptions(), P),
         "fixed-gain": given_gains.ConstantGain(P, settled),
@@ -180,9 +180,9 @@ def other_methods(runs=20, seconds=900, seed=9):
             step(form, Phi, G @ G.T, 1.0)
             use(form, z, H, R, here)
             if k > 300:
-                off = (form.x - x)[:6] / metres[:6, None]
+                off = (form.x - x)[:6] / meters[:6, None]
                 squares[name] = squares[name] + np.mean(off**2, axis=1)
-                claimed[name] = claimed[name] + (np.diag(form.covariance) / metres**2)[:6]
+                claimed[name] = claimed[name] + (np.diag(form.covariance) / meters**2)[:6]
     return {
         name: [
             math.sqrt(v[part].sum() / (seconds - 300)) for v in (squares[name], claimed[name])
@@ -215,7 +215,7 @@ def use(form, z, H, R, nav):
 def test_38_the_kalman_filter_is_no_worse_than_the_other_methods():
     """#38: 20 seeds of 900 s; velocities of the others are worse by a fifth or more, and each knows its own.
 
-    What a filter claims of its velocity is within the 99.9 % band of 20 flights, taken with the 20 degrees
+    What a filter reports of its velocity is within the 99.9 % band of 20 flights, taken with the 20 degrees
     of freedom that one error a flight has.
     """
     found = other_methods()
@@ -257,10 +257,10 @@ def test_38_every_loop_of_the_complementary_filter_has_two_poles_where_they_are_
 
 def test_38_the_fixed_gain_turns_with_the_course():
     """#38: the closed loop has the same poles on every course, nine of them inside the unit circle."""
-    metres = np.ones(22)
-    metres[[0, 16]], metres[[1, 17]] = FLIGHT.reduced
+    meters = np.ones(22)
+    meters[[0, 16]], meters[[1, 17]] = FLIGHT.reduced
     P = FLIGHT.start(GRADE)
-    settled = given_gains.settle_gain(P / np.outer(metres, metres), NAV, GRADE.sigmas, (1.0, 1.0))
+    settled = given_gains.settle_gain(P / np.outer(meters, meters), NAV, GRADE.sigmas, (1.0, 1.0))
     form = given_gains.ConstantGain(P, settled)
     poles = [
         np.sort(np.abs(np.linalg.eigvals(close_loop(form, course)[0]))) for course in (0.0, 0.8, 2.5, -1.2)
@@ -288,7 +288,7 @@ def test_38_the_fading_fit_is_the_batch_solution():
         east, north = FLIGHT.reduced
         spread = process_model.per_axis(sig.markov) * [east, north, 1, 1, 1, 1]
         rows += [now, H[:, :n] @ now]
-        seen += [Phi[:n, :n] @ fit.x[:n], z]  # P0 keeps its weight about what is believed
+        seen += [Phi[:n, :n] @ fit.x[:n], z]  # P0 keeps its weight about what is assumed
         weights = [kept * w for w in weights]
         weights += [(1 - kept) / sd**2, 1 / (np.diag(R) + np.append(0.0, spread) ** 2)]
         fit.predict(Phi, np.zeros((22, 22)), 1.0)
@@ -300,16 +300,16 @@ def test_38_the_fading_fit_is_the_batch_solution():
 
 
 def metric_start():
-    """Return the covariance of the start in metres, and of each state its metres."""
-    metres = np.ones(22)
-    metres[[0, 16]], metres[[1, 17]] = FLIGHT.reduced
-    return FLIGHT.start(GRADE) / np.outer(metres, metres), metres
+    """Return the covariance of the start in meters, and of each state its meters."""
+    meters = np.ones(22)
+    meters[[0, 16]], meters[[1, 17]] = FLIGHT.reduced
+    return FLIGHT.start(GRADE) / np.outer(meters, meters), meters
 
 
 @pytest.mark.parametrize("rates", [(1.0, 1.0), (0.0, 2.0)])
 def test_38_the_settled_gain_is_that_of_the_information_filter(rates):
     """#38: the inverse of P is carried on, without the states of the IMU, whose errors are noise."""
-    sig, (P, metres) = GRADE.sigmas, metric_start()
+    sig, (P, meters) = GRADE.sigmas, metric_start()
     K, T = given_gains.settle_gain(P, NAV, sig, rates), 1.0 / max(rates)
     kept = np.setdiff1d(np.arange(22), np.arange(9, 15))
     part = np.ix_(kept, kept)
@@ -317,7 +317,7 @@ def test_38_the_settled_gain_is_that_of_the_information_filter(rates):
     north = replace_nav(NAV, np.array([0.0, speed, 0.0]))
     earth = given_gains.ellipsoid(NAV.lat, NAV.h)
     Phi, Q = process_model.model_van_loan(north, earth, [0.0, 0.0, earth.g], sig, T)
-    Phi, Q, P = (Phi * metres / metres[:, None])[part], (Q / np.outer(metres, metres))[part], P[part]
+    Phi, Q, P = (Phi * meters / meters[:, None])[part], (Q / np.outer(meters, meters))[part], P[part]
     Q[range(3, 9), range(3, 9)] += 10.0 * T * np.repeat([sig.da**2, sig.eps**2], 3)
     H = given_gains.measurement_matrix()[:7]
     root = given_gains.measurement_noise(sig, 1.0, 1.0, False)[:7]
@@ -378,10 +378,10 @@ def test_38_rates_are_those_of_what_was_recorded(minutes):
         data.specs, gnss=replace(data.specs.gnss, rate=5.0), baro=replace(data.specs.baro, rate=2.0)
     )
     data = replace(data, specs=specs)
-    assert given_gains._rates(data) == (5.0, 2.0)
-    assert given_gains._rates(replace(data, baro=None)) == (5.0, 0.0)
-    assert given_gains._rates(replace(data, fixes=None)) == (0.0, 2.0)
-    assert given_gains._rates(replace(data, specs=replace(specs, gnss=None, baro=None))) == (0.0, 0.0)
+    assert given_gains.find_rates(data) == (5.0, 2.0)
+    assert given_gains.find_rates(replace(data, baro=None)) == (5.0, 0.0)
+    assert given_gains.find_rates(replace(data, fixes=None)) == (0.0, 2.0)
+    assert given_gains.find_rates(replace(data, specs=replace(specs, gnss=None, baro=None))) == (0.0, 0.0)
 
 
 def test_38_the_fading_fit_by_parts():

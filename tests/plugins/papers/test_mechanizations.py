@@ -62,7 +62,7 @@ def test_1_nhe_and_enu_are_one_trajectory(banked):
     assert np.abs(nhe[:, 2] - enu[:, 2]).max() < 1e-6
 
 
-def test_1_an_hour_at_rest_is_below_a_centimetre():
+def test_1_an_hour_at_rest_is_below_a_centimeter():
     q_nb = rotation.from_euler(0.02, -0.03, 2.0)
     start = np.array([0.9, 0.3, 200.0, 0.0, 0.0, 0.0, *q_nb])
     C_bn = rotation.matrix(q_nb).T
@@ -155,7 +155,7 @@ def test_4_three_rates(flat):
 @pytest.mark.parametrize(
     ("rates", "told"),
     [
-        (Rates(fast=30), "fast rate, 30 Hz, must divide that of the IMU, 100 Hz"),
+        (Rates(fast=30), "fast rate, 30 Hz, must divide the rate of the IMU, 100 Hz"),
         (Rates(50, 20), "medium rate, 20 Hz, must divide"),
         (Rates(100, 100, 0.0), "slow rate, 0 Hz"),
         (Rates(10), "1 to 4 samples"),
@@ -357,8 +357,8 @@ def test_10_series_of_gravity():
     assert 15 < worst["simple"][1] < 60
 
 
-def test_10_series_cost_metres_in_300_s(banked):
-    """The long series nothing, the short one centimetres, simple gravity its error twice integrated."""
+def test_10_series_cost_meters_in_300_s(banked):
+    """The long series nothing, the short one centimeters, simple gravity its error twice integrated."""
     nav, dtheta, dvel = banked
 
     def off(**options):

@@ -112,7 +112,7 @@ def test_what_an_algorithm_costs_by_hand(monkeypatch):
     monkeypatch.setattr(mechanization_costs, "navigate", lambda *given, **options: motion)
     seconds = iter([100.0, 100.5])
     monkeypatch.setattr(mechanization_costs.time, "process_time", lambda: next(seconds))
-    flight = mechanization_costs._TrueFlight(
+    flight = mechanization_costs.TrueFlight(
         np.tile(start, (1001, 1)), np.zeros((1000, 3)), np.zeros((1000, 3)), 0.01
     )
     found = flight.fly("ned")

@@ -107,7 +107,7 @@ def test_18_f_is_the_jacobian_of_the_mechanization(figure):
 
 
 def test_18_linear_and_nonlinear_errors_agree_over_1200_s():
-    """The effect test of A-5.1.10: below 0.05 m; f6,3 with the printed sign misses by tens of metres."""
+    """The effect test of A-5.1.10: below 0.05 m; f6,3 with the printed sign misses by tens of meters."""
     V, course_, h = 228.0, 0.8, 9000.0
     B = equations.body_to_enu(course_, 0.0, 0.0)
     V_n = V * np.array([math.sin(course_), math.cos(course_), 0.0])
@@ -211,7 +211,7 @@ def test_20_sigmas_do_not_depend_on_the_step(discretize):
 def test_34_a_linear_flight_is_consistent():
     """Grade 3, 200 runs of 900 s: NIS 7 +- 0.1, NEES 22 +- 1.5 (3.3 sigma of 200 runs: 1.55).
 
-    A receiver twice as noisy in velocity as the filter believes leaves both.
+    A receiver twice as noisy in velocity as the filter assumes leaves both.
     """
     nis, nees = draw_consistency(200)
     assert abs(nis - 7) < 0.1
@@ -305,7 +305,7 @@ def test_36_josephs_form_stays_positive_over_1e5_updates():
     assert np.linalg.eigvalsh(correlation).min() > 0
 
 
-# --- what the estimator does with it: #39 to #45 ----------------------------------------------------------
+# --- what the filter does with it: #39 to #45 ----------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -332,15 +332,15 @@ def faulted(data, record, **columns):
     return replace(data, **{record: type(old)(**{**kept, **columns})})
 
 
-def shifted(data, metres):
-    """Fixes moved north by metres (M,)."""
+def shifted(data, meters):
+    """Fixes moved north by meters (M,)."""
     lla = data.fixes.lla.copy()
-    lla[:, 0] += metres / 6.37e6
+    lla[:, 0] += meters / 6.37e6
     return faulted(data, "fixes", lla=lla)
 
 
 def epochs(solution, sensor):
-    """Instants and acceptance of a sub-vector."""
+    """Epochs and acceptance of a sub-vector."""
     v = solution.innovations
     one = (v.code == v.sensor.index(sensor)) & (v.component == 0)
     return v.t[one], v.accepted[one]
@@ -358,7 +358,7 @@ def test_39_no_variance_falls_below_the_floor(minutes, sound):
     assert (high.extra_sd[:, :3] >= floor * gyro * (1 - 1e-9)).all()
 
 
-def test_39_with_a_floor_the_filter_recovers_faster_from_an_unmodelled_step(minutes, sound):
+def test_39_with_a_floor_the_filter_recovers_faster_from_an_unmodeled_step(minutes, sound):
     """The barometer jumps by 8 m, no test looks: height is back within 1 m after 5.5 s; without, never."""
     _, sensed = minutes
     baro = sensed.data.baro
@@ -435,7 +435,7 @@ def test_41_a_ramp_of_1_m_s_is_refused_late_or_never(minutes, sound):
     """From 40 s on, 80 m at the end: seen after 9 s by the NIS of a receiver with 1.5 m of white noise.
 
     An epoch's NIS does not see slow ramps: what passes pulls the filter along, and what is used again after
-    ten refusals takes it all the way.
+    ten rejections takes it all the way.
     """
     _, sensed = minutes
     fixes = sensed.data.fixes
@@ -452,7 +452,7 @@ def test_41_a_ramp_of_1_m_s_is_refused_late_or_never(minutes, sound):
 
 @pytest.mark.parametrize("name", ["classic-22", "gnss-only", "loose-15", "loose-22", "loose-mems", "ukf"])
 def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
-    """A step that stays: refused for readmit_after_s, then P grows and the filter goes there."""
+    """A step that stays: rejected for readmit_after_s, then P grows and the filter goes there."""
     _, sensed = minutes
     fixes = sensed.data.fixes
     data = shifted(sensed.data, np.where(fixes.t >= 59.5, 200.0, 0.0))
@@ -467,9 +467,9 @@ def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
 
 @pytest.mark.parametrize("name", ["classic-22", "loose-15", "loose-22", "ukf"])
 def test_41_position_and_velocity_are_taken_back_together(minutes, name):
-    """200 m north and 10 m/s off, as after a stretch flown blind: refused four times, then both believed.
+    """200 m north and 10 m/s off, as after a segment flown blind: rejected four times, then both assumed.
 
-    The attitude pays for neither: it stays within what is claimed of it, and that below a degree of tilt.
+    The attitude pays for neither: it stays within what is reported of it, and that below a degree of tilt.
     """
     truth, sensed = minutes
     fixes = sensed.data.fixes
@@ -522,7 +522,7 @@ def test_43_the_table_of_correction_periods(limit, start, gyro, accel, period, p
 
 
 def test_43_the_attitude_error_never_exceeds_the_admissible_one():
-    """100 draws at their bounds, carried for the period by the full F: below 1 deg, one of them near it."""
+    """100 runs at their bounds, carried for the period by the full F: below 1 deg, one of them near it."""
     rng = np.random.default_rng(4)
     limit, start, gyro, accel = 1.0 * DEG, 0.5 * DEG, 10 * DEG / 3600, 5e-3 * G0
     period = integrity.correction_period(limit, start, gyro, accel)

@@ -78,7 +78,7 @@ LIMITS = {
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.measure], ids=lambda row: str(row.number))
 def test_what_takes_seconds_is_computed_and_holds(row, monkeypatch):
-    monkeypatch.setattr(register_flights, "_FLIGHTS", 2)
+    monkeypatch.setattr(register_flights, "FLIGHTS", 2)
     found = row.measure()
     assert found.holds, found.ours
     for one, limits in zip(found.checks, LIMITS[row.number], strict=True):
@@ -111,10 +111,10 @@ def watch_by_hand(run, alerts=0):
 )
 def test_row_33_holds_a_count_of_the_seconds_against_the_study(monkeypatch, name, wrong):
     made = SimpleNamespace(name="made", evaluation=EvaluationWindow())
-    monkeypatch.setattr(rnp, "_read", lambda options: made)
-    monkeypatch.setattr(rnp, "_load", lambda *args: (made, SimpleNamespace(t=np.arange(600.0)), None))
+    monkeypatch.setattr(rnp, "make_profile", lambda options: made)
+    monkeypatch.setattr(rnp, "load_flight", lambda *args: (made, SimpleNamespace(t=np.arange(600.0)), None))
     monkeypatch.setattr(rnp, "watch_run", watch_by_hand)
-    monkeypatch.setattr(register_flights, "_FLIGHTS", 2)
+    monkeypatch.setattr(register_flights, "FLIGHTS", 2)
     found = register_flights.require_performance()
     assert found.holds, found.ours
     assert found.ours.startswith("2 flights, 0.33 h: availability 1 (0.22 to 1, undecided)")

@@ -58,7 +58,7 @@ CURVES = ("line", "parabola", "schuler")
 
 
 def test_46_a_curve_through_the_errors_goes_on_through_an_outage():
-    """#46: 60 s without fixes, 50 draws: a parabola leaves less than 0.3 of the INS error.
+    """#46: 60 s without fixes, 50 runs: a parabola leaves less than 0.3 of the INS error.
 
     For a matched model it does not beat the filter's own prediction; a curve drawn through noise goes astray.
     """
@@ -80,7 +80,7 @@ def test_46_the_estimator_takes_the_curve_in_an_outage(curve):
     before = plain.t < 40.8  # 2.5 intervals after the last fix, of 39.5 s
     np.testing.assert_array_equal(ours.lla[before], plain.lla[before])
     sd, of_plain = (np.sqrt(np.einsum("kii->ki", one.cov)) for one in (ours, plain))
-    assert_allclose(sd, of_plain, rtol=0.01)  # only in metres at another place, tilts turned with the heading
+    assert_allclose(sd, of_plain, rtol=0.01)  # only in meters at another place, tilts turned with the heading
     off = np.linalg.norm(difference_n(ours.lla, plain.lla)[~before, :2], axis=1)
     assert (off > 0).all()
     assert off[-1] < 500.0

@@ -25,7 +25,7 @@ from bench.simulation.sensors.gnss import compute_antenna_motion
 from tests.navigation.test_tight import taken
 from tests.weaving import units, weaving
 
-GNSS = config.load_profile("figure-eight", {"sensors.gnss": "sky-multi"}).sensors.gnss
+GNSS = config.read_profile("figure-eight", {"sensors.gnss": "sky-multi"}).sensors.gnss
 BEGIN = 1451304000.0  # of the run, in GPS time since 1980-01-06 [s]
 LOG = f"""
 [imu]
@@ -71,7 +71,7 @@ def read_back(folder, gnss=GNSS):
 
 
 def test_the_ranges_of_a_run_come_back_with_their_satellites_and_noise(flown):
-    """To the rounding of RINEX, 1 mm, 1 mHz, 1e-7 s and 12 digits; the messages fit to a millimetre."""
+    """To the rounding of RINEX, 1 mm, 1 mHz, 1e-7 s and 12 digits; the messages fit to a millimeter."""
     folder, sensed, _ = flown
     o = sensed.data.observations
     back = read_back(folder).observations
@@ -116,7 +116,7 @@ def test_what_no_reader_of_ours_takes_from_a_message_is_that_of_its_system(flown
 
 
 def test_tight_finds_from_rinex_what_it_finds_from_the_run(flown):
-    """3 mm and 0.2 mm/s; with times that are late by the clock of the receiver it would be a decimetre."""
+    """3 mm and 0.2 mm/s; with times that are late by the clock of the receiver it would be a decimeter."""
     folder, sensed, _ = flown
     back = read_back(folder).observations
     data = replace(sensed.data, observations=replace(back, gps_t0=sensed.data.observations.gps_t0))
@@ -144,7 +144,7 @@ def test_fixes_of_ranges_without_errors_are_the_truth_to_the_rounding(tmp_path):
 
 def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
     folder, _, truth = flown
-    result = bench.navigate_log(folder / "log.toml")
+    result = bench.navigate(folder / "log.toml")
     seen = result.records["sensed"].data.observations
     withheld, begin = result.records["withheld"], result.more["log"]["origin_s"]
     assert abs(seen.gps_t0 - flown[1].data.observations.gps_t0 - begin) < 1e-6
@@ -152,7 +152,7 @@ def test_a_log_navigates_ranges_beside_the_fixes_of_the_same_receiver(flown):
     assert set(seen.t) <= set(sky.t)
     assert sky.used.sum() > 3000
     assert len(withheld) > 20
-    assert np.abs(np.unique(seen.t)[:, None] - withheld.t).min() > 0.5  # what judges is kept from tight
+    assert np.abs(np.unique(seen.t)[:, None] - withheld.t).min() > 0.5  # what evaluates is kept from tight
     assert result.metrics["tight"]["verdict"] == "consistent"
     for label, solution in result.solutions.items():
         rows = np.searchsorted(truth.t, solution.t + result.more["log"]["origin_s"] - 1e-6)
@@ -243,7 +243,7 @@ def test_epochs_whose_place_nothing_tells_are_left_out_with_a_word(flown, tmp_pa
 
 
 def test_messages_of_glonass_are_at_quarters_of_an_hour_in_utc(flown, tmp_path):
-    """RTKLIB (`decode_geph`) rounds their times to these: others would put satellites kilometres away."""
+    """RTKLIB (`decode_geph`) rounds their times to these: others would put satellites kilometers away."""
     folder, sensed, _ = flown
     o = sensed.data.observations
     export(tmp_path, replace(sensed.data, observations=replace(o, gps_t0=o.gps_t0 + 405.0)), sensed.initial)
@@ -279,7 +279,7 @@ def test_without_doppler_the_reason_is_told(flown, tmp_path):
     (tmp_path / "run.obs").write_text(text.replace(" D1C", " L1C").replace(" D2I", " L2I"))
     (tmp_path / "log.toml").write_text(LOG)
     with pytest.raises(EstimatorError, match="there is none in log: no satellite has both a range and a Dop"):
-        bench.navigate_log(tmp_path / "log.toml")
+        bench.navigate(tmp_path / "log.toml")
 
 
 def test_a_datasheet_without_sky_gives_fixes_alone(flown, tmp_path):
@@ -288,7 +288,7 @@ def test_a_datasheet_without_sky_gives_fixes_alone(flown, tmp_path):
         (tmp_path / name).symlink_to(folder / name)
     (tmp_path / "log.toml").write_text(LOG.replace("sky-multi", "zed-f9p"))
     with pytest.raises(EstimatorError, match=r"in log: \[sensors.assumed\] gnss has no \[sky\]"):
-        bench.navigate_log(tmp_path / "log.toml")
+        bench.navigate(tmp_path / "log.toml")
     records = read_records(load_log(str(tmp_path / "log.toml")))
     assert records.observations is None
     assert any("gnss has no [sky]: filters get its fixes" in note for note in records.notes)

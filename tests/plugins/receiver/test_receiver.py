@@ -79,7 +79,7 @@ def test_a_truth_of_a_part_of_the_fixes_draws_that_part(solved, tmp_path):
         bench.solve_rinex(*map(gnss_file, FILES), truth=str(tmp_path / f"{name}.csv"))
         for name in ("part", "none")
     )
-    assert "the truth covers 15 of 48 fixes: the others are not judged" in part.notes
+    assert "the truth covers 15 of 48 fixes: the others are not evaluated" in part.notes
     write_fixes(tmp_path / "part.rrd", part)
     t, _ = column(tmp_path / "part.rrd", "/track/fix", "Points2D:positions")
     assert_allclose(t, 1800.0 * np.arange(5, 20))

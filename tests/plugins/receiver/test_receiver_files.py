@@ -127,7 +127,7 @@ def test_the_two_messages_of_galileo_agree():
 
 
 def test_geostationary_satellites_of_beidou_stand_still():
-    """C05 over 58.75 deg east, 42 164 km from the centre; its velocity is the derivative of its position."""
+    """C05 over 58.75 deg east, 42 164 km from the center; its velocity is the derivative of its position."""
     nav = ephemerides.read_navigation(stored_gnss_file(ESBC[1]))
     rows = np.flatnonzero(nav.beidou.sat == 5)[[0, 5, 10]]
     t = nav.beidou.t[rows] + 1200.0
@@ -371,7 +371,7 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     against = bench.solve_rinex(*(stored_gnss_file(n) for n in SEPT), truth=track).figures()
     assert against["3d_95_m"] < 2e-3  # its own fixes
     assert main(["fixes", *files, "--truth", "91,0,0"]) == 2
-    assert "is no place on Earth" in capsys.readouterr().err
+    assert "of a place on Earth" in capsys.readouterr().err
     assert main(["fixes", files[0]]) == 2
     assert "no file of observations is among them" in capsys.readouterr().err
 
@@ -420,7 +420,7 @@ def draw_band(t, share=0.0):
 def test_short_records_are_one_draw_of_errors_that_stay(monkeypatch):
     """Monte Carlo of whole records; every station is in its band.
 
-    For a day that is 0.56 to 1.7; for ten minutes nearly one draw of a chi-square of three: 0.07 to 3.1.
+    For a day that is 0.56 to 1.7; for ten minutes nearly one run of a chi-square of three: 0.07 to 3.1.
     """
     for files in (ESBC, OPEC, KMS3):
         assert_allclose(read_band(solved(files)), draw_band(solved(files).observations.t), rtol=0.06)
@@ -514,7 +514,7 @@ def test_epochs_with_a_false_time_have_no_fix(tmp_path):
     path.write_text("\n>".join([head, *epochs]))
     found = bench.solve_rinex(path, stored_gnss_file(ESBC[1]), systems="both")
     assert found.fixes.valid.tolist() == [k % 2 == 0 for k in range(48)]
-    words = "the ranges do not agree with one position, and too few of them agree to tell which are wrong"
+    words = "the ranges do not agree with one position, and too few of them agree to show which are wrong"
     assert found.count_lost() == {words: 24}
 
 

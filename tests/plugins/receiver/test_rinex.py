@@ -241,7 +241,7 @@ def test_one_clock_for_both_systems_costs_a_third():
 
 
 def test_claimed_covariance_covers_the_real_errors():
-    """95 % containment of the horizontal error by the claimed ellipse: the budget is no optimist."""
+    """95 % containment of the horizontal error by the reported ellipse: the budget is no optimist."""
     found = solved(ESBC)
     error, cov = found.errors()[:, :2], found.fixes.cov_pos_n[:, :2, :2]
     d2 = np.einsum("mi,mij,mj->m", error, np.linalg.inv(cov), error)
@@ -363,10 +363,10 @@ def test_the_time_of_the_header_counts(tmp_path, system, late):
 def test_numbers_without_an_exponent_letter_and_weeks(tmp_path):
     nav = ephemerides.read_navigation(written(tmp_path, NAV_2))
     assert nav.gps.t[0] == lines.gps_seconds(2012, 10, 31)
-    assert lines._parse_number("0.499063314480-269") == 0.499063314480e-269
-    assert lines._parse_number("-1.5+02") == -150.0
-    assert lines._parse_number("1_000.0") is None
-    assert lines._parse_number("nan") is None
+    assert lines.parse_fortran("0.499063314480-269") == 0.499063314480e-269
+    assert lines.parse_fortran("-1.5+02") == -150.0
+    assert lines.parse_fortran("1_000.0") is None
+    assert lines.parse_fortran("nan") is None
 
 
 def test_glonass_times_are_utc_with_or_without_leap_seconds_in_the_header(tmp_path):

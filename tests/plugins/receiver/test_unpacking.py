@@ -204,13 +204,13 @@ def test_an_orbit_file_with_too_many_positions_or_a_power_is_told(tmp_path, monk
     path = tmp_path / "a.sp3"
     path.write_bytes(gzip.decompress(packed).replace(b"++         5", b"++         \xb2", 1))
     assert len(read_precise_orbits(path).names) == 20
-    monkeypatch.setattr(precise_orbits, "_MOST_POSITIONS", 100)
+    monkeypatch.setattr(precise_orbits, "MOST_POSITIONS", 100)
     with pytest.raises(ConfigError, match="more than 100 positions of satellites"):
         read_precise_orbits(path)
 
 
 def test_a_track_with_too_many_elements_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(model_files, "_MOST_ELEMENTS", 1000)
+    monkeypatch.setattr(model_files, "MOST_ELEMENTS", 1000)
     (tmp_path / "a.gpx").write_bytes(b"<gpx>" + b"<a/>" * 1000 + b"</gpx>")
     with pytest.raises(ConfigError, match="more than 1000 elements"):
         read_track(tmp_path / "a.gpx")

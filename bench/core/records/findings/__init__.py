@@ -61,9 +61,9 @@ class Findings:
     verdicts: tuple[str, ...]  # sentences
     tables: tuple[FindingTable, ...]
     figures: tuple[Plot, ...]  # the last part of each path names its file
-    draws: int = 0  # noise draws behind each figure with an interval; 0: nothing is drawn
+    runs: int = 0  # runs behind each figure with an interval; 0: nothing is drawn
     good: bool = True  # no verdict is negative
-    undecided: bool = False  # what was asked cannot be told from so few draws
+    undecided: bool = False  # what was asked cannot be told from so few runs
 
 
 def join_findings(found: Mapping[str, Findings]) -> Findings:
@@ -82,7 +82,7 @@ def join_findings(found: Mapping[str, Findings]) -> Findings:
             for name, one in found.items()
             for plot in one.figures
         ),
-        max(one.draws for one in found.values()),
+        max(one.runs for one in found.values()),
         all(one.good for one in found.values()),
         any(one.undecided for one in found.values()),
     )

@@ -13,7 +13,7 @@ STYLES: Mapping[Kind, str] = {"good": "green", "wide": "yellow", "bad": "bold re
 
 
 class VerdictLook(NamedTuple):
-    """The class of a verdict, and a sign for those who do not see colours."""
+    """The class of a verdict, and a sign for those who do not see colors."""
 
     kind: Kind
     mark: str
@@ -31,7 +31,7 @@ LOOKS: Mapping[str, VerdictLook] = {
     **dict.fromkeys(("overconfident", "diverged", "failed", "incomplete", "worse", "missed"), _BAD),
     "underconfident": VerdictLook("wide", "△"),
     "undecided": VerdictLook("wide", "?"),
-    **dict.fromkeys(("no claim", "not judged", "same"), VerdictLook("none", "–")),
+    **dict.fromkeys(("no covariance", "not evaluated", "same"), VerdictLook("none", "–")),
 }
 """Word of a verdict -> its look."""
 

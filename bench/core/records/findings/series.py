@@ -1,4 +1,4 @@
-"""What a plot is made of: lines, bands and dots in their colours, and the intervals shaded behind them."""
+"""What a plot is made of: lines, bands and dots in their colors, and the intervals shaded behind them."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.records.data import Events
-from bench.core.words.palette import FIXES, SLOTS, Colour, choose_looks
+from bench.core.words.palette import FIXES, SLOTS, Color, choose_looks
 
-TRUTH: Colour = SLOTS[0].dark
-FIX: Colour = FIXES.dark
-OUTAGE: Colour = (255, 150, 0)
-FAULT: Colour = (225, 70, 225)
-REJECTED: Colour = (255, 60, 60)
-BAND: Colour = (150, 150, 150)
-AXIS_COLOURS: tuple[Colour, ...] = (SLOTS[2].dark, SLOTS[4].dark, SLOTS[1].dark)  # x, y, z and n, e, d
-ESTIMATORS: tuple[Colour, ...] = tuple(slot.dark for slot in SLOTS[1:])
+TRUTH: Color = SLOTS[0].dark
+FIX: Color = FIXES.dark
+OUTAGE: Color = (255, 150, 0)
+FAULT: Color = (225, 70, 225)
+REJECTED: Color = (255, 60, 60)
+BAND: Color = (150, 150, 150)
+AXIS_COLORS: tuple[Color, ...] = (SLOTS[2].dark, SLOTS[4].dark, SLOTS[1].dark)  # x, y, z and n, e, d
+ESTIMATORS: tuple[Color, ...] = tuple(slot.dark for slot in SLOTS[1:])
 
 MOST_ROWS = 25.0
 """Poses and plots hold at most this many rows a second [Hz]."""
@@ -51,10 +51,10 @@ class Series:
     t: FloatArray  # (N,) [s]
     values: FloatArray  # (N, k), a column per line, in the unit of the plot
     names: tuple[str, ...]  # k, for the legend
-    colours: tuple[Colour, ...]  # k
+    colors: tuple[Color, ...]  # k
     widths: tuple[float, ...]  # k [points of the screen]
     marks: bool = False  # dots instead of lines
-    band: tuple[int, int] | None = None  # the lines between which a claim or an expectation lies
+    band: tuple[int, int] | None = None  # the lines between which a covariance or an expectation lies
     most: float = np.inf  # rows a second that are enough to show it [Hz]
     labels: tuple[str, ...] = ()  # N, beside the dots; empty: none
     dashed: bool = False
@@ -64,7 +64,7 @@ class Series:
 class Plot:
     """One plot: its place among all, the title with the unit, and what it shows."""
 
-    path: tuple[str, ...]  # such as ("estimators", "loose-15", "position", "north")
+    path: tuple[str, ...]  # such as ("filters", "loose-15", "position", "north")
     title: str
     series: tuple[Series, ...]
     scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]
@@ -185,9 +185,9 @@ def shorten(series: Series) -> Series:
     return shown
 
 
-def estimator_colours(labels: Iterable[str]) -> dict[str, Colour]:
-    """Return the colour each estimator has in every view."""
-    return {label: look.colour for label, look in choose_looks(labels).items()}
+def estimator_colors(labels: Iterable[str]) -> dict[str, Color]:
+    """Return the color each filter has in every view."""
+    return {label: look.color for label, look in choose_looks(labels).items()}
 
 
 def round_number(value: float) -> float:
@@ -202,9 +202,9 @@ def round_number(value: float) -> float:
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= value))
 
 
-def paler(colour: Colour) -> Colour:
-    """Return the colour of the 3 sigma lines that belong to a line of this colour."""
-    return tuple((c + g) // 2 for c, g in zip(colour, BAND, strict=True))  # type: ignore[return-value]
+def paler(color: Color) -> Color:
+    """Return the color of the 3 sigma lines that belong to a line of this color."""
+    return tuple((c + g) // 2 for c, g in zip(color, BAND, strict=True))  # type: ignore[return-value]
 
 
 def draw_line(
@@ -212,13 +212,13 @@ def draw_line(
     t: FloatArray,
     values: FloatArray,
     name: str,
-    colour: Colour,
+    color: Color,
     most: float = SLOW,
     *,
     dashed: bool = False,
 ) -> Series:
     """Return one line, for which so many rows a second are enough [Hz]."""
-    return shorten(Series(key, t, values[:, None], (name,), (colour,), (1.5,), most=most, dashed=dashed))
+    return shorten(Series(key, t, values[:, None], (name,), (color,), (1.5,), most=most, dashed=dashed))
 
 
 def draw_dots(
@@ -226,19 +226,19 @@ def draw_dots(
     t: FloatArray,
     values: FloatArray,
     name: str,
-    colour: Colour,
+    color: Color,
     size: float = 1.5,
     labels: tuple[str, ...] = (),
 ) -> Series:
     """Return a dot for each value, with names (N,) beside them if there are."""
-    dots = Series(key, t, values[:, None], (name,), (colour,), (size,), marks=True, labels=labels)
+    dots = Series(key, t, values[:, None], (name,), (color,), (size,), marks=True, labels=labels)
     return dots if labels else shorten(dots)
 
 
 def find_gaps(t: FloatArray) -> IntArray:
     """Return the rows (K,) of times (N,) before which much more than the usual interval has passed.
 
-    Usual in the whole record and among its neighbours: a stretch of slower rows is no row of gaps. Rows of
+    Usual in the whole record and among its neighbors: a segment of slower rows is no row of gaps. Rows of
     the same time, such as those of several satellites, have no interval.
     """
     rows = np.flatnonzero(np.diff(t) > 0.0) + 1
@@ -274,15 +274,15 @@ def draw_three_sigma(
     value: FloatArray,
     sd: FloatArray,
     name: str,
-    colour: Colour,
+    color: Color,
     around: FloatArray | float = 0.0,
     most: float = MOST_ROWS,
 ) -> Series:
     """Return a value, and 3 sigma either side of zero or of other values; ``most`` rows a second [Hz]."""
     t, values = break_at_gaps(t, np.column_stack([value, around + 3.0 * sd, around - 3.0 * sd]))
-    names, pale = (name, "±3σ", "±3σ"), paler(colour)
+    names, pale = (name, "±3σ", "±3σ"), paler(color)
     widths = (1.5, 1.0, 1.0)
-    return shorten(Series(key, t, values, names, (colour, pale, pale), widths, band=(1, 2), most=most))
+    return shorten(Series(key, t, values, names, (color, pale, pale), widths, band=(1, 2), most=most))
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,7 +291,7 @@ class Shade:
 
     key: str  # its name within each plot
     name: str  # for the legend
-    colour: Colour
+    color: Color
     intervals: tuple[tuple[float, float], ...]  # (start, end) [s]
 
 
@@ -299,7 +299,7 @@ def shades(events: Events) -> tuple[Shade, ...]:
     """Return what is shaded: where GNSS is lost, and where faults are scripted."""
     told = (("outage", "GNSS outage", OUTAGE, "gnss_outage"), ("fault", "fault", FAULT, "fault"))
     found = (
-        Shade(key, name, colour, tuple((start, end) for start, end, _ in events.select(kind)))
-        for key, name, colour, kind in told
+        Shade(key, name, color, tuple((start, end) for start, end, _ in events.select(kind)))
+        for key, name, color, kind in told
     )
     return tuple(shade for shade in found if shade.intervals)

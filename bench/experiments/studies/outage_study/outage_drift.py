@@ -2,10 +2,10 @@
 
 Measured: an aerosonde flies a figure-eight and S-turns, then GNSS is lost while it flies straight, turns on
 and on, or climbs, or flights of your own from their first [[gnss_outage]] on; the horizontal growth of the
-error over noise draws, with its interval. Beside it the closed form of the datasheet along the headings that
+error over runs, with its interval. Beside it the closed form of the datasheet along the headings that
 are flown, by source: biases and noise of a calibrated unit, and the velocity error of the receiver, which no
 filter tells from motion. The error itself, with what it was at the loss, is held against what the filter
-claims. By grade: the covariance of the 22-state filter on the flight of equations 7.1 (`outage_grades`).
+covariances. By grade: the covariance of the 22-state filter on the flight of equations 7.1 (`outage_grades`).
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from bench.experiments.studies.outage_study.outage_tables import fill_drifts, pl
 from bench.experiments.studies.study import Count, Durations, FlightOptions, Positive, StudyWorkers, Words
 from bench.experiments.studies.unit_study.catalog_units import find_units
 from bench.io import results
-from bench.io.config import load_profile
+from bench.io.config import read_profile
 
 STUDY = 2, "outages"
 QUESTION = "How far does the position drift without GNSS, by unit and by phase of flight?"
 
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]
-_LATER = 2.0  # so long GNSS stays lost after the last instant that counts [s]
+_LATER = 2.0  # so long GNSS stays lost after the last time that counts [s]
 _AFTER = 5.0  # and the flight goes on [s]
 _PRELUDE: tuple[dict[str, Any], ...] = (
     {"kind": "straight", "duration_s": 30.0},
@@ -76,12 +76,12 @@ class Options(FlightOptions):
     """the filter, a built-in one"""
     gnss: str | None = None
     """the receiver, of the catalog or a file; left out: l1-code, or that of the profiles"""
-    draws: Count = 10
-    """noise draws of each unit and phase"""
+    runs: Count = 10
+    """runs of each unit and phase"""
 
 
 @dataclass(frozen=True)
-class _Task:
+class DriftRun:
     """One run for a worker."""
 
     profile: Profile
@@ -107,15 +107,15 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     work.map("flying", fly, list(flights.values()))
     grids = {phase: make_grid(flight, elapsed) for phase, flight in flights.items()}
     tasks = [
-        _Task(profile, results.truth_key(profile.flight), k, grids[phase])
+        DriftRun(profile, results.truth_key(profile.flight), k, grids[phase])
         for (_, phase), profile in profiles.items()
-        for k in range(options.draws)
+        for k in range(options.runs)
     ]
     found = work.map(f"{options.estimator} without GNSS", measure_growth, tasks, first=[0])
     drifts = {
         case: Drift(
             np.array(grids[case[1]]),
-            np.stack(found[k * options.draws : (k + 1) * options.draws]),
+            np.stack(found[k * options.runs : (k + 1) * options.runs]),
             find_law(profile, grids[case[1]]),
         )
         for k, (case, profile) in enumerate(profiles.items())
@@ -131,17 +131,17 @@ def run(options: Options, work: StudyWorkers) -> Findings:
             fill_grades(grades, elapsed, limit),
         ),
         figures=(*plot_drifts(options.units, phases, drifts), *plot_grades(grades)),
-        draws=options.draws,
+        runs=options.runs,
     )
 
 
 def make_profile(options: Options, unit: str, phase: str, longest: float) -> Profile:
-    """Return the flight of a phase, or a profile, with a unit; errors as for `load_profile`."""
+    """Return the flight of a phase, or a profile, with a unit; errors as for `read_profile`."""
     given = {**options.settings, "sensors.imu": unit, "evaluation.output_hz": 1.0}
     if options.profiles:
         if options.gnss:
             given["sensors.gnss"] = options.gnss
-        profile = load_profile(phase, given, options.seed, [options.estimator])
+        profile = read_profile(phase, given, options.seed, [options.estimator])
         if not profile.sensors.gnss_outages:
             raise ConfigError(f"study outages: {phase} has no [[gnss_outage]]")
         return profile
@@ -157,7 +157,7 @@ def make_profile(options: Options, unit: str, phase: str, longest: float) -> Pro
         "gnss_outage": [{"start_s": _LOSS, "duration_s": longest + _LATER}],
         "sensors.gnss": options.gnss or _RECEIVER,
     }
-    return load_profile("gnss-denied-leg", own | given, options.seed, [options.estimator])
+    return read_profile("gnss-denied-leg", own | given, options.seed, [options.estimator])
 
 
 def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
@@ -168,10 +168,10 @@ def make_grid(profile: Profile, elapsed: Sequence[float]) -> tuple[float, ...]:
     return tuple(grid[grid <= last + SAME_INSTANT].tolist())
 
 
-def measure_growth(task: _Task) -> FloatArray:
-    """Return (D, 5) of a run: growth north, east, down [m]; horizontal error squared and its claim [m^2].
+def measure_growth(task: DriftRun) -> FloatArray:
+    """Return (D, 5) of a run: growth north, east, down [m]; horizontal error squared, its variance [m^2].
 
-    NaN if the estimator failed.
+    NaN if the filter failed.
     """
     profile, truth = task.profile, get_truth(task.truth_key, task.profile)
     pipeline.check_times(profile, float(truth.t[-1]))
@@ -188,9 +188,9 @@ def measure_growth(task: _Task) -> FloatArray:
 
 
 def list_instants(t: FloatArray, outage: tuple[float, float], grid: Sequence[float]) -> FloatArray:
-    """Return the loss and the instants after it (1 + D,) [s]; at the end of the outage the last before it.
+    """Return the loss and the epochs after it (1 + D,) [s]; at the end of the outage the last before it.
 
-    A fix at the end itself has ended the drift. ``t`` (N,) are the instants of the truth.
+    A fix at the end itself has ended the drift. ``t`` (N,) are the epochs of the truth.
     """
     at, end = outage[0] + np.array([0.0, *grid]), np.searchsorted(t, outage[1] - SAME_INSTANT)
     return np.where(at < outage[1] - SAME_INSTANT, at, t[max(int(end) - 1, 0)])

@@ -71,7 +71,7 @@ def _grow(asked: tuple[str, int]) -> dict[str, FloatArray]:
 
 
 def find_time(seconds: FloatArray, values: FloatArray, limit: float) -> float | None:
-    """Return when values (N,) first go beyond a limit, linear between instants; None if they do not."""
+    """Return when values (N,) first go beyond a limit, linear between epochs; None if they do not."""
     beyond = np.flatnonzero(values > limit)
     if not len(beyond):
         return None
@@ -107,11 +107,11 @@ def tell_grades(grades: Sequence[Grown], limit: float) -> Iterator[str]:
 
 def plot_grades(grades: Sequence[Grown]) -> Iterator[Plot]:
     """Yield the growth by grade in each phase, and each bias alone."""
-    colours = series.estimator_colours(GRADES)
+    colors = series.estimator_colors(GRADES)
     for phase in get_args(Phase):
         here = [one for one in grades if one.phase == phase]
         lines = tuple(
-            series.draw_line(one.name, one.seconds[1:], one.east[1:], one.name, colours[one.name])
+            series.draw_line(one.name, one.seconds[1:], one.east[1:], one.name, colors[one.name])
             for one in here
         )
         title = f"by grade, {phase}: growth of the east sigma [m]"
@@ -119,7 +119,7 @@ def plot_grades(grades: Sequence[Grown]) -> Iterator[Plot]:
     for kind in ("accel", "gyro"):
         lines = tuple(
             series.draw_line(
-                one.name, one.seconds[1:], getattr(one, f"by_{kind}")[1:], one.name, colours[one.name]
+                one.name, one.seconds[1:], getattr(one, f"by_{kind}")[1:], one.name, colors[one.name]
             )
             for one in grades
             if one.phase == "straight"

@@ -1,4 +1,4 @@
-"""How far the position drifts without GNSS over noise draws, and which unit drifts less on the same draws."""
+"""How far the position drifts without GNSS over runs, and which unit drifts less on the same runs."""
 
 from __future__ import annotations
 
@@ -17,15 +17,17 @@ from bench.experiments.studies.outage_study.outage_grades import find_time
 
 @dataclass(frozen=True)
 class Drift:
-    """The growth of the error of one unit in one phase over draws, second by second since the loss."""
+    """The growth of the error of one unit in one phase over runs, second by second since the loss."""
 
     grid: FloatArray  # (D,) since the loss [s]
-    grown: FloatArray  # (R, D, 5) north, east, down [m]; horizontal error squared, its claim [m^2]; NaN: lost
+    grown: (
+        FloatArray  # (R, D, 5) north, east, down [m]; horizontal error squared, its variance [m^2]; NaN: lost
+    )
     law: Mapping[str, FloatArray]  # (D,) by source, horizontal, closed form, root mean square [m]
 
     @cached_property
     def good(self) -> FloatArray:
-        """The draws (K, D, 5) that are not lost."""
+        """The runs (K, D, 5) that are not lost."""
         return self.grown[np.isfinite(self.grown).all(axis=(1, 2))]
 
     @property
@@ -56,7 +58,7 @@ class Drift:
 
     @property
     def claimed(self) -> FloatArray:
-        """The horizontal error that the filter claims, root mean square over the draws (D,) [m]."""
+        """The horizontal error that the filter reports, root mean square over the runs (D,) [m]."""
         return np.asarray(np.sqrt(self.good[:, :, 4].mean(axis=0)))
 
     @property
@@ -67,7 +69,7 @@ class Drift:
         )
 
     def quantile(self, k: int, fraction: float) -> float | None:
-        """Return a quantile of the horizontal growth over the draws at an instant [m]."""
+        """Return a quantile of the horizontal growth over the runs at a time [m]."""
         return estimate_quantile(self.sizes[:, k], fraction).value if len(self.good) else None
 
     def find_times(self, limit: float) -> tuple[float | None, float | None, float | None]:
@@ -80,7 +82,7 @@ class Drift:
 def pair_units(
     drifts: Mapping[tuple[str, str], Drift], units: Sequence[str], phase: str, near: float = 60.0
 ) -> Iterator[PairedRatio]:
-    """Yield each unit over the next better one, by their drift on the same draws near a time [s]."""
+    """Yield each unit over the next better one, by their drift on the same runs near a time [s]."""
     kept = [name for name in units if not drifts[name, phase].lost]
     k = {name: int(np.argmin(np.abs(drifts[name, phase].grid - near))) for name in kept}
     ordered = sorted(kept, key=lambda name: float(drifts[name, phase].rms[k[name], 0]))

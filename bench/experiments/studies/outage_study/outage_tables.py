@@ -56,14 +56,14 @@ def fill_drifts(
         expected = [find_time(drift.grid, values, limit) for values in known] or [None, None]
         times.append((*head, *reached, *expected))
     title = (
-        "Horizontal drift since the loss: RMS with its 95 % interval, median and 95 % of draws, closed form"
+        "Horizontal drift since the loss: RMS with its 95 % interval, median and 95 % of runs, closed form"
     )
     drift_names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "median_m", "p95_m", "law_m")
     return (
         make_table("drift", title, drift_names, rows),
         make_table(
             "times",
-            f"Time until the drift is {limit:g} m RMS, its 95 % interval; of the closed form, of the claim",
+            f"Time until the drift is {limit:g} m RMS, 95 % interval; by the closed form, by the covariance",
             ("unit", "phase", "after_s", "low_s", "high_s", "law_s", "claimed_s"),
             times,
         ),
@@ -75,7 +75,7 @@ def fill_drifts(
         ),
         make_table(
             "claims",
-            "Horizontal error: RMS with its 95 % interval, as claimed",
+            "Horizontal error: RMS with its 95 % interval, as reported",
             ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "claimed_m"),
             claims,
         ),
@@ -96,7 +96,7 @@ def tell_drifts(
     elapsed: Sequence[float],
     limit: float,
 ) -> Iterator[str]:
-    """Yield drift, time to the limit, what makes it, pairs, claims and lost draws in sentences."""
+    """Yield drift, time to the limit, what makes it, pairs, covariances and lost runs in sentences."""
     for phase, told in pairs.items():
         parts, times = [], []
         grid = drifts[units[0], phase].grid
@@ -109,7 +109,7 @@ def tell_drifts(
             drift = drifts[unit, phase]
             k = int(np.argmin(np.abs(drift.grid - near)))
             known = len(drift.good) > 1
-            text = format_estimate(Estimate(*drift.rms[k])) if known else "no two draws"
+            text = format_estimate(Estimate(*drift.rms[k])) if known else "no two runs"
             parts.append(f"{unit} {text}, {format_number(drift.whole_law[k], 3)}")
             times.append(f"{unit} {_say_time(drift, limit)}")
             source = max(drift.law, key=lambda name: float(drift.law[name][k]), default="nothing")
@@ -120,7 +120,7 @@ def tell_drifts(
         sources = "; ".join(f"{source} ({', '.join(of)})" for source, of in made.items())
         yield f"By the closed form most of it comes from: {sources}."
         if told:
-            yield f"On the same draws, {phase}: {'; '.join(pair.sentence for pair in told)}."
+            yield f"On the same runs, {phase}: {'; '.join(pair.sentence for pair in told)}."
     yield from _tell_claims(label, drifts, elapsed)
     lost = [
         f"{unit} {phase} {drift.lost} of {len(drift.grown)}"
@@ -128,12 +128,12 @@ def tell_drifts(
         if drift.lost
     ]
     if lost:
-        yield f"Draws lost, which are in no figure: {', '.join(lost)}."
+        yield f"Runs that diverged, left out of all values: {', '.join(lost)}."
 
 
 def _say_time(drift: Drift, limit: float) -> str:
     if len(drift.good) < 2:
-        return "no two draws"
+        return "no two runs"
     value, low, high = ("later" if one is None else f"{one:.0f}" for one in drift.find_times(limit))
     return f"{value} s ({low} to {high})" if value != "later" else f"not in {drift.grid[-1]:g} s"
 
@@ -147,37 +147,35 @@ def _tell_claims(label: str, drifts: Drifts, elapsed: Sequence[float]) -> Iterat
                 outside[unit] += not drift.error[k, 1] <= drift.claimed[k] <= drift.error[k, 2]
     missed = ", ".join(f"{unit} {count}" for unit, count in outside.items() if count)
     yield (
-        f"What {label} claims lies in the 95 % interval of the measured error in "
+        f"What {label} covariances lies in the 95 % interval of the measured error in "
         f"{total - outside.total()} of {total} cases" + (f"; not in, by unit: {missed}." if missed else ".")
     )
 
 
 def plot_drifts(units: Sequence[str], phases: Sequence[str], drifts: Drifts) -> Iterator[Plot]:
     """Yield the error of all units with its band and claim, and the drift over its closed form."""
-    colours = series.estimator_colours(units)
+    colors = series.estimator_colors(units)
     for phase in phases:
         lines: list[Series] = []
         ratios: list[Series] = []
         key = phase.rpartition("/")[2].removesuffix(".toml")
         for unit in units:
-            drift, colour = drifts[unit, phase], colours[unit]
+            drift, color = drifts[unit, phase], colors[unit]
             if len(drift.good) < 2:
                 continue
             name = unit.rpartition("/")[2]
             lines.append(
-                Series(
-                    name, drift.grid, drift.error, (name,) * 3, (colour,) * 3, (1.5, 1.0, 1.0), band=(1, 2)
-                )
+                Series(name, drift.grid, drift.error, (name,) * 3, (color,) * 3, (1.5, 1.0, 1.0), band=(1, 2))
             )
             rows = np.unique(np.searchsorted(drift.grid, np.geomspace(1.0, drift.grid[-1], 25)))
             lines.append(
                 series.draw_dots(
-                    f"{name} claimed", drift.grid[rows], drift.claimed[rows], f"{name} claimed", colour, 3.0
+                    f"{name} reported", drift.grid[rows], drift.claimed[rows], f"{name} reported", color, 3.0
                 )
             )
-            ratios.append(series.draw_line(name, drift.grid, drift.rms[:, 0] / drift.whole_law, name, colour))
+            ratios.append(series.draw_line(name, drift.grid, drift.rms[:, 0] / drift.whole_law, name, color))
         if lines:
-            title = f"{phase}: horizontal error, RMS with 95 % band, and as claimed [m]"
+            title = f"{phase}: horizontal error, RMS with 95 % band, and as reported [m]"
             yield Plot(("outages", key), title, tuple(lines), over="outage", log="xy")
             title = f"{phase}: drift over its closed form"
             yield Plot(("outages", f"{key}-over-law"), title, tuple(ratios), over="outage", log="xy")

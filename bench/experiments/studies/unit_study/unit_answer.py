@@ -71,7 +71,7 @@ def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str
     """Yield the answer in sentences: what to buy, what it rests on, what limits, what is not usable."""
     ranking = answer.ranking
     yield from _tell_required(answer) if answer.required else ()
-    yield f"{answer.where}, {answer.what}, from the cheapest class on: {'; '.join(_tell_steps(ranking))}."
+    yield f"{answer.where}, {answer.what}, cheapest class first: {'; '.join(_tell_steps(ranking))}."
     if ranking.alike:
         most = 100.0 * (ranking.spread - 1.0)
         yield (
@@ -81,7 +81,7 @@ def tell_answer(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str
         )
     lost = [one.loss for one in ranking.flown.values() if one.lost]
     if lost:
-        yield f"{answer.where}: not usable on this flight, draws lost: {', '.join(lost)}."
+        yield f"{answer.where}: not usable on this flight, runs lost: {', '.join(lost)}."
     yield from _tell_gaps(answer, units)
     yield from (limit.tell(name) for name, limit in answer.limits)
     outside = [name for name in ranking.flown if units[name].grade not in CLASSES]
@@ -107,9 +107,9 @@ def _tell_steps(ranking: Ranking) -> Iterator[str]:
         same = [pair.first for pair in step.beside if pair.word != "undecided"]
         told = [f"the same: {', '.join(same)}"] if same else []
         told += [
-            f"{pair.first} not told from it: about {pair.deciding - pair.draws} more draws would"
+            f"{pair.first} not separated from it: about {max(1, pair.deciding - pair.draws)} more runs needed"
             if pair.deciding
-            else f"{pair.first} not told from it, and more draws would hardly"
+            else f"{pair.first} not separated from it; more runs would hardly help"
             for pair in step.beside
             if pair.word == "undecided"
         ]
@@ -122,7 +122,7 @@ def _tell_pair(step: ClassStep) -> str:
     gain = step.gain
     assert gain is not None
     text = f"{gain.ratio.value:.3g} times, {gain.ratio.interval}"
-    more = f"; about {gain.deciding - gain.draws} more draws would tell" if gain.deciding else ""
+    more = f"; about {max(1, gain.deciding - gain.draws)} more runs needed" if gain.deciding else ""
     return f"{text}{more}"
 
 
@@ -134,17 +134,15 @@ def _tell_required(answer: Answer) -> Iterator[str]:
     )
     found = ranking.recommended
     if found is None:
-        word = "no unit meets it" if answer.missed else "no unit is shown to meet it"
-        yield f"{answer.where}: required is {asked}; {word}."
+        word = "no unit meets" if answer.missed else "no unit is shown to meet"
+        yield f"{answer.where}: {word} the requirement, {asked}."
     else:
         margin = find_margin(found.best, answer.required, answer.metric)
         shown = f", margin {margin:.2g}" if margin else ""
         open_ones = ", ".join(one.unit for one in ranking.list_undecided())
-        meets = "is shown to meet" if open_ones else "meets"
-        maybe = f"; undecided of cheaper classes: {open_ones}" if open_ones else ""
+        maybe = f" Cheaper, but undecided: {open_ones}." if open_ones else ""
         yield (
-            f"{answer.where}: required is {asked}; the cheapest class that {meets} it is {found.grade}: "
-            f"{found.best.unit}{shown}{maybe}."
+            f"{answer.where}: {found.best.unit} ({found.grade}) meets the requirement, {asked}{shown}.{maybe}"
         )
     for one in ranking.list_undecided():
         yield from (
@@ -154,7 +152,7 @@ def _tell_required(answer: Answer) -> Iterator[str]:
 
 
 def find_margin(one: UnitFlown, required: Sequence[Mapping[str, Any]], metric: str) -> float | None:
-    """Return the limit over the quantile of the draws that has to keep it; None if that is no limit."""
+    """Return the limit over the quantile of the runs that has to keep it; None if that is no limit."""
     for row in required:
         if row["metric"] == metric and "most" in row and not one.lost:
             return float(row["most"]) / estimate_quantile(one.values, float(row["share"])).value
@@ -169,13 +167,13 @@ def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]
         return
     if first == second:
         yield (
-            f"{answer.where}: figures that datasheets leave out are typical of the class here (table gaps); "
-            "with zero in their place the answer is the same."
+            f"{answer.where}: parameters that datasheets leave out have typical values of the class (table "
+            "gaps); with zero instead the answer is the same."
         )
     else:
         yield (
-            f"{answer.where}: the answer rests on figures that datasheets leave out (table gaps): with what "
-            f"is typical of the class it is {first}, with zero in their place {second}."
+            f"{answer.where}: the answer depends on parameters that datasheets leave out (table gaps): with "
+            f"typical values of the class it is {first}, with zero {second}."
         )
 
 
@@ -208,7 +206,7 @@ def fill_tables(
             )  # fmt: skip
     names = (
         *("unit", "profile", "estimator", "class", "verdict", "rms", "low", "high", "gaps_zero"),
-        *("margin", "lost", "draws", f"law_{law_s:g}_s_m"),
+        *("margin", "lost", "runs", f"law_{law_s:g}_s_m"),
     )
     metrics = ", ".join(dict.fromkeys(one.what for one in answers))
     title = (
@@ -244,15 +242,15 @@ def draw_units(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[Plot
     usable = [one for one in shown if not one.lost]
     lost = [one for one in shown if one.lost]
     layers: list[Series] = []
-    for key, words, here, colour in (
+    for key, words, here, color in (
         ("units", "usable", usable, series.ESTIMATORS[0]),
-        ("lost", "draws lost: not usable", lost, series.REJECTED),
+        ("lost", "runs lost: not usable", lost, series.REJECTED),
     ):
         if here:
             at = np.array([1.0 + CLASSES.index(one.grade) for one in here])
             values = np.array([one.rms.value for one in here if one.rms])
             names = tuple(units[one.unit].short for one in here)
-            layers.append(series.draw_dots(key, at, values, words, colour, 4.0, labels=names))
+            layers.append(series.draw_dots(key, at, values, words, color, 4.0, labels=names))
     front = [step.best for step in ranking.front]
     if len(front) > 1:
         at = np.array([1.0 + CLASSES.index(one.grade) for one in front])

@@ -1,8 +1,8 @@
 """What limits the accuracy with a unit on a flight: the IMU, the receiver, another sensor, or the filter.
 
 The error budget (`studies.budget`) divides the variance of the filter's error by the sensor that it
-comes from; the best linear estimator (`studies.bound`) says what another filter could gain. Both are
-linear covariances of one flight: no draw is needed.
+comes from; the best linear filter (`studies.bound`) says what another filter could gain. Both are
+linear covariances of one flight: no run is needed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Which unit of which class is worth its price on one flight by one filter: by pairs of the same draws.
+"""Which unit of which class is worth its price on one flight by one filter: by pairs of the same runs.
 
 From the cheapest class on, the best unit of a class is held against the best of the classes below. A unit
-that lost a draw is not usable and takes no part; one that no draw tells from the best of its class stands
+that lost a run is not usable and takes no part; one that no run tells from the best of its class stands
 beside it.
 """
 
@@ -20,7 +20,7 @@ from bench.evaluation.ensembles.paired_draws import PairedRatio, compare_draws_o
 from bench.evaluation.requirements.required_metrics import MET, UNDECIDED, Finding
 from bench.experiments.studies.unit_study.catalog_units import CLASSES
 
-_LEAST = 2  # draws that have an interval
+_LEAST = 2  # runs that have an interval
 
 
 @dataclass(frozen=True)
@@ -29,17 +29,17 @@ class UnitFlown:
 
     unit: str
     grade: str  # of `CLASSES`, or another word for a unit that stands outside of them
-    values: FloatArray  # (R,) the figure that is compared, of each draw in order; NaN: lost
+    values: FloatArray  # (R,) the figure that is compared, of each run in order; NaN: lost
     findings: tuple[Finding, ...] = ()  # of what is required
 
     @property
     def lost(self) -> int:
-        """Draws whose estimator diverged, failed or has no such figure."""
+        """Draws whose filter diverged, failed or has no such figure."""
         return int(np.isnan(self.values).sum())
 
     @property
     def rms(self) -> Estimate | None:
-        """Root mean square over the draws that are not lost, with its interval; None of fewer than two."""
+        """Root mean square over the runs that are not lost, with its interval; None of fewer than two."""
         known = self.values[~np.isnan(self.values)]
         return pool_rmse(np.square(known)) if len(known) >= _LEAST else None
 
@@ -121,7 +121,7 @@ def rank_units(flown: Sequence[UnitFlown], error: float) -> Ranking:
     Parameters
     ----------
     flown : sequence of Flown
-        On one flight by one filter; draw k of all has the same noise.
+        On one flight by one filter; run k of all has the same noise.
     error : float
         Probability of a wrong word about a class: that its best is better than what is cheaper.
     """

@@ -1,8 +1,8 @@
 """IMUs flown on the same flights by the same filters: which class is enough, and what limits there.
 
 The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation. All
-units have the same noise draws and are compared draw by draw; where a pair or a requirement is undecided,
-draws are added up to --most-draws. A unit that loses a draw is not usable on the flight. A figure that a
+units have the same runs and are compared run by run; where a pair or a requirement is undecided,
+runs are added up to --most-runs. A unit that loses a run is not usable on the flight. A figure that a
 datasheet leaves out is flown as typical of the class, which the answer rests on, and again as zero: the study
 says if that changes the answer.
 """
@@ -53,8 +53,8 @@ LAW_S = 60.0
 
 _DRIFT, _RMSE = "outage_*_drift_h_m", "pos_rmse_h_m"
 _ERROR = 0.05  # probability of a wrong word about a pair, over all looks
-_USUAL_MOST = 24  # draws, where nothing is required
-_FAR = 4  # a pair that needs more than so many times the most draws is left undecided
+_USUAL_MOST = 24  # runs, where nothing is required
+_FAR = 4  # a pair that needs more than so many times the most runs is left undecided
 
 
 class Options(FlightOptions):
@@ -74,9 +74,9 @@ class Options(FlightOptions):
     """metric that is compared; left out: that of the first [[requirement]], else the drift in the outage"""
     most: Positive | None = None
     """largest value of the metric that is allowed, in 95 % of the runs, beside each [[requirement]]"""
-    draws: Count = 6
-    """noise draws of each unit on each flight, at first"""
-    most_draws: Count | None = None
+    runs: Count = 6
+    """runs of each unit on each flight, at first"""
+    max_runs: Count | None = None
     """and at most, where something is undecided; left out: 24, or as many as can show what is required (59
     for 95 %)"""
 
@@ -93,14 +93,14 @@ def run(options: Options, work: StudyWorkers) -> Findings:
     if options.metric is not None and not is_metric(options.metric):
         raise ConfigError(f"study sensors: metric: {options.metric!r} is unknown; bench list metrics")
     units = find_units("sensors", options.units)
-    plan_campaign(_plan(options, options.profiles, units, _list_cases(units), options.draws))
-    answers = [one for profile in options.profiles for one in _answer(options, units, profile, work)]
+    plan_campaign(_plan(options, options.profiles, units, _list_cases(units), options.runs))
+    answers = [one for profile in options.profiles for one in answer(options, units, profile, work)]
     asked = [one for one in answers if one.required]
     return Findings(
         verdicts=tuple(text for one in answers for text in tell_answer(one, units)),
         tables=fill_tables(answers, units, {name: find_law(name) for name in units}, LAW_S),
         figures=tuple(plot for one in answers for plot in draw_units(one, units)),
-        draws=options.draws,
+        runs=options.runs,
         good=not any(one.missed for one in asked),
         undecided=any(one.undecided for one in asked),
     )
@@ -120,12 +120,12 @@ def _plan(
     profiles: Sequence[str],
     units: Mapping[str, CatalogImu],
     cases: Sequence[UnitCase],
-    draws: int,
+    runs: int,
 ) -> CampaignSpec:
     return CampaignSpec(
         name="sensors",
         profiles=tuple(profiles),
-        runs=draws,
+        runs=runs,
         seed=options.seed,
         estimators=options.estimators,
         fixed=options.settings,
@@ -135,23 +135,23 @@ def _plan(
     )
 
 
-def _answer(
+def answer(
     options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
 ) -> Iterator[Answer]:
-    """Fly a profile until nothing is undecided that more draws would decide; yield an answer by filter."""
+    """Fly a profile until nothing is undecided that more runs would decide; yield an answer by filter."""
     cases = _list_cases(units)
     flights = _Flights(options, units, profile, work)
     again = set(units)
     while flights.fly([case for case in cases if case.unit in again]):
         ranked = {label: flights.rank(label) for label in flights.labels}
-        again = {name for one in ranked.values() for name in _list_open(one[0], flights.looks.most)}
+        again = {name for one in ranked.values() for name in list_open(one[0], flights.looks.most)}
     for label, (ranking, bare) in ranked.items():
         limits = tuple(_find_limits(options, units, profile, label, ranking, work))
         yield Answer(profile, label, flights.metric(label), flights.required(label), ranking, bare, limits)
 
 
-def _list_open(ranking: Ranking, most: int) -> Iterator[str]:
-    """Yield the units that more draws may decide: of a pair the one with fewer, or both."""
+def list_open(ranking: Ranking, most: int) -> Iterator[str]:
+    """Yield the units that more runs may decide: of a pair the one with fewer, or both."""
     for pair in ranking.list_open():
         if pair.deciding is not None and pair.deciding <= _FAR * most:
             for name in (pair.first, pair.second):
@@ -186,7 +186,7 @@ def _find_limits(
 
 
 class _Flights:
-    """The draws of one profile that are flown, by filter and unit."""
+    """The runs of one profile that are flown, by filter and unit."""
 
     def __init__(
         self, options: Options, units: Mapping[str, CatalogImu], profile: str, work: StudyWorkers
@@ -201,17 +201,17 @@ class _Flights:
         return list(dict.fromkeys(label for label, _ in self._rows))
 
     def fly(self, cases: Sequence[UnitCase]) -> bool:
-        """Fly units for the first time, or draws as many as they have, up to the most; return if any flew."""
+        """Fly units for the first time, or runs as many as they have, up to the most; return if any flew."""
         flown, begun = False, dict[int, list[UnitCase]]()
         for case in cases:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)
             begun.setdefault(known, []).append(case)
         for first, here in begun.items():
-            draws = min(2 * first, self.looks.most) if first else self._options.draws
-            if first >= draws:
+            runs = min(2 * first, self.looks.most) if first else self._options.runs
+            if first >= runs:
                 continue
             flown = True
-            spec = _plan(self._options, (self._profile,), self._units, here, draws)
+            spec = _plan(self._options, (self._profile,), self._units, here, runs)
             found = self._work.campaign(f"units on {self._profile}", spec, first)
             self._document = found.conditions[0]["as_flown"]
             for row in sorted(found.runs.to_pylist(), key=lambda row: row["run"]):
@@ -220,12 +220,12 @@ class _Flights:
 
     @property
     def looks(self) -> Looks:
-        """How many draws there are whenever they are looked at, up to the most."""
-        most = self._options.most_draws
+        """How many runs there are whenever they are looked at, up to the most."""
+        most = self._options.max_runs
         if most is None:
             shares = [float(row["share"]) for label in self.labels for row in self.required(label)]
             most = max([_USUAL_MOST, *map(count_meeting_runs, shares)])
-        return Looks(self._options.draws, most)
+        return Looks(self._options.runs, most)
 
     def required(self, label: str) -> list[Mapping[str, Any]]:
         """Return what the profile and the command require of a filter."""

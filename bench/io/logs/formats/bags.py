@@ -30,7 +30,7 @@ from bench.io.logs.table_files import MOST_BYTES
 from bench.simulation.signals.air import pressure_altitude
 
 _MOST_RECORD = 256_000_000  # largest record of an MCAP file, chunks included [byte]
-_MOST_UNPACKED = 512_000_000  # memory for reading, beside twice the size of a file and its columns [byte]
+MOST_UNPACKED = 512_000_000  # memory for reading, beside twice the size of a file and its columns [byte]
 _SAME_STAMP = 1e-3  # [s]
 _TYPES = {
     "imu": ("sensor_msgs/msg/Imu",),
@@ -56,18 +56,18 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     try:
         with _limit_memory(2 * size) as allow, opened(path) as (topics, messages):
             chosen = _choose_topic(path, topics, _TYPES[kind], topic)
-            row = {"imu": _read_imu, "gnss": _read_fix, "baro": _read_pressure}[kind]
+            row = {"imu": _read_imu, "gnss": read_fix, "baro": _read_pressure}[kind]
             numbers = _read_numbers(path, messages(chosen), row, allow)
             twist = np.empty((0, 10))
             moving = [name for name, type_ in topics.items() if type_ in _VELOCITIES]
             if kind == "gnss" and len(moving) == 1:
-                twist = _read_numbers(path, messages(moving[0]), _read_twist, allow, numbers.nbytes)
+                twist = _read_numbers(path, messages(moving[0]), read_twist, allow, numbers.nbytes)
     except ConfigError:
         raise
     except ModuleNotFoundError:
         raise
     except MemoryError:
-        most = f"{_MOST_UNPACKED / 1e6:g} MB"
+        most = f"{MOST_UNPACKED / 1e6:g} MB"
         raise ConfigError(f"{path.name}: unpacks to more than the {most} it may take in memory") from None
     except Exception as error:  # a broken file can make the library raise anything
         raise describe_damage(path, error) from None
@@ -78,7 +78,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
         return LogRows(
             t, {"alt_baro": pressure_altitude(np.where(numbers[:, 1:] > 0, numbers[:, 1:], np.nan))}
         )
-    return _make_fixes(numbers, twist)
+    return make_fixes(numbers, twist)
 
 
 @contextmanager
@@ -92,7 +92,7 @@ def _limit_memory(beside: int) -> Iterator[Callable[[int], None]]:
         yield lambda columns: None
         return
     soft, hard = own.rlimit(psutil.RLIMIT_AS)
-    most = own.memory_info().vms + _MOST_UNPACKED + beside
+    most = own.memory_info().vms + MOST_UNPACKED + beside
 
     def allow(columns: int) -> None:
         limits = [limit for limit in (most + columns, soft, hard) if limit != psutil.RLIM_INFINITY]
@@ -163,7 +163,8 @@ def _read_imu(message: Any) -> tuple[float, ...]:
     )
 
 
-def _read_fix(message: Any) -> tuple[float, ...]:
+def read_fix(message: Any) -> tuple[float, ...]:
+    """Return time, place, standard deviations north, east, up and status of a NavSatFix."""
     place = (float(message.latitude), float(message.longitude), float(message.altitude))
     cov = np.asarray(message.position_covariance, float).reshape(9)
     known = int(message.position_covariance_type) > 0
@@ -171,7 +172,8 @@ def _read_fix(message: Any) -> tuple[float, ...]:
     return (_read_stamp(message), *place, north, east, up, float(int(message.status.status)))
 
 
-def _read_twist(message: Any) -> tuple[float, ...]:
+def read_twist(message: Any) -> tuple[float, ...]:
+    """Return time, velocity and its variances, east, north, up, of a message of motion."""
     twist = message.twist
     cov = [math.nan] * 3
     if hasattr(twist, "twist"):
@@ -184,7 +186,8 @@ def _read_pressure(message: Any) -> tuple[float, ...]:
     return (_read_stamp(message), float(message.fluid_pressure))
 
 
-def _make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
+def make_fixes(numbers: FloatArray, twist: FloatArray) -> LogRows:
+    """Return fixes with the velocities of the same time."""
     t = numbers[:, 0]
     lla = np.column_stack([np.deg2rad(numbers[:, 1:3]), numbers[:, 3]])
     lla[numbers[:, 7] < 0] = np.nan  # STATUS_NO_FIX

@@ -39,7 +39,7 @@ def read(form: str, path: Path, kind: str, topic: str | None) -> LogRows:
     """Read the rows of a KF-GINS or RTKLIB file."""
     if form == "rtklib":
         if kind != "gnss":
-            raise ConfigError(f"{path.name}: a solution of RTKLIB holds fixes, not the rows of an {kind}")
+            raise ConfigError(f"{path.name}: a solution of RTKLIB contains fixes, not the rows of an {kind}")
         return _read_rtklib(path)
     if kind == "baro":
         raise ConfigError(f"{path.name}: KF-GINS has no file for a barometer")
@@ -108,7 +108,7 @@ def _read_rtklib(path: Path) -> LogRows:
 
     def rows() -> Iterator[str]:
         nonlocal names
-        for line in _read_lines(path):
+        for line in read_lines(path):
             if not line.startswith("%"):
                 yield line
             elif "lat" in line or "x-ecef" in line:
@@ -158,7 +158,7 @@ def _read_rtklib(path: Path) -> LogRows:
 
 def _read_rows(path: Path) -> FloatArray:
     """Return the numbers of a text of KF-GINS; comments (#, %) do not count."""
-    lines = (line for line in _read_lines(path) if not line.lstrip().startswith(("#", "%")))
+    lines = (line for line in read_lines(path) if not line.lstrip().startswith(("#", "%")))
     return _read_numbers(path, lines, _parse_row, "a row of numbers")
 
 
@@ -178,7 +178,7 @@ def _parse_solution(line: str) -> list[float]:
     return [round(t, 6), *map(float, rest)]
 
 
-def _read_lines(path: Path) -> Iterator[str]:
+def read_lines(path: Path) -> Iterator[str]:
     """Yield the lines of a file that are not blank."""
     check_file(path, path.name, MOST_BYTES)
     try:

@@ -5,7 +5,7 @@
 
 (B-12, B-14b) with the offset of the systems beside GPS only. Both depend on the errors of the antenna along
 the line of sight. The delays are computed at the position of the filter, so that any number of satellites
-will do. H neglects their change with that position: 3e-4 m per metre of height at the zenith, 3e-3 at 5 deg.
+will do. H neglects their change with that position: 3e-4 m per meter of height at the zenith, 3e-3 at 5 deg.
 
 What wanders in a range has states (`range_states.RANGE_ERRORS`), each times the size that the datasheet gives
 at this elevation, and is no part of R. Satellites share those of the ionosphere (`ionosphere_anchors`).

@@ -16,8 +16,8 @@ from bench.navigation.error_state_filter.propagation import FilterState, Pending
 from bench.navigation.error_state_filter.ranges.range_states import RANGES
 from bench.navigation.error_state_filter.state_blocks import FIRST_OFFSET, FIRST_RANGE, Index
 
-_GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
-_PLACES = np.column_stack([np.cumsum(RANGES) - RANGES, np.cumsum(RANGES)])  # by system: first, and end
+GONE = 60.0  # after which a satellite that is not seen gives up its state [s]
+PLACES = np.column_stack([np.cumsum(RANGES) - RANGES, np.cumsum(RANGES)])  # by system: first, and end
 
 
 def name_satellites(o: GnssObservations) -> tuple[list[str], IntArray]:
@@ -35,7 +35,7 @@ class Channels(SessionState):
 
     The channels follow on those of the sensors, in the order in which satellites appear. The states of a
     constellation are few: one that rises gets that of the satellite which has been gone for the longest time,
-    `_GONE` at least; it is not used before.
+    `GONE` at least; it is not used before.
     """
 
     names: Replaced[list[str]]
@@ -59,7 +59,7 @@ class Channels(SessionState):
         """Return the state of each row, by its place in its constellation, and whether it begins there."""
         own, fresh = np.full(len(rows), -1), np.zeros(len(rows), np.int64)
         held, seen = self.held.copy(), self.seen.copy()
-        _give_kernel(_number(o)[rows], o.t[rows], _PLACES, _GONE, held, seen, own, fresh)
+        _give_kernel(_number(o)[rows], o.t[rows], PLACES, GONE, held, seen, own, fresh)
         self.held, self.seen = held, seen
         return own, fresh
 

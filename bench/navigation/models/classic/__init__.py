@@ -4,7 +4,7 @@ East, north, up; heading clockwise; body axes forward, up, right; attitude as th
 north, up. Errors are computed minus true, and alpha turns the true triad into the computed one:
 ``B_computed = (I - [alpha x]) B`` (equations 1.4). Position errors are in reduced coordinates,
 ``dR_E = R3 dlon`` and ``dR_N = R3 dlat`` on a sphere of fixed radius R3 (equations 1.5), so ``reduced`` says
-how many of them make a metre. The state (A-5.4.1):
+how many of them make a meter. The state (A-5.4.1):
 
     0-2   dR_E, dR_N [m, reduced], dh [m]           9-11  gyro errors eps [rad/s], body
     3-5   dV_E, dV_N, dV_h [m/s]                    12-14 accelerometer errors da [m/s^2], body
@@ -30,7 +30,7 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import EventRow, GnssFixes, InitialState, NavSolution, SensorData
 from bench.core.records.sensor_specs import AssumedSpecs
 from bench.navigation.engine.piecewise import InPieces
-from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES, unmodelled
+from bench.navigation.error_state_filter.aiding_sensors import BARO, FIXES, unmodeled
 from bench.navigation.error_state_filter.error_state import StateLayout
 from bench.navigation.error_state_filter.schedule import Schedule
 from bench.navigation.error_state_filter.state_blocks import GNSS_MARKOV
@@ -73,7 +73,7 @@ class Classic22:
             if record is not None:
                 assumed(sensors.specs, name)
         initial, events = alignment.complete(sensors, initial)
-        return self.in_pieces(sensors, initial, events).feed(sensors, 0.0, last=True)
+        return self.in_pieces(sensors, initial, events).update(sensors, 0.0, last=True)
 
     def in_pieces(self, first: SensorData, initial: InitialState, events: list[EventRow]) -> InPieces:
         """Return the filter before its first piece (`piecewise.RunsInPieces`)."""
@@ -90,9 +90,9 @@ class Classic22:
         """Return navigator and filter at the start of a record."""
         return FilterLoop(self.options, sensors, initial)
 
-    def unmodelled(self, specs: AssumedSpecs) -> tuple[str, ...]:
-        """Return the errors of these sensors that the estimator has no state for, in words."""
-        found = unmodelled(specs, (FIXES, BARO), GNSS_MARKOV.takes)
+    def unmodeled_errors(self, specs: AssumedSpecs) -> tuple[str, ...]:
+        """Return the errors of these sensors that the filter has no state for, in words."""
+        found = unmodeled(specs, (FIXES, BARO), GNSS_MARKOV.takes)
         for name, triad in (("gyro", specs.imu.gyro), ("accelerometer", specs.imu.accel)):
             if triad.bias_instability > 0 and triad.turn_on_bias_sd == 0 and triad.bias_model != "flicker":
                 found += (f"{name} bias instability that fades (taken as a random walk)",)

@@ -35,7 +35,7 @@ def basis(curve: Curve, t: ArrayLike) -> FloatArray:
 
 
 def extrapolate(curve: Curve, t: ArrayLike, values: ArrayLike, now: float) -> FloatArray:
-    """Return values (N, ...) of times t (N,) at a later instant, by the curve that fits them best.
+    """Return values (N, ...) of times t (N,) at a later time, by the curve that fits them best.
 
     Examples
     --------

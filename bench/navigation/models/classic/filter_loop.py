@@ -74,7 +74,7 @@ class FilterLoop(SteppedFilter):
     before: Kept[tuple[float, Vector, Vector] | None]  # the step before, for coning and sculling
     next_correction: Kept[float]  # [s]
     satellites: Kept[int | None]  # of the last fix
-    accepted: Kept[dict[str, tuple[float, FloatArray]]]  # last fix used: instant, INS less GNSS
+    accepted: Kept[dict[str, tuple[float, FloatArray]]]  # last fix used: time, INS less GNSS
     known: Kept[deque[tuple[float, FloatArray]]]  # errors of the navigator after each fix
     events: Kept[list[EventRow]]
 
@@ -168,7 +168,7 @@ class FilterLoop(SteppedFilter):
             Q = G @ G.T
         else:
             Phi, Q = process_model.model_van_loan(mean, earth, a, self.sig, T)
-        # the Markov states keep their metres while the reduced ones change (A-5.2.2, caveat)
+        # the Markov states keep their meters while the reduced ones change (A-5.2.2, caveat)
         scale = reduced(self.nav, ellipsoid(self.nav.lat, self.nav.h))
         Phi[16, 16] *= scale[0] / self.scale[0]
         Phi[17, 17] *= scale[1] / self.scale[1]
@@ -214,20 +214,20 @@ class FilterLoop(SteppedFilter):
         Y = self._measurements(earth, fix, alt_baro)
         x, PH = self.form.x.astype(float), self.form.covariance @ H.T
         y, S = Y - H @ x, H @ PH + R  # A-5.4.6
-        metres = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
+        meters = np.array([1.0, 1 / east, 1 / north, 1.0, 1.0, 1.0, 1.0, 1.0])
         error = H[:, :15] @ x[:15]  # of the INS, as far as it is known
-        apart = (Y - error) * metres  # corrected INS less measured
+        apart = (Y - error) * meters  # corrected INS less measured
         use = []
         moving = fix is not None and bool(np.isfinite(fix.vel_n).all())  # a fix may have no velocity
-        y_m, S_m = y * metres, S * np.outer(metres, metres)
-        both, r_m = slice(1, 7), np.diag(R) * metres**2
+        y_m, S_m = y * meters, S * np.outer(meters, meters)
+        both, r_m = slice(1, 7), np.diag(R) * meters**2
         if moving:
             self.gate.see_fix(now, y_m[both], S_m[both, both], r_m[1:4])
         else:
             self.gate.see_position()
         given = ("gnss_position", fix is not None), ("gnss_velocity", moving), ("baro", alt_baro is not None)
         for name, there in given:
-            if there and self._is_sound(now, name, apart, y, S, H, PH, metres):
+            if there and self._is_sound(now, name, apart, y, S, H, PH, meters):
                 use += _ROWS[name]
         if fix is not None and alt_baro is not None:
             ratio = abs(y[7]) / math.sqrt(S[7, 7])
@@ -243,10 +243,10 @@ class FilterLoop(SteppedFilter):
         self._keep_floor()
         found = H[:, :15] @ self.form.x[:15].astype(float) - error
         for name, (at, offset) in self.accepted.items():  # the correction moves the INS, not the last fix
-            self.accepted[name] = (at, offset - (found * metres)[_ROWS[name]])
+            self.accepted[name] = (at, offset - (found * meters)[_ROWS[name]])
         for name in ("gnss_position", "gnss_velocity"):
             if set(_ROWS[name]) <= set(use):
-                self.accepted[name] = (now, (apart - found * metres)[_ROWS[name]])
+                self.accepted[name] = (now, (apart - found * meters)[_ROWS[name]])
         if set(_ROWS["gnss_position"]) <= set(use):
             self._remember(now)
         self._correct(now)
@@ -279,14 +279,14 @@ class FilterLoop(SteppedFilter):
         S: FloatArray,
         H: FloatArray,
         PH: FloatArray,
-        metres: FloatArray,
+        meters: FloatArray,
     ) -> bool:
-        """Return whether one sub-vector is used, by its tests in metres and the gate.
+        """Return whether one sub-vector is used, by its tests in meters and the gate.
 
-        S and PH are those before any of an instant is used; the compiled filter uses one after the other.
+        S and PH are those before any of a time is used; the compiled filter uses one after the other.
         """
         rows = _ROWS[name]
-        y, S, unit = y[rows], S[np.ix_(rows, rows)], metres[rows]
+        y, S, unit = y[rows], S[np.ix_(rows, rows)], meters[rows]
         y_m, S_m = y * unit, S * np.outer(unit, unit)
         value, tests = nis(y_m, S_m), self.options.integrity
         failed = [test for test in tests if self._fails(test, now, name, apart[rows], y_m, S_m, value)]
@@ -381,7 +381,7 @@ class FilterLoop(SteppedFilter):
     def solution(
         self, t: FloatArray, answers: Sequence[FloatArray], events: list[EventRow], *, last: bool
     ) -> NavSolution:
-        """Return answers at instants (M,) [s], with innovations and events since this was called last."""
+        """Return answers at epochs (M,) [s], with innovations and events since this was called last."""
         state, variance, cov = answers
         table, refused = self.gate.take(last=last)
         events, self.events = events + self.events + refused, []

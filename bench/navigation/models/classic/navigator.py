@@ -154,7 +154,7 @@ def turn_matrix(x: float, y: float, z: float) -> FloatArray:
 
 
 def reduced(nav: Nav, earth: Earth) -> tuple[float, float]:
-    """Return how many reduced metres a metre east and a metre north are (equations 1.5).
+    """Return how many reduced meters a meter east and a meter north are (equations 1.5).
 
     On the sphere at sea level these are the source's 1/cos(lat) and 1.
     """

@@ -47,7 +47,7 @@ class AccelerometerArray:
     def integrate(
         self, readings: FloatArray, interval: float, w_start: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:
-        """Return dtheta_b [rad] and dvel_b [m/s] (K-1, 3) of readings (K, 6) at even instants.
+        """Return dtheta_b [rad] and dvel_b [m/s] (K-1, 3) of readings (K, 6) at even epochs.
 
         The rate and what it makes the accelerometers read are solved together, by iteration.
         """

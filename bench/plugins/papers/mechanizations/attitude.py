@@ -198,7 +198,7 @@ def make_attitude(name: str, C: FloatArray, to_nhe: FloatArray | None = None) ->
     """
     if name == "euler":
         if to_nhe is None:
-            raise ValueError("Euler angles are those of a triad along the meridian; choose nhe or enu")
+            raise ValueError("Euler angles need a triad along the meridian; choose nhe or enu")
         return Euler(C, to_nhe)
     if name not in _MAKERS:
         raise ValueError(f"no attitude {name!r}; choose from {', '.join(ATTITUDES)}")

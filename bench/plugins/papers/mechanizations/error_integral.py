@@ -20,7 +20,7 @@ def quaternion_error(
     Parameters
     ----------
     t : (N,) array
-        Instants [s].
+        Epochs [s].
     q_ib : (N, 4) array
         Attitude at them, body to inertial.
     rate_error_b : (N, 3) array

@@ -64,7 +64,7 @@ def navigate(
     Parameters
     ----------
     name : str
-        A key of :data:`FRAMES`; "ned" is the compiled mechanization of the estimators, at every sample.
+        A key of :data:`FRAMES`; "ned" is the compiled mechanization of the filters, at every sample.
     start : (10,) array
         A row of :attr:`IntervalMotion.nav`.
     interval : float
@@ -132,7 +132,7 @@ def _divide(interval: float, rates: Rates) -> tuple[int, int, int]:
         rate = before if rate is None else rate
         count = round(before / rate) if rate > 0 else 0
         if count < 1 or abs(count * rate - before) > 1e-6 * before:
-            raise ValueError(f"the {task} rate, {rate:g} Hz, must divide that of the {of}, {before:g} Hz")
+            raise ValueError(f"the {task} rate, {rate:g} Hz, must divide the rate of the {of}, {before:g} Hz")
         counts.append(count)
         before, of = rate, f"{task} task"
     return counts[0], counts[1], counts[2]

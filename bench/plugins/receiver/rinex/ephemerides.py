@@ -295,7 +295,7 @@ def _read_clock_time(lines: Lines, line: str, version: int) -> tuple[int, float]
 def _name_values(
     lines: Lines, record: _EphemerisRecord, placed: Mapping[str, tuple[int, float]]
 ) -> dict[str, float]:
-    """Return the values by name, from the index of the line and the value; refuse a missing one."""
+    """Return the values by name, from the index of the line and the value; reject a missing one."""
     for name, (offset, value) in placed.items():
         if np.isnan(value):
             raise lines.error(f"{name} is missing", record.first + offset)
@@ -339,7 +339,7 @@ def _convert_kepler(lines: Lines, record: _EphemerisRecord, kind: _Kind, message
 
 
 def _check_angles(lines: Lines, record: _EphemerisRecord, kind: _Kind, values: Mapping[str, float]) -> None:
-    """Refuse an orbit with angles in another unit: all but geostationary satellites fly at 0.9 to 1.1 rad."""
+    """Reject an orbit with angles in another unit: all but geostationary satellites fly at 0.9 to 1.1 rad."""
     level = kind.system == BEIDOU and (record.sat <= 5 or record.sat >= 59)
     low = 0.0 if level else _LEAST_INCLINATION
     if not low <= values["i_0"] <= 1.3:

@@ -112,7 +112,7 @@ class Lines:
 
     def parse_number(self, line: str, start: int, end: int, what: str) -> float:
         """Return the number in columns start to end (from 0, without end)."""
-        value = _parse_number(line[start:end])
+        value = parse_fortran(line[start:end])
         if value is None:
             text = line[start:end].strip()
             raise self.error(f"{what} must be a number; got {text[:30]!r} in columns {start + 1}-{end}")
@@ -126,7 +126,7 @@ class Lines:
         return int(text)
 
 
-def _parse_number(text: str) -> float | None:
+def parse_fortran(text: str) -> float | None:
     """Parse a Fortran number: exponent with D, d, E, e or without a letter; None if it is not one."""
     text = text.strip().replace("D", "E").replace("d", "e")
     try:
@@ -176,7 +176,9 @@ def find_kind(path: Path, shown: str) -> str:
         kinds = {"O": "observations", "N": "navigation", "G": "navigation", "L": "navigation"}
         kind = kinds.get(line[20:21].upper()) if line[60:80].strip() == "RINEX VERSION / TYPE" else None
         if kind is None:
-            raise ConfigError(f"{shown}: is no RINEX file of observations or navigation, no SP3 and no UBX")
+            raise ConfigError(
+                f"{shown}: unknown format. Supported: RINEX observation, RINEX navigation, SP3, UBX"
+            )
         return kind
 
 

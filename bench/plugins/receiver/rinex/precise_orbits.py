@@ -25,8 +25,8 @@ _CALENDAR = [(3, 7), (8, 10), (11, 13), (14, 16), (17, 19), (20, 31)]
 _AHEAD = {"GPS": 0.0, "GAL": 0.0, "QZS": 0.0, "BDT": -BEIDOU_LATE, "BDS": -BEIDOU_LATE, "TAI": 19.0}
 """Time of a system minus GPS time [s]; UTC and GLO, UTC without the hours of Moscow, have leap seconds."""
 _NO_CLOCK = 999999.0  # and above [us]
-_LEAST, _MOST = 2e7, 5e7  # distance of a satellite of these systems from the centre of the Earth [m]
-_MOST_POSITIONS = 6_000_000  # epochs times satellites: a year of 15 min
+_LEAST, _MOST = 2e7, 5e7  # distance of a satellite of these systems from the center of the Earth [m]
+MOST_POSITIONS = 6_000_000  # epochs times satellites: a year of 15 min
 _PREDICTED = 0.45  # sd of a predicted clock [m]: 1.5 ns of ultra-rapid orbits, IGS products, igs.org
 
 
@@ -73,7 +73,7 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
     found = _PreciseRows()
     with open_lines(path, shown) as lines:
         declared = _read_header(lines, found)
-        while len(found.places) <= 2 * _MOST_POSITIONS:
+        while len(found.places) <= 2 * MOST_POSITIONS:
             try:
                 line = lines.read_line()
                 if line is None:
@@ -90,8 +90,8 @@ def read_precise_orbits(path: Path, shown: str | None = None) -> PreciseFile:
                     break
                 if line.startswith("*"):
                     lines.skip_to(_EPOCH)
-        if len(found.sats) * len(found.t) > _MOST_POSITIONS or len(found.places) > 2 * _MOST_POSITIONS:
-            raise ConfigError(f"{shown}: more than {_MOST_POSITIONS} positions of satellites")
+        if len(found.sats) * len(found.t) > MOST_POSITIONS or len(found.places) > 2 * MOST_POSITIONS:
+            raise ConfigError(f"{shown}: more than {MOST_POSITIONS} positions of satellites")
         if not found.sats:
             raise lines.describe_nothing("position of a satellite of GPS, GLONASS, Galileo or BeiDou")
     return _make_file(shown, found, lines)
@@ -132,7 +132,7 @@ def _read_epoch(lines: Lines, line: str, found: _PreciseRows) -> None:
     t = midnight + second
     t += leap_seconds(to_date(t)) if found.scale in ("UTC", "GLO") else -_AHEAD[found.scale]
     if found.t and t <= found.t[-1]:
-        raise lines.error("the time of an epoch must be after that of the one before")
+        raise lines.error("the times of epochs must increase")
     found.t.append(t)
 
 
@@ -179,7 +179,7 @@ def _make_file(shown: str, found: _PreciseRows, lines: Lines) -> PreciseFile:
 
 
 def make_tables(files: Sequence[PreciseFile]) -> list[OrbitTable]:
-    """Return the orbits and clocks of several files: a table of each system, step and stretch without a gap.
+    """Return the orbits and clocks of several files: a table of each system, step and segment without a gap.
 
     Of several values of a satellite at an epoch that of the first file counts; so does the first table.
     """

@@ -28,7 +28,7 @@ from bench.simulation.flight.jsbsim_units import FT
 
 Mode = Literal["held", "state"]
 
-_NAVIGATION = {  # what is believed, the property of the truth, its factor to SI
+_NAVIGATION = {  # what is assumed, the property of the truth, its factor to SI
     "roll-rad": ("attitude/phi-rad", 1.0),
     "pitch-rad": ("attitude/theta-rad", 1.0),
     "heading-rad": ("attitude/psi-rad", 1.0),
@@ -47,7 +47,7 @@ _POSITION, _VELOCITY = slice(8, 11), slice(11, 14)
 
 @dataclass(frozen=True, slots=True)
 class NavEstimate:
-    """An estimate of the motion of the IMU at an instant, and the truth of it."""
+    """An estimate of the motion of the IMU at a time, and the truth of it."""
 
     t: float  # of validity [s]
     true: Trajectory  # the piece that ends there
@@ -56,7 +56,7 @@ class NavEstimate:
 
 
 class Belief:
-    """Holds what is believed during a flight, in SI; begins with the truth.
+    """Holds what is assumed during a flight, in SI; begins with the truth.
 
     Parameters
     ----------
@@ -109,9 +109,9 @@ class Belief:
         return believed
 
     def _locate(self, lla: FloatArray, vel_n: FloatArray, q_nb: FloatArray) -> FloatArray:
-        """Return the values of a state of the IMU, those of position at the centre of gravity.
+        """Return the values of a state of the IMU, those of position at the center of gravity.
 
-        The velocities of the two differ by millimetres a second per error of the attitude, which is left out.
+        The velocities of the two differ by millimeters a second per error of the attitude, which is left out.
         """
         C_en = matrix_en(lla[0], lla[1])
         pos_e = to_ecef(lla) - C_en @ rotation.rotate(q_nb, self._imu_b)
@@ -122,7 +122,7 @@ class Belief:
     # --- what the flight reads
 
     def begin_tick(self, t: float) -> None:
-        """Begin an interval of 50 ms at an instant [s]."""
+        """Begin an interval of 50 ms at a time [s]."""
         self._from = self.values
         while self._due and self._due[0][0] <= t + SAME_INSTANT:
             goal = self._due.popleft()[1]
@@ -139,7 +139,7 @@ class Belief:
             self._goal = goal
 
     def step(self, share: float) -> None:
-        """Write what is believed after a share, 0 to 1, of the interval."""
+        """Write what is assumed after a share, 0 to 1, of the interval."""
         if self._goal is self._from:
             return
         if share >= 1.0:
@@ -150,7 +150,7 @@ class Belief:
             write(unit * value)
 
     def believe(self, name: str, read: Callable[[], float], factor: float = 1.0) -> Callable[[], float]:
-        """Return the reader of what is believed of a property, in its own unit.
+        """Return the reader of what is assumed of a property, in its own unit.
 
         ``name`` is that in guidance, or the property of a place; ``read`` reads the truth.
         """
@@ -163,9 +163,9 @@ class Belief:
         return believed
 
     def height(self, true: float, believed_rise: float) -> float:
-        """Return the height above ground that is believed [m]: of the radar altimeter, or by the altitude.
+        """Return the height above ground that is assumed [m]: of the radar altimeter, or by the altitude.
 
-        ``true`` is the true one, ``believed_rise`` what the believed altitude is above the true one [m].
+        ``true`` is the true one, ``believed_rise`` what the assumed altitude is above the true one [m].
         """
         return true + (believed_rise if self._radar is None else self._radar)
 

@@ -1,6 +1,6 @@
 """Where a flight was off the path that its legs wanted: of waypoints, and of a runway.
 
-Of a runway the path is the extended centreline, from the turn onto it on, and the glide path below the height
+Of a runway the path is the extended centerline, from the turn onto it on, and the glide path below the height
 at which the approach began. Legs by heading, bank or surface have no path.
 """
 
@@ -16,12 +16,12 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.simulation.flight.guidance.off_track import measure_off_track
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 
-_ALONG = 0.035  # an approach is on its centreline when its track is first so close to it [rad]
+_ALONG = 0.035  # an approach is on its centerline when its track is first so close to it [rad]
 _CAPTURED = 20.0  # below the height it began at, an approach is on its glide path [m]
 
 
 def measure_steered(spec: object, truth: Trajectory, t: FloatArray) -> OffPath | None:
-    """Return how far a flight was off its path at instants (M,) [s] of answers; None of a table."""
+    """Return how far a flight was off its path at epochs (M,) [s] of answers; None of a table."""
     if not isinstance(spec, FlightSpec):
         return None
     return measure_off_path(spec, truth, np.searchsorted(truth.t, t - SAME_INSTANT))
@@ -48,7 +48,7 @@ def measure_off_path(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> Off
             turned = np.arctan2(vel_n[:, 1], vel_n[:, 0]) - runway.heading
             on = np.maximum.accumulate(np.abs(np.remainder(turned + np.pi, 2 * np.pi) - np.pi) < _ALONG)
             alt = truth.lla[rows[inside], 2]
-            # the height of the leg is that of the centre of gravity, which the IMU is at to decimetres
+            # the height of the leg is that of the center of gravity, which the IMU is at to decimeters
             rest = 0.0 if figures is None else figures.height
             glide = runway.alt + rest + np.tan(leg.glide) * (leg.aim - along)
             captured = on & (glide < alt[0] - _CAPTURED)

@@ -73,9 +73,9 @@ def prepare_aircraft(aircraft: AircraftSpec) -> AircraftSpec:
     FlightError
         If it does not load, or no airspeed can be guessed: no design changes that.
     """
-    stubs = _find_stubs(aircraft)
-    aircraft = _with(aircraft, {}, stubs)
-    aircraft = _with(aircraft, _choose_properties(aircraft), stubs)
+    stubs = find_stubs(aircraft)
+    aircraft = set_properties(aircraft, {}, stubs)
+    aircraft = set_properties(aircraft, _choose_properties(aircraft), stubs)
     if not load_aircraft(aircraft, _DT)["metrics/Sw-sqft"] > 0:
         raise FlightError(f"aircraft {aircraft.name}: it has no wing area to guess an airspeed from")
     return aircraft
@@ -110,22 +110,25 @@ def design_gains(aircraft: AircraftSpec, lift: float, pace: float, hold: float =
     condition = TrimCondition(math.radians(47.0), math.radians(11.0), alt, 0.5, speed)
     trim = trim_aircraft(fdm, condition, guided=False)
     found = _linearize(fdm, condition, trim)
-    gains, climb = _place_loops(found, condition.speed, trim, pace)
+    gains, climb = place_loops(found, condition.speed, trim, pace)
     gains["bank-integral-gain"] *= hold
     return GainDesign(alt, condition.speed, climb, mass, span, trim, gains, found)
 
 
-def _with(aircraft: AircraftSpec, properties: Mapping[str, float], stubs: tuple[str, ...]) -> AircraftSpec:
+def set_properties(
+    aircraft: AircraftSpec, properties: Mapping[str, float], stubs: tuple[str, ...]
+) -> AircraftSpec:
+    """Return a foreign aircraft with properties that are set and others that are declared."""
     assert aircraft.foreign is not None
     return replace(aircraft, foreign=replace(aircraft.foreign, properties=properties, stubs=stubs))
 
 
-def _find_stubs(aircraft: AircraftSpec) -> tuple[str, ...]:
+def find_stubs(aircraft: AircraftSpec) -> tuple[str, ...]:
     """Return what the model reads and nothing in it has, one found at each load; 0 stands for it."""
     stubs: tuple[str, ...] = ()
     while True:
         try:
-            load_aircraft(_with(aircraft, {}, stubs), _DT)
+            load_aircraft(set_properties(aircraft, {}, stubs), _DT)
         except FlightError as error:
             missing = _MISSING.search(str(error))
             if missing is None or missing[1] in stubs or len(stubs) == _MOST_STUBS:
@@ -191,7 +194,7 @@ def _linearize(fdm: Any, condition: TrimCondition, trim: Trim) -> dict[str, floa
     }
 
 
-def _place_loops(
+def place_loops(
     found: Mapping[str, float], speed: float, trim: Trim, pace: float
 ) -> tuple[dict[str, float], float]:
     """Return gains of guidance, and the vertical speed that thrust allows [m/s]."""

@@ -72,7 +72,7 @@ def measure_off_track(spec: FlightSpec, truth: Trajectory, rows: IntArray) -> tu
             after, _ = _resolve(at[between], corner, to_n, tracks[k + 1][0])
             on = (before >= -arc) & (after <= arc) & np.isnan(off[between])
             side = np.sign(turn)
-            ahead, across = (before + arc)[on], (right - side * radius)[on]  # from the centre of the arc
+            ahead, across = (before + arc)[on], (right - side * radius)[on]  # from the center of the arc
             off[between[on]] = side * (radius - np.hypot(ahead, across))
             course[between[on]] = tracks[k][0] + side * np.arctan2(ahead, -side * across)
     return off, course

@@ -24,7 +24,7 @@ from bench.simulation.flight.guidance.shaping import G, Steps, clip, roll_time, 
 Point = tuple[float, float]
 """North and east [m]."""
 
-_INTERCEPT = math.sin(math.radians(45.0))  # steepest way back to the path, across over along
+_INTERCEPT = math.sin(math.radians(45.0))  # steepest backward pass to the path, across over along
 _PATIENCE = 60.0  # how much longer than planned a path may take [s]
 _STRAYED = 150.0  # guidance has lost a path that is further off, in the turn radius or, if that is less, [m]
 
@@ -62,7 +62,7 @@ class Segment:
         if self.curvature == 0:
             return ahead, right, self.course
         radius, side = 1 / abs(self.curvature), math.copysign(1.0, self.curvature)
-        inward = radius - side * right  # from the centre, towards the start
+        inward = radius - side * right  # from the center, towards the start
         angle = math.atan2(ahead, inward)
         if angle < 0.5 * (self.length / radius - math.tau):  # nearer to the end than to the start
             angle += math.tau
@@ -111,9 +111,9 @@ class SegmentPath:
         if abs(bearing) < 1e-9:
             return
         side = math.copysign(1.0, bearing)
-        to_centre = self.course + side * 0.5 * math.pi
-        centre = self.point[0] + radius * math.cos(to_centre), self.point[1] + radius * math.sin(to_centre)
-        north, east = target[0] - centre[0], target[1] - centre[1]
+        to_center = self.course + side * 0.5 * math.pi
+        center = self.point[0] + radius * math.cos(to_center), self.point[1] + radius * math.sin(to_center)
+        north, east = target[0] - center[0], target[1] - center[1]
         distance = math.hypot(north, east)
         if distance <= radius:
             raise FlightError(f"{what} is inside the turn that leads to it, of {radius:.0f} m radius")
@@ -135,7 +135,7 @@ def run_in(cockpit: Cockpit, bank: float) -> float:
 
 
 class Follower:
-    """Keeps the aircraft on a path; one call of :meth:`steer` per instant."""
+    """Keeps the aircraft on a path; one call of :meth:`steer` per time."""
 
     def __init__(self, cockpit: Cockpit, plane: Plane, path: SegmentPath, bank: float) -> None:
         self._cockpit, self._plane, self._segments = cockpit, plane, path.segments
@@ -150,7 +150,7 @@ class Follower:
         cockpit.lat_mode(1)
 
     def steer(self, limit: float | None = None) -> bool:
-        """Write the bank of this instant, within a limit [rad]; False when the path is flown."""
+        """Write the bank of this time, within a limit [rad]; False when the path is flown."""
         point = self._plane.position()
         track, speed = self._plane.track()
         along, off, course = self._segments[self._index].relative(point)

@@ -1,6 +1,6 @@
-"""Legs of a flight into set-points of the guidance system, at 20 Hz on sample instants.
+"""Legs of a flight into set-points of the guidance system, at 20 Hz on sample epochs.
 
-Each leg is a generator: it writes set-points, yields once per instant, returns when
+Each leg is a generator: it writes set-points, yields once per time, returns when
 it is flown, and may return in words how it went. Set-points begin and end smoothly,
 because a step between samples would put a corner into the truth that no sensor
 record can follow.
@@ -41,7 +41,7 @@ class FlownLeg:
 def engage(fdm: Any, spec: FlightSpec, trimmed: Trim, belief: Belief | None = None) -> Cockpit:
     """Switch guidance on in the trimmed and settled flight, without a jump of any command.
 
-    On the ground only its trim is set: brakes are on and the surfaces centred until the take-off.
+    On the ground only its trim is set: brakes are on and the surfaces centerd until the take-off.
     """
     fdm["guidance/aileron-trim-norm"] = trimmed.aileron
     fdm["guidance/elevator-trim-norm"] = trimmed.elevator

@@ -1,4 +1,4 @@
-"""Set-points over time, one value per instant of the sequencer: they begin and end without a corner."""
+"""Set-points over time, one value per time of the sequencer: they begin and end without a corner."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import math
 from collections.abc import Iterator
 
 GUIDANCE_RATE = 20.0
-"""Instants per second at which set-points are written, and air data and controls recorded [Hz]."""
+"""Epochs per second at which set-points are written, and air data and controls recorded [Hz]."""
 
 G = 9.81  # [m/s^2]
 ROLL_RATE = math.radians(20.0)  # fastest change of a bank set-point [rad/s]
 
 Steps = Iterator[None]
-"""A leg on its way: each step is one instant."""
+"""A leg on its way: each step is one time."""
 
 
 def smooth(duration: float) -> Iterator[float]:
-    """Yield 0 to 1 with zero slope at both ends, one value per instant, the last one 1."""
+    """Yield 0 to 1 with zero slope at both ends, one value per time, the last one 1."""
     n = max(1, math.ceil(duration * GUIDANCE_RATE))
     for k in range(1, n + 1):
         yield smoothstep(k / n)
@@ -39,7 +39,7 @@ def clip(value: float, limit: float) -> float:
 
 
 def ticks(duration: float) -> range:
-    """Return the instants of a duration [s]."""
+    """Return the epochs of a duration [s]."""
     return range(math.ceil(duration * GUIDANCE_RATE))
 
 

@@ -1,6 +1,6 @@
 """What somebody outside wants of the controls of a flight: attitude and throttle, or surfaces and throttle.
 
-A command acts from the tick on that follows its turn, 50 ms after the instant that it answers. The loops of
+A command acts from the tick on that follows its turn, 50 ms after the time that it answers. The loops of
 guidance smooth it: bank and pitch by the lags of their set-points, surfaces by 50 ms.
 """
 
@@ -45,7 +45,7 @@ class AttitudeCommand:
 
 @dataclass(frozen=True, slots=True)
 class SurfaceCommand:
-    """Surfaces as JSBSim's normalised commands have them, without any loop."""
+    """Surfaces as JSBSim's normalized commands have them, without any loop."""
 
     aileron: float  # -1 to 1
     elevator: float
@@ -96,7 +96,7 @@ class Commanded(Leg):
         return f"of a client, {self.duration:g} s"
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Write the command that holds, at each instant; a client that has gone ends the flight."""
+        """Write the command that holds, at each time; a client that has gone ends the flight."""
         for _ in range(round(self.duration * GUIDANCE_RATE)):
             if self.commands.ended:
                 raise FlightError(self.commands.ended)

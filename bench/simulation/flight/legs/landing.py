@@ -19,8 +19,8 @@ from bench.simulation.flight.legs.runway import (
     EDGE,
     PATIENCE,
     POWER,
-    Centreline,
-    centreline,
+    Centerline,
+    centerline,
     check_runway,
     find_runway,
     lower_nose,
@@ -38,7 +38,7 @@ _BRAKE = 0.6  # share of the brakes of a landing
 
 @dataclass(frozen=True)
 class Approach(Leg):
-    """Meet the extended centreline and the glide path of the runway, down to the flare."""
+    """Meet the extended centerline and the glide path of the runway, down to the flare."""
 
     kind = "approach"
     leaves = "approach"
@@ -56,10 +56,10 @@ class Approach(Leg):
         return start.runway.alt if start.runway else start.alt
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Fly level to the glide path, along the centreline, then down it to the height of the flare."""
+        """Fly level to the glide path, along the centerline, then down it to the height of the flare."""
         runway, figures = find_runway(cockpit)
         plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
-        line = centreline(runway)
+        line = centerline(runway)
         before = -line.segments[0].relative(plane.position())[0]
         across = math.remainder(plane.track()[0] - runway.heading, math.tau)
         slope = math.tan(self.glide)
@@ -107,7 +107,7 @@ class Approach(Leg):
                 raise FlightError(f"{-above():.0f} m above the glide path: {cockpit.state()}")
             yield
         if abs(follower.off) > EDGE:
-            raise FlightError(f"{abs(follower.off):.0f} m off the centreline at the flare: {cockpit.state()}")
+            raise FlightError(f"{abs(follower.off):.0f} m off the centerline at the flare: {cockpit.state()}")
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class Flare(Leg):
         """Let the sink fall with the height until the wheels touch; returns the touch-down in words."""
         runway, figures = find_runway(cockpit)
         plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
-        line = centreline(runway)
+        line = centerline(runway)
         follower = Follower(cockpit, plane, line, min(_FINAL_BANK, cockpit.aircraft.max_bank))
         sink, aimed = -cockpit.climb(), figures.touch_down_sink
         span = (cockpit.alt_agl() - figures.height) / max(sink - aimed, 0.2)  # 1/e of the height each [s]
@@ -142,7 +142,7 @@ class Flare(Leg):
 
 @dataclass(frozen=True)
 class LandingRoll(Leg):
-    """Lower the nose, brake to a standstill on the centreline, and stand."""
+    """Lower the nose, brake to a standstill on the centerline, and stand."""
 
     kind = "landing-roll"
     needs, leaves = "flare", "ground"
@@ -151,17 +151,17 @@ class LandingRoll(Leg):
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""
         runway, figures = find_runway(cockpit)
-        centre = Centreline(cockpit, runway)
+        center = Centerline(cockpit, runway)
         cockpit.course = runway.heading
-        yield from lower_nose(cockpit, centre)
+        yield from lower_nose(cockpit, center)
         for share in smooth(POWER):
             cockpit.brake(share * _BRAKE)
-            centre.steer()
+            center.steer()
             yield
         for _ in ticks(PATIENCE):  # wings stay level by aileron while gusts can still lift them
-            if centre.wheel_speed() < 0.5 * figures.rotate_speed:
+            if center.wheel_speed() < 0.5 * figures.rotate_speed:
                 break
-            centre.steer()
+            center.steer()
             yield
         held = {surface: cockpit.surface[surface]() for surface in SURFACES}
         for surface in SURFACES:
@@ -170,29 +170,29 @@ class LandingRoll(Leg):
             for surface in SURFACES:
                 cockpit.direct_share[surface](share)
                 cockpit.direct[surface]((1 - share) * held[surface])
-            centre.steer()
+            center.steer()
             yield
         for _ in ticks(PATIENCE):
-            if centre.wheel_speed() < _STANDS:
+            if center.wheel_speed() < _STANDS:
                 break
-            centre.steer()
+            center.steer()
             yield
         else:
-            raise FlightError(f"still rolling at {centre.wheel_speed():.1f} m/s after {PATIENCE:g} s")
+            raise FlightError(f"still rolling at {center.wheel_speed():.1f} m/s after {PATIENCE:g} s")
         for share in smooth(POWER):
             cockpit.set_steering(1 - share)
             cockpit.brake(_BRAKE + share * (1 - _BRAKE))
             yield
         yield from wait(self.hold)
-        return f"stands {_place(centreline(runway), Plane(cockpit, runway.lat, runway.lon, runway.alt))}"
+        return f"stands {_place(centerline(runway), Plane(cockpit, runway.lat, runway.lon, runway.alt))}"
 
 
 def _place(line: SegmentPath, plane: Plane) -> str:
-    """Return where the aircraft is on the runway in words: as believed, and in truth if that differs."""
+    """Return where the aircraft is on the runway in words: as assumed, and in truth if that differs."""
 
     def say(point: tuple[float, float]) -> str:
         along, off, _ = line.segments[0].relative(point)
-        return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centreline"
+        return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centerline"
 
     believed, true = plane.position(), plane.true_position()
-    return say(true) if believed == true else f"believed {say(believed)}, in truth {say(true)}"
+    return say(true) if believed == true else f"assumed {say(believed)}, in truth {say(true)}"

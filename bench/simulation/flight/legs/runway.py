@@ -1,4 +1,4 @@
-"""Legs that begin on a runway, and the way along its centreline."""
+"""Legs that begin on a runway, and the way along its centerline."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bench.simulation.flight.legs.keys import ClimbRate, Key, Seconds, Speed, si
 
 POWER = 2.0  # in which brakes are released and power is set [s]
 PATIENCE = 180.0  # for a take-off run or a landing roll [s]
-EDGE = 20.0  # the runway ends this far from its centreline [m]
+EDGE = 20.0  # the runway ends this far from its centerline [m]
 _HANDOVER = 1.0  # in which guidance takes the surfaces, or gives them back [s]
 _ROTATE = math.radians(5.0)  # rate at which the nose is raised [rad/s]
 _NEAR = 2.0  # an airspeed has nearly come when it lacks less [m/s]
@@ -24,8 +24,8 @@ _TAXI_QUICKENS, _TAXI_SLOWS = 0.5, 0.5  # changes of the speed of taxiing [m/s^2
 _TAXI_BRAKE, _TAXI_STANDS = 0.4, 0.15  # most of the brakes; the speed that they end [m/s]
 _TAXI_LAG = 0.5  # so much below the speed that lets it stop in time it still quickens [m/s]
 _SAFE = 10.0  # height above the ground at which the climb begins [m]
-_CENTRE = 0.02  # heading back to the centreline per distance off it [rad/m] ...
-_CENTRE_MOST = math.radians(10.0)  # ... and the most of it [rad]
+_CENTER = 0.02  # heading back to the centerline per distance off it [rad/m] ...
+_CENTER_MOST = math.radians(10.0)  # ... and the most of it [rad]
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Static(Leg):
 
 @dataclass(frozen=True)
 class Taxi(Leg):
-    """Roll along the centreline with stops at equal distances, the last at the end."""
+    """Roll along the centerline with stops at equal distances, the last at the end."""
 
     kind = "taxi"
     needs = leaves = "ground"
@@ -64,27 +64,27 @@ class Taxi(Leg):
     def fly(self, cockpit: Cockpit) -> Steps:
         """Throttle and brakes hold a speed that falls to zero at each stop; the nose wheel steers."""
         runway, _ = find_runway(cockpit)
-        centre = Centreline(cockpit, runway)
+        center = Centerline(cockpit, runway)
         cockpit.course = runway.heading
         cockpit.set_heading(cockpit.course)
-        begun = centre.along
+        begun = center.along
         for number in range(1, self.stops + 1):
             for share in smooth(POWER):
                 cockpit.brake(1 - share)
                 cockpit.set_steering(share)
                 yield
-            yield from self._roll(cockpit, centre, begun + number * self.distance / self.stops)
+            yield from self._roll(cockpit, center, begun + number * self.distance / self.stops)
             for share in smooth(POWER):
                 cockpit.brake(_TAXI_BRAKE + share * (1 - _TAXI_BRAKE))
                 cockpit.set_steering(1 - share)
                 yield
             yield from wait(self.stop)
 
-    def _roll(self, cockpit: Cockpit, centre: Centreline, end: float) -> Steps:
+    def _roll(self, cockpit: Cockpit, center: Centerline, end: float) -> Steps:
         power = brake = begun = 0.0
         for k in ticks(PATIENCE + 2 * self.distance / self.speed):
-            centre.steer()
-            speed, to_go = centre.wheel_speed(), end - centre.along
+            center.steer()
+            speed, to_go = center.wheel_speed(), end - center.along
             wanted = math.sqrt(2 * _TAXI_SLOWS * max(to_go, 0.0))
             braking = wanted < min(self.speed, speed + _TAXI_LAG)
             wanted = min(wanted, self.speed, (k + 1) / GUIDANCE_RATE * _TAXI_QUICKENS)
@@ -99,7 +99,7 @@ class Taxi(Leg):
             cockpit.brake(_TAXI_BRAKE if braking and to_go < 0 else brake)
             yield
         else:
-            raise FlightError(f"not at {end:.0f} m along the runway: {centre.along:.0f} m, {cockpit.state()}")
+            raise FlightError(f"not at {end:.0f} m along the runway: {center.along:.0f} m, {cockpit.state()}")
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ class TakeOff(Leg):
         return (start.runway.alt if start.runway else start.alt) + self.to_height
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Power, roll along the centreline, raise the nose at its speed, climb out at a rate."""
+        """Power, roll along the centerline, raise the nose at its speed, climb out at a rate."""
         runway, figures = find_runway(cockpit)
-        centre = Centreline(cockpit, runway)
+        center = Centerline(cockpit, runway)
         cockpit.course = runway.heading
         cockpit.set_heading(cockpit.course)
         for share in smooth(POWER):
@@ -132,18 +132,18 @@ class TakeOff(Leg):
             cockpit.set_steering(share)
             cockpit.set_throttle(share)
             yield
-        yield from _roll_to(cockpit, centre, 0.5 * figures.rotate_speed)
+        yield from _roll_to(cockpit, center, 0.5 * figures.rotate_speed)
         cockpit.set_bank(0.0)
         cockpit.lat_mode(1)
         for share in smooth(_HANDOVER):
             for surface in ("aileron", "rudder"):
                 cockpit.direct_share[surface](1 - share)
-            centre.steer()
+            center.steer()
             yield
-        yield from _roll_to(cockpit, centre, figures.rotate_speed)
-        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=True))
+        yield from _roll_to(cockpit, center, figures.rotate_speed)
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, center, direct=True))
 
-    def _climb_out(self, cockpit: Cockpit, centre: Centreline, *, direct: bool) -> Steps:
+    def _climb_out(self, cockpit: Cockpit, center: Centerline, *, direct: bool) -> Steps:
         """Raise the nose, leave the ground, climb to the height; guidance takes a direct elevator."""
         runway, figures = find_runway(cockpit)
         begun = cockpit.pitch()
@@ -155,7 +155,7 @@ class TakeOff(Leg):
             cockpit.set_pitch(begun + raised[min(k, len(raised) - 1)] * (figures.take_off_pitch - begun))
             if direct:
                 cockpit.direct_share["elevator"](1 - handed[min(k, len(handed) - 1)])
-            centre.steer()
+            center.steer()
             if airborne or not cockpit.on_wheels():
                 airborne += 1
                 cockpit.on_ground(standing=False)
@@ -186,23 +186,23 @@ class TouchAndGo(TakeOff):
     roll: Annotated[float, Key("roll_s", "without power", 1, 30)] = 3.0
 
     def fly(self, cockpit: Cockpit) -> Steps:
-        """Nose down and throttle back, roll along the centreline, then as a take-off."""
+        """Nose down and throttle back, roll along the centerline, then as a take-off."""
         runway, figures = find_runway(cockpit)
-        centre = Centreline(cockpit, runway)
+        center = Centerline(cockpit, runway)
         cockpit.course = runway.heading
-        yield from lower_nose(cockpit, centre)
+        yield from lower_nose(cockpit, center)
         for _ in ticks(self.roll):
-            centre.steer()
+            center.steer()
             yield
         for share in smooth(POWER):
             cockpit.set_throttle(share)
-            centre.steer()
+            center.steer()
             yield
-        yield from _roll_to(cockpit, centre, figures.rotate_speed)
-        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, centre, direct=False))
+        yield from _roll_to(cockpit, center, figures.rotate_speed)
+        yield from _with_full_power(cockpit, self.speed, self._climb_out(cockpit, center, direct=False))
 
 
-def lower_nose(cockpit: Cockpit, centre: Centreline) -> Steps:
+def lower_nose(cockpit: Cockpit, center: Centerline) -> Steps:
     """Bring the nose wheel down after a touch-down, wings level and throttle back."""
     cockpit.on_ground(standing=True)
     pitch, throttle = cockpit.pitch(), cockpit.throttle()
@@ -216,7 +216,7 @@ def lower_nose(cockpit: Cockpit, centre: Centreline) -> Steps:
         cockpit.set_steering(share)
         cockpit.set_pitch((1 - share) * pitch)
         cockpit.set_throttle((1 - share) * throttle)
-        centre.steer()
+        center.steer()
         yield
 
 
@@ -233,11 +233,11 @@ def _with_full_power(cockpit: Cockpit, speed: float, steps: Steps) -> Steps:
         cockpit.start_speed(speed)
 
 
-def _roll_to(cockpit: Cockpit, centre: Centreline, speed: float) -> Steps:
+def _roll_to(cockpit: Cockpit, center: Centerline, speed: float) -> Steps:
     for _ in ticks(PATIENCE):
         if cockpit.speed() >= speed:
             return
-        centre.steer()
+        center.steer()
         yield
     raise FlightError(f"{speed:.0f} m/s not reached in {PATIENCE:g} s: {cockpit.state()}")
 
@@ -254,20 +254,20 @@ def find_runway(cockpit: Cockpit) -> tuple[Runway, RunwaySpec]:
     return cockpit.runway, cockpit.aircraft.runway
 
 
-def centreline(runway: Runway) -> SegmentPath:
-    """Return the centreline, from the threshold on; along it is negative before the threshold."""
+def centerline(runway: Runway) -> SegmentPath:
+    """Return the centerline, from the threshold on; along it is negative before the threshold."""
     path = SegmentPath((0.0, 0.0), runway.heading)
     path.straight(1e6)
     return path
 
 
-class Centreline:
-    """Steers along the centreline with the nose wheel."""
+class Centerline:
+    """Steers along the centerline with the nose wheel."""
 
     def __init__(self, cockpit: Cockpit, runway: Runway) -> None:
         self._cockpit = cockpit
         self._plane = Plane(cockpit, runway.lat, runway.lon, runway.alt)
-        self._line = centreline(runway).segments[0]
+        self._line = centerline(runway).segments[0]
         self.along, self.off, _ = self._line.relative(self._plane.position())
 
     def wheel_speed(self) -> float:
@@ -275,8 +275,8 @@ class Centreline:
         return self._plane.true_speed()
 
     def steer(self) -> None:
-        """Point the nose back to the centreline."""
+        """Point the nose back to the centerline."""
         self.along, self.off, _ = self._line.relative(self._plane.position())
         if abs(self.off) > EDGE:
             raise FlightError(f"ran off the runway to the {side_of(self.off)}: {self._cockpit.state()}")
-        self._cockpit.set_heading(self._line.course - clip(_CENTRE * self.off, _CENTRE_MOST))
+        self._cockpit.set_heading(self._line.course - clip(_CENTER * self.off, _CENTER_MOST))

@@ -36,7 +36,7 @@ _Course = Annotated[float, Key("course_deg", "over ground, of the first track; e
 
 @dataclass(frozen=True)
 class Point:
-    """A point to fly by: latitude and longitude, or metres from the start of the profile."""
+    """A point to fly by: latitude and longitude, or meters from the start of the profile."""
 
     lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
     lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None

@@ -118,7 +118,7 @@ class GustFilters:
             noise[k, k] = math.sqrt(-math.expm1(-2 * step / length))
         for first, length, tail in ((1, length_u, self.tail_r), (4, length_w, self.tail_q)):
             block = slice(first, first + 3)
-            phi[block, block], noise[block, block] = _discretize_chain(length, tail, step)
+            phi[block, block], noise[block, block] = discretize_chain(length, tail, step)
         return phi, noise
 
     def gusts(self, states: FloatArray, height_figures: tuple[float, float, float, float]) -> FloatArray:
@@ -141,7 +141,7 @@ class GustFilters:
         )
 
 
-def _discretize_chain(length: float, tail: float, step: float) -> tuple[FloatArray, FloatArray]:
+def discretize_chain(length: float, tail: float, step: float) -> tuple[FloatArray, FloatArray]:
     """Exact step of (1 + sqrt(3) L s) / (1 + L s)^2 with a lag behind it: transition and noise factor (3, 3).
 
     The transition is triangular; the covariance is the integral of what a unit pulse becomes, smooth over a

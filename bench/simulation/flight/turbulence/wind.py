@@ -59,7 +59,7 @@ class Weather:
         return wind_n
 
     def blow(self, t: float, alt: float) -> None:
-        """Write the wind of this instant [s] and height [m], and begin the gust that is due."""
+        """Write the wind of this time [s] and height [m], and begin the gust that is due."""
         if len(self._alts):
             set_wind(self._fdm, self.wind_at(alt))
         if self._gusts and t >= self._gusts[0].start - SAME_INSTANT:

@@ -13,19 +13,19 @@ from bench.simulation.sensors.gnss import rate_at
 from bench.simulation.signals import allan
 from bench.simulation.signals.orbits import C
 
-_STAGES = (0.05, 0.55, 6.05, 66.55, 732.05, 8052.55)  # correlation times of flicker [s]
-_FLAT = (0.1, 1e4, 161)  # averaging times over which the Allan deviation of their sum is flat [s]
+STAGES = (0.05, 0.55, 6.05, 66.55, 732.05, 8052.55)  # correlation times of flicker [s]
+FLAT_TIMES = (0.1, 1e4, 161)  # averaging times over which the Allan deviation of their sum is flat [s]
 
 
 @kernel
-def _flicker_kernel(
+def flicker_kernel(
     dt: FloatArray, tau: FloatArray, sd: FloatArray, noise: FloatArray, begun: bool, state: FloatArray,
     out: FloatArray,
 ) -> None:  # fmt: skip
     """Add Gauss-Markov stages to out[:, 1] (M,) and their integrals to out[:, 0], exactly for any dt (M,).
 
     ``noise`` (M, K, 2) is unit white noise. ``state`` (K, 2), the stages and their integrals before, becomes
-    those at the end; they are stationary at the first instant unless they have ``begun``. The covariance of a
+    those at the end; they are stationary at the first time unless they have ``begun``. The covariance of a
     stage and of its integral over a step, given the stage at the start of the step, is
     ``s^2 [[1 - w^2, T (1 - w)^2], [., T^2 (2 dt / T - 3 + 4 w - w^2)]]`` with w = exp(-dt / T).
     """
@@ -103,10 +103,10 @@ def simulate_receiver_clock(
         before[:] = since[-1]
     if sky.clock_h_m1 > 0:
         level = C * float(np.sqrt(2.0 * np.log(2.0) * sky.clock_h_m1))
-        noise = draws.stream("flicker").standard_normal((len(t), len(_STAGES), 2))
-        sd = level * draws.keep("stages", lambda: allan.fit_flat_deviation(_STAGES, *_FLAT))
-        state, flicker = draws.keep("flicker", lambda: np.zeros((len(_STAGES), 2))), np.zeros((len(t), 2))
-        _flicker_kernel(steps, np.array(_STAGES), sd, noise, begun, state, flicker)
+        noise = draws.stream("flicker").standard_normal((len(t), len(STAGES), 2))
+        sd = level * draws.keep("stages", lambda: allan.fit_flat_deviation(STAGES, *FLAT_TIMES))
+        state, flicker = draws.keep("flicker", lambda: np.zeros((len(STAGES), 2))), np.zeros((len(t), 2))
+        flicker_kernel(steps, np.array(STAGES), sd, noise, begun, state, flicker)
         offset += flicker[:, 0]
         drift += flicker[:, 1]
     return offset, drift

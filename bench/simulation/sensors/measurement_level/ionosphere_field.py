@@ -24,7 +24,7 @@ _TABLE = np.concatenate([np.linspace(0.0, 5.0, 2000), np.geomspace(5.0, 1e5, 200
 def draw_waves(normal: FloatArray, decay: float) -> FloatArray:
     """Return wave vectors (W, 3) [rad/m] from standard normal numbers (W, 4) and the decay [m].
 
-    Their lengths are stratified: one in each of W parts of equal chance, for the correlation of one draw to
+    Their lengths are stratified: one in each of W parts of equal chance, for the correlation of one run to
     be near its mean. Their distribution is ``2 / pi (atan r - r / (1 + r^2))``.
     """
     from scipy.special import ndtr

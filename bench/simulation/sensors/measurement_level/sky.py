@@ -1,8 +1,8 @@
 """Measurement-level GNSS: ranges, range rates and C/N0 of every satellite in view, and the fixes from them.
 
 Visibility depends on the orbits, the attitude of the aircraft and its antenna: a banked turn loses
-satellites. Every error has its own stream, ``gnss.sky.<term>``, and draws for all satellites at all epochs,
-so that it does not change with other errors or masks. The receiver samples at the instants of the truth; its
+satellites. Every error has its own stream, ``gnss.sky.<term>``, and runs for all satellites at all epochs,
+so that it does not change with other errors or masks. The receiver samples at the epochs of the truth; its
 clock error is in the pseudoranges.
 """
 
@@ -131,7 +131,7 @@ def measure(
         )
         v = v._replace(distance=v.distance + behind, rate=v.rate + falling)
     clock = clock + faults.compute_clock_offset(t, scripted)
-    errors = _Errors(t, v.epoch, v.which, len(v.sat), spec.rate, root)
+    errors = SkyErrors(t, v.epoch, v.which, len(v.sat), spec.rate, root)
     observations = _make_observations(t, start, spec.latency, sky, seen, clock, drift, v, errors, scripted)
     held = draws.keep("gnss", faults.HeldRows, "held")
     out, frozen = faults.find_reported_rows(t, scripted, "gnss", root, held)
@@ -152,7 +152,7 @@ def measure(
         observations, seen = _select_epochs(*joined, content + before, t[tag], t[tag] + spec.latency + late)
     if any(faults.select_faults(scripted, "gnss", "frozen")):
         held.go_on(frozen, len(t), take)
-    # a tracking receiver predicts its position; the prediction moves its fix by a centimetre at most
+    # a tracking receiver predicts its position; the prediction moves its fix by a centimeter at most
     solution = receiver_solution.solve_fixes(observations, make_processing(sky), near=seen)
     fixes = _claim(solution.fixes, spec.optimism)
     now = np.repeat(content == tag, np.diff(observations.epoch_start))  # not frozen
@@ -187,7 +187,7 @@ def _make_sky_view(t: FloatArray, v: View, reported: BoolArray, used: BoolArray)
     )
 
 
-class _Errors:
+class SkyErrors:
     """Random errors of one run: drawn for all satellites at all epochs, returned for the received rows."""
 
     def __init__(
@@ -254,7 +254,7 @@ class _Errors:
 
 def _make_observations(
     t: FloatArray, start: IntArray, latency: float, sky: SkySpec, seen: Look,
-    clock: FloatArray, drift: FloatArray, v: View, errors: _Errors, scripted: Sequence[Fault],
+    clock: FloatArray, drift: FloatArray, v: View, errors: SkyErrors, scripted: Sequence[Fault],
 ) -> GnssObservations:  # fmt: skip
     """Return the observations of the received satellites, with their errors."""
     epoch, which = v.epoch, v.which
@@ -266,10 +266,10 @@ def _make_observations(
     mapping = np.empty(count)
     _map_kernel(v.sin_el.copy(), mapping)
     ionosphere, troposphere = seen.ionosphere, seen.troposphere  # on the first carrier
-    modelled = replace(make_processing(sky), ionosphere="klobuchar")  # there with two carriers, too
+    modeled = replace(make_processing(sky), ionosphere="klobuchar")  # there with two carriers, too
     if sky.ionosphere_left:
         residual = errors.draw_field(seen, sky.ionosphere_correlation, sky.ionosphere_decay)
-        ionosphere = ionosphere + residual * share_errors(seen, frequency[:, 0], modelled).ionosphere
+        ionosphere = ionosphere + residual * share_errors(seen, frequency[:, 0], modeled).ionosphere
     common = geometric + troposphere + clock[epoch] - v.clock
     for system, sd in enumerate(sky.offset_sd):
         if sd > 0:

@@ -21,7 +21,7 @@ from bench.simulation.signals.orbits import GPS_EARTH_RATE, C
 
 _RISE = 4e-4  # upper limit of the rate of elevation [rad/s]: 3.9 km/s at 20 000 km, and an aircraft
 _SETTLED = 5e-3  # a range that changes by less between two iterations is accurate to 1e-8 m [m]
-_AHEAD = 14_400.0  # orbits are fitted for so long at a time [s]
+AHEAD = 14_400.0  # orbits are fitted for so long at a time [s]
 _COLUMNS = 14  # number of columns of the geometry kernel
 
 Offset = tuple[FloatArray, FloatArray]
@@ -145,7 +145,7 @@ def compute_view(
     draws: SensorDraws,
     offset: Offset | None = None,
 ) -> View:
-    """Compute which satellites are above the mask and received at some instants of the truth.
+    """Compute which satellites are above the mask and received at some epochs of the truth.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def find_track(
     kept = draws.keep("track", list[Any])
     if not kept or t[-1] > kept[1]:
         begin = kept[0] if kept else float(t[0])
-        end = begin + _AHEAD * (1 + int((t[-1] - begin) / _AHEAD))
+        end = begin + AHEAD * (1 + int((t[-1] - begin) / AHEAD))
         kept[:] = [begin, end, track_constellation(sky, np.array([begin, end]))]
     found: tuple[IntArray, IntArray, IntArray, orbits.Track] = kept[2]
     return found
@@ -222,7 +222,7 @@ def track_constellation(sky: SkySpec, t: FloatArray) -> tuple[IntArray, IntArray
         sat, track = orbits.fit_track(sets, first, last)
         numbers.append(sat)
         systems.append(np.full(len(sat), system))
-        channels.append(_find_channels(sets, sat))
+        channels.append(find_channels(sets, sat))
         coefficients.append(track.coefficients)
     sat, system_of, channel = (np.concatenate(column) for column in (numbers, systems, channels))
     return sat, system_of, channel, track._replace(coefficients=np.concatenate(coefficients))
@@ -233,7 +233,7 @@ def find_orbits(sky: SkySpec, system: int) -> KeplerSets | GlonassSets:
     return (sky.orbits or {}).get(system) or orbits.make_nominal(system)
 
 
-def _find_channels(sets: KeplerSets | GlonassSets, sat: IntArray) -> IntArray:
+def find_channels(sets: KeplerSets | GlonassSets, sat: IntArray) -> IntArray:
     """Return the frequency channels (S,) of satellites; 0 but for GLONASS."""
     if isinstance(sets, GlonassSets):
         return np.array([sets.channel[np.argmax(sets.sat == s)] for s in sat], np.int64)

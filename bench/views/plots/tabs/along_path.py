@@ -13,7 +13,7 @@ from bench.evaluation.metrics.case import select_path
 from bench.views.plots.content import Content, Tab
 
 _NAMES = {"tse": "total system error", "fte": "flight technical error", "nse": "navigation system error"}
-_COLOURS = {"tse": TRUTH, "fte": BAND, "nse": FIX}
+_COLORS = {"tse": TRUTH, "fte": BAND, "nse": FIX}
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
@@ -29,7 +29,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
             lines = []
             for part in PARTS:
                 values = np.where(known, found[part][axis], np.nan)
-                lines.append(draw_line(part, errors.t, values, _NAMES[part], _COLOURS[part]))
+                lines.append(draw_line(part, errors.t, values, _NAMES[part], _COLORS[part]))
             plots.append([Plot(("path", axis), f"{what} [m]", tuple(lines), content.begin)])
     return {"": plots} if plots else {}
 

@@ -19,7 +19,7 @@ from bench.core.records.findings.series import (
     draw_three_sigma,
 )
 from bench.core.records.instruments import INSTRUMENTS
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.views.plots.content import Content, Tab
 
 _DEG_H = np.rad2deg(1.0) * 3600.0  # rad/s to deg/h
@@ -27,10 +27,10 @@ _MG = 1e3 / STANDARD_GRAVITY  # m/s^2 to mg (standard gravity)
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    return {label: _rows(content, label, colour) for label, colour in content.colours.items()}
+    return {label: _rows(content, label, color) for label, color in content.colors.items()}
 
 
-def _rows(content: Content, label: str, colour: Colour) -> Rows:
+def _rows(content: Content, label: str, color: Color) -> Rows:
     """Return a row of plots each for the gyros, the accelerometers and the other instruments."""
     drawn, solution = content.sensed.truth, content.solutions[label]
     unknown = np.full((len(drawn.t), 1), np.nan)
@@ -65,7 +65,7 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             sd = scale * _extra(solution, name, solution.extra_sd)
             value = scale * estimate
             series = [
-                draw_three_sigma("estimated", solution.t, value, sd, "estimated", colour, value, DRIFTING)
+                draw_three_sigma("estimated", solution.t, value, sd, "estimated", color, value, DRIFTING)
             ]
             if len(drawn.t):
                 series.append(draw_line("true", drawn.t, scale * true, "true", TRUTH, DRIFTING))

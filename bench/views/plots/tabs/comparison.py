@@ -1,4 +1,4 @@
-"""What estimators have in common, a line for each in one plot."""
+"""What filters have in common, a line for each in one plot."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEAST = 1e-3
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    """Return plots of two or more estimators, scaled to those that stay near the middle one."""
+    """Return plots of two or more filters, scaled to those that stay near the middle one."""
     errors, looks = content.errors, content.looks
     sizes: dict[str, Callable[[ErrorSeries], FloatArray]] = {
         "horizontal position error [m]": lambda e: np.hypot(e.pos_n[:, 0], e.pos_n[:, 1]),
@@ -29,7 +29,7 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     for title, size in sizes.items():
         lines = {label: size(error) for label, error in errors.items()}
         series = tuple(
-            draw_line(label, errors[label].t, values, label, looks[label].colour, dashed=looks[label].dashed)
+            draw_line(label, errors[label].t, values, label, looks[label].color, dashed=looks[label].dashed)
             for label, values in lines.items()
             if np.isfinite(values).any()
         )

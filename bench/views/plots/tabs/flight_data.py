@@ -12,7 +12,7 @@ from bench.core.mathematics import rotation
 from bench.core.records.data import Trajectory
 from bench.core.records.findings.series import (
     AXES_N,
-    AXIS_COLOURS,
+    AXIS_COLORS,
     BAND,
     ESTIMATORS,
     FIX,
@@ -42,30 +42,30 @@ def _plots(content: Content) -> Mapping[str, Rows]:
     )
     blue, red, grey = ESTIMATORS[0], ESTIMATORS[1], BAND
     known = isinstance(truth, Trajectory)
-    what, colour = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
-    altitude = [draw_line(what, t, lla[:, 2], f"{what} (ellipsoidal)", colour)]
+    what, color = ("true", TRUTH) if known else ("estimated", ESTIMATORS[0])
+    altitude = [draw_line(what, t, lla[:, 2], f"{what} (ellipsoidal)", color)]
     altitude += measured.pop("altitude", [])
     if fixes is not None:
         altitude.append(draw_dots("gnss", fixes.t, fixes.lla[:, 2], "GNSS antenna", FIX))
     speed = [
         draw_line("true_airspeed", air.t, air.airspeed_true, "true airspeed", blue),
         draw_line("calibrated_airspeed", air.t, air.airspeed_calibrated, "calibrated airspeed", grey),
-        draw_line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", colour),
+        draw_line("ground_speed", t, np.hypot(vel_n[:, 0], vel_n[:, 1]), "ground speed", color),
     ]
     speed += measured.pop("speed", [])
     attitude = [
-        draw_line(name, t, euler[:, k], name, AXIS_COLOURS[k]) for k, name in enumerate(("roll", "pitch"))
+        draw_line(name, t, euler[:, k], name, AXIS_COLORS[k]) for k, name in enumerate(("roll", "pitch"))
     ]
     wraps = np.abs(np.diff(euler[:, 2], prepend=euler[0, 2])) > 180.0
-    heading = [draw_line("heading", t, np.where(wraps, np.nan, euler[:, 2]), "heading", AXIS_COLOURS[2])]
+    heading = [draw_line("heading", t, np.where(wraps, np.nan, euler[:, 2]), "heading", AXIS_COLORS[2])]
     alpha = draw_line("alpha", air.t, np.rad2deg(air.alpha), "angle of attack", blue)
     beta = draw_line("beta", air.t, np.rad2deg(air.beta), "sideslip", red)
     wind = [
-        draw_line(axis, air.t, air.wind_n[:, k], f"to the {axis}" if k < 2 else "down", AXIS_COLOURS[k])
+        draw_line(axis, air.t, air.wind_n[:, k], f"to the {axis}" if k < 2 else "down", AXIS_COLORS[k])
         for k, axis in enumerate(AXES_N)
     ]
     surfaces = [
-        draw_line(name, controls.t, getattr(controls, name), name, AXIS_COLOURS[k])
+        draw_line(name, controls.t, getattr(controls, name), name, AXIS_COLORS[k])
         for k, name in enumerate(("aileron", "elevator", "rudder"))
     ]
     power = [draw_line("throttle", controls.t, 100.0 * controls.throttle, "throttle", blue)]
@@ -98,7 +98,7 @@ def _trace(row: Instrument, record: Any) -> list[Series]:
             return [draw_dots(row.name, record.t, values[:, 0], told.legend, ESTIMATORS[1])]
         return [draw_line(row.name, record.t, values[:, 0], told.legend, BAND)]
     axes = ("forward", "right", "down")
-    return [draw_line(axis, record.t, values[:, k], axis, AXIS_COLOURS[k]) for k, axis in enumerate(axes)]
+    return [draw_line(axis, record.t, values[:, k], axis, AXIS_COLORS[k]) for k, axis in enumerate(axes)]
 
 
 def _measured_title(plot: str) -> str:

@@ -22,7 +22,7 @@ from bench.core.records.findings.series import (
     shorten,
 )
 from bench.core.records.instruments import INSTRUMENTS
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.evaluation.consistency.chi_square import chi2_quantile, nis_by_sensor
 from bench.views.plots.content import Content, Tab
 
@@ -38,10 +38,10 @@ _WIDE = 3  # plots in a row
 
 
 def _plots(content: Content) -> Mapping[str, Rows]:
-    return {label: _rows(content, label, colour) for label, colour in content.colours.items()}
+    return {label: _rows(content, label, color) for label, color in content.colors.items()}
 
 
-def _rows(content: Content, label: str, colour: Colour) -> Rows:
+def _rows(content: Content, label: str, color: Color) -> Rows:
     """Return a row per sensor of several components; then those of one component, each NIS, and the NEES."""
     rows: list[list[Plot]] = []
     others: list[Plot] = []
@@ -56,10 +56,10 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             if len(components) > 1:
                 axis = AXES_N[component]
                 name += f", {axis}"
-            series = _innovation_series(table, here & (table.component == component), colour)
+            series = _innovation_series(table, here & (table.component == component), color)
             path = ("estimators", label, "innovation", sensor, axis)
             row.append(Plot(path, f"{label}: {name} [{unit}]", series, content.begin))
-        squares = draw_dots("value", nis.t, nis.nis, "NIS", colour)
+        squares = draw_dots("value", nis.t, nis.nis, "NIS", color)
         place = ("estimators", label, "nis", sensor)
         dof = int(nis.dof.max())
         consistency = _chi_square(content, place, f"{label}: NIS of {title}", squares, dof)
@@ -70,18 +70,18 @@ def _rows(content: Content, label: str, colour: Colour) -> Rows:
             others += [*row, consistency]
     if np.isfinite(error.nees).any():
         t, squared = break_at_gaps(error.t, error.nees[:, None])
-        nees = draw_line("value", t, squared[:, 0], "NEES", colour, MOST_ROWS)
+        nees = draw_line("value", t, squared[:, 0], "NEES", color, MOST_ROWS)
         others.append(
             _chi_square(content, ("estimators", label, "nees"), f"{label}: NEES", nees, error.states)
         )
     return rows + [others[k : k + _WIDE] for k in range(0, len(others), _WIDE)]
 
 
-def _innovation_series(table: Innovations, rows: BoolArray, colour: Colour) -> tuple[Series, ...]:
+def _innovation_series(table: Innovations, rows: BoolArray, color: Color) -> tuple[Series, ...]:
     t, z, three, used = table.t[rows], table.z[rows], 3.0 * np.sqrt(table.S[rows]), table.accepted[rows]
     ends, gates = break_at_gaps(t, np.column_stack([three, -three]))  # none while the sensor is silent
     bounds = Series("bounds", ends, gates, ("±3√S",) * 2, (BAND,) * 2, (1.0, 1.0), band=(0, 1))
-    series = [shorten(bounds), draw_dots("used", t[used], z[used], "used", colour)]
+    series = [shorten(bounds), draw_dots("used", t[used], z[used], "used", color)]
     if not used.all():
         series.append(draw_dots("rejected", t[~used], z[~used], "rejected", REJECTED, size=3.0))
     return tuple(series)

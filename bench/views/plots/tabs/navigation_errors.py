@@ -1,4 +1,4 @@
-"""Errors of position, velocity and attitude with the 3 sigma that the filter claims."""
+"""Errors of position, velocity and attitude with the 3 sigma that the filter reports."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bench.views.plots.content import Content, Tab
 def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> Mapping[str, Rows]:
     """Return the plots of a block of errors, by axis; ``scale`` converts them from SI."""
     found: dict[str, Rows] = {}
-    for label, colour in content.colours.items():
+    for label, color in content.colors.items():
         solution, error = content.solutions[label], content.errors[label]
         with np.errstate(invalid="ignore"):  # a diverged covariance is a result: its sigma is NaN
             at = np.searchsorted(solution.t, error.t)
@@ -25,7 +25,7 @@ def _plots(what: str, block: str, unit: str, scale: float, content: Content) -> 
         for k, axis in enumerate(AXES_N):
             if np.isfinite(values[:, k]).any():
                 title = f"{what} error about {axis}" if block == "phi" else f"{axis} {what} error"
-                series = draw_three_sigma("error", error.t, values[:, k], sigma[:, k], "error", colour)
+                series = draw_three_sigma("error", error.t, values[:, k], sigma[:, k], "error", color)
                 path = ("estimators", label, what, axis)
                 rows.append([Plot(path, f"{label}: {title} [{unit}]", (series,), content.begin)])
         found[label] = rows

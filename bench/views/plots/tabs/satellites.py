@@ -9,14 +9,14 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.records.data import SkyView
-from bench.core.records.findings.series import AXIS_COLOURS, SLOW, Plot, Rows, Series, draw_dots, draw_line
+from bench.core.records.findings.series import AXIS_COLORS, SLOW, Plot, Rows, Series, draw_dots, draw_line
 from bench.core.records.orbit_sets import SYSTEM_NAMES, name_satellite
-from bench.core.words.palette import Colour
+from bench.core.words.palette import Color
 from bench.simulation.signals import dilution
 from bench.views.plots.content import Content, Tab
 
-USED: Colour = (80, 190, 90)
-_FRAME: Colour = (120, 120, 120)
+USED: Color = (80, 190, 90)
+_FRAME: Color = (120, 120, 120)
 _WORST = 50.0  # a larger DOP is no geometry to speak of
 
 
@@ -47,7 +47,7 @@ def plot_sky(sky: SkyView, above: str = "the mask") -> list[Plot]:
     numbers = Plot(("satellites", "number"), f"Satellites above {above}, and used", counts)
     values = np.column_stack([dop.p, dop.h, dop.v])
     values[~(values < _WORST)] = np.nan
-    lines_of_dop = Series("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLOURS, (1.5,) * 3, most=SLOW)
+    lines_of_dop = Series("dop", t, values, ("PDOP", "HDOP", "VDOP"), AXIS_COLORS, (1.5,) * 3, most=SLOW)
     return [*strength, numbers, Plot(("satellites", "dop"), "Dilution of precision", (lines_of_dop,))]
 
 
@@ -70,14 +70,14 @@ def draw_satellites(
     for number in np.unique(sat).tolist():
         mine = sat == number
         name = name_satellite(system, number)
-        hue = colorsys.hsv_to_rgb(0.618 * float(number) % 1.0, 0.7, 0.95)  # neighbours far apart
-        colour = (int(255 * hue[0]), int(255 * hue[1]), int(255 * hue[2]))
+        hue = colorsys.hsv_to_rgb(0.618 * float(number) % 1.0, 0.7, 0.95)  # neighbors far apart
+        color = (int(255 * hue[0]), int(255 * hue[1]), int(255 * hue[2]))
         if marks:
-            series.append(draw_dots(name, t[mine], values[mine], name, colour))
+            series.append(draw_dots(name, t[mine], values[mine], name, color))
             continue
         column = np.full(len(epochs), np.nan)
         column[np.searchsorted(epochs, t[mine])] = values[mine]
-        series.append(draw_line(name, epochs, column, name, colour))
+        series.append(draw_line(name, epochs, column, name, color))
     return tuple(series)
 
 

@@ -8,7 +8,7 @@ from bench import ConfigError
 from bench.core.records.orbit_sets import KEPLER, KeplerSets
 
 
-def recognises(path: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Return whether a file is such a table."""
     with path.open("rb") as file:
         return file.read(9) == b"sat,t_oe,"

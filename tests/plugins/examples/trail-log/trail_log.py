@@ -16,7 +16,7 @@ _HEAD = "TRAIL"
 _LETTERS = {"imu": "I", "gnss": "G"}
 
 
-def recognises(path: Path) -> bool:
+def recognizes(path: Path) -> bool:
     """Return whether a file is of this format, whatever its ending."""
     with path.open("rb") as file:
         return file.read(len(_HEAD)) == _HEAD.encode()

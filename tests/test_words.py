@@ -1,0 +1,102 @@
+"""The pages read once: marks of hard sentences are counted on each, and private terms are absent.
+
+A page that is rewritten loses its line in `AS_IT_IS`; no count may grow.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.cli.verbs import guide
+
+ROOT = Path(__file__).parents[1]
+PAGES = {"README": ROOT / "README.md", "CONTRIBUTING": ROOT / "CONTRIBUTING.md", **guide.find_pages()}
+TUTORIALS = ("first-run", "choose-imu", "evaluate-log", "first-ekf", "filter-in-cpp", "ci-check")
+SILENT = ("g++", "bench new check")
+"""Commands that print nothing, or what differs from machine to machine."""
+
+MARKS = {
+    "that of": (r"\b(?:that|those) of\b", 0.3),
+    "tell": (r"\b(?:tells?|told|telling)\b", 0.5),
+    "say": (r"\b(?:says?|said)\b", 1.0),
+}
+"""Mark -> what it matches, and how many in 1000 words of prose a page may have."""
+LONGEST = 35
+"""Words of the longest sentence."""
+
+BANNED = (
+    "believed again", "fooled", "dishonest", "way back", "noise draw", "unjudged", "errs by", "is of no use",
+)  # fmt: skip
+"""Private terms without an everyday use."""
+
+AS_IT_IS: dict[str, list[int]] = {
+    "accuracy": [0, 0, 0, 1],
+    "card": [0, 3, 7, 8],
+    "equations": [2, 3, 0, 9],
+    "estimators": [0, 0, 0, 1],
+    "own-filter": [0, 0, 0, 1],
+    "own-log": [9, 10, 22, 21],
+    "results": [2, 1, 5, 9],
+    "studies": [7, 12, 9, 15],
+}
+"""Page -> its marks in the order of `MARKS`, and its long sentences, where they are above the limits."""
+
+
+def take_prose(text: str) -> str:
+    """Return the prose of a page: without code, tables, formulas and headings, links as their words."""
+    text = re.sub(r"<!--.*?-->|```.*?```|\$\$.*?\$\$|!\[[^\]]*\]\([^)]*\)", "\n\n", text, flags=re.DOTALL)
+    lines = ["" if line.lstrip().startswith(("|", "#")) else line for line in text.splitlines()]
+    text = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", "\n".join(lines))
+    return re.sub(r"`[^`]*`", "x", text)
+
+
+def list_sentences(prose: str) -> list[str]:
+    """Return the sentences of paragraphs and entries of lists."""
+    parts = re.split(r"\n\s*\n|\n(?=\s*(?:[-*]|\d+\.) )", prose)
+    return [
+        one for part in parts for one in re.split(r"(?<=[.!?:;])\s+(?=[A-Zx\"'(*])", " ".join(part.split()))
+    ]
+
+
+def count_marks(text: str) -> tuple[list[int], int, int]:
+    """Return how often each of the marks stands in a page, its long sentences, and its words."""
+    prose = take_prose(text)
+    counts = [len(re.findall(pattern, prose, re.IGNORECASE)) for pattern, _ in MARKS.values()]
+    long = sum(len(one.split()) > LONGEST for one in list_sentences(prose))
+    return counts, long, len(re.findall(r"[A-Za-z][\w'-]*", prose))
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_has_few_marks_of_hard_sentences(page):
+    counts, long, words = count_marks(PAGES[page].read_text(encoding="utf-8"))
+    limits = [int(most * words / 1000.0) for _, most in MARKS.values()]
+    held = AS_IT_IS.get(page, [0] * (len(MARKS) + 1))
+    for name, count, limit, now in zip(MARKS, counts, limits, held, strict=False):
+        assert count <= max(limit, now), f"{page}: {name!r} stands {count} times, {max(limit, now)} at most"
+    assert long <= held[-1], f"{page}: {long} sentences have more than {LONGEST} words, {held[-1]} at most"
+    above = any(count > limit for count, limit in zip(counts, limits, strict=True)) or long > 0
+    assert above == (page in AS_IT_IS), f"{page}: take it out of AS_IT_IS"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_a_page_has_no_private_terms(page):
+    prose = take_prose(PAGES[page].read_text(encoding="utf-8")).lower()
+    assert [term for term in BANNED if page != "CONTRIBUTING" and term in prose] == []
+
+
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_each_command_of_a_tutorial_shows_its_output(page):
+    text = PAGES[page].read_text(encoding="utf-8")
+    for block in re.finditer(r"```sh\n(.*?)```\n+(.{7})", text, re.DOTALL):
+        if not block[1].startswith(SILENT):
+            assert block[2] == "```text", f"{page}: {block[1].strip()} shows no output"
+
+
+def test_marks_are_counted_in_prose_alone():
+    text = (
+        "# Those of it\n\nThat of a says so. `that of`\n\n| told |\n\n```sh\ntell\n```\n" + "word " * 36 + "."
+    )
+    assert count_marks(text) == ([1, 0, 1], 1, 42)
