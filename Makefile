@@ -23,7 +23,7 @@ MINIMA := tests/test_api.py tests/test_compiled.py tests/test_earth.py tests/tes
 .PHONY: run test long short lint kernels check perf oracle minima lock mutants guide pictures docs
 
 run: .venv/core
-	$(BIN)/bench run figure-eight --force
+	$(BIN)/bench run figure-eight -o runs/first --force
 
 test: .venv/ready
 	$(MAKE) --jobs=2 lint kernels

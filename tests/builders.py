@@ -45,7 +45,7 @@ def band(count: Any, states: int = 1) -> tuple[Any, Any]:
 
 
 def student(draws: int) -> float:
-    """Return the half-width of the 99.9 % band of the mean of normal runs, in standard errors of theirs.
+    """Return the half-width of the 99.9 % band of the mean of normal draws, in standard errors of theirs.
 
     Examples
     --------
@@ -178,7 +178,7 @@ class Ensemble:
         return pooled
 
     def claims(self, states: int = 9, nees_factor: float = 1.0) -> Any:
-        """Return the verdict on the three covariances of consistency: NEES at whole seconds, and NIS."""
+        """Return the verdict on the three tests of consistency: NEES at whole seconds, and NIS."""
         whole = np.abs(self.t - np.round(self.t)) < 1e-6
         nees = nees_factor * np.array(self.nees)[:, whole]
         return ensemble_consistency.check_consistency(nees, states, self.nis)

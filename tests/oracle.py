@@ -3,7 +3,7 @@
 The two are one filter in other axes, coordinates and code, linearized at other points; both weigh a fix by
 its datasheet. Left out are the profile across the pole, for the reduced coordinates of classic-22 end at
 85 deg (equations 1.5), the one at rest, where loose-22 alone knows that nothing tells the heading, the one
-whose jumping fixes both reject for a while, after which P hangs on the time, and those flown by a filter.
+whose jumping fixes both reject for a while, after which P depends on the epoch, and those flown by a filter.
 Exit status 1 when a difference exceeds its limit.
 
     python -m tests.oracle                    all profiles, bench/guide/accuracy.md rewritten

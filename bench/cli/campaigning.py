@@ -117,13 +117,13 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
 @click.argument("source", metavar="PROFILE|LOG.toml", shell_complete=completion.profile)
 @click.option("-e", "--estimator", required=True, metavar="NAME", help="filter to tune")
 @click.option(
-    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second evaluate"
+    "--log", is_flag=True, help="it is a log: its first half tunes, withheld fixes of the second check"
 )
 @click.option(
     "--goal",
     type=click.Choice(["consistency", "rmse"]),
     default="consistency",
-    help="covariances that describe the errors, or the least horizontal RMSE",
+    help="a covariance that describes the errors, or the least horizontal RMSE",
 )
 @click.option(
     "--factor",

@@ -122,7 +122,10 @@ class _Shelf(click.Choice[str]):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value not in self.choices:
             from bench.cli.verbs.show import list_catalog
+            from bench.io.config.listing import KINDS
 
+            if value in KINDS:
+                self.fail(f"{value!r} is a kind of sensor: bench list sensors")
             there = list_catalog()
             del there["packages"]  # the other shelves have these, too
             shelves = {one.name.lower(): shelf for shelf, found in there.items() for one in found}

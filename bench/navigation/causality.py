@@ -1,7 +1,7 @@
 """Does a filter use what it cannot have yet? What arrives later is changed, and its answers are compared.
 
 An answer at t may follow from all that has arrived until t, and from the IMU sample that t lies in. Where the
-values of everything that arrives after a time are those of another run of the noise, the answers until
+values of everything that arrives after a time are those of other noise, the answers until
 then must not change by a bit.
 """
 
@@ -55,7 +55,7 @@ def measure_look_ahead(
     run : callable
         Returns the solution of the filter for a record; a new instance each time.
     sensors, other : SensorData
-        Two runs of the noise on the same motion.
+        Two realizations of the noise on the same motion.
     instants : iterable of float
         After which the second draw takes the place of the first [s]; each is moved to the IMU sample before.
     first : NavSolution or None
@@ -84,7 +84,7 @@ def measure_look_ahead(
 
 
 def change_later(sensors: SensorData, other: SensorData, after: float) -> SensorData:
-    """Return a record with the values of another run in all that arrives after a time [s]."""
+    """Return a record with the values of other noise in all that arrives after a time [s]."""
     changed = {}
     for one in fields(sensors):
         record, source = getattr(sensors, one.name), getattr(other, one.name)
@@ -108,7 +108,7 @@ def _take_later(record: Any, source: Any, later: BoolArray) -> Any:
 
 
 def _find_change(first: NavSolution, other: NavSolution, until: float) -> float | None:
-    """Return the first time, until some time [s], at which two solutions differ by a bit."""
+    """Return the first epoch, until some time [s], at which two solutions differ by a bit."""
     rows = first.t <= until + SAME_INSTANT
     differ = np.zeros(int(rows.sum()), np.bool_)
     for name in _ANSWERS:

@@ -199,7 +199,7 @@ def accept(name: str, found: object) -> NavSolution:
 
 
 def list_unmodeled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list[str] | None:
-    """Return the sensor errors that a filter reports to have no state for; None if it reports nothing.
+    """Return the sensor errors for which a filter says that it has no state; None if it says nothing.
 
     Raises
     ------

@@ -19,9 +19,10 @@ def fix_steps(
 ) -> Iterator[tuple[float, list[tuple[FloatArray, FloatArray]]]]:
     """Yield, for each time of ``sensors.output_t``, the time since the one before [s] and the new fixes.
 
-    A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), what its
-    receiver covariances. It is that of the antenna, in the order of arrival; what is flagged, not finite,
-    repeated, overtaken or without velocity is left out. The start has to be given, not found by an alignment.
+    A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), the covariance
+    that its receiver reports. It holds for the antenna, in the order of arrival. Rows that are flagged, not
+    finite, repeated, overtaken or without velocity are left out. The start has to be given, not found by an
+    alignment.
     """
     now, fixes = initial.t, sensors.fixes
     new: dict[int, list[tuple[FloatArray, FloatArray]]] = {}

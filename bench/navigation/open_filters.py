@@ -180,7 +180,7 @@ class PieceFilter(SessionState):
         state: Mapping[str, Any],
         path: str,
     ) -> PieceFilter:
-        """Return the filter of :meth:`state`, with its filter and the datasheets it assumes.
+        """Return the filter of :meth:`state`, with its estimator and the datasheets it assumes.
 
         Whatever it raises: the state in the file ``path`` is none of this filter.
         """

@@ -1,7 +1,7 @@
 """The navigation filter flies: a flight whose guidance reads an estimate, and what the estimate was.
 
 The flight gives its truth piece by piece. Of each the sensors measure it, the filter takes what has arrived,
-and its answer becomes what guidance assumes (`guidance.belief`). Sensors and filter are those that a
+and its answer becomes what guidance uses (`guidance.belief`). Sensors and filter are those that a
 recorded flight has: `replay` gives the same answers from the truth that was flown, bit for bit.
 """
 

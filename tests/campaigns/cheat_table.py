@@ -42,7 +42,7 @@ CHEATS = (
     Cheat("answers where its sigma is smallest", "AnswersWhereItIsSure", ("coverage",)),
     Cheat("no attitude where its heading is doubtful", "LosesItsHeading", ("coverage",)),
     Cheat("reports a covariance only where it is sure", "ClaimsWhereItIsSure"),
-    Cheat("covariances to be exact", "ClaimsToBeExact"),
+    Cheat("reports a covariance of zero", "ClaimsToBeExact"),
     Cheat("stamps its answers with times of its own", "StampsItsOwnTimes"),
     Cheat("an alarm every second", "AlwaysAlarms", ("faults", "alarms"), "gnss-faults"),
     Cheat("an alarm every other second", "AlarmsInTurns", ("alarms",), "gnss-faults"),

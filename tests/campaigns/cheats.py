@@ -73,7 +73,7 @@ class SpeaksEnu(Wrong):
 
 
 class Frozen(Wrong):
-    """Stays 20 km from where it starts, and covariances nothing."""
+    """Stays 20 km from where it starts, and reports nothing."""
 
     def spoil(self, found):
         still = np.broadcast_to(found.lla[:1] + np.array([0.003, 0.0, 0.0]), found.lla.shape)
@@ -105,7 +105,7 @@ class LosesItsHeading(Wrong):
 
 
 class ClaimsWhereItIsSure(Wrong):
-    """Answers always, and covariances an accuracy only where it is best."""
+    """Answers always, and reports an accuracy only where it is best."""
 
     def spoil(self, found):
         doubtful = ~is_sure(found, 0.3) & (found.t > 6.0)
@@ -123,7 +123,7 @@ class SpeaksLate(Wrong):
 
 
 class Gain(Wrong):
-    """Has an option, and covariances so much more."""
+    """Has an option, and reports so much more."""
 
     def __init__(self, *, gain: float = 1.0) -> None:
         self.gain = gain

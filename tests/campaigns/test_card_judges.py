@@ -1,4 +1,4 @@
-"""The evaluates of a card, without flights: causality, conventions, comparison, the times of what breaks."""
+"""The checks of a card, without flights: causality, conventions, comparison, the times of what breaks."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ def test_a_name_in_capitals_or_of_the_datasheet_is_understood(wrong, known, near
 def test_a_word_that_is_no_topic_names_the_pages_that_have_it(capsys):
     assert main(["guide", "octave"]) == 2
     said = capsys.readouterr().err
-    assert "no topic 'octave'. It is written of in: " in said, said
+    assert "no topic 'octave'. Mentioned in: " in said, said
 
 
 def test_the_name_of_a_unit_is_told_where_it_is_listed(capsys):

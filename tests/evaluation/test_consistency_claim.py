@@ -24,7 +24,7 @@ def profile():
 
 
 def claims(profile, truth, assumed, **options):
-    """Return the verdict on the three covariances over 40 runs."""
+    """Return the verdict on the three tests over 40 runs."""
     return ensemble(
         Loose(**options),
         truth,

@@ -111,7 +111,7 @@ def test_headings_are_taken_once_a_second():
 
 
 def test_the_law_of_an_outage_is_that_of_a_calibrated_imu_and_the_wander_of_the_receiver():
-    """From the first time in it to the last, 29.5 s; of two axes, rms and the 95 % radius."""
+    """From the first epoch in it to the last, 29.5 s; of two axes, rms and the 95 % radius."""
     sd = drift_sd(29.5, IMU, heading=0.01 * np.linspace(10.0, 39.5, 31), velocity=0.3)
     fixed = case(nis=("gnss_position",))
     assert drift_laws.outage_law("rms", fixed) == {"1": pytest.approx(np.sqrt(2.0) * sd, rel=1e-4)}

@@ -93,7 +93,7 @@ def test_growth_of_a_random_walk_of_velocity_is_its_closed_form():
         assert row.rms.low <= np.sqrt(2) * 0.5 * T <= row.rms.high
         assert row.median.low <= 0.5 * T * np.sqrt(2 * np.log(2)) <= row.median.high
         assert row.p95.low <= 0.5 * T * np.sqrt(-2 * np.log(0.05)) <= row.p95.high
-    with pytest.raises(ValueError, match="no time within 10 s of the outage at -20 s"):
+    with pytest.raises(ValueError, match="no epoch within 10 s of the outage at -20 s"):
         ensemble.measure_growth(t, begin + speed * t[:, None], -20.0, [10.0])
 
 

@@ -63,9 +63,9 @@ def test_the_best_turn_is_that_of_scipy_and_never_a_mirror(poses):
     target = poses.truth_e * [1.0, 1.0, -1.0]
     for reference in (poses.truth_e, target):
         found = align(poses.estimate_e, reference)
-        centerd = poses.estimate_e - poses.estimate_e.mean(axis=0)
-        turn, _ = Rotation.align_vectors(reference - reference.mean(axis=0), centerd)
-        assert_allclose(found, turn.apply(centerd) + reference.mean(axis=0), atol=1e-9)
+        centered = poses.estimate_e - poses.estimate_e.mean(axis=0)
+        turn, _ = Rotation.align_vectors(reference - reference.mean(axis=0), centered)
+        assert_allclose(found, turn.apply(centered) + reference.mean(axis=0), atol=1e-9)
 
 
 def test_poses_are_the_places_and_axes_of_estimate_and_truth():

@@ -41,7 +41,7 @@ def believe(truth, rows, error_n):
 
 
 def test_the_belief_is_off_the_path_by_the_sum_of_both(approach):
-    """FTE by resolving the assumed positions themselves against the runway: equal within 1 mm."""
+    """FTE by resolving the estimated positions themselves against the runway: equal within 1 mm."""
     spec, truth, rows, error_n = approach
     path = measure_off_path(spec, truth, rows)
     solution = believe(truth, rows, error_n)

@@ -142,7 +142,7 @@ def test_a_solution_of_rtklib_and_one_of_kf_gins_are_references(tmp_path):
         ("file = 'other.csv'\nquality = [1]", {}, "quality is set, but the file has no column quality"),
         ("file = 'other.csv'\ntime_offset_s = 1e6", {}, "do not overlap with the IMU"),
         ("file = 'other.csv'", {"lat_deg": None}, "no columns for position"),
-        ("file = 'other.csv'", {"valid": 0.0}, "0 of 750 rows can evaluate; at least 3 are needed"),
+        ("file = 'other.csv'", {"valid": 0.0}, "0 of 750 rows are usable; at least 3 are needed"),
         (
             "file = 'other.csv'\nposition_m = [0, 200, 0]",
             {},

@@ -222,7 +222,7 @@ def test_a_gap_is_not_bridged_unless_told_and_its_drift_is_that_of_the_last_answ
     keep = (made.t < 12.45) | (made.t > 15.75)
     path = written(tmp_path / "gap.csv", taken(made, keep))
     measured, said = judged(capsys, str(path), str(folder))
-    asked = sensed.data.output_t  # 10 Hz, and 13.99 s, the last time of the outage
+    asked = sensed.data.output_t  # 10 Hz, and 13.99 s, the last epoch of the outage
     lost = int(np.sum((asked > 12.45) & (asked < 15.75)))
     assert (len(asked), lost) == (202, 34)
     assert measured["output_coverage_all"] == pytest.approx(1 - lost / 202)

@@ -1,4 +1,4 @@
-"""Spectra of the turbulence beside those of MIL-F-8785C: ``python -m tests.flight.gust_spectra`` runs them.
+"""Spectra of the turbulence beside those of MIL-F-8785C: ``python -m tests.flight.gust_spectra`` draws them.
 
 It writes ``bench/guide/gusts.png``: third octaves of twenty runs of 1,000 s in moderate turbulence, 60 m
 above ground at 25 m/s, over the lines of the shaping filters.

@@ -71,7 +71,7 @@ def test_side_force_acts_along_the_body_axis(published):
 
 
 def through_air(alpha, beta, speed=12.0):
-    """Lift, drag, roll and pitch coefficients of the flow from an angle, surfaces centerd."""
+    """Lift, drag, roll and pitch coefficients of the flow from an angle, surfaces centered."""
     fdm = load_aircraft(AEROSONDE, DT)
     place(fdm, replace(LEVEL, speed=speed), radians(alpha), radians(beta), 0.0, 0.0, 0.0, 0.0, pitch=0.0)
     area, side, moment = fdm["aero/qbar-area"], 2.8956 / FT, 0.18994 / FT

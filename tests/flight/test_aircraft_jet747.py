@@ -153,7 +153,7 @@ PUBLISHED = [  # altitude in thousands of ft, alpha in deg; CL_M and Cm_M of the
 
 
 class Tunnel:
-    """Coefficients of the model at a Mach number, altitude [m] and angle of attack, surfaces centerd."""
+    """Coefficients of the model at a Mach number, altitude [m] and angle of attack, surfaces centered."""
 
     def __init__(self) -> None:
         self.fdm = load_aircraft(JET, DT)

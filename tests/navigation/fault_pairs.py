@@ -79,7 +79,7 @@ SKY_ONLY = ("pseudorange", "satellite-clock", "receiver-clock", "jamming", "sate
 
 EXCEPTED = {
     "spoofed ranges": "all ranges and rates move alike, as if the aircraft did",
-    "spoofed with its velocity": "the same of a fix, once the gate assumes it again after ten seconds",
+    "spoofed with its velocity": "the same of a fix, once the gate re-admits it after ten seconds",
     "frozen": "after an outage or a gap, and in all ranges, the frozen output is all that comes",
     "ranges after a gap of seconds": "the covariance has grown so far that every range passes",
 }

@@ -4,7 +4,7 @@ The twin is the same filter on the same runs of sensors that have no error but t
 Gauss-Markov processes, white noise, no quantization, no jumps (:func:`without_unmodeled`). Both are evaluated
 by `bench.evaluation.ensembles.ensemble_consistency`. Run as a program it prints a row for each pair::
 
-    python -m tests.navigation.consistency --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
+    python -m tests.navigation.honesty --profiles survey,static --units adis16475,bmi088 --runs 150 --twin
 
 With ``-o`` it also keeps the rows, and ``--table`` prints the tables of the guide from them.
 """

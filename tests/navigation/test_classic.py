@@ -180,7 +180,7 @@ def test_markov_states_keep_their_meters_on_the_way(sensed):
 
 
 def test_f_of_both_filters_is_one_matrix():
-    """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced meters segment on the way."""
+    """F_NED = (T F + T') T^-1, each element to 1e-7 of its row; T' as reduced meters stretch on the way."""
     F = error_dynamics.dynamics_matrix(NAV, A_ENU, navigator.ellipsoid(NAV.lat, NAV.h))
     (lat_rate, lon_rate, h_rate), _, _ = equations.rates(
         NAV, np.zeros(3), np.zeros(3), navigator.ellipsoid(NAV.lat, NAV.h)

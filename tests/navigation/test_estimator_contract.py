@@ -574,10 +574,10 @@ def test_aiding_switched_off_is_aiding_absent(sensed, option):
 # --- a filter that diverges is a result -------------------------------------------------------------------
 
 ABSURD = {
-    "GNSS that covariances a nanometer": {"gnss": replace(GNSS, pos_h_white_sd=1e-9, pos_v_white_sd=1e-9)},
+    "GNSS that reports a nanometer": {"gnss": replace(GNSS, pos_h_white_sd=1e-9, pos_v_white_sd=1e-9)},
     "GNSS without noise": {"gnss": replace(GNSS, pos_h_white_sd=0.0, pos_v_white_sd=0.0, vel_white_sd=0.0)},
     "GNSS of NaN": {"gnss": replace(GNSS, pos_h_white_sd=np.nan)},
-    "baro that covariances a nanometer": {"baro": replace(BARO, white_sd=1e-9, bias_sd=0.0, bias_walk=0.0)},
+    "baro that reports a nanometer": {"baro": replace(BARO, white_sd=1e-9, bias_sd=0.0, bias_walk=0.0)},
     "gyro noise of NaN": {"imu": replace(IMU, gyro=replace(IMU.gyro, random_walk=np.nan))},
     "gyro noise beyond reason": {"imu": replace(IMU, gyro=replace(IMU.gyro, random_walk=1e150))},
     "accelerometer noise beyond reason": {"imu": replace(IMU, accel=replace(IMU.accel, random_walk=1e150))},

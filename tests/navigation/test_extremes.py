@@ -167,7 +167,7 @@ def test_what_free_drift_leaves_out_is_of_second_order_and_said(estimator):
     assert words == ()
     large, words = free_drift(1.0, estimator)
     assert large > 100 * high
-    assert words == ("second order of a free drift by degrees of tilt",)
+    assert words == ("nonlinear drift from a tilt of degrees",)
 
 
 @pytest.mark.parametrize(("estimator", "said"), [("free-inertial", 1), ("baro-inertial", 1), ("loose-15", 0)])

@@ -75,7 +75,7 @@ def test_where_gnss_is_used_meanwhile_the_filter_is_not_lost(channel, used, verd
 
 
 def moving(place, speed, seconds=30):
-    """Whether fixes of 1 Hz are to be assumed, by innovations of their position and velocity along east."""
+    """Whether fixes of 1 Hz are to be accepted, by innovations of their position and velocity along east."""
     trust, found = new_trust(2, 0.0), []
     for t in range(1, seconds + 1):
         y = np.array([0.0, place(t), 0.0, 0.0, speed(t), 0.0])
@@ -138,7 +138,7 @@ def test_a_drift_while_there_were_no_fixes_moves_the_velocity_too(position, velo
     assert not gate.drifted
     gate.see_fix(10.0, y, S, np.full(3, 2.0))
     assert gate.drifted is drifted
-    gate.see_fix(10.0, y, S, np.full(3, 10.0))  # the filter reports to know its place better than the fix
+    gate.see_fix(10.0, y, S, np.full(3, 10.0))  # the filter reports a smaller sigma than the fix
     assert gate.drifted is (velocity == 12.0)
     gate.decide(10.0, 0, y[:3], [1.0] * 3, 0.0, sound=True)
     gate.see_fix(10.5, y, S, np.ones(3))

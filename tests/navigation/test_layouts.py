@@ -77,7 +77,7 @@ def draws(estimator, profile, truth, runs, assumed=None):
 
 
 def claims(name, profile, truth, runs, **options):
-    """Return the verdict on the three covariances of consistency."""
+    """Return the verdict on the three tests of consistency."""
     return draws(load(name, options), profile, truth, runs).claims()
 
 
@@ -95,7 +95,7 @@ def with_mems_errors(profile):
 
 @pytest.mark.slow
 def test_loose_mems_knows_scale_factors_and_g_sensitivity(profile, five_minutes):
-    """40 runs of 300 s on matched sensors: all three covariances; without the states NEES is far off.
+    """40 runs of 300 s on matched sensors: all three tests pass; without the states NEES is far off.
 
     With the wandering receiver the mean of 20 runs is in its 99.9 % band.
     """

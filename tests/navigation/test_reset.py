@@ -30,7 +30,7 @@ def truth():
 
 
 def knocked(truth, run, turn_deg=90.0, off=200.0, **changes):
-    """A run whose start is off by a heading and a distance north [m], and covariances the usual."""
+    """A run whose start is off by a heading and a distance north [m], and reports the usual."""
     drawn = sensors.sense(truth, replace(units(), **changes), 31, run)
     start = drawn.initial
     q_nb = rotation.multiply(rotation.from_euler(0.0, 0.0, np.deg2rad(turn_deg)), start.q_nb)
@@ -63,7 +63,7 @@ def test_a_filter_that_is_lost_starts_anew_and_is_honest(truth, use):
 
 
 def test_a_small_knock_needs_no_reset(truth):
-    """200 m alone: the gate assumes the fixes again after its ten seconds."""
+    """200 m alone: the gate re-admits the fixes after its ten seconds."""
     data, start = knocked(truth, 0, turn_deg=0.0)
     solution = load("loose-full", {}).run(data, start)
     assert not len(solution.events.select("reset"))

@@ -1,4 +1,4 @@
-"""A receiver that comes back: a drift beyond the gate is assumed at once, a step of the receiver is not."""
+"""A receiver that comes back: a drift beyond the gate is accepted at once, a step of the receiver is not."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ CHANGE, GONE = 60.0, 20.0
 
 @pytest.mark.slow
 def test_ranges_that_wander_are_known_to_their_covariance():
-    """Errors of minutes and meters in 40 runs: all three covariances. As white, they are not."""
+    """Errors of minutes and meters in 40 runs: all three tests pass. As white, they are not."""
     truth = weaving(300.0)
     brief = {"space_correlation": 75.0, "troposphere_correlation": 75.0}  # drawn anew at each epoch
     sky = replace(WANDERING.sky, **brief)

@@ -1,7 +1,7 @@
 """loose-full is consistent if a consumer IMU flies straight out, its heading hardly observable.
 
 The errors of such a unit are larger than what it measures, and what tells them apart are turns alone: a
-filter that takes a correction for a turn, or a state for another, assumes itself and is lost.
+filter that takes a correction for a turn, or a state for another, trusts itself and is lost.
 """
 
 from __future__ import annotations

@@ -216,7 +216,7 @@ def test_it_keeps_the_contract_with_satellites(sensed):
 
 @pytest.mark.slow
 def test_tight_knows_its_errors():
-    """40 matched runs of 300 s: all three covariances; a covariance a third too small keeps none of NEES."""
+    """40 matched runs of 300 s: all three tests pass; a covariance a third too small keeps none of NEES."""
     truth = weaving(300.0)
     estimator = load("tight", {})
     found = ensemble(estimator, truth, lambda run: sensors.sense(truth, UNITS, 5, run), 40, 60.0)

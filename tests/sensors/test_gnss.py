@@ -78,7 +78,7 @@ def test_without_errors_a_fix_is_the_antenna(turn):
     lever_e = np.einsum("kij,kj->ki", C_en, rotation.rotate(turn.q_nb, np.array(LEVER)))
     assert_allclose(earth.to_ecef(fixes.lla), (earth.to_ecef(turn.lla) + lever_e)[rows], rtol=0, atol=1e-6)
 
-    rows = rows[:-1]  # the last time has no later neighbor
+    rows = rows[:-1]  # the last epoch has no later neighbor
     rate_e = (lever_e[rows + 1] - lever_e[rows - 1]) / (turn.t[rows + 1] - turn.t[rows - 1])[:, None]
     lever_rate_n = np.einsum("kji,kj->ki", C_en[rows], rate_e)
     assert_allclose(fixes.vel_n[:-1] - turn.vel_n[rows], lever_rate_n, rtol=0, atol=2e-5)
@@ -86,7 +86,7 @@ def test_without_errors_a_fix_is_the_antenna(turn):
     assert earth.EARTH_RATE * np.linalg.norm(LEVER) > 5 * 2e-5
 
 
-def test_the_turn_rate_of_an_instant_is_centerd_on_it(turn):
+def test_the_turn_rate_of_an_instant_is_centered_on_it(turn):
     """Under a steady roll acceleration the mean of both neighbors is exact; one alone is dt / 2 late."""
     acceleration = 2.0
     ramp = acceleration * 0.5 * (turn.t[1:] ** 2 - turn.t[:-1] ** 2)

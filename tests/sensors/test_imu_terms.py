@@ -196,7 +196,7 @@ def test_a_figure_of_one_axis_acts_on_that_axis_alone(figure):
 
 
 def test_adding_terms_leaves_the_noise_of_the_others_bit_identical(streams_drawn):
-    """Streams are named by term: with all of them on, each runs what it draws alone."""
+    """Streams are named by term: with all of them on, each draws what it draws alone."""
     turn = turning(5.0, 200.0)
     figures = {**EXTRA, **GYRO_ONLY}
     seen = {}

@@ -55,7 +55,7 @@ def test_pierce_points_are_on_the_line_of_sight_and_on_the_shell():
 
 @pytest.mark.parametrize("decay", [1e6, 3e6])
 def test_the_field_has_the_correlation_that_the_covariance_assumes(decay):
-    """exp(-d / decay) over the chord, for all pairs of 20 directions, over 4000 runs of waves and noise.
+    """exp(-d / decay) over the chord, for all pairs of 20 directions, over 4000 draws of waves and noise.
 
     The product of two unit normal numbers of correlation r has the variance 1 + r^2; that of waves which are
     drawn, too, is larger by a tenth at most. Largest of 190 pairs: 4.8 sigma is the 99.97 % band. A field
@@ -140,7 +140,7 @@ def test_the_states_of_the_anchors_give_every_satellite_its_variance_and_near_on
 
 
 def test_the_errors_of_fixes_are_those_that_their_covariance_claims():
-    """NEES of least-squares fixes on 600 runs of the field, weights by the receiver's covariance: horizontal
+    """NEES of least-squares fixes on 600 draws of the field, weights by the receiver's covariance: horizontal
     over 2 and height. With ranges taken as independent both are outside their bands."""
     from scipy.linalg import cho_factor, cho_solve
 

@@ -79,7 +79,7 @@ def on_board(imu=EVERY_TERM, gnss=None, scripted=(), **others):
 
 
 def cut(truth: Trajectory, ticks: list[int]) -> list[Trajectory]:
-    """Pieces of so many ticks of 50 ms each; the air of the first time of a piece is that before."""
+    """Pieces of so many ticks of 50 ms each; the air of the first epoch of a piece is that before."""
     rate, begin, pieces = round((len(truth.t) - 1) / truth.t[-1]), 0, []
     for end in [*np.cumsum(ticks), round(truth.t[-1] * 20)]:
         first, last = begin * rate // 20, end * rate // 20

@@ -3,7 +3,7 @@
 ``python -m tests.signals.fault_power OBSERVATIONS NAVIGATION`` adds ``--fault`` meters to each satellite in
 turn at each epoch with eight or more. Predicted: the same test on errors drawn from the covariance of the
 ranges. At most: what a test finds in these that knows the size of the fault and has as many false alarms; no
-test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by runs of
+test of one epoch finds more of such faults (lemma of Neyman and Pearson). An interval is 99.9 % by draws of
 whole epochs, whose satellites share their errors; the epochs of a day hang together besides.
 """
 
@@ -89,7 +89,7 @@ def find_odds(w: FloatArray, size: FloatArray) -> FloatArray:
 
 
 def resample(values: FloatArray, epochs: FloatArray, rng: np.random.Generator) -> tuple[float, float]:
-    """Return the 99.9 % interval of the mean by runs of whole epochs."""
+    """Return the 99.9 % interval of the mean by draws of whole epochs."""
     _, which = np.unique(epochs, return_inverse=True)
     total, count = np.bincount(which, values), np.bincount(which)
     drawn = rng.integers(0, len(count), (4000, len(count)))

@@ -1,4 +1,4 @@
-"""The magnetic field: NOAA's own test values, and an interpolation that nobody detects."""
+"""The magnetic field: NOAA's own test values, and an interpolation that nobody notices."""
 
 from __future__ import annotations
 

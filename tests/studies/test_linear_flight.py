@@ -30,7 +30,7 @@ FIGURES = {  # deg/sqrt(h), m/s/sqrt(h), deg/h, ug (tables 2.4.1, 2.4.2); at the
 }
 
 PERCENT = {("grade-3", "73.5"): 3.0}
-"""What is not within 2 %: our 75.5 m. It hangs on the walk of the accelerometer: 66.9 m without it."""
+"""What is not within 2 %: our 75.5 m. It depends on the walk of the accelerometer: 66.9 m without it."""
 
 
 def check(grade: str, found: list[float], printed: str) -> None:

@@ -322,7 +322,7 @@ def test_with_a_wind_that_changes_with_height_turns_have_no_track():
 
 
 def test_where_a_filter_flies_the_total_error_is_that_of_the_truth_and_the_parts_add_up_to_it(tmp_path):
-    """FTE anew, from the assumed positions themselves, and NSE by the positions of both: within 1 mm."""
+    """FTE anew, from the estimated positions themselves, and NSE by the positions of both: within 1 mm."""
     text = (Path(bench.__file__).parent / "profiles" / "waypoints-closed.toml").read_text()
     points = text.index("  { north_m = -1900.0, east_m = 1000.0 }"), text.index("]\n\n[[leg]]")
     path = tmp_path / "short.toml"

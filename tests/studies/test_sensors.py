@@ -237,7 +237,7 @@ def test_the_answer_says_if_it_rests_on_figures_that_no_source_states(tmp_path):
     assert Path(answer.ranking.front[0].best.unit).stem == "full"
     assert Path(answer.bare.front[0].best.unit).stem == "bare"
     (text,) = [one for one in found.verdicts if "the answer depends on parameters" in one]
-    assert "full.toml, with zero" in text
+    assert "full.toml; if they are zero," in text
     gaps = next(one for one in found.tables if one.name == "gaps").columns
     rows = list(zip(gaps["unit"], gaps["absent"], gaps["key"], gaps["basis"], strict=True))
     assert (names[0], "gyro bias instability", "gyro.bias_instability_deg_h", "assumed") in rows

@@ -66,11 +66,12 @@ def _explain(card: Card, rows: list[_CardRow]) -> Iterator[str]:
     broken = [row for row in rows if row.word in _BROKEN]
     if broken:
         values = sorted(row.value for row in broken if row.value is not None)
+        nees = " to ".join(dict.fromkeys(map(write_figure, (values[0], values[-1]))))
         command = card.commands[broken[0].flight]
         yield (
             f"✗ {broken[0].word if len({row.word for row in broken}) == 1 else 'not consistent'} on "
-            f"{len(broken)} flight{'s' if len(broken) > 1 else ''}: NEES {write_figure(values[0])} to "
-            f"{write_figure(values[-1])} times its ideal value. Find the cause of the first: {command}"
+            f"{len(broken)} flight{'s' if len(broken) > 1 else ''}: NEES {nees} times its ideal value. "
+            f"Find the cause of the first: {command}"
         )
     by_flight: dict[str, list[LostDraw]] = {}
     for one in card.lost:

@@ -83,7 +83,7 @@ def _tell_pages(word: str, topics: Iterable[str]) -> str:
     pages = find_pages()
     counts = {name: len(sought.findall(pages[name].read_text(encoding="utf-8"))) for name in topics}
     most = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])[:_PAGES]
-    return f". It is written of in: {', '.join(most)}" if most else ""
+    return f". Mentioned in: {', '.join(most)}" if most else ""
 
 
 class _ColorPager(Pager):

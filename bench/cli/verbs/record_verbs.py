@@ -205,7 +205,8 @@ def measure_allan(
     picture = out or Path(f"allan-{source}.png")
     measured = exchanging.measure_allan(unit, log=log, seed=seed, picture=picture, force=force)
     fits = [_describe_fit(curve) for curve in measured.curves if log is not None]
-    outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band (!)."
+    mark = " (!)" if measured.outside else ""
+    outside = f"{measured.outside} of {measured.points} values lie outside their 99.9 % band{mark}."
     sentences = [*fits, f"picture: {picture}", *([outside] if measured.simulated else [])]
     print_findings(console, sentences, map(tabulate_allan, measured.curves))
     return measured.held

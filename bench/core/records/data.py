@@ -235,7 +235,7 @@ class SensorData(InstrumentReports, Rebuilt):
         _check_increasing("SensorData.output_t", self.output_t)
 
     def duration_from(self, start: float) -> float:
-        """Return the time from a start to the last time of the solution [s]."""
+        """Return the time from a start to the last epoch of the solution [s]."""
         return float(self.output_t[-1]) - start if len(self.output_t) else 0.0
 
 

@@ -86,7 +86,7 @@ _drawers: list[Callable[..., Any]] = []
 
 
 def set_drawer(drawer: Callable[..., Any]) -> None:
-    """Say what runs results; `bench.views` does."""
+    """Say what draws results; `bench.views` does."""
     _drawers[:] = [drawer]
 
 

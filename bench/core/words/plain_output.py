@@ -25,7 +25,7 @@ _SIGNS = {
     "✗": "FAIL",
     "△": "warn",
 }
-_LINES = range(0x2500, 0x2580)  # that run boxes
+_LINES = range(0x2500, 0x2580)  # that draw boxes
 _HANDLER = "bench.plain"
 
 

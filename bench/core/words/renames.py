@@ -17,11 +17,13 @@ _RENAMED = (
     (r"inertial_law_(rms|95)_h_m", r"inertial_predicted_\1_h_m"),
     (r"refused_(\w+)_s", r"longest_rejection_\1_s"),
     (r"answered_(pos|vel|phi)", r"availability_\1"),
-    ("unmodelled", "unmodeled_errors"),
     ("claimed_median_h_m", "reported_median_h_m"),
     (r"closed_form_(median|p95)_h_m", r"predicted_\1_h_m"),
 )
-_PATTERNS = [(re.compile(rf"\b{old}(_all)?\b"), f"{new}\\g<{old.count('(') + 1}>") for old, new in _RENAMED]
+_PATTERNS = [
+    (re.compile('(?<=")unmodelled(?=")|^unmodelled$'), "unmodeled_errors"),  # elsewhere it is a word
+    *((re.compile(rf"\b{old}(_all)?\b"), f"{new}\\g<{old.count('(') + 1}>") for old, new in _RENAMED),
+]
 
 
 def rename(text: str) -> str:
@@ -35,15 +37,6 @@ def rename(text: str) -> str:
     for old, new in _PATTERNS:
         text = old.sub(new, text)
     return text
-
-
-def rename_all(document: Any) -> Any:
-    """Return a document with the names of today as keys and texts; everything else is unchanged."""
-    if isinstance(document, Mapping):
-        return {rename(key): rename_all(value) for key, value in document.items()}
-    if isinstance(document, list):
-        return [rename_all(value) for value in document]
-    return rename(document) if isinstance(document, str) else document
 
 
 def check_format(document: Mapping[str, Any], shown: str) -> None:

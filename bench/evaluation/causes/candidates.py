@@ -1,4 +1,4 @@
-"""What may be the cause of a inconsistent run, and the sensors without it.
+"""What may be the cause of an inconsistent run, and the sensors without it.
 
 Candidates are the faults, the errors of the sensors on board for which a filter has no state, as it names
 them, and figures that it assumes otherwise than they are. To take one away changes the sensors on board and
@@ -74,7 +74,7 @@ class Candidate:
 
 
 def list_candidates(spec: SensorsSpec, unmodeled: Collection[str]) -> list[Candidate]:
-    """Return all that may be the cause of a inconsistent run.
+    """Return all that may be the cause of an inconsistent run.
 
     Parameters
     ----------

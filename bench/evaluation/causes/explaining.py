@@ -1,4 +1,4 @@
-"""Explain a inconsistent run of one filter: run it again on the same run without each candidate."""
+"""Explain an inconsistent run of one filter: run it again with the same noise without each candidate."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def explain_run(
     data: SensorData,
     progress: Callable[[int], None] = lambda runs: None,
 ) -> dict[str, Any]:
-    """Return what the metrics of a inconsistent run say of its causes; empty if no block is above its band.
+    """Return what the metrics of an inconsistent run say of its causes; empty if no block is above its band.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Search for the causes of a inconsistent run: which of the candidates, taken away, makes it consistent.
+"""Search for the causes of an inconsistent run: which of the candidates, taken away, makes it consistent.
 
 The measure is the excess NEES of the block whose covariance is broken, mean NEES less its states. A candidate
 is a cause if the run without it has lost `LEAST` of the excess, together with all that take nearly as much as
@@ -86,7 +86,7 @@ def find_causes(
     own: Mapping[str, BlockNees],
     measure: Measure,
 ) -> Causes | None:
-    """Return the causes of a inconsistent run; None if the NEES of no block is above its band.
+    """Return the causes of an inconsistent run; None if the NEES of no block is above its band.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ def make_headline(label: str, values: Mapping[str, Any], events: Events | None =
         stops="" if events is None else _describe_stops(events),
         fault=_describe_fault(values),
         figures="; ".join(filter(None, (*_list_figures(values), "" if reason == nees else nees))),
-        drift="; ".join(_list_drifts(values)),
+        drift="" if far and _describe_end(values) else "; ".join(_list_drifts(values)),
         outside="" if reason == outside else outside,
         why=_describe_why(values),
         required=_describe_required(values),

@@ -19,7 +19,7 @@ def find_band(t: FloatArray, constant: float = 0.0) -> tuple[float, float]:
     """Return between which the mean NEES/3 of 95 % of records is.
 
     The mean of squares of normal variables with a correlation matrix R (M, M) is the sum of its eigenvalues
-    over M, each times the square of an independent one; the band is that of runs of these, three for each.
+    over M, each times the square of an independent one; the band is that of draws of these, three for each.
 
     Parameters
     ----------

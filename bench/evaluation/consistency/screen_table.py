@@ -63,7 +63,8 @@ def tabulate_run(measured: Measured, lines: Sequence[Headline], *, wide: bool = 
 def tabulate_log(measured: Measured, lines: Sequence[Headline], *, wide: bool = False) -> FindingTable:
     """Return the table of a log: distance to the withheld fixes, mean NIS and verdict of each filter.
 
-    A last row has the range of the mean NIS of a consistent filter. Parameters as for a run.
+    A last row has the range of the mean NIS of a consistent filter; if filters have different ranges, of the
+    first one that has any. Parameters as for a run.
     """
     sensors = dict.fromkeys(
         name.removeprefix(_NIS)
@@ -72,11 +73,14 @@ def tabulate_log(measured: Measured, lines: Sequence[Headline], *, wide: bool = 
         if name.startswith(_NIS) and not name.endswith("_all")
     )
     columns = dict(_HORIZONTAL)
-    ranges = {"filter": "consistent", "verdict": ""}
+    ranges = {"filter": "range", "verdict": ""}
     for sensor in sensors:
         head = f"NIS\n{sensor.removeprefix('gnss_')}"
         columns[head] = partial(_show_nis, sensor)
-        ranges[head] = _find_range(measured, sensor)
+        found = _list_ranges(measured, sensor)
+        ranges[head] = next(iter(found), "")
+        if len(set(found)) > 1:
+            ranges["filter"] = "range (1st)"
     if wide:
         columns["velocity\nRMS"] = _in("vel_rmse_3d_mps", "m/s")
     table = _tabulate(measured, lines, columns)
@@ -109,13 +113,14 @@ def _show_nis(sensor: str, values: Mapping[str, Any]) -> str:
     return "-" if mean is None else f"{mean:.3g}"
 
 
-def _find_range(measured: Measured, sensor: str) -> str:
-    """Return the range of the mean NIS of a sensor, of the first filter that has one; "" if none has."""
-    for values in measured.values():
-        low, high = find_bounds(f"{_NIS}{sensor}", values) or (None, None)
-        if low is not None and high is not None:
-            return f"{format_number(low, 2)}-{format_number(high, 2)}"
-    return ""
+def _list_ranges(measured: Measured, sensor: str) -> list[str]:
+    """Return the ranges of the mean NIS of a sensor, of each filter that has one."""
+    bounds = [find_bounds(f"{_NIS}{sensor}", values) or (None, None) for values in measured.values()]
+    return [
+        f"{format_number(low, 2)}-{format_number(high, 2)}"
+        for low, high in bounds
+        if low is not None and high is not None
+    ]
 
 
 def _find_detection(values: Mapping[str, Any]) -> str:

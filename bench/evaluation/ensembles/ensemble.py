@@ -159,14 +159,14 @@ def measure_growth(
     start : float
         Start of the outage [s].
     elapsed : sequence of float
-        Durations [s]; each is taken at the last time not after it.
+        Durations [s]; each is taken at the last epoch not after it.
     """
     first = int(np.searchsorted(t, start, "right")) - 1
     rows = []
     for duration in elapsed:
         last = int(np.searchsorted(t, start + duration, "right")) - 1
         if not 0 <= first <= last:
-            raise ValueError(f"no time within {duration:g} s of the outage at {start:g} s")
+            raise ValueError(f"no epoch within {duration:g} s of the outage at {start:g} s")
         size = np.hypot(*(pos_n[:, last, :2] - pos_n[:, first, :2]).T)
         quantiles = (estimate_quantile(size, fraction) for fraction in (0.5, 0.95))
         rows.append(Growth(duration, pool_rmse(size**2), *quantiles))
@@ -386,7 +386,7 @@ def compare_rmse(
     names : (str, str)
         Their labels.
     first, second : (R,) array
-        RMSE of each run; run k of both is of the same run.
+        RMSE of each run; run k of both has the same noise.
     unit : str
         Of the RMSE.
 

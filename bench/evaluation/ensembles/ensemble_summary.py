@@ -129,7 +129,7 @@ def summarize_runs(results: Sequence[RunResult], label: str, evaluation: Evaluat
 def _measure_growth(
     rows: Sequence[Mapping[str, float]], errors: Sequence[ErrorSeries]
 ) -> dict[str, tuple[Growth, ...]]:
-    """Return the growth over the outages of a profile that have a time at their start, by number."""
+    """Return the growth over the outages of a profile that have an epoch at their start, by number."""
     found, t = {}, errors[0].t
     pos_n = np.stack([one.pos_n for one in errors])
     outages = sorted((row["start_s"], row["duration_s"]) for row in rows)

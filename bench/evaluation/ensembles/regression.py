@@ -80,8 +80,8 @@ def estimate_change(
     paired : bool
         Whether ``old[k]`` and ``new[k]`` are of the same run.
     by_draw : (N,) array or None
-        Change of each run, above 0 if worse, for a second test. A few large runs decide a pooled value, and
-        the jackknife then covariances too much. The standard error is widened until t is at most that of
+        Change of each run, above 0 if worse, for a second test. A few large runs decide a pooled value; the
+        jackknife then reports too small an error. The standard error is widened until t is at most that of
         the mean of ``by_draw``; it is infinite if the two have different signs.
 
     Returns

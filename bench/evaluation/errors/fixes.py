@@ -27,7 +27,7 @@ _OF_TRUTH = ("outage", "coverage", "error_over", "ape", "rpe", "drift")
 
 
 def antenna_errors(solution: NavSolution, fixes: GnssFixes, data: SensorData) -> ErrorSeries:
-    """Return estimate minus fix at the antenna, for every fix at a time of the solution.
+    """Return estimate minus fix at the antenna, for every fix at an epoch of the solution.
 
     Parameters
     ----------

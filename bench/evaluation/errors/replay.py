@@ -27,7 +27,7 @@ class Replay:
         self._until = -np.inf  # [s]
 
     def add(self, piece: Trajectory) -> None:
-        """Replay the next piece of the truth, which begins at the last time of the piece before."""
+        """Replay the next piece of the truth, which begins at the last epoch of the piece before."""
         start, end = 0, len(piece) - 1
         dt = np.diff(piece.t)
         while start < end:

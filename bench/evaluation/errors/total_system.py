@@ -1,8 +1,8 @@
 """Errors of a flight that an estimate flew, along its path: TSE = FTE - NSE, vector by vector.
 
 The total system error is from the desired path to the truth, the flight technical error from the desired path
-to what was assumed, the navigation system error from the truth to what was assumed (RTCA DO-236C, where the
-sign of NSE is the other one). All are at the same time and in the axes of the path.
+to the estimated path, the navigation system error from the truth to the estimated path (RTCA DO-236C, where
+the sign of NSE is the other one). All are at the same epoch and in the axes of the path.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ def find_outages(fixes: GnssFixes) -> list[tuple[float, float]]:
 def measure_outages(
     solution: NavSolution, fixes: GnssFixes, data: SensorData, outages: Sequence[tuple[float, float]]
 ) -> list[OutageDrift]:
-    """Return the drift at the fix that ends each outage, of a solution that has its time."""
+    """Return the drift at the fix that ends each outage, of a solution that has its epoch."""
     drifts = []
     for begin, end in outages:
         errors = antenna_errors(solution, fixes.take(fixes.t == end), data)

@@ -159,7 +159,7 @@ def headings(case: Case, first: int, last: int) -> FloatArray | None:
 
 
 def outage_drift(case: Case) -> dict[str, float]:
-    """Horizontal error at the last time of each outage [m]."""
+    """Horizontal error at the last epoch of each outage [m]."""
     return {key: float(np.hypot(*case.pos_n[last, :2])) for key, (_, last) in find_outage_rows(case).items()}
 
 

@@ -51,7 +51,7 @@ class BiasError:
 class Case:
     """The epochs of one run from a time on, with everything a metric may use.
 
-    Those of covariances are the epochs with an answer; those of accuracy hold the silent ones, too, with the
+    For covariances they are the epochs with an answer; those of accuracy hold the silent ones, too, with the
     last answer carried on (`bench.evaluation.metrics.coverage.carry_on`).
     """
 
@@ -73,7 +73,7 @@ class Case:
     scripted: tuple[Fault, ...]  # all faults of the run
     alarms: tuple[Alarms, ...]  # of the whole run
     begin: float  # of what counts [s]
-    asked: int  # number of epochs asked for; of covariances, t holds those with a solution
+    asked: int  # number of epochs asked for; for covariances, t holds those with a solution
     silent: BoolArray  # (M,) epochs without an answer that nothing excuses
     coverage: Coverage | None  # of the whole run
     solution: NavSolution  # these epochs; all its innovations and events

@@ -140,7 +140,7 @@ def answered(case: Case) -> Mapping[str, float | None]:
 
 
 def first_answer(case: Case) -> float | None:
-    """Time from the first time asked for to the first answer [s]."""
+    """Time from the first epoch asked for to the first answer [s]."""
     return None if case.coverage is None else case.coverage.waited
 
 

@@ -22,7 +22,7 @@ from bench.evaluation.errors.error_series import TITLES, VALUES, find_answered_e
 ENOUGH = 0.99
 """Share of the epochs that each block of a solution has to answer [1]."""
 
-_LATE = 1.0  # a first answer later than this after the first time is mentioned [s]
+_LATE = 1.0  # a first answer later than this after the first epoch is mentioned [s]
 _GAP = 1.5  # so many times its usual interval a sensor was silent [1]
 
 
@@ -31,9 +31,9 @@ class Coverage:
     """Part of the epochs that each block answers, of those at which the data allow an answer."""
 
     shares: Mapping[str, float]  # by block that is estimated, from the first answer on [1]
-    waited: float  # from the first time asked for to the first answer [s]
+    waited: float  # from the first epoch asked for to the first answer [s]
     first: float | None  # the first answer [s], if it came late
-    longest: tuple[float, float]  # first and last time of the longest run without an answer [s]
+    longest: tuple[float, float]  # first and last epoch of the longest run without an answer [s]
 
     @property
     def share(self) -> float:
@@ -85,7 +85,7 @@ def measure_coverage(solution: NavSolution, data: SensorData | None) -> Coverage
 
 
 def find_longest(t: FloatArray, lost: IntArray) -> tuple[float, float]:
-    """Return the first and the last time of the longest run of rows."""
+    """Return the first and the last epoch of the longest run of rows."""
     if not len(lost):
         return 0.0, 0.0
     runs = np.split(lost, np.flatnonzero(np.diff(lost) > 1) + 1)

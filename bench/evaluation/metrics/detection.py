@@ -44,7 +44,7 @@ def measure_delay(fault: Fault, raised: Sequence[Alarms]) -> float | None:
 
 
 def _find_lasting(fault: Fault, one: Alarms) -> float | None:
-    """Return the first time in a fault of an alarm that is not refuted by the next update [s]."""
+    """Return the first epoch in a fault of an alarm that is not refuted by the next update [s]."""
     asked = one.asked[_is_active(fault, one.asked)]
     refused = np.isin(asked, one.t)
     if len(asked) > 1:

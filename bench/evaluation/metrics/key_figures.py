@@ -50,14 +50,13 @@ MEANING = (
     "run change slowly: it holds few independent values, so its bounds are wide; many runs narrow them."
 )
 _ROWS = {
-    "pos_sigma": "reported: root mean square of the sigma that the filter gives",
-    "heading_convergence": "a heading is within 1 deg or 3 sigma no sooner than the figures begin",
-    "outage_": "an outage moves the error by the length of its last error minus its first",
-    "nees": "NEES, normalized estimation error squared: squared error over reported variance; the number of "
-    "states is right",
-    "coverage": "99.7 % within 3 sigma is right",
-    "nis": "NIS, normalized innovation squared: 3 is right of a GNSS position or velocity, 1 of a scalar; it "
-    "is low where R is larger than the scatter of the fixes, and their slow wander does not show in it",
+    "pos_sigma": "reported: RMS of the standard deviation that the filter reports",
+    "heading_convergence": "the heading time is never earlier than the start of the evaluation",
+    "outage_": "outage drift: length of the horizontal error vector at the end minus the one at the start",
+    "nees": "NEES, normalized estimation error squared: the number of states is ideal",
+    "coverage": "99.7 % within 3 sigma is ideal",
+    "nis": "NIS, normalized innovation squared: 3 is ideal for a GNSS position or velocity, 1 for a "
+    "scalar; it is low if R includes slowly varying errors, which do not show between fixes",
     "fault_": "a fault is detected if the filter rejected two measurements in a row, or reported it",
 }
 """Beginning of the name of a row -> what its words do not say."""

@@ -59,7 +59,7 @@ _WORDS: Mapping[str, tuple[str, str]] = {
     "false_alarm_rate_per_h": (FAULTS, "false alarms"),
     "false_alarm_share": (FAULTS, "sound measurements rejected"),
     "nees_mean": (HONESTY, "NEES, mean"),
-    "nees_states": (HONESTY, "NEES that is right (states)"),
+    "nees_states": (HONESTY, "ideal NEES (number of states)"),
     "nees_low": (HONESTY, "NEES, least that fits"),
     "nees_high": (HONESTY, "NEES, most that fits"),
     "nees_samples": (HONESTY, "NEES, independent values"),

@@ -74,14 +74,14 @@ def make_drift_row(
 
 DRIFT_MEANING = (
     "With each quantile stands its 95 % confidence interval. Reported: the median by the covariance of the "
-    "filter. Law: the median expected from bias instability and noise of the assumed datasheet, with a "
+    "filter. Predicted: the median expected from bias instability and noise of the assumed datasheet, with a "
     "perfect start."
 )
 
 
 def tabulate_drifts(rows: Sequence[Mapping[str, Any]]) -> FindingTable:
     """Return the table of the drift in each outage."""
-    names = ("outage", "estimator", "places", "median", "95 %", "claimed", "law")
+    names = ("outage", "estimator", "places", "median", "95 %", "reported", "predicted")
     return make_table("drifts", "Horizontal drift without GNSS [m]", names, list(map(_show_drift, rows)))
 
 

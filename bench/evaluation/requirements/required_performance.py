@@ -55,7 +55,7 @@ def count_detected(watched: Watched, within: float) -> tuple[int, int]:
     """Return the runs whose error went beyond the limit, and those of them with an alert each time.
 
     The errors of a run have one cause, so a run counts once. An alert is in time if it comes at most
-    ``within`` seconds after the first time beyond the limit; an earlier one counts if it lasts until then.
+    ``within`` seconds after the first epoch beyond the limit; an earlier one counts if it lasts until then.
     """
     late = round(within / watched.interval)
     beyond, alert = ~(watched.error <= watched.limit), watched.alert

@@ -102,18 +102,18 @@ def write_baseline(directory: Path, baseline: Baseline) -> Path:
     if baseline.profile.endswith(_PATH):
         document["profile"] = Path(os.path.relpath(baseline.profile, directory)).as_posix()
     directory.mkdir(parents=True, exist_ok=True)
-    durable.write(path, to_text(document) + "\n")
+    durable.write(path, _to_text(document) + "\n")
     return path
 
 
-def to_text(value: Any, indent: str = "") -> str:
+def _to_text(value: Any, indent: str = "") -> str:
     """Return JSON with each list on one line, so that a change of one metric is a change of one line."""
     if isinstance(value, Mapping):
         inner = indent + "  "
-        rows = [f"{inner}{json.dumps(key)}: {to_text(item, inner)}" for key, item in value.items()]
+        rows = [f"{inner}{json.dumps(key)}: {_to_text(item, inner)}" for key, item in value.items()]
         return "{\n" + ",\n".join(rows) + f"\n{indent}}}" if rows else "{}"
     if isinstance(value, list):
-        return f"[{', '.join(to_text(item) for item in value)}]"
+        return f"[{', '.join(_to_text(item) for item in value)}]"
     return f"{value:.{_DIGITS}g}" if isinstance(value, float) else json.dumps(value)
 
 

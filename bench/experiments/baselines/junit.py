@@ -37,7 +37,7 @@ def write_junit(path: Path, verdicts: Sequence[Verdict], *, strict: bool = False
 
 
 def check_required(path: Path | None, required: object) -> None:
-    """Reject to write a file of what is required where nothing is.
+    """Refuse to write a file of what is required where nothing is.
 
     Raises
     ------

@@ -30,7 +30,7 @@ class CampaignTable(Table):
     profiles: Annotated[tuple[str, ...], ROWS, Field(min_length=1)]
     """Shipped profiles, or files beside this one."""
     runs: Annotated[int, Field(ge=1)] = 200
-    """Noise runs of each flight."""
+    """Runs of each flight."""
     flights: Annotated[int, Field(ge=1)] = 1
     """Flights of each condition, each with turbulence of its own."""
     seed: Annotated[int, Field(ge=0)] | None = None

@@ -120,7 +120,7 @@ def plan_runs(
     source : str
         Shipped name or path of a profile, or path of a campaign file.
     runs : int or None
-        Noise runs of each flight, from 0 on; None takes those of the campaign file, or 200.
+        Runs of each flight, from 0 on; None takes those of the campaign file, or 200.
     flights : int or None
         Flights of each condition; that number j has the seed of the first one plus j, so its turbulence
         and noise are its own. None takes those of the campaign file, or 1.

@@ -159,7 +159,7 @@ def campaign(
     profile : str or Path
         Shipped name, path of a profile, or path of a campaign file.
     runs, flights : int or None
-        Noise runs of each flight, default 200; flights with turbulence of their own, default 1.
+        Runs of each flight, default 200; flights with turbulence of their own, default 1.
     seed, filters, overrides, allow_code, guard
         As for `bench.read_profile`.
     jobs, executor, scheduler, out, force, resume, progress

@@ -26,7 +26,7 @@ _UNKNOWN = ("airspeed", "odometer", "radar")
 def bound_errors_of(profile: Profile) -> tuple[dict[str, float], str]:
     """Return the least root mean square errors by topic [m, m/s, deg], or why there are none.
 
-    The covariance is that of the flight and its sensors, the same in every run of the noise. What the linear
+    The covariance is that of the flight and its sensors, the same in every run. What the linear
     model lacks counts as known, since who knows more errs less: faults do not happen, a start is told, and an
     attitude beyond its range, found by the course, or with an instrument for it on board has no error. Who
     stands still may know it, which is more than the sensors tell.

@@ -63,9 +63,7 @@ Rows = Sequence[Mapping[str, Any]]
 class Line(Table):
     """One figure of a card."""
 
-    topic: (
-        str  # "convergence", "coverage", "causality", a key of `ERRORS`, "consistency", "alarms", ... "speed"
-    )
+    topic: str  # "convergence", "coverage", "causality", a key of `ERRORS`, "honesty", "alarms", ... "speed"
     flight: str
     figure: str  # what it is of
     value: float | None  # None: never

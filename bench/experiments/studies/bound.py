@@ -85,7 +85,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     bound = bound_in_range(truth, profile.sensors, data, profile.seed, t, smooth=any(smoothing.values()))
     parts = list(split_draws(options.runs, _PARTS))
     jobs = [Draws(flight, label, first, count) for label in labels for first, count in parts]
-    found = work.map("drawing the filters", draw_errors, jobs, first=(0,))
+    found = work.map("running the filters", draw_errors, jobs, first=(0,))
     errors = {
         label: np.concatenate(found[k * len(parts) : (k + 1) * len(parts)]) for k, label in enumerate(labels)
     }

@@ -141,7 +141,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
     instants = len(choose_rows(truth, profile))
     each = hours_flown((1, instants), _INTERVAL)
     flights = options.runs if options.hours is None else max(2, math.ceil(options.hours / each))
-    watches = work.map("evaluation flights", watch_run, [RnpRun(options, k) for k in range(flights)], (0,))
+    watches = work.map("evaluating flights", watch_run, [RnpRun(options, k) for k in range(flights)], (0,))
     planes = _gather(watches, options)
     errors = {"NSE": _stack(watches, "across"), "FTE": _stack(watches, "off")}
     errors["TSE"] = errors["FTE"] - errors["NSE"]
@@ -162,7 +162,7 @@ def _ask(options: Options, work: StudyWorkers) -> Findings:
 
 
 def _gather(watches: Sequence[WatchedFlight], options: Options) -> list[Watched]:
-    """Return what is watched in the plane and in height; a flight that is shorter ends in no time."""
+    """Return what is watched in the plane and in height, of flights brought to one length."""
     limits = (options.alert_limit_m or options.rnp_nm * _NM, options.vertical_limit_m)
     alarm = np.array([one.alarm for one in align_flights(watches)])
     return [

@@ -3,7 +3,7 @@
 KEY is what --set reaches: a value of the profile such as leg.2.bank_deg, or a figure of a datasheet it names
 such as sensors.gnss.latency_s, sensors.gnss.rate_hz, sensors.imu.gyro.noise_deg_sqrt_h; with sensors.assumed
 instead of sensors only the filter assumes it. All values have the same runs; while the best and the worst
-are not told apart by them, runs are added up to --most-runs.
+are not told apart by them, runs are added up to --max-runs.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class WatchedFlight:
 def align_flights(watches: Sequence[WatchedFlight]) -> list[WatchedFlight]:
     """Return flights of equal length: turbulence lets each end a little earlier or later.
 
-    A crash shortens no other flight: from there on, and in the last time at least, its own has no solution
+    A crash shortens no other flight: from there on, and at the last epoch at least, its own has no solution
     and is infinitely far off.
     """
     whole = [len(one.t) for one in watches if not one.crashed]

@@ -65,7 +65,7 @@ class Trial(Protocol):
 
 
 class ProfileTrial:
-    """Noise runs of a profile: 0 to ``runs`` - 1 tune, as many after them judge.
+    """Runs of a profile: 0 to ``runs`` - 1 tune, as many after them evaluate.
 
     ``options`` are those of `bench.io.config.read_profile` but for the estimators.
     """

@@ -76,10 +76,10 @@ def _three(number: Any) -> Any:
 _WORDS = {
     "sensor": "What is struck.",
     "satellites": "RINEX names, such as G05 and R12.",
-    "step_m": "Error from the first time on; of a position north, east, down.",
-    "step_deg": "Error from the first time on.",
-    "step_deg_h": "Error from the first time on: x, y, z.",
-    "step_mg": "Error from the first time on: x, y, z.",
+    "step_m": "Error from the start on; of a position north, east, down.",
+    "step_deg": "Error from the start on.",
+    "step_deg_h": "Error from the start on: x, y, z.",
+    "step_mg": "Error from the start on: x, y, z.",
     "ramp_mps": "Growth of the error; of a position north, east, down.",
     "coherent": "Code and Doppler agree, so that the velocity follows the ramp; else it stays true.",
     "cn0_loss_db": "Loss of C/N0.",
@@ -93,7 +93,7 @@ _WORDS = {
 
 class _FaultTable(Table):
     start_s: Annotated[float, between(0, 86400)]
-    """First time of the fault."""
+    """Start of the fault."""
     duration_s: Annotated[float, between(0.005, 86400)]
     """How long it lasts."""
 

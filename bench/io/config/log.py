@@ -161,7 +161,7 @@ def load_log(
         evaluation = table.evaluation.model_copy(update={"withhold": withhold})
         table = table.model_copy(update={"evaluation": evaluation})
     elif table.reference and withhold:
-        wrong.append(f"{place}[evaluation] withhold is for a log without [reference], which evaluates alone")
+        wrong.append(f"{place}[evaluation] withhold is for a log without [reference]")
     tables = {"imu": table.imu, "gnss": table.gnss, **{kind: getattr(table, kind) for kind in INSTRUMENTS}}
     sources = {kind: _find_source(row, kind, beside, place, wrong) for kind, row in tables.items()}
     reference = _find_source(table.reference, "reference", beside, place, wrong)

@@ -171,7 +171,7 @@ class OutageTable(Table):
     """A time without GNSS."""
 
     start_s: Annotated[float, between(0, 86400)]
-    """First time without fixes."""
+    """Start of the outage."""
     duration_s: Seconds
     """How long there are none."""
 

@@ -50,7 +50,7 @@ class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
     """Satellites, antenna, receiver, and measurement errors; an error that is left out is off."""
 
     start: datetime
-    """GPS time of the first time of the flight."""
+    """GPS time of the start of the flight."""
     almanac: str | None = None
     """YUMA file beside the datasheet, GPS only; without files the nominal constellations fly."""
     navigation: Annotated[tuple[str, ...], ROWS] = ()

@@ -79,9 +79,7 @@ def read_reference(spec: ReferenceSpec, origin: float, last: float) -> Reference
         else:
             block[:] = np.nan
     if good.sum() < _FEWEST:
-        raise ConfigError(
-            f"{shown}: {good.sum()} of {len(t)} rows can evaluate; at least {_FEWEST} are needed"
-        )
+        raise ConfigError(f"{shown}: {good.sum()} of {len(t)} rows are usable; at least {_FEWEST} are needed")
     t = t[good] + source.time_offset - origin
     check_times(t, "time", shown)
     if t[-1] < 0.0 or t[0] > last:

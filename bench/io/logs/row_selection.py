@@ -1,4 +1,4 @@
-"""The rows of a file that a sensor measured: without other sensors, repetitions and empty covariances."""
+"""The rows of a file that a sensor measured: without other sensors, repetitions and rows without a value."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def take_block(record: object, layout: Layout, rows: slice) -> object:
         elif isinstance(record, Trajectory) and name in _BETWEEN:
             stop = None if rows.stop is None else rows.stop - 1
             increments = getattr(record, name)[max(rows.start - 1, 0) : stop]
-            none = np.full((1, 3), np.nan)  # the first time ends no interval
+            none = np.full((1, 3), np.nan)  # the first epoch ends no interval
             block[name] = increments if rows.start else np.vstack([none, increments])
         else:
             block[name] = getattr(record, name)[rows]

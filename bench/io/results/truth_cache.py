@@ -1,7 +1,7 @@
 """The cache of flown truth: found by content hash, written atomically, read memory-mapped, never unpickled.
 
 A flight is flown and written in pieces, so that a long one needs no more memory than a short one. A piece is
-a `Trajectory` that begins at the last time of the piece before. The columns in `SHARED` repeat that
+a `Trajectory` that begins at the last epoch of the piece before. The columns in `SHARED` repeat that
 time; all others hold only later rows.
 """
 

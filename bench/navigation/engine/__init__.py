@@ -1,1 +1,1 @@
-"""Time and trust: what of a record comes when, what may be assumed, and how it is kept between pieces."""
+"""Time and trust: what of a record comes when, what may be trusted, and how it is kept between pieces."""

@@ -206,8 +206,8 @@ def drift_kernel(position: float, velocity: float, both: float, apart: float, li
     """Return whether a position is beyond the gate by a drift while there were no fixes, not by a fault.
 
     A drift moves the velocity, too, a step of the receiver the position alone. So the velocity of the fix has
-    to be beyond the gate as well; or to be expected once the position is used, if the filter reports to know
-    its place worse than the fix does. Given are the NIS of the position, of the velocity and of both, the
+    to be beyond the gate as well; or to be expected once the position is used, if the filter reports
+    a larger position sigma than the fix. Given are the NIS of the position, of the velocity and of both, the
     ``limit`` for three components, and how far ``apart`` the trace of S and twice that of the noise of the
     position are [m^2]: above 0 for such a covariance.
     """

@@ -238,7 +238,7 @@ class Fusion:
             taken.add(LATENCY)
         found = unmodeled(specs, self.aiding(), taken)
         if not self.options.gnss and specs.imu.gyro.turn_on_bias_sd > _LINEAR_DRIFT:
-            found += ("second order of a free drift by degrees of tilt",)
+            found += ("nonlinear drift from a tilt of degrees",)
         return found
 
 

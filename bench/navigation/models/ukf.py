@@ -4,7 +4,7 @@ States, datasheets, gate and predictions are those of `loose_tight.Loose`, but e
 compared with the state at its arrival, however late. A row of H only says along what P grows where a rejected
 sensor is re-admitted. Sigma points and their weights are filterpy's (R. van
 der Merwe, PhD thesis, Oregon, 2004; S. Julier, J. Uhlmann, Proc. IEEE 92 (3), 2004). An error state x
-(estimate minus truth) stands for the truth "estimate less x". Each step runs sigma points of the error about
+(estimate minus truth) stands for the truth "estimate less x". Each step draws sigma points of the error about
 zero, carries the truth each one stands for through the strapdown with the same increments less its own
 biases, and takes the spread of what they became about the carried estimate; the mean is fed back at once. A
 measurement is predicted from each of the truths the points stand for.

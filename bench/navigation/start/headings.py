@@ -308,7 +308,7 @@ def inverse_jacobian(d: FloatArray) -> FloatArray:
 
 
 def heading_spread(members: list[NavSolution], weight: FloatArray, best: int) -> tuple[float, float]:
-    """Return at the last time how far the hypotheses lie from the best, rms, and its own sd [rad]."""
+    """Return at the last epoch how far the hypotheses lie from the best, rms, and its own sd [rad]."""
     last = [member.q_nb[-1] for member in members]
     apart = [rotation.to_rotvec(rotation.multiply(last[best], rotation.conjugate(q)))[2] for q in last]
     spread = np.nansum(weight[:, -1] * np.square(apart))

@@ -1,6 +1,6 @@
 """Fixes that a filter rejects for long although they agree with each other: then the filter is wrong.
 
-The gate assumes rejected fixes again after a while (`engine.gate`) and opens position and velocity for it.
+The gate re-admits rejected fixes after a while (`engine.gate`) and opens position and velocity for it.
 Where the attitude is lost that is no help: the filter drifts off again, and rejects the next. What tells a
 lost filter from a receiver that errs are the fixes alone. Those of a frozen receiver, of one whose position
 is pulled away and of one in a burst of noise move otherwise than their velocities (`velocity_consistency`).
@@ -66,7 +66,7 @@ class RefusedFixes(SessionState):
         return bool(self._refused.any())
 
     def find(self, table: Innovations) -> float | None:
-        """Return the first time [s] at which the filter is lost, by its next innovations."""
+        """Return the first epoch [s] at which the filter is lost, by its next innovations."""
         if not len(table):
             return None
         code = table.sensor.index(SENSORS[POSITION]) if SENSORS[POSITION] in table.sensor else -1

@@ -9,7 +9,7 @@ class ComplementaryOptions(ClassicOptions):
     """Options of the complementary filter."""
 
     time_constant: Positive = 10.0
-    """Below 1 / time_constant GNSS and barometer are assumed, above it the INS [s]."""
+    """Below 1 / time_constant GNSS and barometer are followed, above it the INS [s]."""
 
 
 class LeastSquaresOptions(ClassicOptions):

@@ -67,7 +67,7 @@ def solve_rinex(
         Where the antenna was: "LAT,LON,H" [deg, deg, m] or a CSV file as ``write_csv`` writes it.
     truth_sd_m : float
         Standard deviation of the truth, or of the header, along each axis [m]. It is one error of all epochs:
-        NEES keeps its mean of 1, but a record is one run of it, however long.
+        NEES keeps its mean of 1, but a record is one realization of it, however long.
 
     Returns
     -------

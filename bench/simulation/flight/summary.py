@@ -26,7 +26,7 @@ class Summary:
     """The extremes of a flight and its legs, collected from the pieces of its truth.
 
     All of the IMU, the airspeed of the aircraft; heights above ground are over a file of heights. The load
-    factor is the specific force along -z of the body over 9.80665 m/s^2; rates are those of the body relative
+    factor is the specific force along -z of the body over standard gravity; rates are body rates relative
     to i, the largest of either sign; both are means over one sample.
     """
 

@@ -79,7 +79,7 @@ def trim_aircraft(fdm: Any, condition: TrimCondition, *, guided: bool = True, sa
     """Solve for the steady flight of a condition, and leave the model there.
 
     Six accelerations are brought to zero by angle of attack, sideslip, roll, aileron, elevator and throttle;
-    the rudder stays centerd. Models of the bench answer smoothly and at once: a root is found. Those of
+    the rudder stays centered. Models of the bench answer smoothly and at once: a root is found. Those of
     others have actuators with play, and engines that come to a steady state by iteration and are no smooth
     function of the throttle: least squares within the travel of the controls.
 

@@ -31,7 +31,7 @@ def sense(truth: Trajectory, spec: SensorsSpec, seed: int, run: int) -> Sensed:
     spec : SensorsSpec
         The sensors on board, outages and faults.
     seed, run : int
-        Select the run; the same pair gives the same bits.
+        Select the noise; the same pair gives the same bits.
 
     Returns
     -------
@@ -79,7 +79,7 @@ class SensedPiece(NamedTuple):
 def sense_piece(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> SensedPiece:
     """Simulate all sensors over the next piece of a flight; a flight in one piece has the same bits.
 
-    ``truth`` begins with the last time of the piece before, and so do its air data. All but the last piece
+    ``truth`` begins with the last epoch of the piece before, and so do its air data. All but the last piece
     end on the 20 Hz of the guidance. ``draws`` keeps what the sensors carry on. Errors as for :func:`sense`.
     """
     outages = spec.gnss_outages if spec.gnss is not None else ()

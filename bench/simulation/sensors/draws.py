@@ -27,8 +27,8 @@ class SensorDraws:
     Parameters
     ----------
     seed, run : int
-        Select the run; the same pair gives the same bits. Each error has its own stream, so that one that is
-        off leaves the noise of every other as it is.
+        Select the noise; the same pair gives the same bits. Each error has its own stream, so that one that
+        is off leaves the noise of every other as it is.
     """
 
     def __init__(self, seed: int, run: int) -> None:
@@ -71,7 +71,7 @@ class SensorDraws:
     def markov(self, name: str, steps: FloatArray, correlation: FloatArray, sd: FloatArray) -> FloatArray:
         """Go on with a sum (B, 3) of Gauss-Markov stages, as `simulate_gauss_markov` has it.
 
-        ``steps`` (B,) is the time from the time before to each; that of the first time of all is not
+        ``steps`` (B,) is the time from the epoch before to each; that of the first epoch of all is not
         used: the stages are stationary from there on.
         """
         state = self.keep(name, lambda: np.zeros((len(sd), 3)), "state")
@@ -88,7 +88,7 @@ class SensorDraws:
     def epochs(self, name: str, t: FloatArray, rate: float) -> tuple[IntArray, FloatArray]:
         """Return the rows of t (N,) at the epochs ``origin + k / rate`` of a piece, and the time before each.
 
-        ``name`` is that of the instrument. The origin is the first time of the flight, from which the time
+        ``name`` is that of the instrument. The origin is the first epoch of the flight, from which the time
         before the first epoch counts. Errors as for `timing.find_rows`.
         """
         clock = self.keep(name, lambda: [float(t[0]), 0, float(t[0])], "epochs")

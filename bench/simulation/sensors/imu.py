@@ -4,7 +4,7 @@ For each triad: motion at the sensors and their response (`imu_terms.apply_respo
 ``(I + M) increment + bias dt + white noise`` and the errors of `imu_terms.draw_motion_errors` (A-5.1.8),
 clipping to the range, then quantization with the remainder carried to the next sample. M holds scale factor
 errors on its diagonal and misalignments off it. Every random term has its own stream, ``imu.<triad>.<term>``;
-a term that is off runs nothing.
+a term that is off draws nothing.
 """
 
 from __future__ import annotations
@@ -213,7 +213,7 @@ def _draw_bias(
 
 
 def _intervals(t: FloatArray, new: bool) -> FloatArray:
-    """Return the time before each time t (B,): 0 before the first, which is left out if not ``new``."""
+    """Return the step to each epoch t (B,) [s]: 0 before the first, which is left out if not ``new``."""
     return t[1:] - t[:-1] if new else np.diff(t, prepend=t[0])
 
 

@@ -1,4 +1,4 @@
-"""Initial state of the filters: the truth plus one run of the initial error."""
+"""Initial state of the filters: the truth plus one draw of the initial error."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bench.simulation.sensors.draws import SensorDraws
 
 
 def draw_initial_state(truth: Trajectory, spec: SensorsSpec, draws: SensorDraws) -> InitialState:
-    """Draw the state at the first time of one run: estimate = truth + error, as in ``InitialState.cov``.
+    """Draw the state at the first epoch of one run: estimate = truth + error, as in ``InitialState.cov``.
 
     The ``alignment`` of the spec selects the values that are given; the others are NaN of infinite variance.
     """

@@ -28,7 +28,7 @@ def measure(truth: Trajectory, spec: MagSpec, date: float, draws: SensorDraws) -
 
     Parameters
     ----------
-    truth, spec, runs
+    truth, spec, draws
         As for `Sampler`; the magnetometer as mounted.
     date : float
         Decimal year of the flight.

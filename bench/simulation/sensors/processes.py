@@ -21,7 +21,7 @@ def gauss_markov_kernel(
 ) -> None:
     """Add K stages to out (B, 3); decay (B, K) since the time before, sd (K,), unit noise (B, K, 3).
 
-    ``state`` (K, 3) holds the stages before the first time and becomes those at the last.
+    ``state`` (K, 3) holds the stages before the first epoch and becomes those at the last.
     """
     for stage in range(noise.shape[1]):
         for axis in range(3):

@@ -25,7 +25,7 @@ class Sampler:
     spec : object
         Its spec, with ``rate`` and ``latency``.
     draws : SensorDraws
-        The errors of the run. Each has its own stream, ``<name>.<error>``; one that is off runs nothing.
+        The errors of the run. Each has its own stream, ``<name>.<error>``; one that is off draws nothing.
 
     Raises
     ------
@@ -65,7 +65,7 @@ class Sampler:
     def lag(self, name: str, t: FloatArray, target: FloatArray, time: float) -> FloatArray:
         """Return the first-order lag (B,) of a quantity (B,) at epochs t (B,), as `apply_lag` does.
 
-        It begins without a lag; the first time of a further piece is the last of the piece before.
+        It begins without a lag; the first epoch of a further piece is the last of the piece before.
         """
         state = self.draws.keep(name, lambda: target[:1].copy())
         found = apply_lag(t, target, float(state[0]), time)

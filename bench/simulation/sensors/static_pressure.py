@@ -27,7 +27,7 @@ def measure(
 
     Parameters
     ----------
-    truth, spec, runs
+    truth, spec, draws
         As for `Sampler`, with the air of the flight at 20 Hz, interpolated linearly; the reported ``sd`` is
         the ``white_sd`` of the spec.
     qnh : float

@@ -119,7 +119,7 @@ def engine_angle_kernel(
 def compute_gust_rms(air: AirData, draws: SensorDraws) -> FloatArray:
     """Return the rms of the gusts per axis (A,) in the 10 s before each time of the air data [m/s].
 
-    ``draws`` keeps what the next piece needs, which begins with the last time of this one.
+    ``draws`` keeps what the next piece needs, which begins with the last epoch of this one.
     """
     begun = draws.keep("wind", lambda: [air.wind_n[0], np.zeros((1, 6)), 0.0])
     origin, sums, last = begun

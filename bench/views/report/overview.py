@@ -45,7 +45,7 @@ def _list_lines(content: Content) -> Iterator[Series]:
         yield series.draw_line(label, errors.t, size, label, look.color, dashed=look.dashed)
         sd = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
         if claimed and np.isfinite(sd).any():
-            name = f"{label} covariances"
+            name = f"{label} reported sigma"
             yield series.draw_line(
                 name, content.solutions[label].t, np.maximum(sd, _LEAST), name, look.color, dashed=True
             )

@@ -56,7 +56,7 @@ def draw(plot: Plot, window: Window, shades: Sequence[Shade] = ()) -> str:
     plot : Plot
         What to draw.
     window : (float, float)
-        Where the horizontal axis begins and ends, such as the first and the last time [s].
+        Where the horizontal axis begins and ends, such as the first and the last epoch [s].
     shades : sequence of Shade
         Intervals to shade behind the lines.
     """
@@ -189,7 +189,7 @@ def _open_area(frame: Frame, plot: Plot) -> str:
     """Return the start of the area of the lines; the script of the page reads what its edges are worth."""
     edges = " ".join(f"{edge:.9g}" for edge in (*frame.x, *frame.y))
     named = any(one.labels for one in plot.series)
-    kind = "still" if plot.ticks or named else "area"  # the script runs numbers only
+    kind = "still" if plot.ticks or named else "area"  # the script draws numbers only
     return (
         f'<svg class="{kind}" x="{_LEFT}" y="{_TOP}" width="{frame.width}" height="{frame.height}" '
         f'viewBox="0 0 {frame.width * 10} {frame.height * 10}" preserveAspectRatio="none" '

@@ -324,7 +324,7 @@ def test_a_start_that_cannot_be(tmp_path, start, says):
 
 
 def test_variances_of_a_quaternion_become_those_of_angles():
-    """Monte Carlo, 200 000 runs of the elements: a variance is known to 0.32 %, 99.9 % band 1.1 %."""
+    """Monte Carlo, 200 000 draws of the elements: a variance is known to 0.32 %, 99.9 % band 1.1 %."""
     rng = np.random.default_rng(7)
     q = rotation.from_euler(0.3, -0.5, 2.0)
     diagonal = np.array([1e-6, 4e-6, 2e-6, 8e-6])

@@ -467,7 +467,7 @@ def test_41_after_too_many_refusals_the_fixes_are_used_again(minutes, name):
 
 @pytest.mark.parametrize("name", ["classic-22", "loose-15", "loose-22", "ukf"])
 def test_41_position_and_velocity_are_taken_back_together(minutes, name):
-    """200 m north and 10 m/s off, as after a segment flown blind: rejected four times, then both assumed.
+    """200 m north and 10 m/s off, as after a segment flown blind: rejected four times, then both accepted.
 
     The attitude pays for neither: it stays within what is reported of it, and that below a degree of tilt.
     """

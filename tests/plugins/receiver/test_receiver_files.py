@@ -420,7 +420,7 @@ def draw_band(t, share=0.0):
 def test_short_records_are_one_draw_of_errors_that_stay(monkeypatch):
     """Monte Carlo of whole records; every station is in its band.
 
-    For a day that is 0.56 to 1.7; for ten minutes nearly one run of a chi-square of three: 0.07 to 3.1.
+    For a day that is 0.56 to 1.7; for ten minutes nearly one draw of a chi-square of three: 0.07 to 3.1.
     """
     for files in (ESBC, OPEC, KMS3):
         assert_allclose(read_band(solved(files)), draw_band(solved(files).observations.t), rtol=0.06)

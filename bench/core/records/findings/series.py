@@ -64,7 +64,7 @@ class Series:
 class Plot:
     """One plot: its place among all, the title with the unit, and what it shows."""
 
-    path: tuple[str, ...]  # such as ("filters", "loose-15", "position", "north")
+    path: tuple[str, ...]  # such as ("estimators", "loose-15", "position", "north")
     title: str
     series: tuple[Series, ...]
     scale_from: float = -np.inf  # earlier values do not count for the vertical axis [s]

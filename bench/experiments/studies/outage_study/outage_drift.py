@@ -45,7 +45,7 @@ QUESTION = "How far does the position drift without GNSS, by unit and by phase o
 
 _PRELUDE_S = 131.0  # of the legs before [s]
 _LOSS = 150.0  # when GNSS is lost [s]
-_LATER = 2.0  # so long GNSS stays lost after the last time that counts [s]
+_LATER = 2.0  # so long GNSS stays lost after the last epoch that counts [s]
 _AFTER = 5.0  # and the flight goes on [s]
 _PRELUDE: tuple[dict[str, Any], ...] = (
     {"kind": "straight", "duration_s": 30.0},

@@ -96,7 +96,7 @@ def tell_drifts(
     elapsed: Sequence[float],
     limit: float,
 ) -> Iterator[str]:
-    """Yield drift, time to the limit, what makes it, pairs, covariances and lost runs in sentences."""
+    """Yield drift, time to the limit, what makes it, pairs, reported sigmas and lost runs in sentences."""
     for phase, told in pairs.items():
         parts, times = [], []
         grid = drifts[units[0], phase].grid
@@ -147,7 +147,7 @@ def _tell_claims(label: str, drifts: Drifts, elapsed: Sequence[float]) -> Iterat
                 outside[unit] += not drift.error[k, 1] <= drift.claimed[k] <= drift.error[k, 2]
     missed = ", ".join(f"{unit} {count}" for unit, count in outside.items() if count)
     yield (
-        f"What {label} covariances lies in the 95 % interval of the measured error in "
+        f"What {label} reports lies in the 95 % interval of the measured error in "
         f"{total - outside.total()} of {total} cases" + (f"; not in, by unit: {missed}." if missed else ".")
     )
 

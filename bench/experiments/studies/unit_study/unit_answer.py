@@ -172,8 +172,8 @@ def _tell_gaps(answer: Answer, units: Mapping[str, CatalogImu]) -> Iterator[str]
         )
     else:
         yield (
-            f"{answer.where}: the answer depends on parameters that datasheets leave out (table gaps): with "
-            f"typical values of the class it is {first}, with zero {second}."
+            f"{answer.where}: the answer depends on parameters that datasheets leave out (table gaps). If "
+            f"they are typical of the class, it is {first}; if they are zero, {second}."
         )
 
 

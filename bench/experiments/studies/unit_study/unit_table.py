@@ -2,7 +2,7 @@
 
 The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation. All
 units have the same runs and are compared run by run; where a pair or a requirement is undecided,
-runs are added up to --most-runs. A unit that loses a run is not usable on the flight. A figure that a
+runs are added up to --max-runs. A unit that loses a run is not usable on the flight. A figure that a
 datasheet leaves out is flown as typical of the class, which the answer rests on, and again as zero: the study
 says if that changes the answer.
 """
@@ -201,7 +201,7 @@ class _Flights:
         return list(dict.fromkeys(label for label, _ in self._rows))
 
     def fly(self, cases: Sequence[UnitCase]) -> bool:
-        """Fly units for the first time, or runs as many as they have, up to the most; return if any flew."""
+        """Fly units first, or as many runs again as they have, up to the most; return if any flew."""
         flown, begun = False, dict[int, list[UnitCase]]()
         for case in cases:
             known = next((len(rows) for (_, one), rows in self._rows.items() if one == case), 0)

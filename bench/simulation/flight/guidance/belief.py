@@ -28,7 +28,7 @@ from bench.simulation.flight.jsbsim_units import FT
 
 Mode = Literal["held", "state"]
 
-_NAVIGATION = {  # what is assumed, the property of the truth, its factor to SI
+_NAVIGATION = {  # what is estimated, the property of the truth, its factor to SI
     "roll-rad": ("attitude/phi-rad", 1.0),
     "pitch-rad": ("attitude/theta-rad", 1.0),
     "heading-rad": ("attitude/psi-rad", 1.0),
@@ -56,7 +56,7 @@ class NavEstimate:
 
 
 class Belief:
-    """Holds what is assumed during a flight, in SI; begins with the truth.
+    """Holds what is estimated during a flight, in SI; begins with the truth.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Belief:
             self._goal = goal
 
     def step(self, share: float) -> None:
-        """Write what is assumed after a share, 0 to 1, of the interval."""
+        """Write what is estimated after a share, 0 to 1, of the interval."""
         if self._goal is self._from:
             return
         if share >= 1.0:
@@ -150,7 +150,7 @@ class Belief:
             write(unit * value)
 
     def believe(self, name: str, read: Callable[[], float], factor: float = 1.0) -> Callable[[], float]:
-        """Return the reader of what is assumed of a property, in its own unit.
+        """Return the reader of what is estimated of a property, in its own unit.
 
         ``name`` is that in guidance, or the property of a place; ``read`` reads the truth.
         """
@@ -163,9 +163,9 @@ class Belief:
         return believed
 
     def height(self, true: float, believed_rise: float) -> float:
-        """Return the height above ground that is assumed [m]: of the radar altimeter, or by the altitude.
+        """Return the height above ground that is estimated [m]: of the radar altimeter, or by the altitude.
 
-        ``true`` is the true one, ``believed_rise`` what the assumed altitude is above the true one [m].
+        ``true`` is the true one, ``believed_rise`` what the estimated altitude is above the true one [m].
         """
         return true + (believed_rise if self._radar is None else self._radar)
 

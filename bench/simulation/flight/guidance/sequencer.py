@@ -41,7 +41,7 @@ class FlownLeg:
 def engage(fdm: Any, spec: FlightSpec, trimmed: Trim, belief: Belief | None = None) -> Cockpit:
     """Switch guidance on in the trimmed and settled flight, without a jump of any command.
 
-    On the ground only its trim is set: brakes are on and the surfaces centerd until the take-off.
+    On the ground only its trim is set: brakes are on and the surfaces centered until the take-off.
     """
     fdm["guidance/aileron-trim-norm"] = trimmed.aileron
     fdm["guidance/elevator-trim-norm"] = trimmed.elevator

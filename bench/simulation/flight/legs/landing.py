@@ -195,4 +195,4 @@ def _place(line: SegmentPath, plane: Plane) -> str:
         return f"{along:.0f} m along the runway, {abs(off):.1f} m {side_of(off)} of its centerline"
 
     believed, true = plane.position(), plane.true_position()
-    return say(true) if believed == true else f"assumed {say(believed)}, in truth {say(true)}"
+    return say(true) if believed == true else f"estimated {say(believed)}, in truth {say(true)}"

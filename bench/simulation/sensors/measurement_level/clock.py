@@ -25,7 +25,7 @@ def flicker_kernel(
     """Add Gauss-Markov stages to out[:, 1] (M,) and their integrals to out[:, 0], exactly for any dt (M,).
 
     ``noise`` (M, K, 2) is unit white noise. ``state`` (K, 2), the stages and their integrals before, becomes
-    those at the end; they are stationary at the first time unless they have ``begun``. The covariance of a
+    those at the end; they are stationary at the first epoch unless they have ``begun``. The covariance of a
     stage and of its integral over a step, given the stage at the start of the step, is
     ``s^2 [[1 - w^2, T (1 - w)^2], [., T^2 (2 dt / T - 3 + 4 w - w^2)]]`` with w = exp(-dt / T).
     """

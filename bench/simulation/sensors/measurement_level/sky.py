@@ -1,7 +1,7 @@
 """Measurement-level GNSS: ranges, range rates and C/N0 of every satellite in view, and the fixes from them.
 
 Visibility depends on the orbits, the attitude of the aircraft and its antenna: a banked turn loses
-satellites. Every error has its own stream, ``gnss.sky.<term>``, and runs for all satellites at all epochs,
+satellites. Every error has its own stream, ``gnss.sky.<term>``, and draws for all satellites at all epochs,
 so that it does not change with other errors or masks. The receiver samples at the epochs of the truth; its
 clock error is in the pseudoranges.
 """
