@@ -54,7 +54,6 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from bench.cli.api import (
-        describe_flight as describe_flight,
         fly as fly,
         evaluate as evaluate,
         run_filter as run_filter,
@@ -64,37 +63,31 @@ if TYPE_CHECKING:
     )
     from bench.cli.exchanging import (
         export_run as export_run,
-        list_exports as list_exports,
         measure_allan as measure_allan,
         score_solution as score_solution,
         stream_run as stream_run,
     )
+    from bench.cli.listings import list_metrics as list_metrics, list_studies as list_studies
     from bench.plugins.receiver.receiver_settings import solve_rinex as solve_rinex
-    from bench.experiments.baselines.checking import check as check, record_baselines as record_baselines
+    from bench.experiments.baselines.checking import check as check
     from bench.experiments.baselines.comparing import compare_results as compare_results
     from bench.experiments.card.card_making import (
-        Card as Card,
         make_card as make_card,
         read_card as read_card,
-        write_suite as write_suite,
     )
     from bench.experiments.card.card_comparison import compare_cards as compare_cards
-    from bench.experiments.campaigns.running import Campaign as Campaign, campaign as campaign
+    from bench.experiments.campaigns.running import campaign as campaign
     from bench.experiments.campaigns.stored import read_campaign as read_campaign
-    from bench.experiments.tuning.noise_factors import Tuning as Tuning, tune as tune
+    from bench.experiments.tuning.noise_factors import tune as tune
     from bench.io.config import (
         list_aircraft as list_aircraft,
         list_estimators as list_estimators,
-        list_legs as list_legs,
         list_profiles as list_profiles,
         list_sensors as list_sensors,
         read_profile as read_profile,
     )
     from bench.core.records.data import (
-        ErrorSeries as ErrorSeries,
-        Events as Events,
         InitialState as InitialState,
-        Innovations as Innovations,
         NavSolution as NavSolution,
         Sensed as Sensed,
         SensorData as SensorData,
@@ -110,17 +103,14 @@ if TYPE_CHECKING:
     from bench.navigation.engine.record_cuts import slice_sensors as slice_sensors
     from bench.navigation.estimator import Estimator as Estimator, check_estimator as check_estimator
     from bench.navigation.filter_adapters import fix_steps as fix_steps, track_solution as track_solution
-    from bench.views.recording import write_recording as write_recording
-    from bench.views.report.paper import plot_result as plot_result
-    from bench.views.report.writing import write_figures as write_figures, write_report as write_report
+    from bench.views.report.writing import write_report as write_report
     from bench.core.records.run_result import RunResult as RunResult
     from bench.cli.saving import write_result as write_result
     from bench.plugins.hil.serving import serve as serve
     from bench.core.records.specs import Guard as Guard, Profile as Profile
-    from bench.io.results import read_result as read_result, to_arrow as to_arrow, to_pandas as to_pandas
+    from bench.io.results import read_result as read_result, to_arrow as to_arrow
     from bench.io.results.filter_state import read_filter as read_filter, write_filter as write_filter
     from bench.experiments.studies.conducting import study as study
-    from bench.core.records.findings import StudyResult as StudyResult
     from bench.io.results.study_folder import read_study as read_study
 
 _PUBLIC = {
@@ -129,17 +119,16 @@ _PUBLIC = {
     "check_estimator": "bench.navigation.estimator",
     "compare_cards": "bench.experiments.card.card_comparison",
     "compare_results": "bench.experiments.baselines.comparing",
-    "describe_flight": "bench.cli.api",
     "export_run": "bench.cli.exchanging",
     "fix_steps": "bench.navigation.filter_adapters",
     "fly": "bench.cli.api",
     "evaluate": "bench.cli.api",
     "list_aircraft": "bench.io.config",
     "list_estimators": "bench.io.config",
-    "list_exports": "bench.cli.exchanging",
-    "list_legs": "bench.io.config",
+    "list_metrics": "bench.cli.listings",
     "list_profiles": "bench.io.config",
     "list_sensors": "bench.io.config",
+    "list_studies": "bench.cli.listings",
     "read_result": "bench.io.results",
     "read_campaign": "bench.experiments.campaigns.stored",
     "read_profile": "bench.io.config",
@@ -149,10 +138,8 @@ _PUBLIC = {
     "navigate": "bench.pipeline.log_pipeline",
     "run_filter": "bench.cli.api",
     "open_filter": "bench.cli.api",
-    "plot_result": "bench.views.report.paper",
     "read_card": "bench.experiments.card.card_making",
     "read_log": "bench.pipeline.log_pipeline",
-    "record_baselines": "bench.experiments.baselines.checking",
     "read_filter": "bench.io.results.filter_state",
     "run": "bench.cli.api",
     "write_result": "bench.cli.saving",
@@ -163,33 +150,22 @@ _PUBLIC = {
     "study": "bench.experiments.studies.conducting",
     "slice_sensors": "bench.navigation.engine.record_cuts",
     "to_arrow": "bench.io.results",
-    "to_pandas": "bench.io.results",
     "track_solution": "bench.navigation.filter_adapters",
     "tune": "bench.experiments.tuning.noise_factors",
-    "write_figures": "bench.views.report.writing",
-    "write_recording": "bench.views.recording",
     "write_report": "bench.views.report.writing",
-    "write_suite": "bench.experiments.card.card_making",
     "BenchError": "bench.core.words.exceptions",
-    "Campaign": "bench.experiments.campaigns.running",
-    "Card": "bench.experiments.card.card_making",
     "ConfigError": "bench.core.words.exceptions",
-    "ErrorSeries": "bench.core.records.data",
     "Estimator": "bench.navigation.estimator",
     "EstimatorError": "bench.core.words.exceptions",
-    "Events": "bench.core.records.data",
     "FlightError": "bench.core.words.exceptions",
     "Guard": "bench.core.records.specs",
     "InitialState": "bench.core.records.data",
-    "Innovations": "bench.core.records.data",
     "NavSolution": "bench.core.records.data",
     "Profile": "bench.core.records.specs",
     "RunResult": "bench.core.records.run_result",
     "Sensed": "bench.core.records.data",
     "SensorData": "bench.core.records.data",
-    "StudyResult": "bench.core.records.findings",
     "Trajectory": "bench.core.records.data",
-    "Tuning": "bench.experiments.tuning.noise_factors",
 }
 
 _OF_PLUGINS = {"serve": "serve", "solve_rinex": "fixes"}

@@ -34,6 +34,7 @@ from bench.cli import saving
 from bench.core.files import durable
 from bench.core.files.scratch import LOCK, PREFIX, remove_abandoned
 from bench.core.words.exceptions import BenchError
+from bench.core.words.stages import Stage
 from bench.experiments.baselines import checking
 from bench.experiments.baselines.baseline_file import read_baseline, write_baseline
 from bench.experiments.baselines.checking import record_baselines, write_change
@@ -41,7 +42,6 @@ from bench.experiments.baselines.junit import write_junit
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.journal import NAME, Journal
 from bench.experiments.campaigns.pools import SerialExecutor
-from bench.experiments.campaigns.running import Progress
 from bench.experiments.card.card_making import Card, Line
 from bench.io import results as store
 from bench.io.results import truth_cache
@@ -318,7 +318,7 @@ def works(place: Path) -> list[Work]:
     def campaign(folder: Path, version: int) -> None:
         """Run the first run, interrupted; then go on to the second."""
 
-        def stop(progress: Progress) -> None:
+        def stop(progress: Stage) -> None:
             if version == 1 and progress.done == 1:
                 raise KeyboardInterrupt
 

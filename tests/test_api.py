@@ -1,14 +1,20 @@
 """Python does what the verbs do: run is its four steps, what was made is saved and read back, and an argument
 that would have no effect is rejected."""
 
+import inspect
+import re
+from dataclasses import fields, is_dataclass
+
 import numpy as np
 import pytest
 
 import bench
 from bench import pipeline
 from bench.cli.command_line import commands
+from bench.core.records.instruments import InstrumentReports
 from bench.core.words import notebook
 from bench.core.words.exceptions import ConfigError
+from tests.test_words import LONGEST, MARKS, list_sentences, take_prose
 
 FUNCTIONS = {
     "allan": "measure_allan",
@@ -18,10 +24,9 @@ FUNCTIONS = {
     "compare": "compare_results",
     "export": "export_run",
     "fixes": "solve_rinex",
-    "fly": "describe_flight",
+    "fly": "fly",
     "list": "list_profiles",
     "navigate": "navigate",
-    "record": "write_recording",
     "report": "write_report",
     "run": "run",
     "score": "score_solution",
@@ -32,6 +37,7 @@ FUNCTIONS = {
 }
 """Verb -> what does it from Python."""
 WITHOUT = {
+    "record": "`write_result` writes the recording of a result",
     "show": "prints what `read_result` and `read_campaign` return",
     "cache": "looks after files of this machine",
     "guide": "shows pages",
@@ -183,3 +189,50 @@ def test_what_draws_a_result_is_set_by_the_views(monkeypatch):
         notebook.draw(None)
     notebook.set_drawer(lambda result, *chosen, **look: (result, chosen, look))
     assert notebook.draw(1, "position", form="pdf") == (1, ("position",), {"form": "pdf"})
+
+
+PUBLIC = [name for name in bench.__all__ if name[0] != "_"]
+EMPTY = ("ConfigError", "EstimatorError", "FlightError")
+"""Names whose first line says all: the errors, which have what `BenchError` has."""
+
+
+def read_names(doc: str, section: str) -> set[str]:
+    """Return the names of the entries of a section of a docstring."""
+    found = re.search(rf"^{section}\n-+\n(.*?)(?=\n\n\w[\w ]*\n---|\Z)", doc, re.DOTALL | re.MULTILINE)
+    heads = re.findall(r"^(\S[^:\n]*?)(?: : .*)?$", found[1], re.MULTILINE) if found else []
+    return {name.lstrip("*") for head in heads for name in head.split(", ")}
+
+
+@pytest.mark.parametrize("name", [name for name in PUBLIC if name not in EMPTY])
+def test_a_public_name_explains_all_of_itself_and_has_an_example(name):
+    one = getattr(bench, name)
+    doc = inspect.getdoc(one) or ""
+    assert ">>> " in doc.partition("Examples\n--------\n")[2]
+    if inspect.isfunction(one):
+        signature = inspect.signature(one)
+        assert read_names(doc, "Parameters") == set(signature.parameters)
+        returns = signature.return_annotation not in ("None", None)
+        assert ("\nReturns\n---" in doc or "\nYields\n---" in doc) == returns
+    elif is_dataclass(one):
+        own = {field.name for field in fields(one) if not hasattr(InstrumentReports, field.name)}
+        assert own <= read_names(doc, "Attributes")
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_docstring_reads_as_english_of_the_field(name):
+    doc = inspect.getdoc(getattr(bench, name)) or ""
+    text = doc.partition("\nExamples\n---")[0]
+    first = text.partition("\n")[0]
+    assert first.endswith((".", "``"))
+    for pattern, _ in MARKS.values():
+        assert not re.search(pattern, text, re.IGNORECASE), f"{name}: {pattern}"
+    assert not re.search(r"\b(?:as for|judges?|believes?|unless it is told)\b", text, re.IGNORECASE)
+    text = re.sub(r"^(?:\S.*\n(?= {4})|[\w ]+\n-+\n)", "\n", text, flags=re.MULTILINE)  # heads of entries
+    assert [one for one in list_sentences(take_prose(text)) if len(one.split()) > LONGEST] == []
+
+
+def test_entries_of_a_section_are_found():
+    doc = "Do.\n\nParameters\n----------\na, b : int\n    Two.\n*rest\n    More.\n"
+    doc += "\nReturns\n-------\nint\n    One."
+    assert read_names(doc, "Parameters") == {"a", "b", "rest"}
+    assert read_names(doc, "Returns") == {"int"}

@@ -6,11 +6,13 @@ import json
 import re
 
 import pytest
+from PIL import Image
 
 import bench
 from bench.cli.verbs.guide import FOLDER, find_pages, read_topics
 from bench.core.files.places import PACKAGE
 from tests.tools import docs_site
+from tests.tools.api_pages import TOPICS
 from tests.tools.guide_pictures import MOST_BYTES, PICTURES
 
 
@@ -20,7 +22,7 @@ def site(tmp_path_factory):
 
 
 def test_every_page_is_there_and_loads_nothing_from_elsewhere(site):
-    names = {"index", *read_topics(), "gallery", "api"}
+    names = {"index", *read_topics(), "gallery", *TOPICS}
     assert {path.stem for path in site.glob("*.html")} == names
     for path in site.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
@@ -44,17 +46,29 @@ def test_the_search_is_a_script_that_a_folder_can_hold(site):
     assert len(index["items"]) > 200
 
 
-def test_every_public_name_is_told_with_its_errors(site):
-    text = (site / "api.html").read_text(encoding="utf-8")
-    for name in bench.__all__:
-        assert name[0] == "_" or f">{name}<" in text, name
-    page = (site.parent / "pages" / "api.md").read_text(encoding="utf-8")
-    one = page.partition("### run\n")[2].partition("### ")[0]
+def test_every_public_name_is_on_one_page_with_its_errors(site):
+    named = [name for _, names in TOPICS.values() for name in names if "." not in name]
+    assert sorted(named) == sorted(name for name in bench.__all__ if name[0] != "_")
+    for page, (_, names) in TOPICS.items():
+        text = (site / f"{page}.html").read_text(encoding="utf-8")
+        assert [name for name in names if f">{name.rpartition('.')[2]}<" not in text] == []
+    page = (site.parent / "pages" / "api-run.md").read_text(encoding="utf-8")
+    one = page.partition("## run\n")[2].partition("## ")[0]
     assert "profile: str | Path | Profile," in one
     assert "**Raises**" in one
     assert "bench.FlightError" in one
-    arrays = page.partition("### NavSolution\n")[2].partition("### ")[0]
+    records = (site.parent / "pages" / "api-record.md").read_text(encoding="utf-8")
+    arrays = records.partition("## NavSolution\n")[2].partition("## ")[0]
     assert r"\[m/s\], n" in arrays
+
+
+def test_the_first_page_is_what_it_is_how_to_install_and_an_example_with_its_output(site):
+    text = (site.parent / "pages" / "index.md").read_text(encoding="utf-8")
+    assert text.index("tests INS/GNSS navigation filters") < text.index("## Install")
+    places = [
+        text.index(part) for part in ("](figure-eight.png)", "bench run figure-eight", "✗ overconfident")
+    ]
+    assert places == sorted(places)
 
 
 def test_every_picture_of_the_guide_is_shown_small_and_made_by_the_command():
@@ -62,6 +76,9 @@ def test_every_picture_of_the_guide_is_shown_small_and_made_by_the_command():
     shown = {path.stem for path in pictures}
     assert shown == set(PICTURES)
     assert max(path.stat().st_size for path in pictures) <= MOST_BYTES
+    for path in pictures:
+        with Image.open(path) as image:
+            assert re.fullmatch(r"bench \S+, commit \w+, \d{4}-\d\d-\d\d", image.info.get("Source", "")), path
     pages = [*find_pages().values(), FOLDER / "README.md", PACKAGE.parent / "README.md"]
     text = "".join(path.read_text() for path in pages)
     assert [name for name in sorted(shown) if f"{name}.png)" not in text] == []

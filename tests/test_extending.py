@@ -348,6 +348,7 @@ import json
 import numpy as np
 import bench
 from bench.cli.command_line import commands
+from bench.cli.listings import list_exports
 from bench.core.records.instruments import INSTRUMENTS
 from bench.evaluation.metrics.run_metrics import METRICS
 from bench.experiments.studies import STUDIES
@@ -385,7 +386,7 @@ print(json.dumps({
     "drawn": [t.tolist(), drawn[:, 0].tolist(), baro.t.tolist(), baro.alt_baro.tolist()],
     "counts": json.loads((counts / "counts.json").read_text()),
     "rows": len(baro),
-    "listed": [entry.name for entry in bench.list_exports()],
+    "listed": [entry.name for entry in list_exports()],
 }))
 """
 

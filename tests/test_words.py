@@ -6,10 +6,13 @@ A page that is rewritten loses its line in `AS_IT_IS`; no count may grow.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
+import click
 import pytest
 
+from bench.cli.command_line import commands
 from bench.cli.verbs import guide
 
 ROOT = Path(__file__).parents[1]
@@ -93,6 +96,35 @@ def test_each_command_of_a_tutorial_shows_its_output(page):
     for block in re.finditer(r"```sh\n(.*?)```\n+(.{7})", text, re.DOTALL):
         if not block[1].startswith(SILENT):
             assert block[2] == "```text", f"{page}: {block[1].strip()} shows no output"
+
+
+def find_helps() -> Iterator[tuple[str, str]]:
+    """Yield the help texts of verbs, studies and options by their place on the command line."""
+
+    def read(command: click.Command, name: str, parent: click.Context) -> Iterator[tuple[str, str]]:
+        parts = (command.help or "").split("\n\n")  # those that begin with a \b are laid out by hand
+        yield name, "\n\n".join(part for part in parts if "\b" not in part)
+        for option in command.params:
+            yield f"{name} {option.opts[0]}", str(getattr(option, "help", None) or "")
+        if isinstance(command, click.Group):
+            here = click.Context(command, parent=parent)
+            for below in command.list_commands(here):
+                found = command.get_command(here, below)
+                assert found is not None
+                yield from read(found, f"{name} {below}", here)
+
+    yield from read(commands, "bench", click.Context(commands))
+
+
+def test_help_texts_read_once():
+    helps = dict(find_helps())
+    assert len(helps) > 400
+    for name, text in helps.items():
+        prose = take_prose(text)
+        for mark, (pattern, _) in MARKS.items():
+            assert not re.search(pattern, prose, re.IGNORECASE), f"{name}: {mark!r}"
+        assert [term for term in BANNED if term in prose.lower()] == [], name
+        assert [one for one in list_sentences(prose) if len(one.split()) > LONGEST] == [], name
 
 
 def test_marks_are_counted_in_prose_alone():

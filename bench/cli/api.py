@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +22,7 @@ from bench.core.records.data import ErrorSeries, InitialState, NavSolution, Sens
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.stages import Watcher
+from bench.core.words.stages import Progress
 from bench.io.config import read_profile
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def run(
     bound: bool = False,
     causes: bool | None = None,
     guard: Guard = DEFAULT_GUARD,
-    progress: Watcher | None = None,
+    progress: Progress | None = None,
 ) -> RunResult:
     """Fly a profile, simulate the sensors, run each filter, and evaluate all solutions.
 
@@ -141,45 +141,6 @@ def fly(
     3
     """
     return pipeline.fly(_read_profile(profile, seed, overrides))
-
-
-def describe_flight(
-    profile: str | Path | Profile,
-    progress: Callable[[float], None] | None = None,
-    *,
-    seed: int | None = None,
-    overrides: Mapping[str, Any] | None = None,
-) -> Mapping[str, Any]:
-    """Fly a profile and return a summary of the flight.
-
-    Memory does not grow with the length of the flight.
-
-    Parameters
-    ----------
-    profile, seed, overrides
-        See `fly`.
-    progress : callable, optional
-        Called with the time that has been flown [s].
-
-    Returns
-    -------
-    mapping
-        Legs, ranges of altitude, speed and attitude, implausible motions, and the integration error of the
-        truth. Names end in their unit, SI and radians.
-
-    Raises
-    ------
-    bench.ConfigError, bench.FlightError
-        See `fly`.
-
-    Examples
-    --------
-    >>> import bench
-    >>> summary = bench.describe_flight("approach")
-    >>> summary["replay_position_m"] < 1e-3
-    True
-    """
-    return pipeline.fly_over(_read_profile(profile, seed, overrides), progress)
 
 
 def sense(

@@ -152,10 +152,10 @@ def campaign(sources: tuple[str, ...], as_json: bool, strict: bool, **options: A
 def tune(source: str, as_json: bool, **options: Any) -> int:
     """Tune the noise that a filter assumes.
 
-    The first runs of PROFILE tune; as many others judge, before and after. With
-    --log the innovations of the first half of a recording tune, the withheld fixes of its
-    second half judge. Each factor has an interval; one that the data do not tell says so.
-    Writes the datasheets that the filter should assume.
+    The first runs of PROFILE tune; as many others evaluate the result, before and after. With --log the
+    innovations of the first half of a recording tune, and the withheld fixes of its second half evaluate.
+    Each factor is printed with its interval, or as not determined by the data. Writes the datasheets that
+    the filter should assume.
 
     \b
     Examples:
@@ -214,13 +214,13 @@ def card(
 ) -> int:
     """Score a filter on a fixed suite of flights.
 
-    Accuracy is a ratio to the other filter on the same noise, with its interval. Version
-    and hash of the suite stand on the card: two cards with equal hashes compare.
+    Accuracy is a ratio to the other filter on the same noise, with its interval. The card
+    contains version and hash of the suite; cards with equal hashes can be compared.
     --seed draws noise that no filter was tuned on; --verify repeats some runs of a card.
     The status is 1 if a run did not converge, the filter looks ahead, or a requirement of
     --require is not met.
-    Solutions made elsewhere are evaluated, too: --sensors writes a folder for each run,
-    and file:DIR finds solution.csv in each of them.
+    To evaluate solutions made elsewhere, use --sensors, which writes a folder for each run,
+    and -e file:DIR, which reads solution.csv in each of them.
 
     \b
     Examples:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.io import results
-from bench.io.config.listing import CatalogEntry
 
 if TYPE_CHECKING:
     from bench.evaluation.motion.noise_curves import AllanResult
@@ -25,26 +25,37 @@ def measure_allan(
     picture: str | Path | None = None,
     force: bool = False,
 ) -> AllanResult:
-    """Measure the Allan deviation of an IMU and compare it with its datasheet.
+    """Compute the Allan deviation of an IMU and compare it with its datasheet.
 
     Parameters
     ----------
-    unit : str or None
-        Catalog name or path of a datasheet. Its model is measured or, with a log, compared with the log.
-    log : str, Path or None
-        Table of an IMU at rest, as `bench.io.logs.resting_log.read_resting_log` reads it.
-    seed : int
-        Seed of the noise of the model.
-    picture : str, Path or None
-        File to draw the curves into, .png, .svg or .pdf.
-    force : bool
-        Replace the picture if it is there.
+    unit : str, optional
+        Catalog name of an IMU, or path of a datasheet. Its model is measured or, with ``log``, compared.
+    log : str or Path, optional
+        Table of an IMU at rest (`bench.io.logs.resting_log.read_resting_log`).
+    seed : int, optional
+        Seed of the noise of the model. Default: 1.
+    picture : str or Path, optional
+        File to draw the curves into: .png, .svg or .pdf.
+    force : bool, optional
+        Replace the picture.
 
     Returns
     -------
-    measured : AllanResult
+    AllanResult
         ``curves``: averaging times [s], Allan deviations [rad/s; m/s^2] with 99.9 % bands, and the curve of
         each term of the datasheet.
+
+    Raises
+    ------
+    bench.ConfigError
+        If neither ``unit`` nor ``log`` is given, a file is wrong, or there is no random error to measure.
+
+    Examples
+    --------
+    >>> import bench
+    >>> [curve.triad for curve in bench.measure_allan("stim300").curves]
+    ['gyro', 'accel']
     """
     from bench.evaluation.motion import noise_curves
     from bench.io.config.datasheets import read_imu
@@ -71,13 +82,6 @@ def measure_allan(
     return measured
 
 
-def list_exports() -> list[CatalogEntry]:
-    """Return every format that `export_run` writes."""
-    from bench.io import exports
-
-    return [CatalogEntry(name, title, "export") for name, title in exports.list_formats().items()]
-
-
 def export_run(
     folder: str | Path,
     kind: str,
@@ -87,22 +91,42 @@ def export_run(
     like: str | Path | None = None,
     force: bool = False,
 ) -> Path:
-    """Export the sensor data of a run in the format of another tool, and return the folder of the files.
+    """Export the sensor data of a run in the format of another tool.
 
     Parameters
     ----------
     folder : str or Path
-        A results folder.
+        Results folder.
     kind : str
-        One of :func:`list_exports`: "csv", "kf-gins", "tum" ...
-    out : str, Path or None
-        Folder to write; None makes one beside the results folder, with the format in its name.
-    include : sequence of str
-        Tracks to export besides the sensors: "truth", "solution:NAME".
-    like : str, Path or None
-        A file of the other tool whose definitions the export takes: for "ulog" a log of one's own firmware.
-    force : bool
+        Format: "csv", "kf-gins", "tum" and others; ``bench list exports`` prints all.
+    out : str or Path, optional
+        Folder to write. Default: the name of the results folder with the format behind it.
+    include : sequence of str, optional
+        Additional tracks: "truth", "solution:NAME".
+    like : str or Path, optional
+        File of the other tool whose definitions are used; "ulog" requires a log of your own firmware.
+    force : bool, optional
         Replace an existing export.
+
+    Returns
+    -------
+    Path
+        Folder with the files.
+
+    Raises
+    ------
+    bench.ConfigError
+        If the format is unknown, ``like`` is missing or not used, or ``out`` cannot be replaced.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     written = bench.export_run(folder, "csv")
+    ...     (written / "imu.csv").is_file()
+    True
     """
     from bench.io import exports
 
@@ -132,13 +156,47 @@ def stream_run(
     tcp: str | None = None,
     rate: float = 1.0,
     allow_remote: bool = False,
-    say: Callable[[str], object] = lambda text: None,
+    progress: Progress | None = None,
 ) -> Streamed:
-    """Send the sensor data of a run to a socket at the pace of its arrival, for a filter in the loop.
+    """Send the sensor data of a run to a socket, each measurement at the time of its arrival.
 
-    Exactly one of ``udp`` and ``tcp`` is an address ``IP:PORT``. UDP sends each message as a datagram to it;
-    TCP waits for one connection there, and port 0 takes any free port. The other parameters and the errors
-    are those of `bench.io.streams.streaming.stream`.
+    Parameters
+    ----------
+    folder : str or Path
+        Results folder.
+    udp : str, optional
+        Address ``IP:PORT``; each message is one datagram.
+    tcp : str, optional
+        Address ``IP:PORT`` at which one connection is awaited; port 0 takes any free port. Give one of
+        ``udp`` and ``tcp``.
+    rate : float, optional
+        Seconds of the run per second; infinity sends as fast as possible. Default: 1.
+    allow_remote : bool, optional
+        Permit addresses of other machines. Default: no.
+    progress : callable, optional
+        Called with a `Stage`, whose text is the address.
+
+    Returns
+    -------
+    Streamed
+        ``messages``, ``seconds``, and the largest delay ``latest`` [s].
+
+    Raises
+    ------
+    bench.ConfigError
+        If an argument is wrong.
+    OSError
+        If the address cannot be used.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     sent = bench.stream_run(folder, udp="127.0.0.1:9", rate=float("inf"))
+    >>> sent.messages > 1000
+    True
     """
     from bench.io import exports
     from bench.io.streams import streaming
@@ -147,7 +205,10 @@ def stream_run(
         raise ConfigError("stream_run needs one of udp and tcp")
     kind, address = ("udp", udp) if udp is not None else ("tcp", str(tcp))
     run = exports.gather(Path(folder))
-    return streaming.stream(run, kind, address, rate=rate, remote=allow_remote, say=say)
+    show = progress or ignore
+    return streaming.stream(
+        run, kind, address, rate=rate, remote=allow_remote, say=lambda text: show(Stage(text))
+    )
 
 
 def score_solution(
@@ -160,24 +221,45 @@ def score_solution(
     out: str | Path | None = None,
     force: bool = False,
 ) -> Score:
-    """Evaluate the solution of any program on a run, like that of a filter of the bench.
+    """Evaluate the solution of any program on a run.
 
     Parameters
     ----------
     solution : str or Path
-        Table of the motion of the IMU at its own times, as `bench.io.foreign.solutions` reads it.
+        Table with the motion of the IMU at its own times (`bench.io.foreign.solutions`).
     folder : str or Path
-        A results folder.
-    label : str or None
-        Label of the solution; None takes the name of the file.
-    t_0 : float
-        Time in the file at the start of the run [s].
-    longest : float or None
-        Longest interval between rows that is interpolated [s]; default twice the median, at most 2 s.
-    out : str, Path or None
+        Results folder.
+    label : str, optional
+        Label of the solution. Default: the name of the file.
+    t_0 : float, optional
+        Time in the file at the start of the run [s]. Default: 0.
+    longest : float, optional
+        Longest interval between rows that is interpolated [s]. Default: twice the median, at most 2 s.
+    out : str or Path, optional
         Folder for a copy of the results with the solution added, without the recording.
-    force : bool
+    force : bool, optional
         Replace an existing results folder.
+
+    Returns
+    -------
+    Score
+        ``metrics`` by name, ``errors`` (`ErrorSeries`), ``solution`` and ``coverage``.
+
+    Raises
+    ------
+    bench.ConfigError
+        If a file or folder is missing or wrong.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     written = bench.export_run(folder, "csv", include=["solution:loose-15"])
+    ...     score = bench.score_solution(written / "solution-loose-15.csv", folder)
+    >>> round(score.metrics["pos_rmse_h_m"] / result.metrics["loose-15"]["pos_rmse_h_m"], 4)
+    1.0
     """
     from bench.io.foreign import scoring
 

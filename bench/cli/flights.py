@@ -150,9 +150,9 @@ def list_all(kind: str | None, as_json: bool, long: bool) -> int:
     """List profiles, sensors, filters and studies.
 
     KIND is profiles, aircraft, legs, sensors, estimators, exports, studies, metrics or
-    packages. bench list sensors and bench list aircraft print sources and assumed values,
-    bench list legs all keys with limits and defaults. bench list packages shows what
-    installed packages add.
+    packages. For
+    sensors and aircraft the command also prints sources and assumed values, for legs all keys with
+    limits and defaults, and for packages what each installed package adds.
     """
     from bench.cli.verbs.show import list_catalog, print_catalog, print_sensors
 
@@ -229,7 +229,7 @@ def report(folder: Path, out: Path | None, figures: str | None, force: bool, **l
     """Write the HTML report.
 
     The page needs no network and no other file: verdicts, figures with their bounds, plots,
-    events, sensors, and where it all comes from. If DIR holds results folders, the page is their index.
+    events, sensors, versions. If DIR holds results folders, the page is their index.
     --figures draws each tab of the recording into a folder, DIR-figures by default.
     """
     from bench.cli.verbs.record_verbs import write_figures, write_report

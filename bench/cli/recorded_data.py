@@ -48,7 +48,7 @@ class _LogCommand(click.Command):
     ),
     metavar="S,S,...|none",
     help="simulate GNSS outages of these lengths and measure the drift  [default: 10,30,60 "
-    "where the recording is long enough; none where a reference evaluates]",
+    "if the recording is long enough; none if there is a reference]",
 )
 @click.option(
     "--places",
@@ -123,14 +123,14 @@ def show(folder: Path | None) -> int:
 def allan(unit: str | None, log: Path | None, **options: Any) -> int:
     """Measure the Allan deviation of an IMU.
 
-    UNIT is an IMU of the catalog (bench list) or a datasheet of your own, .toml. Its
-    model is measured at rest: averaging times below 8 s at 200 Hz, longer ones for
-    18 h at 1 Hz. Each value is compared with the analytic curve of all its terms.
-    With --log a log is measured and, if UNIT is given, compared with it.
+    UNIT is an IMU of the catalog (bench list sensors) or a datasheet of your own, .toml. Its
+    model is simulated at rest: averaging times below 8 s at 200 Hz, longer ones for
+    18 h at 1 Hz. Each value is compared with the analytic curve of all terms.
+    With --log a log is measured and, if UNIT is given, compared with the datasheet.
 
-    FILE is a table, .csv, .parquet or .mat: t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_...,
-    gyro_z_..., accel_x_m_s2 (or g, mg), ...: rates of an IMU at rest, one row per sample; one
-    of the two triads may be missing.
+    FILE is a table (.csv, .parquet, .mat) of an IMU at rest, one row per sample. The columns are
+    t_s, gyro_x_rad_s (or deg_s, deg_h), gyro_y_..., gyro_z_..., accel_x_m_s2 (or g, mg) and so on.
+    One of the two triads may be missing.
 
     \b
     Examples:
@@ -219,8 +219,8 @@ def score(solution: Path, folder: Path, as_json: bool, strict: bool, **options: 
 
     \b
     Examples:
-      bench export runs/figure-eight-20260101 --to kf-gins   and let another filter run
-      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 as its README says
+      bench export runs/figure-eight-20260101 --to kf-gins   then run another filter on it
+      bench score theirs.csv runs/figure-eight-20260101 --t0 345618   t = 0 is in its README
     """
     from bench.cli.verbs.record_verbs import score_solution
     from bench.io.results import to_json

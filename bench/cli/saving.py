@@ -8,6 +8,7 @@ from pathlib import Path
 from bench.core.files import durable
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError, NothingToShowError, ViewsFailedError
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.core.words.wording import one_line
 from bench.io import results
 
@@ -19,31 +20,47 @@ def write_result(
     recording: bool = True,
     report: bool = True,
     force: bool = False,
-    say: Callable[[str], object] = lambda text: None,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write a result and its records into a results folder, completely or not at all, and return the folder.
+    """Write a result into a results folder, completely or not at all.
 
-    Recording and report come after them: if one fails, the results are there, and so is the other.
+    Recording and report are written afterwards; if one fails, the results and the other one remain.
 
     Parameters
     ----------
     result : RunResult
-        From :func:`run`, `bench.navigate` or `bench.read_result`, which reads the folder back.
-    recording, report : bool
-        Also write ``flight.rrd``, ``report.html``.
-    force : bool
+        Result from `bench.run`, `bench.navigate` or `bench.read_result`.
+    folder : str or Path
+        Folder to write; `bench.read_result` reads it.
+    recording, report : bool, optional
+        Also write ``flight.rrd``, ``report.html``. Default: yes.
+    force : bool, optional
         Replace an existing results folder.
-    say : callable
-        Called with the reason if there is no recording.
+    progress : callable, optional
+        Called with a `Stage` that gives the reason if there is no recording.
+
+    Returns
+    -------
+    Path
+        The folder.
 
     Raises
     ------
     bench.ConfigError
-        If the folder cannot be made or must not be replaced, or the result has no records.
+        If the folder cannot be made or replaced, or the result has no records.
     OSError
         If the results cannot be written; nothing is left behind.
     bench.core.words.exceptions.ViewsFailedError
-        If the recording or the report failed; the results are written.
+        If recording or report failed; the results are written.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     (folder / "result.json").is_file()
+    True
     """
     folder = Path(folder)
     if result.sensed is None:
@@ -53,7 +70,7 @@ def write_result(
         results.save(partial, result)
     views: list[tuple[str, str, Callable[[], object]]] = []
     if recording:
-        views.append(("recording", "record", lambda: _write_recording(folder, result, say)))
+        views.append(("recording", "record", lambda: _write_recording(folder, result, progress or ignore)))
     if report:
         views.append(("report", "report", lambda: write_report(folder, result)))
     failed = []
@@ -68,13 +85,13 @@ def write_result(
     return folder
 
 
-def _write_recording(folder: Path, result: RunResult, say: Callable[[str], object]) -> None:
+def _write_recording(folder: Path, result: RunResult, progress: Progress) -> None:
     from bench.views import recording
 
     try:
         recording.write(folder / results.RECORDING, result.name or folder.name, result)
     except NothingToShowError as error:
-        say(f"No recording: {error}.")
+        progress(Stage(f"No recording: {error}."))
     else:
         results.add_to_mark(folder, results.RECORDING)
 

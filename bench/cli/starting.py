@@ -20,9 +20,9 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
     """Create a filter, a log file, an aircraft or a CI check.
 
     \b
-    estimator NAME writes, in the present folder:
+    estimator NAME writes, in the current folder:
       NAME.py        an INS/GNSS filter in plain NumPy, its class NAME in CamelCase
-      test_NAME.py   its test: the contract of the bench, and its accuracy
+      test_NAME.py   its test: the requirements of bench, and its accuracy
 
     \b
     check [ESTIMATOR] flies a filter, loose-15 or one of your own, and writes:
@@ -31,14 +31,14 @@ def new(kind: str, name: str | None, rates: str | None) -> int:
       .github/workflows/accuracy.yml   a CI job that runs bench check
 
     \b
-    log FILE looks at a recording; FILE.toml beside it is for bench navigate, with questions
+    log FILE reads a recording and writes FILE.toml beside it for bench navigate, with questions
 
     \b
-    aircraft NAME finds gains of one of the jsbsim wheel and writes aircraft/jsbsim/NAME.toml;
-    aircraft ./FOLDER those of a JSBSim model of yours, FOLDER/FOLDER.xml, and writes FOLDER/aircraft.toml
+    aircraft NAME finds autopilot gains for an aircraft of JSBSim and writes aircraft/jsbsim/NAME.toml;
+    aircraft ./FOLDER does it for your own model FOLDER/FOLDER.xml and writes FOLDER/aircraft.toml
 
     \b
-    schemas writes what editors need to complete keys and mark mistakes while you type:
+    schemas writes JSON schemas, with which an editor completes keys and marks mistakes:
       schemas/profile.json ...         name one in the first line: #:schema ./schemas/profile.json
 
     \b

@@ -22,14 +22,28 @@ from bench.navigation.answer_check import check_solution
 
 
 class Estimator(Protocol):
-    """Turns one sensor record into one navigation solution.
+    """Interface of a filter: one sensor record in, one navigation solution out.
 
-    Settings go to ``__init__`` as keywords and are checked there; ``run`` takes
-    data only, keeps nothing between calls and never sees the truth. A method
-    ``unmodeled_errors(specs: AssumedSpecs) -> tuple[str, ...]`` is optional: it names
-    the errors of the sensors that the filter has no state for. An attribute ``needs: tuple[str, ...]`` is
-    optional too: the records of `SensorData` it cannot work without, of :data:`RECORDS`. So is a method
-    ``check_sensors(specs: AssumedSpecs) -> str``: why it cannot be consistent with such sensors, or "".
+    Options are keyword arguments of ``__init__``, which checks them. ``run`` takes data only, keeps nothing
+    between calls and never gets the truth. Optional members:
+
+    - ``unmodeled_errors(specs: AssumedSpecs) -> tuple[str, ...]``: sensor errors without a state in the
+      filter.
+    - ``needs: tuple[str, ...]``: records of `SensorData` that the filter requires (`RECORDS`).
+    - ``check_sensors(specs: AssumedSpecs) -> str``: why the filter cannot be consistent with these sensors,
+      or "".
+
+    Examples
+    --------
+    >>> import bench
+    >>> class Still:
+    ...     def run(self, sensors, initial):
+    ...         state = (initial.lla * 0.0).repeat(2), initial.cov[:6, :6]
+    ...         return bench.track_solution(sensors, initial, [state] * len(sensors.output_t))
+    >>> still: bench.Estimator = Still()
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> still.run(sensed.data, sensed.initial).cov.shape[1:]
+    (9, 9)
     """
 
     def run(self, sensors: SensorData, initial: InitialState) -> NavSolution:
@@ -218,13 +232,35 @@ def list_unmodeled(estimator: Estimator, name: str, specs: AssumedSpecs) -> list
 
 
 def check_estimator(estimator: Estimator, sensors: SensorData, initial: InitialState) -> None:
-    """Raise AssertionError where a filter breaks the contract of the bench.
+    """Check that a filter fulfills the requirements of bench.
 
-    It must pickle, be repeatable, leave its input unchanged, answer at every ``output_t``, and give finite
-    values and a covariance that is symmetric and positive definite over the blocks it estimates. A block it
-    does not estimate is NaN at every time; before the end of an initial alignment every block is NaN. With
-    a given initial state it must also cope with a record without output times, aiding records without rows,
-    and rows that are not finite, flagged or not; one that runs in pieces must give the same bits in them.
+    The filter must pickle, be repeatable and leave its input unchanged. It must return finite values at every
+    output time, with a covariance that is symmetric and positive definite over the blocks it estimates. A
+    block it does not estimate is NaN at every time, and every block is NaN before the end of an initial
+    alignment. If the initial state is given, it must also accept a record without output times, aiding
+    records without rows, and rows that are not finite. A filter that runs in pieces must return the same
+    bits.
+
+    Parameters
+    ----------
+    estimator : Estimator
+        Filter to check.
+    sensors : SensorData
+        Record to run it on.
+    initial : InitialState
+        Initial state.
+
+    Raises
+    ------
+    AssertionError
+        If a requirement is broken.
+
+    Examples
+    --------
+    >>> import bench
+    >>> from bench.navigation.built_in import load
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> bench.check_estimator(load("loose-15", {}), sensed.data, sensed.initial)
     """
     before = pickle.dumps((sensors, initial))
     try:

@@ -17,12 +17,32 @@ from bench.navigation.engine.record_cuts import nothing_known
 def fix_steps(
     sensors: SensorData, initial: InitialState
 ) -> Iterator[tuple[float, list[tuple[FloatArray, FloatArray]]]]:
-    """Yield, for each time of ``sensors.output_t``, the time since the one before [s] and the new fixes.
+    """Yield the steps of a filter that uses GNSS fixes alone: time step and new fixes for each output time.
 
-    A fix is z (6, 1), position from ``initial.lla`` [m] and velocity [m/s], n, and R (6, 6), the covariance
-    that its receiver reports. It holds for the antenna, in the order of arrival. Rows that are flagged, not
-    finite, repeated, overtaken or without velocity are left out. The start has to be given, not found by an
-    alignment.
+    Rows that are invalid, not finite, repeated, out of order or without velocity are left out.
+
+    Parameters
+    ----------
+    sensors : SensorData
+        Sensor record.
+    initial : InitialState
+        Initial state with ``alignment`` "given".
+
+    Yields
+    ------
+    dt : float
+        Time since the output time before [s].
+    fixes : list of (z, R)
+        Fixes that arrived since, in the order of arrival: z (6, 1) is the position of the antenna relative to
+        ``initial.lla`` [m] and its velocity [m/s], n; R (6, 6) is the reported covariance.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> steps = list(bench.fix_steps(sensed.data, sensed.initial))
+    >>> len(steps) == len(sensed.data.output_t)
+    True
     """
     now, fixes = initial.t, sensors.fixes
     new: dict[int, list[tuple[FloatArray, FloatArray]]] = {}
@@ -44,15 +64,30 @@ def fix_steps(
 def track_solution(
     sensors: SensorData, initial: InitialState, states: Sequence[tuple[FloatArray, FloatArray]]
 ) -> NavSolution:
-    """Return the solution of a filter that estimates position and velocity; attitude and biases are NaN.
+    """Make the solution of a filter that estimates position and velocity; attitude and biases are NaN.
 
     Parameters
     ----------
-    sensors, initial : SensorData, InitialState
-        As they were given to the estimator.
+    sensors : SensorData
+        Sensor record that the filter ran on.
+    initial : InitialState
+        Its initial state.
     states : sequence of (x, P)
-        One for each time of ``sensors.output_t``: x (6 or more, 1) or (6 or more,) begins with position
-        from ``initial.lla`` [m] and velocity [m/s], n, and P with their covariance.
+        One for each output time: x, of 6 or more rows, begins with the position relative to ``initial.lla``
+        [m] and the velocity [m/s], n; P is their covariance.
+
+    Returns
+    -------
+    NavSolution
+        Solution at ``sensors.output_t``.
+
+    Examples
+    --------
+    >>> import bench, numpy as np
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> states = [(np.zeros(6), np.eye(6)) for _ in sensed.data.output_t]
+    >>> bench.track_solution(sensed.data, sensed.initial, states).cov.shape[1:]
+    (9, 9)
     """
     m = len(sensors.output_t)
     x, cov = np.full((m, 6), np.nan), np.full((m, 9, 9), np.nan)

@@ -13,7 +13,7 @@ from bench.core.records.data import NavSolution, Sensed, ShowFlight, Trajectory
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Profile
-from bench.core.words.stages import Stages, Watcher
+from bench.core.words.stages import Progress, Stages
 from bench.evaluation.judging import Judged
 from bench.io import results
 from bench.navigation import estimator
@@ -59,7 +59,7 @@ def run(
     steered: NavSolution | None = None,
     bound: bool = False,
     causes: bool | None = False,
-    progress: Watcher | None = None,
+    progress: Progress | None = None,
     show: ShowFlight | None = None,
 ) -> RunResult:
     """Fly, sense, navigate with every filter of the profile, and judge.

@@ -28,7 +28,7 @@ from bench.core.records.data import (
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
-from bench.core.words.stages import Stages, Watcher
+from bench.core.words.stages import Progress, Stages
 from bench.evaluation.errors import used_fixes
 from bench.evaluation.errors.fixes import antenna_errors
 from bench.evaluation.errors.reference_errors import compare
@@ -84,32 +84,42 @@ def read_log(
     motion_noise: bool = False,
     guard: Guard = DEFAULT_GUARD,
 ) -> RecordedLog:
-    """Read a recording of real sensors and check its consistency; nothing is repaired.
+    """Read a recorded log and check it; nothing is repaired.
 
     Parameters
     ----------
     path : str or Path
-        The ``.toml`` file of the log: recorded files, mounting of the sensors, datasheets that filters
-        assume.
-    estimators : sequence of str or None
-        As for `bench.run`; None takes those of the log.
-    allow_code : bool
-        Let the log run the code it names, a class or a program.
-    overrides : mapping or None
-        Values to replace, as `bench.read_profile` takes them: ``{"sensors.assumed.imu": "stim300"}``.
-    tune_noise : bool
-        Let the filters assume the noise of the IMU at rest, where it is larger than that of its datasheet.
-    motion_noise : bool
-        Let them assume its noise while it moves, where that is larger.
-    guard : Guard
-        What programs and classes of others may take, and whether a class gets a process of its own.
+        The ``.toml`` file of the log: recorded files, mounting of the sensors, assumed datasheets.
+    estimators : sequence of str, optional
+        Filters, as in `bench.run`. Default: the filters of the log.
+    allow_code : bool, optional
+        Permit the log to run code it names. Default: no.
+    overrides : mapping, optional
+        Keys to replace, for example ``{"sensors.assumed.imu": "stim300"}``.
+    tune_noise : bool, optional
+        Assume the IMU noise measured at rest, if larger than the datasheet.
+    motion_noise : bool, optional
+        Assume the IMU noise measured in motion, if larger than the datasheet.
+    guard : Guard, optional
+        Limits for programs and classes.
+
+    Returns
+    -------
+    RecordedLog
+        The records, the ``checks`` and the filters, for `navigate`.
 
     Raises
     ------
     bench.ConfigError
         If a file is missing or wrong; the message names file and row.
     bench.EstimatorError
-        If a filter cannot be built, or needs data that the log does not have.
+        If a filter cannot be built, or requires data that the log does not contain.
+
+    Examples
+    --------
+    >>> import bench
+    >>> log = bench.read_log("log.toml")  # doctest: +SKIP
+    >>> result = bench.navigate(log)  # doctest: +SKIP
     """
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}
@@ -173,35 +183,41 @@ def navigate(
     *,
     outages: Sequence[float] | None = (),
     places: int = 10,
-    progress: Watcher | None = None,
+    progress: Progress | None = None,
 ) -> RunResult:
-    """Run filters on a recording and evaluate them; one that raises has failed.
+    """Run filters on a recorded log and evaluate them.
 
-    So has one that cannot start where another can.
+    The reference is a second system if the log names one; otherwise the fixes that are withheld. A filter
+    that raises, or cannot start if another can, has failed.
 
     Parameters
     ----------
     log : str, Path or RecordedLog
-        The path of a log, or what :func:`read_log` returns.
-    outages : sequence of float
-        Durations of GNSS outages to simulate [s]; each is simulated at ``places`` places, in separate runs.
-        None: 10, 30 and 60 s, as far as the recording has room for them; none beside a reference.
-    places : int
-        Number of places of each outage.
-    progress : callable or None
-        Called with what is going on (`bench.core.words.stages.Stage`), whenever that changes.
+        Path of the ``.toml`` file of a log, or a log from `read_log`.
+    outages : sequence of float, optional
+        Durations of simulated outages [s], each at several places in runs of their own. None: 10, 30 and 60 s
+        if the recording is long enough, none if there is a reference. Default: none.
+    places : int, optional
+        Number of places of each outage. Default: 10.
+    progress : callable, optional
+        Called with the current `Stage`.
 
     Returns
     -------
-    result : RunResult
-        ``errors`` relative to the withheld fixes, or to the reference [m, m/s, rad; n], ``metrics``; ``more``
-        holds the checks of the recording and the drift over the outages [m].
+    RunResult
+        ``errors`` relative to withheld fixes or reference [m, m/s, rad; n], ``metrics``; ``more`` has the
+        checks of the recording and the outage drift [m].
 
     Raises
     ------
     bench.ConfigError, bench.EstimatorError
-        As for :func:`read_log`, if the start or an outage does not fit the recording, and if no filter can
-        start.
+        If a file is missing or wrong, start or outage do not fit the recording, or no filter can start.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.navigate("log.toml", outages=[30.0])  # doctest: +SKIP
+    >>> result.metrics["loose-15"]["outage_30_drift_h_m"]  # doctest: +SKIP
     """
     log = log if isinstance(log, RecordedLog) else read_log(log)
     stages = Stages(progress)

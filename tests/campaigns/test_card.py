@@ -482,7 +482,7 @@ def test_solutions_of_a_folder_are_judged_draw_by_draw(made, monkeypatch, capsys
     counted = find(bench.read_card(Path("less.json")), written["draws"][0]["flight"], "convergence")
     assert sum(counted.by_draw) == DRAWS - 1
     with pytest.raises(ConfigError, match="not replaced"):
-        bench.write_suite("draws", quick=True)
+        card_making.write_suite("draws", quick=True)
 
 
 def test_the_name_of_a_draw_is_that_of_another_processor(made, monkeypatch):

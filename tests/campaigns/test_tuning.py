@@ -80,7 +80,7 @@ def test_before_and_after_are_on_other_draws(here):
         factors=["gnss.gnss."],
         runs=3,
         evaluations=8,
-        progress=lambda *now: seen.append(now),
+        progress=lambda now: seen.append((now.done, now.total, now.cost)),
     )
     assert found.evaluations == len(seen) == 8
     assert not found.converged
@@ -254,11 +254,16 @@ def test_costs_of_rmse_are_relative_to_the_datasheets(here, monkeypatch):
     monkeypatch.setattr(noise_factors, "ProfileTrial", Fake)
     names = ["gnss.gnss.pos_h_white,gnss.gnss.pos_v_white"]
     bench.tune(
-        "short.toml", "x", goal="rmse", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c)
+        "short.toml",
+        "x",
+        goal="rmse",
+        factors=names,
+        evaluations=3,
+        progress=lambda now: seen.append(now.cost),
     )
     assert seen[:2] == pytest.approx([50.0, 1.0])
     seen.clear()
-    bench.tune("short.toml", "x", factors=names, evaluations=3, progress=lambda _, __, c: seen.append(c))
+    bench.tune("short.toml", "x", factors=names, evaluations=3, progress=lambda now: seen.append(now.cost))
     assert seen[0] == pytest.approx(50.0)
     workers: list[int] = []
     monkeypatch.setattr(noise_factors, "ProcessPool", lambda count: workers.append(count) or HerePool(count))

@@ -17,6 +17,7 @@ import numpy as np
 import bench
 from bench import pipeline
 from bench.core.records.data import Sensed
+from bench.core.words.stages import Stage
 from bench.io import config
 from bench.pipeline import closed_loop
 from bench.plugins.hil.flight_client import FlightClient
@@ -67,8 +68,8 @@ def serve_straight() -> tuple[float, float]:
         heard = threading.Event()
         told = list[str]()
 
-        def say(text: str) -> None:
-            told.append(text)
+        def say(stage: Stage) -> None:
+            told.append(str(stage))
             heard.set()
 
         def fly_there() -> None:
@@ -80,7 +81,7 @@ def serve_straight() -> tuple[float, float]:
         client = threading.Thread(target=fly_there, daemon=True)
         client.start()
         changes = {"guidance.period_s": PIECE}
-        served = serve("approach-closed", overrides=changes, address="127.0.0.1:0", say=say)
+        served = serve("approach-closed", overrides=changes, address="127.0.0.1:0", progress=say)
         client.join()
         flown.append(served.flown)
 

@@ -25,7 +25,8 @@ from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import ShownFigure, ShownText
 from bench.evaluation.metrics.key_figures import list_key_figures
 from bench.evaluation.metrics.metric_words import format_metric, group_metrics
-from bench.views.report import page, svg
+from bench.views.recording import write_recording
+from bench.views.report import page, svg, writing
 from bench.views.report.forest import RatioRow, draw_ratios
 from tests.test_api import SHORT
 
@@ -77,9 +78,9 @@ def test_a_recording_made_of_a_folder_is_that_of_the_run(result, tmp_path, capsy
     assert compared.returncode == 0, compared.stderr
     (tmp_path / "mine.rrd").write_text("not a recording")
     with pytest.raises(ConfigError, match=r"mine.rrd: not replaced, it is not a recording"):
-        bench.write_recording(folder, tmp_path / "mine.rrd")
+        write_recording(folder, tmp_path / "mine.rrd")
     with pytest.raises(ConfigError, match=r"a recording is an .rrd file"):
-        bench.write_recording(folder, tmp_path / "mine.txt")
+        write_recording(folder, tmp_path / "mine.txt")
 
 
 def test_the_page_needs_no_other_file_and_allows_its_own_script_only(text):
@@ -231,19 +232,19 @@ def test_figures_for_a_paper_hold_the_data_and_are_the_same_twice(result, tmp_pa
     for axes, error in zip(figure.axes, result.errors["free-inertial"].pos_n.T, strict=True):
         np.testing.assert_array_equal(axes.lines[0].get_ydata(), error)
     folder = bench.write_result(result, "short", recording=False, report=False)
-    written = bench.write_figures(folder, "a", "svg")
+    written = writing.write_figures(folder, "a", "svg")
     assert {path.name for path in written} >= {"loose-15-position.svg", "comparison.svg", "flight.svg"}
     assert main(["report", "short", "--figures", "svg", "-o", "b"]) == 0
     assert [p.read_bytes() for p in written] == [(tmp_path / "b" / p.name).read_bytes() for p in written]
     with pytest.raises(ConfigError, match="Did you mean 'position'"):
-        bench.plot_result(result, "positions")
+        result.plot("positions")
     with pytest.raises(ConfigError, match="Did you mean 'loose-15'"):
-        bench.plot_result(result, "position", "loose-16")
+        result.plot("position", "loose-16")
 
 
 @pytest.mark.parametrize(("tab", "width"), [("flight", 88.0), ("comparison", 60.0)])
 def test_a_legend_covers_neither_lines_nor_titles(result, tab, width):
-    figure = bench.plot_result(result, tab, width_mm=width)
+    figure = result.plot(tab, width_mm=width)
     figure.draw_without_rendering()
     page = figure.bbox
     inside = [axes.get_window_extent() for axes in figure.axes]

@@ -10,7 +10,6 @@ import math
 import os
 import re
 import shutil
-import sys
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -866,15 +865,9 @@ def test_estimators_are_one_table_and_a_state_that_one_lacks_is_null(result):
 
 def test_pandas_gets_the_same_numbers(result):
     pytest.importorskip("pandas")
-    frame = bench.to_pandas(result, "errors")
+    frame = bench.to_arrow(result, "errors").to_pandas()
     rows = frame[frame["estimator"] == "loose-15"]
     assert_array_equal(rows["pos_err_n_m"], result.errors["loose-15"].pos_n[:, 0])
-
-
-def test_without_pandas_one_line_says_what_to_install(result, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(BenchError, match="pip install pandas"):
-        bench.to_pandas(result, "errors")
 
 
 def test_what_is_not_there_is_said_with_what_is(result):

@@ -32,6 +32,7 @@ from bench.io.results.study_folder import write_study
 from bench.plugins.papers import alignment_errors, mechanization_costs
 from bench.views.report import study_page, svg
 from bench.views.report.study_page import format_cell
+from bench.views.report.writing import write_figures
 
 SHORT = {"outages_s": (60, 300)}
 
@@ -78,7 +79,7 @@ def test_the_report_and_the_figures_of_a_folder(folder, tmp_path):
         assert text in page
     assert re.search(r"<span>written \d{4}-\d\d-\d\d \d\d:\d\d</span>", page)
     assert page.count('<svg class="plot"') == len(read.figures)
-    written = bench.write_figures(folder, tmp_path / "figures", "svg")
+    written = write_figures(folder, tmp_path / "figures", "svg")
     assert [path.stem for path in written] == list(read.figures)
 
 
@@ -170,7 +171,7 @@ def test_names_of_dots_and_places_and_what_is_undecided_are_read_back(tmp_path):
     rows = re.findall(r'<text class="name" x="(\d+)" y="(\d+)">([^<]*)</text>', drawn)
     assert sorted(text for *_, text in rows) == ["one", "three", "two &amp; a half"]
     assert abs(int(rows[0][1]) - int(rows[1][1])) >= 100
-    written = bench.write_figures(tmp_path / "asked", tmp_path / "figures", "svg")
+    written = write_figures(tmp_path / "asked", tmp_path / "figures", "svg")
     assert len(written) == 1
     broken = json.loads((tmp_path / "asked" / "figures.json").read_text())
     broken["figures"][0]["series"][0]["labels"].pop()

@@ -12,7 +12,6 @@ import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,11 +22,12 @@ from bench.core.mathematics import earth
 from bench.core.records.findings import series
 from bench.io.config import list_profiles
 from bench.views.report import overview, page, svg
+from tests.tools import api_pages
+from tests.tools.api_pages import TOPICS
 
 DATA = Path(__file__).parents[1] / "data" / "docs"
 WORKER = "iframe-worker.js"
 """Lets the search run from a folder; the pages of zensical would load it from the network."""
-_LONG = 90  # letters of a signature on one line
 _REMOTE = "https://unpkg.com/iframe-worker/shim"
 
 _LIGHTBOX = re.compile(r'\w+\(\w+\("\.glightbox",e\)\),')
@@ -83,11 +83,10 @@ def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
             shutil.copy(path, pages)
     for path in pages.glob("*.md"):
         path.write_text(_make_page(path), encoding="utf-8")
-    index = _make_page(FOLDER / "README.md")
-    more = "- [gallery](gallery.md): the shipped flights\n- [api](api.md): every public name of the package\n"
-    (pages / "index.md").write_text(f"{index.rstrip()}\n{more}", encoding="utf-8")
+    (pages / "index.md").write_text(write_index(), encoding="utf-8")
     (pages / "gallery.md").write_text("\n".join(write_gallery(pages, profiles)), encoding="utf-8")
-    (pages / "api.md").write_text(keep_brackets("\n".join(write_api())), encoding="utf-8")
+    for name, text in api_pages.write_pages().items():
+        (pages / f"{name}.md").write_text(keep_brackets(text), encoding="utf-8")
     (folder / "zensical.toml").write_text(_CONFIG.format(nav="\n".join(_list_nav())), encoding="utf-8")
     done = subprocess.run(
         [Path(sys.executable).with_name("zensical"), "build", "--strict", "--config-file", "zensical.toml"],
@@ -99,6 +98,20 @@ def build(folder: Path, profiles: Sequence[str] | None = None) -> Path:
     if done.returncode:
         raise RuntimeError(re.sub(r"\x1b\[[\d;]*m", "", f"{done.stdout}\n{done.stderr}"))
     return _take_off_network(folder / "site")
+
+
+def write_index() -> str:
+    """Return the first page: what bench is, how to install it, the first run, and the list of pages."""
+    text = (PACKAGE.parent / "README.md").read_text(encoding="utf-8")
+    what, _, rest = text.partition("## Validation")
+    validation = rest.partition("## Documentation")[0]
+    pages = (FOLDER / "README.md").read_text(encoding="utf-8").partition("## Start")[2]
+    titles = {name: f"{title[0].lower()}{title[1:]}" for name, (title, _) in TOPICS.items()}
+    api = "".join(f"- [{name}]({name}.md): {title}\n" for name, title in titles.items())
+    flights = "- [gallery](gallery.md): the flights\n"
+    lists = f"## Start{pages.rstrip()}\n\n## Flights and Python API\n\n{flights}{api}"
+    text = f"{what}## Validation{validation}\n# Pages\n\n{lists}".replace("](bench/guide/", "](")
+    return keep_brackets(_FOLDERS.sub("](", text))
 
 
 def _make_page(path: Path) -> str:
@@ -128,7 +141,8 @@ def _list_nav() -> Iterator[str]:
         rows = ", ".join(f'{{ "{title}" = "{name}.md" }}' for name, title in titles)
         yield f'  {{ "{heading}" = [{rows}] }},'
     yield '  { "Flights" = "gallery.md" },'
-    yield '  { "Python API" = "api.md" },'
+    rows = ", ".join(f'{{ "{title}" = "{name}.md" }}' for name, (title, _) in TOPICS.items())
+    yield f'  {{ "Python API" = [{rows}] }},'
 
 
 _GROUP = re.compile(r"^## (.+)\n\n((?:- .+\n)+)", re.MULTILINE)
@@ -179,86 +193,6 @@ def _draw(name: str) -> str:
     head, _, body = drawn.partition(">")
     style = page.read_style()
     return f'{head} xmlns="http://www.w3.org/2000/svg" width="420"><style>{style}</style>{body}'
-
-
-# --- public names -------------------------------------------------------------------------------------
-
-
-def write_api() -> Iterator[str]:
-    """Yield the lines of the page of all public names: signature, types, shapes, units, errors."""
-    import griffe
-
-    package = griffe.load("bench", docstring_parser="numpy", docstring_options={"warnings": False})
-    found = {name: package[name].final_target for name in sorted(bench.__all__) if name[0] != "_"}
-    yield "# Public names\n"
-    yield "What `import bench` gives. Frames, signs and units are those of [conventions](conventions.md).\n"
-    for kind, title in (("function", "Functions"), ("class", "Classes")):
-        yield f"## {title}\n"
-        for name, one in found.items():
-            if one.kind.value == kind:
-                yield f"### {name}\n"
-                yield from _describe(one)
-
-
-def _describe(one: Any) -> Iterator[str]:
-    if one.kind.value == "function":
-        yield f"```python\n{_format_signature(one)}\n```\n"
-    for section in one.docstring.parsed if one.docstring else ():
-        kind = section.kind.value
-        if kind == "text":
-            yield f"{_strip_roles(section.value)}\n"
-        elif kind == "examples":
-            yield "```pycon\n" + "\n".join(text for _, text in section.value) + "\n```\n"
-        elif kind in ("parameters", "raises", "returns", "attributes", "yields"):
-            yield f"**{kind.capitalize()}**\n"
-            for item in section.value:
-                name = getattr(item, "name", "")
-                kinds = f" `{str(item.annotation).strip('()')}`" if item.annotation else ""
-                words = _strip_roles(" ".join(item.description.split()))
-                yield f"- {f'`{name}`' if name else ''}{kinds}: {words}".replace("-  ", "- ")
-            yield ""
-    if one.kind.value == "class":
-        fields = [
-            field for field in one.attributes.values() if not field.name.startswith("_") and field.annotation
-        ]
-        for field in fields:
-            yield f"- `{field.name}`: `{field.annotation}`{_find_comment(field)}"
-        for method in one.functions.values():
-            if not method.name.startswith("_") and method.docstring:
-                yield f"- `{method.signature()}`: {_strip_roles(method.docstring.value.splitlines()[0])}"
-        yield ""
-
-
-def _find_comment(field: Any) -> str:
-    """Return what stands behind a field in its source, such as shape, unit and frame."""
-    line = field.source.splitlines()[0] if field.source else ""
-    _, _, comment = line.partition("  # ")
-    return f": {comment}" if comment else ""
-
-
-def _format_signature(function: Any) -> str:
-    """Return the signature, one parameter a line where it is long."""
-    text = str(function.signature())
-    if len(text) < _LONG:
-        return text
-    parts, starred = [], False
-    for one in function.parameters:
-        kind = one.kind.value if one.kind else ""
-        if kind == "keyword-only" and not starred:
-            parts.append("*")
-            starred = True
-        mark = {"variadic positional": "*", "variadic keyword": "**"}.get(kind, "")
-        annotation = f": {one.annotation}" if one.annotation else ""
-        default = f" = {one.default}" if one.default is not None and not mark else ""
-        parts.append(f"{mark}{one.name}{annotation}{default}")
-        starred |= mark == "*"
-    inner = "".join(f"    {part},\n" for part in parts)
-    returns = f" -> {function.returns}" if function.returns else ""
-    return f"{function.name}(\n{inner}){returns}"
-
-
-def _strip_roles(text: str) -> str:
-    return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ earlier time is taken. ``python -m tests.tools.guide_pictures NAME...`` makes on
 
 from __future__ import annotations
 
+import datetime
 import io
 import itertools
 import os
@@ -16,6 +17,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 import bench
 from bench.cli.verbs.guide import FOLDER, find_pages
@@ -48,16 +50,26 @@ def shrink(picture: bytes) -> bytes:
     """Return a picture as a PNG; if it needs more room, of 256 colors, and smaller."""
     with Image.open(io.BytesIO(picture)) as image:
         whole = image.convert("RGB")
+    made = PngInfo()
+    made.add_text("Source", name_source())
     for part in (None, 1.0, 0.9, 0.8, 0.7):
         shown = whole
         if part is not None:
             size = round(whole.width * part), round(whole.height * part)
             shown = whole.resize(size, Image.Resampling.LANCZOS).quantize(256, dither=Image.Dither.NONE)
         stream = io.BytesIO()
-        shown.save(stream, "PNG", optimize=True)
+        shown.save(stream, "PNG", optimize=True, pnginfo=made)
         if stream.tell() <= MOST_BYTES:
             break
     return stream.getvalue()
+
+
+def name_source() -> str:
+    """Return version and commit of bench, and the day, as pages and pictures have them."""
+    commit = subprocess.run(
+        ["git", "rev-parse", "--short=8", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.strip()
+    return f"bench {bench.__version__}, commit {commit}, {datetime.date.today().isoformat()}"
 
 
 def make(name: str, command: tuple[str, ...], option: str = "-o") -> Path:

@@ -33,6 +33,7 @@ from bench.io.config import read_profile
 from bench.io.exports import FORMATS
 from bench.navigation.built_in import BUILT_IN, load
 from bench.navigation.estimator import RECORDS
+from tests.tools.guide_pictures import name_source
 
 ROOT = Path(__file__).parents[2]
 PAGES = guide.find_pages()
@@ -198,10 +199,24 @@ def compare_output(page: Path, block: Block, printed: str) -> None:
         lines = page.read_text(encoding="utf-8").split("\n")
         start = WRITTEN.get(page.name, 0) + block.line  # the lines above it have been written, too
         lines[start : start + block.text.count("\n")] = printed.rstrip("\n").split("\n")
-        page.write_text("\n".join(lines), encoding="utf-8")
+        page.write_text(stamp("\n".join(lines)), encoding="utf-8")
         WRITTEN[page.name] = WRITTEN.get(page.name, 0) + printed.count("\n") - block.text.count("\n")
         return
     assert is_same_output(block.text, printed), f"{page.name}:{block.line}: make guide writes\n{printed}"
+
+
+STAMP = re.compile(r"\n<!-- output of bench \S+, commit \w+, \d{4}-\d\d-\d\d -->\n\Z")
+"""Last line of a page with outputs: what has written the newest of them."""
+
+
+def stamp(text: str) -> str:
+    """Return a page whose last line names version and commit of bench, and the day."""
+    return STAMP.sub("", text.rstrip("\n") + "\n").rstrip("\n") + f"\n\n<!-- output of {name_source()} -->\n"
+
+
+@pytest.mark.parametrize("page", TUTORIALS)
+def test_a_page_with_outputs_is_dated_with_the_commit_that_wrote_them(page):
+    assert STAMP.search(ALL[page].read_text(encoding="utf-8")), "make guide writes it"
 
 
 WRITTEN: dict[str, int] = {}

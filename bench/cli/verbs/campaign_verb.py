@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,12 @@ from bench.core.records.findings import FindingTable
 from bench.core.records.findings.looks import find_look
 from bench.core.records.specs import Guard
 from bench.core.words.notebook import ShownFigure
+from bench.core.words.stages import Progress
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.experiments.campaigns import plan, running
 from bench.experiments.campaigns.outcome import RATIO, Outcome, tabulate
-from bench.experiments.campaigns.running import Campaign, Progress
+from bench.experiments.campaigns.running import Campaign
 from bench.experiments.card.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.experiments.card.card_making import (
     Card,
@@ -90,32 +91,10 @@ def run_campaign(
 
 
 @contextlib.contextmanager
-def _show_progress(name: str) -> Iterator[Callable[[Progress], None]]:
+def _show_progress(name: str) -> Iterator[Progress]:
     """Provide a function that shows how far a campaign is, on a terminal."""
     with show_bar(f"flying {name}") as show:
-        yield lambda now: show(name, now.done, now.runs, describe_progress(now))
-
-
-def describe_progress(now: Progress) -> str:
-    """Return how far a campaign is, in words.
-
-    Examples
-    --------
-    >>> describe_progress(Progress(200, 50, 1, 40, 20.0, 24000.0))
-    '50 of 200 runs, 1 failed, 2.00 runs/s, 75 s left, 1200 x real time'
-    """
-    parts = [f"{now.done} of {now.runs} runs"]
-    parts += [f"{now.failed} failed"] if now.failed else []
-    if now.remaining is not None:
-        parts += [f"{now.rate:.2f} runs/s", f"{_format_time(now.remaining)} left"]
-        parts.append(f"{now.real_time:.0f} x real time")
-    return ", ".join(parts)
-
-
-def _format_time(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+        yield lambda now: show(name, now.done, now.total, str(now))
 
 
 def print_campaign(console: Console, result: Campaign, *, table: bool = False) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, get_args
 
@@ -19,6 +19,7 @@ from bench.cli.verbs.log_campaign import list_recordings
 from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.records.findings import FindingTable
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage
 from bench.experiments.baselines import checking
 from bench.experiments.baselines.annotations import MOVED, annotate
 from bench.experiments.baselines.comparing import ONE_DRAW
@@ -57,16 +58,15 @@ def list_sources(sources: Sequence[str], console: Console) -> list[str]:
 
 
 def record(profiles: Sequence[str], *, console: Console, jobs: int | None = None, **options: Any) -> None:
-    """Measure profiles and write their baselines; options as for `bench.record_baselines`.
+    """Measure profiles and write their baselines; options as for `checking.record_baselines`.
 
     If ``jobs`` is None there is a process for each processor.
     """
     find_own_estimators()
-    with _show_draws() as progress:
+    with _show_runs(console) as progress:
         paths = checking.record_baselines(
             list_sources(profiles, console),
             progress=progress,
-            say=console.print,
             jobs=jobs or count_processors(),
             **options,
         )
@@ -86,7 +86,7 @@ def check(
 ) -> list[Verdict]:
     """Check profiles, print and return the verdicts; options as for `bench.check` and :func:`record`."""
     find_own_estimators()
-    with _show_draws() as progress:
+    with _show_runs(console) as progress:
         verdicts = checking.check(
             list_sources(profiles, console), progress=progress, jobs=jobs or count_processors(), **options
         )
@@ -99,10 +99,17 @@ def check(
 
 
 @contextlib.contextmanager
-def _show_draws() -> Iterator[Callable[[str, int, int], None]]:
-    """Provide a function that shows the current draw of a profile."""
+def _show_runs(console: Console) -> Iterator[Progress]:
+    """Provide a function that shows the current run of a profile, and prints what has no end: a remark."""
     with PlainConsole(stderr=True).status("") as status:
-        yield lambda name, k, n: status.update(Text(f"{name}: run {min(k + 1, n)} of {n}"))
+
+        def show(now: Stage) -> None:
+            if now.total is None:
+                console.print(now.words)
+            else:
+                status.update(Text(f"{now.words}: run {min(now.done + 1, now.total):.0f} of {now.total:.0f}"))
+
+        yield show
 
 
 def print_verdicts(console: Console, verdicts: Sequence[Verdict]) -> None:

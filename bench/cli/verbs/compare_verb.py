@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from bench.cli.verbs.printing import print_findings, print_table
 from bench.core.files import durable
 from bench.core.records.findings.looks import find_look
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress
 from bench.core.words.wording import format_number
 from bench.evaluation.metrics.key_figures import is_key_figure
 from bench.evaluation.metrics.metric_words import name_metric
@@ -45,7 +46,7 @@ def compare(
     compared = compare_results(folders)
     notes: list[str] = []
     if out is not None:
-        _write_overlay(folders, compared, out, force=force, say=notes.append)
+        _write_overlay(folders, compared, out, force=force, progress=lambda now: notes.append(str(now)))
     for one in compared:
         _print_compared(console, one, whole)
     print_findings(console, notes)
@@ -88,7 +89,7 @@ def _write_overlay(
     out: Path,
     *,
     force: bool,
-    say: Callable[[str], object],
+    progress: Progress,
 ) -> None:
     """Write a results folder with the filters of all; of campaigns, a folder with the report alone."""
     names = [folder.resolve().name for folder in folders]
@@ -105,7 +106,7 @@ def _write_overlay(
     elif of_campaigns == {False}:
         result = merge_results({name: results.read_result(folder) for name, folder in by_name.items()})
         result = replace(result, more={**result.more, "comparisons": tables})
-        write_result(result, out, force=force, say=say)
+        write_result(result, out, force=force, progress=progress)
     else:
         raise ConfigError(f"{out}: a campaign and a single run are not drawn over each other; leave -o out")
 

@@ -17,7 +17,7 @@ from bench.cli.verbs.printing import print_findings
 from bench.core.records.data import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
-from bench.core.words.stages import FLYING, Stage, Watcher
+from bench.core.words.stages import FLYING, Progress, Stage
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import judge_result
 from bench.experiments.baselines.junit import check_required, write_requirements
@@ -83,7 +83,7 @@ def write_first(console: Console, result: RunResult, folder: Path, **options: An
     try:
         with show_stages() as watch:
             watch(Stage("writing"))
-            write_result(result, folder, say=notes.append, **options)
+            write_result(result, folder, progress=lambda now: notes.append(str(now)), **options)
     except Exception:
         yield
         raise
@@ -156,7 +156,7 @@ def find_own_estimators() -> None:
 
 def fly(name: str, *, console: Console, **profile_options: Any) -> None:
     """Fly the truth of one profile into the cache, and print its legs and extremes; no filter is run."""
-    from bench.cli import api
+    from bench import pipeline
     from bench.cli.verbs import show
 
     profile = config.read_profile(name, allow_code=True, **profile_options)
@@ -166,7 +166,7 @@ def fly(name: str, *, console: Console, **profile_options: Any) -> None:
         def show_time(t: float) -> None:
             watch(Stage(FLYING, t, length))
 
-        summary = api.describe_flight(profile, show_time)
+        summary = pipeline.fly_over(profile, show_time)
     show.print_flight(console, profile, summary)
     console.print(f"Next: bench run {name}")
 
@@ -182,7 +182,7 @@ def look_after_cache(limit: float | None, *, console: Console) -> None:
 
 
 @contextlib.contextmanager
-def show_stages() -> Iterator[Watcher]:
+def show_stages() -> Iterator[Progress]:
     """Provide a function that shows on a terminal what is going on; elsewhere it shows nothing."""
     with show_bar("starting", timed=True) as show:
         yield lambda stage: show(str(stage), stage.done, stage.total or None)

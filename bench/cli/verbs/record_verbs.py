@@ -184,7 +184,7 @@ def write_report(folder: Path, out: Path | None, *, force: bool, console: Consol
     """Write the report of a results folder, or the index of a folder of results, and print where it is."""
     from bench.views.report import writing
 
-    path = writing.write_report(folder, out, console.print, force=force)
+    path = writing.write_report(folder, out, force=force, progress=lambda now: console.print(str(now)))
     console.print(f"Wrote {path}.", soft_wrap=True)
 
 
@@ -242,7 +242,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
 
 def stream_run(folder: Path, *, console: Console, **options: Any) -> None:
     """Send the sensor data of a run, and print address and timing; options as for `exchanging.stream_run`."""
-    sent = exchanging.stream_run(folder, say=console.print, **options)
+    sent = exchanging.stream_run(folder, progress=lambda now: console.print(str(now)), **options)
     pace = "" if sent.latest is None else f", none more than {1e3 * sent.latest:.3g} ms late"
     console.print(f"{sent.messages} messages in {sent.seconds:.3g} s{pace}")
 

@@ -9,13 +9,13 @@ from typing import Any
 
 from rich.console import Console
 
+from bench.cli.listings import list_exports, list_metrics, list_studies
 from bench.cli.verbs.other_packages import list_packages, list_plugin_problems
 from bench.cli.verbs.printing import print_table, print_tables
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.specs import Profile
 from bench.core.words.notebook import ShownFigure
 from bench.core.words.wording import one_line
-from bench.experiments.studies import find_studies
 from bench.io import config
 from bench.io.config.figure_table import ASSUMED, tabulate_figures
 from bench.io.config.listing import KINDS, CatalogEntry, KeyEntry
@@ -104,35 +104,6 @@ def _describe_flight(summary: Mapping[str, Any]) -> dict[str, str]:
         del shown["true airspeed"]
     return shown
 
-
-def list_exports() -> list[CatalogEntry]:
-    """Return every format of `bench.cli.exchanging.list_exports`."""
-    from bench.io.exports import list_formats
-
-    return [CatalogEntry(name, title, "export") for name, title in list_formats().items()]
-
-
-def list_studies() -> list[CatalogEntry]:
-    """Return every study that `bench.study` runs, with its question."""
-    return [CatalogEntry(name, entry.question, "study") for name, entry in find_studies().items()]
-
-
-def list_metrics() -> list[CatalogEntry]:
-    """Return every metric that a requirement or a study can name, and which side of it is better."""
-    from bench.evaluation.metrics.run_metrics import METRICS
-
-    return [
-        CatalogEntry(one.name, one.words.rstrip("."), "metric", _BETTER[one.direction]) for one in METRICS
-    ]
-
-
-_BETTER = {
-    "lower": "lower is better",
-    "matched": "its expected value is best",
-    "zero": "0 is best",
-    "not evaluated": "bench check does not compare it",
-}
-"""Direction of a metric -> what it says to a reader."""
 
 _EXAMPLES = {
     "profiles": ("figure-eight", "approach", "survey"),

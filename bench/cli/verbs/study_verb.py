@@ -13,9 +13,9 @@ from rich.console import Console
 from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import MOST_ROWS, measure_table, print_table, print_tables, print_wrapped
 from bench.core.records.findings import FindingTable, StudyResult
+from bench.core.words.stages import Progress
 from bench.core.words.wording import format_count
 from bench.experiments.studies.conducting import study
-from bench.experiments.studies.study import Progress
 from bench.io import results
 from bench.views.report.writing import write_report
 
@@ -78,4 +78,4 @@ def _shorten(table: FindingTable, console: Console) -> tuple[FindingTable, list[
 def _show_progress() -> Iterator[Progress]:
     """Provide a function that shows how far a study is, on a terminal."""
     with show_bar("") as show:
-        yield lambda what, done, of: show(what, done, of, f"{done} of {of}")
+        yield lambda now: show(now.words, now.done, now.total, f"{now.done:.0f} of {now.total or 0:.0f}")

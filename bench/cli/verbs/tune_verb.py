@@ -21,11 +21,7 @@ def run_tuning(source: str, *, console: Console, out: Path, force: bool, **optio
     if not force and any(out.glob("*-tuned.toml")):
         raise ConfigError(f"{out}: has tuned datasheets; --force replaces them, -o names another folder")
     with PlainConsole(stderr=True).status("") as status:
-
-        def show(number: int, most: int, cost: float) -> None:
-            status.update(Text(f"set {number}, cost {cost:.4g}; at most {most} until it converges"))
-
-        tuning = tune(source, progress=show, **options)
+        tuning = tune(source, progress=lambda now: status.update(Text(str(now))), **options)
     paths = tuning.write(out)
     print_findings(console, tuning.sentences)
     for path in paths:

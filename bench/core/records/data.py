@@ -128,17 +128,43 @@ def no_controls() -> Controls:
 
 @declared
 class Trajectory(Record):
-    """The truth: motion of the IMU, and the exact increments that an error-free IMU would report."""
+    """True motion of the IMU, and the exact increments that an error-free IMU would report.
 
-    t: FloatArray = column("t_s")  # (N,) since the start of the run [s]
-    # (N, 3) geodetic latitude, longitude [rad], ellipsoidal height [m]
+    Attributes
+    ----------
+    t : ndarray, (N,)
+        Time since the start of the run [s], increasing.
+    lla : ndarray, (N, 3)
+        Geodetic latitude and longitude [rad], ellipsoidal height [m]; WGS 84.
+    vel_n : ndarray, (N, 3)
+        Velocity relative to the Earth [m/s], n.
+    q_nb : ndarray, (N, 4)
+        Attitude quaternion, b to n, scalar first, without sign changes.
+    dtheta_b : ndarray, (N-1, 3)
+        Integral of w_ib_b over (t[k], t[k+1]] [rad], b.
+    dvel_b : ndarray, (N-1, 3)
+        Integral of f_b over (t[k], t[k+1]] [m/s], b.
+    air : AirData
+        Pressure, temperature, airspeed and wind.
+    controls : Controls
+        Control surfaces and throttle.
+    events : Events
+        Legs, wind changes and others.
+
+    Examples
+    --------
+    >>> import bench
+    >>> truth = bench.fly("approach")
+    >>> truth.dtheta_b.shape[0] == len(truth.t) - 1
+    True
+    """
+
+    t: FloatArray = column("t_s")
     lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))
-    vel_n: FloatArray = vector("vel", "mps", "n")  # (N, 3) Earth-relative velocity [m/s], n
-    # (N, 4) b to n, scalar first, sign-continuous
+    vel_n: FloatArray = vector("vel", "mps", "n")
     q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))
-    # (N-1, 3) integral of w_ib_b over (t[k], t[k+1]] [rad], b
     dtheta_b: FloatArray = vector("dtheta", "rad", "b")
-    dvel_b: FloatArray = vector("dvel", "mps", "b")  # (N-1, 3) integral of f_b over (t[k], t[k+1]] [m/s], b
+    dvel_b: FloatArray = vector("dvel", "mps", "b")
     air: AirData
     controls: Controls
     events: Events
@@ -217,16 +243,45 @@ class GnssObservations(Record):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class SensorData(InstrumentReports, Rebuilt):
-    """The input of a filter: measurements, and the datasheets to assume."""
+    """Input of a filter: measurements, and the datasheets it should assume.
+
+    Attributes
+    ----------
+    imu : ImuData
+        Increments dtheta_b [rad] and dvel_b [m/s], b, at their times.
+    fixes : GnssFixes or None
+        Position and velocity fixes of the antenna.
+    antenna_b : ndarray, (3,)
+        GNSS antenna relative to the IMU [m], b.
+    specs : AssumedSpecs
+        Assumed datasheets, in SI.
+    output_t : ndarray, (M,)
+        Output times of the solution [s], increasing.
+    observations : GnssObservations or None
+        Pseudoranges and range rates.
+    ground_alt : float
+        Ellipsoidal height of the runway on the chart [m].
+    date : float
+        Date of the flight [decimal years], for the magnetic field.
+    baro, mag, ... : InstrumentReports
+        One record for each other instrument; None if it is not on board.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> sensed.data.imu.dvel_b.shape == (len(sensed.data.imu.t), 3)
+    True
+    """
 
     imu: ImuData
     fixes: GnssFixes | None
-    antenna_b: FloatArray  # (3,) GNSS antenna relative to the IMU [m], b
+    antenna_b: FloatArray
     specs: AssumedSpecs
-    output_t: FloatArray  # (M,) increasing epochs of the solution [s]
+    output_t: FloatArray
     observations: GnssObservations | None = None
-    ground_alt: float = 0.0  # ellipsoidal height of the runway, as a chart has it [m]
-    date: float = DEFAULT_DATE  # of the flight [decimal years]; the magnetic field depends on it
+    ground_alt: float = 0.0
+    date: float = DEFAULT_DATE
     __repr__ = Rebuilt.__repr__
 
     def __post_init__(self) -> None:
@@ -243,21 +298,49 @@ class SensorData(InstrumentReports, Rebuilt):
 class InitialState(Rebuilt):
     """Initial state of a filter with its covariance.
 
-    What is not given is NaN with infinite variance; `bench.navigation.start.alignment.complete` finds it.
+    Values that are not given are NaN with infinite variance; `bench.navigation.start.alignment.complete`
+    finds them.
+
+    Attributes
+    ----------
+    t : float
+        Time [s].
+    lla : ndarray, (3,)
+        Position of the IMU [rad, rad, m].
+    vel_n : ndarray, (3,)
+        Velocity [m/s], n.
+    q_nb : ndarray, (4,)
+        Attitude quaternion, b to n.
+    cov : ndarray, (9, 9)
+        Covariance of the errors (pos_n [m], vel_n [m/s], phi_n [rad]).
+    alignment : {"given", "level", "course"}
+        What is given: everything; the position at standstill; nothing.
+    align_for : float
+        "level": longest standstill used; "course": length of the alignment [s].
+    drift_sd : float
+        "course": sigma of the angle between course and nose, from wind and sideslip [rad].
+    bias_cov : ndarray, (9, 6)
+        Covariance of these errors with gyro [rad/s] and accelerometer [m/s^2] bias errors, b.
+    fix_cov : ndarray, (3,)
+        Covariance of the position error with the lasting error of the fixes [m^2], n.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.sense("approach", bench.fly("approach")).initial.alignment
+    'given'
     """
 
-    t: float  # [s]
-    lla: FloatArray  # (3,) [rad, rad, m]
-    vel_n: FloatArray  # (3,) [m/s], n
-    q_nb: FloatArray  # (4,)
-    cov: FloatArray  # (9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
-    alignment: str  # values given: "given" all, "level" the position at standstill, "course" none
-    align_for: float = 60.0  # level: longest standstill to use, course: length of the alignment [s]
-    drift_sd: float = 0.0  # course: of the angle from course to nose, wind and sideslip [rad]
+    t: float
+    lla: FloatArray
+    vel_n: FloatArray
+    q_nb: FloatArray
+    cov: FloatArray
+    alignment: str
+    align_for: float = 60.0
+    drift_sd: float = 0.0
     bias_cov: FloatArray = field(default_factory=lambda: np.zeros((9, 6)))
-    """(9, 6) covariance of those errors with the errors of gyro [rad/s] and accelerometer [m/s^2] bias, b."""
     fix_cov: FloatArray = field(default_factory=lambda: np.zeros(3))
-    """(3,) covariance of the error of the position with that which lasts in fixes [m^2], n."""
 
     def __post_init__(self) -> None:
         state = {"lla": (3,), "vel_n": (3,), "q_nb": (4,), "cov": (9, 9)}
@@ -341,19 +424,48 @@ class NavSolution(Record):
     """Output of a filter at ``SensorData.output_t``, after all updates at that time.
 
     A block that is not estimated is NaN in its values and in its rows of the covariance.
+
+    Attributes
+    ----------
+    t : ndarray, (M,)
+        Time [s].
+    lla : ndarray, (M, 3)
+        Position of the IMU: latitude, longitude [rad], ellipsoidal height [m].
+    vel_n : ndarray, (M, 3)
+        Velocity relative to the Earth [m/s], n.
+    q_nb : ndarray, (M, 4)
+        Attitude quaternion, b to n, scalar first.
+    gyro_bias_b, accel_bias_b : ndarray, (M, 3)
+        Biases [rad/s], [m/s^2], b.
+    cov : ndarray, (M, 9, 9)
+        Covariance of the errors (pos_n [m], vel_n [m/s], phi_n [rad]).
+    extra_names : tuple of str
+        Names of further states; the unit ends the name.
+    extra, extra_sd : ndarray, (M, n)
+        Their values and standard deviations.
+    innovations : Innovations
+        Measurement minus prediction, with NIS and acceptance.
+    events : Events
+        Rejections, re-admissions and others.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> result.solutions["loose-15"].extra_names[0]
+    'gyro_bias_x_rad_s'
     """
 
-    t: FloatArray = column("t_s")  # (M,) [s]
-    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))  # (M, 3) of the IMU [rad, rad, m]
-    vel_n: FloatArray = vector("vel", "mps", "n")  # (M, 3) [m/s], n
-    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))  # (M, 4)
-    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")  # (M, 3) [rad/s], b
-    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")  # (M, 3) [m/s^2], b
-    cov: FloatArray = matrix(STATES, "n")  # (M, 9, 9) of (pos_n m, vel_n m/s, phi_n rad) errors
-    extra_names: tuple[str, ...]  # names of the columns of extra_*, unit in the name
-    # (M, n) values of the states beyond position, velocity, attitude
+    t: FloatArray = column("t_s")
+    lla: FloatArray = column(*_LLA, frame="WGS 84, geodetic", shape=(3,))
+    vel_n: FloatArray = vector("vel", "mps", "n")
+    q_nb: FloatArray = column(*_Q_NB, frame="b to n, scalar first", shape=(4,))
+    gyro_bias_b: FloatArray = vector("gyro_bias", "rad_s", "b")
+    accel_bias_b: FloatArray = vector("accel_bias", "m_s2", "b")
+    cov: FloatArray = matrix(STATES, "n")
+    extra_names: tuple[str, ...]
     extra: FloatArray = column(shape=(None,))
-    extra_sd: FloatArray = column(shape=(None,))  # (M, n) their standard deviations
+    extra_sd: FloatArray = column(shape=(None,))
     innovations: Innovations = field(default_factory=no_innovations)
     events: Events = field(default_factory=no_events)
 
@@ -378,16 +490,31 @@ ShowFlight = Callable[[Trajectory, NavSolution | None], object]
 
 @declared
 class ErrorSeries(Record):
-    """Estimate minus truth at the solution's times."""
+    """Errors of a solution, estimate minus truth.
 
-    t: FloatArray = column("t_s")  # (M,) [s]
-    pos_n: FloatArray = vector("pos_err", "m", "n")  # (M, 3) [m], n
-    vel_n: FloatArray = vector("vel_err", "mps", "n")  # (M, 3) [m/s], n
-    phi_n: FloatArray = vector("phi", "rad", "n")  # (M, 3) [rad], n: C_nb_est = exp([phi_n x]) C_nb_true
-    heading: FloatArray = column("heading_err_rad")  # (M,) heading error, wrapped to +-pi [rad]
-    # (M,) of the estimated blocks; NaN where the covariance is not positive definite
+    Attributes
+    ----------
+    t : ndarray, (M,)
+        Time [s].
+    pos_n, vel_n : ndarray, (M, 3)
+        Position [m] and velocity [m/s] error, n.
+    phi_n : ndarray, (M, 3)
+        Attitude error [rad], n: C_nb_est = exp([phi_n x]) C_nb_true.
+    heading : ndarray, (M,)
+        Heading error in -pi to pi [rad].
+    nees : ndarray, (M,)
+        NEES of the estimated blocks; NaN where the covariance is not positive definite.
+    states : int
+        Number of states in ``nees``.
+    """
+
+    t: FloatArray = column("t_s")
+    pos_n: FloatArray = vector("pos_err", "m", "n")
+    vel_n: FloatArray = vector("vel_err", "mps", "n")
+    phi_n: FloatArray = vector("phi", "rad", "n")
+    heading: FloatArray = column("heading_err_rad")
     nees: FloatArray = column("nees")
-    states: int  # number of states in nees
+    states: int
 
 
 @declared
@@ -402,10 +529,31 @@ class OffPath(Record):
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Sensed(Rebuilt):
-    """One run of the sensors: the input of the filters, and the true errors, which they must not see."""
+    """Simulated sensors of one run, from `bench.sense`.
+
+    Attributes
+    ----------
+    data : SensorData
+        Input of the filters.
+    initial : InitialState
+        Their initial state.
+    truth : SensorTruth
+        True sensor errors, which no filter gets.
+    events : Events
+        Outages and faults of this run.
+    sky : SkyView or None
+        Satellites in view of a measurement-level receiver.
+
+    Examples
+    --------
+    >>> import bench
+    >>> sensed = bench.sense("approach", bench.fly("approach"), run=3)
+    >>> sensed.truth.gyro_bias_b.shape[1]
+    3
+    """
 
     data: SensorData
     initial: InitialState
     truth: SensorTruth
-    events: Events  # outages and faults of this run
-    sky: SkyView | None = None  # of a measurement-level receiver
+    events: Events
+    sky: SkyView | None = None

@@ -14,17 +14,44 @@ from bench.core.words.notebook import ShownFigure, draw, format_cell, make_frame
 
 @dataclass(frozen=True, slots=True, repr=False)
 class RunResult(Rebuilt):
-    """One run of one profile: metrics per filter, with everything needed to repeat it."""
+    """Result of one run: metrics, errors and solutions by filter, and what is needed to repeat it.
 
-    profile: Mapping[str, Any]  # the profile as flown, in the units of its file
+    Attributes
+    ----------
+    profile : mapping
+        The profile as flown, in the units of its file.
+    seed, run : int
+        Seed, and number of the run with this seed.
+    metrics : mapping
+        Filter -> metric -> number, None or list. The name of a metric ends in its unit.
+    errors : mapping of str to ErrorSeries
+        Filter -> estimate minus truth.
+    solutions : mapping of str to NavSolution
+        Filter -> solution.
+    provenance : mapping
+        Versions, commit, CPU time.
+    more : mapping
+        For a log: "log", "validity", "outages".
+    records : mapping
+        Input of the run: "spec", "truth", "sensed"; see also ``truth``, ``sensors`` and ``events``.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> list(result.metrics)
+    ['loose-15']
+    """
+
+    profile: Mapping[str, Any]
     seed: int
     run: int
-    metrics: Mapping[str, Mapping[str, Any]]  # filter -> metric -> number, null or list
+    metrics: Mapping[str, Mapping[str, Any]]
     errors: Mapping[str, ErrorSeries]
     solutions: Mapping[str, NavSolution]
-    provenance: Mapping[str, Any]  # versions, commit, CPU time
-    more: Mapping[str, Any] = field(default_factory=dict)  # for a log: "log", "validity", "outages"
-    records: Mapping[str, Any] = field(default_factory=dict)  # input of the run: "spec", "truth", "sensed"
+    provenance: Mapping[str, Any]
+    more: Mapping[str, Any] = field(default_factory=dict)
+    records: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -58,7 +85,7 @@ class RunResult(Rebuilt):
         return Events.from_rows([row for events in both for row in events.rows()])
 
     def plot(self, tab: str | None = None, estimator: str | None = None, **look: Any) -> Any:
-        """Draw the plots of a tab, such as "position": see `bench.plot_result`."""
+        """Draw the plots of a tab, such as "position"; `look` as for `plot_result`."""
         return draw(self, tab, estimator, **look)
 
     def __repr__(self) -> str:

@@ -25,18 +25,35 @@ LEAST_TIMEOUT = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Guard:
-    """What a filter that is not built in may take, and whether it gets a process of its own.
+    """Limits for a filter that is not built in, and whether it runs in a process of its own.
+
+    Attributes
+    ----------
+    timeout : float or None
+        Wall time of a flight [s]. None: the duration of the flight, at least 600 s.
+    memory : float or None
+        Memory of the process [byte]. None: half of the memory of the machine.
+    output : float
+        Largest solution [byte].
+    in_process : bool
+        Run a class in the process of bench, without limits, for a debugger.
 
     Raises
     ------
-    ConfigError
-        If a limit is not a number above zero.
+    bench.ConfigError
+        If a limit is not a number above 0.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.Guard(timeout=60.0).choose_timeout()
+    60.0
     """
 
-    timeout: float | None = None  # wall time of a flight [s]; None: its duration, but at least 600 s
-    memory: float | None = None  # of its process [byte]; None: half of that of the machine
-    output: float = 2e9  # largest solution [byte]
-    in_process: bool = False  # a class runs in the process of bench, for a debugger: nothing is guarded then
+    timeout: float | None = None
+    memory: float | None = None
+    output: float = 2e9
+    in_process: bool = False
 
     def __post_init__(self) -> None:
         for name in ("timeout", "memory", "output"):
@@ -125,7 +142,33 @@ class Guidance:
 
 @dataclass(frozen=True, slots=True)
 class Profile:
-    """One experiment: flight, sensors, filters and evaluation."""
+    """One experiment: flight, sensors, filters and evaluation, from `bench.read_profile`.
+
+    Attributes
+    ----------
+    name, title : str
+        File name without ending, and title.
+    seed : int
+        Seed of the sensor noise.
+    flight : FlightSpec, ScriptSpec or TableSpec
+        What is flown.
+    sensors : SensorsSpec
+        Sensors on board and datasheets assumed by the filters, in SI.
+    estimators : tuple of EstimatorChoice
+        Filters with their options.
+    evaluation : EvaluationWindow
+        Interval that the metrics cover.
+    document : mapping
+        The profile with its defaults filled in, in the units of its file.
+    guidance : Guidance or None
+        How a filter steers the flight; None if guidance uses the truth.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.read_profile("approach").labels[0]
+    'loose-15'
+    """
 
     name: str
     title: str
@@ -134,8 +177,8 @@ class Profile:
     sensors: SensorsSpec
     estimators: tuple[EstimatorChoice, ...]
     evaluation: EvaluationWindow
-    document: Mapping[str, Any]  # the profile as flown, defaults filled in, in the units of its file
-    guidance: Guidance | None = None  # None: guidance reads the truth
+    document: Mapping[str, Any]
+    guidance: Guidance | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -26,7 +26,24 @@ MOST_MESSAGES = 20
 
 
 class BenchError(Exception):
-    """What went wrong, one message for each thing, each complete without the code."""
+    """A failure that is not a bug. ``messages`` has one complete text for each problem.
+
+    Attributes
+    ----------
+    messages : tuple of str
+        The problems.
+    status : int
+        Exit status of the command line.
+
+    Examples
+    --------
+    >>> import bench
+    >>> try:
+    ...     bench.run("figure-eight", run=-1)
+    ... except bench.BenchError as error:
+    ...     print(error.messages)
+    ('bench.run: run = -1 must be a whole number, at least 0',)
+    """
 
     status = WRONG
     """Exit status of the command line."""
@@ -47,7 +64,7 @@ class BenchError(Exception):
 
 
 class ConfigError(BenchError):
-    """The command line or a file is wrong."""
+    """An argument, the command line or a file is wrong."""
 
 
 class ExportError(BenchError):
@@ -59,7 +76,7 @@ class NothingToShowError(BenchError):
 
 
 class EstimatorError(BenchError):
-    """A filter cannot be built, or cannot start, as asked."""
+    """A filter cannot be built or cannot start."""
 
 
 class EstimatorFailedError(BenchError):

@@ -91,7 +91,7 @@ def set_drawer(drawer: Callable[..., Any]) -> None:
 
 
 def draw(result: Any, *chosen: Any, **look: Any) -> Any:
-    """Draw a result, as `bench.plot_result` does.
+    """Draw a result, as `bench.views.report.paper.plot_result` does.
 
     Raises
     ------

@@ -1,55 +1,78 @@
-"""What a run is doing at the moment, for whoever waits for it."""
+"""The argument of ``progress``: what a call is doing, and how far it is."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 FLYING = "flying"
 
 
-class Stage(NamedTuple):
-    """What is going on."""
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a call is doing; ``str(stage)`` is a line to show.
+
+    Attributes
+    ----------
+    words : str
+        The activity, such as "flying", or the name of the profile or experiment.
+    done, total : float, float or None
+        How much is done, and of how much, in ``unit``; None if the end is unknown.
+    unit : str
+        Unit of both: "s" of flight, or "runs", "parts".
+    compiling : bool
+        Whether numba compiles a kernel, once for this machine.
+
+    Examples
+    --------
+    >>> str(Stage("flying", 12.0, 600.0))
+    'flying, 12 of 600 s'
+    """
 
     words: str
-    done: float = 0.0  # of the flight [s]
-    total: float | None = None  # length of the flight [s]; None: of what has no length
+    done: float = 0.0
+    total: float | None = None
+    unit: str = "s"
     compiling: bool = False
 
     def __str__(self) -> str:
         text = self.words
         if self.total:
-            text += f", {self.done:.0f} of {self.total:.0f} s"
+            text += f", {self.done:.0f} of {self.total:.0f} {self.unit}"
         return f"{text} (compiling, once)" if self.compiling else text
 
 
-Watcher = Callable[[Stage], object]
-"""Called with every change of what is going on."""
+Progress = Callable[[Stage], object]
+"""Called with each change of the stage."""
+
+
+def ignore(stage: Stage) -> None:
+    """Show no progress."""
 
 
 class Stages:
-    """Tells a watcher what is going on."""
+    """Passes the changes of a stage to ``progress``."""
 
-    def __init__(self, watcher: Watcher | None) -> None:
-        self._watcher, self._now = watcher or (lambda stage: None), Stage("")
+    def __init__(self, progress: Progress | None) -> None:
+        self._progress, self._now = progress or ignore, Stage("")
 
     @property
     def flies(self) -> bool:
-        """Whether a flight goes on."""
+        """Whether a flight is being simulated."""
         return self._now.words == FLYING
 
     def begin(self, words: str, total: float | None = None) -> None:
-        """Tell that something begins, which may last so many seconds of flight."""
-        self._tell(Stage(words, 0.0, total))
+        """Begin an activity of a length [s of flight]."""
+        self._show(Stage(words, 0.0, total))
 
     def move(self, done: float) -> None:
-        """Tell how far it is [s]."""
-        self._tell(self._now._replace(done=done))
+        """Set how much of the flight is done [s]."""
+        self._show(replace(self._now, done=done))
 
     def compile(self, busy: bool) -> None:
-        """Tell that it compiles, or no longer."""
-        self._tell(self._now._replace(compiling=busy))
+        """Mark the begin or the end of a compilation."""
+        self._show(replace(self._now, compiling=busy))
 
-    def _tell(self, stage: Stage) -> None:
+    def _show(self, stage: Stage) -> None:
         self._now = stage
-        self._watcher(stage)
+        self._progress(stage)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ from typing import Any
 from bench.core.files import durable
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.core.words.wording import suggest
 from bench.experiments.baselines.baseline_draws import (
     Draw,
@@ -50,9 +51,6 @@ One line per record: *date filters, profile: metric old -> new; cause.*
 
 _NOT_EVALUATED = "nothing to compare with, as of an autopilot that has used every fix"
 
-Progress = Callable[[str, int, int], None]
-"""Called with the name of the profile, the number of finished runs and the number of all runs."""
-
 
 @dataclass
 class MeasuredRuns:
@@ -80,7 +78,7 @@ class MeasuredRuns:
 
     def _show(self, done: int, count: int) -> None:
         if self.progress:
-            self.progress(self.experiment.name, done, count)
+            self.progress(Stage(self.experiment.name, done, count, "runs"))
 
     def find_unjudged(self) -> list[str]:
         """Return the filters that did not fail and have no value in any run.
@@ -119,44 +117,39 @@ def record_baselines(
     guard: Guard = DEFAULT_GUARD,
     jobs: int = 1,
     progress: Progress | None = None,
-    say: Callable[[str], None] = lambda text: None,
 ) -> list[Path]:
-    """Measure profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
+    """Run profiles, write their baselines and a line each for ``CHANGES.md``, and return the files.
 
     Parameters
     ----------
-    profiles : sequence of str
-        Shipped names or paths of profiles and logs; empty records all that have a baseline again.
-    directory : str or Path
-        Folder of the baselines, one ``<profile>.json`` each.
-    estimators : sequence of str or None
-        Filters to record, as for :func:`bench.run`; None takes those of the old baseline, or of the
-        profile.
-    runs : int or None
-        Number of runs, at least `LEAST_DRAWS`; default `DRAWS`.
-    reason : str
-        Why the numbers moved, for ``CHANGES.md``.
-    overrides : mapping or None
-        As for `bench.read_profile`; the baseline keeps them. None takes those of the old baseline.
-    cpu : bool
-        Record CPU time, too: `baseline_file.CPU`. A baseline that has it keeps it.
-    allow_code : bool
-        Let profiles and baselines run the code they name, programs and classes.
-    guard : Guard
-        What that code may take, and whether a class gets a process of its own.
-    jobs : int
-        Number of processes; 1 takes this one. A script that asks for more guards its start by
-        ``if __name__ == "__main__"``, because the processes import it.
-    progress : callable
-        Called at the start and after each run, as `Progress` says.
-    say : callable
-        Called with a line for each filter that is left out: an autopilot's own has used every fix.
+    profiles : sequence of str, optional
+        Names or paths of profiles and logs. Default: all that have a baseline.
+    directory : str or Path, optional
+        Folder of the baselines, one ``PROFILE.json`` each.
+    estimators : sequence of str, optional
+        Filters to record. Default: those of the old baseline, or of the profile.
+    runs : int, optional
+        Number of runs, at least `LEAST_DRAWS`. Default: `DRAWS`.
+    reason : str, optional
+        Why the values changed, for ``CHANGES.md``.
+    overrides : mapping, optional
+        Profile keys to replace; stored in the baseline. Default: those of the old baseline.
+    cpu : bool, optional
+        Record CPU time, too (`baseline_file.CPU`). A baseline that has it keeps it.
+    allow_code, guard, jobs, progress
+        See `check`. ``progress`` also gets a remark for each filter that is left out, such as the solution
+        of an autopilot that has used every fix.
+
+    Returns
+    -------
+    list of Path
+        The baselines.
 
     Raises
     ------
     ConfigError
-        If a profile is missing or wrong, there is none, two have one name, or there are too few runs. This
-        is checked before anything is flown. If a filter failed in every run.
+        If a profile is missing or wrong, two have one name, or there are too few runs: checked before
+        anything is flown. If a filter failed in every run.
     """
     if runs is not None and runs < LEAST_DRAWS:
         raise ConfigError(f"runs = {runs} must be at least {LEAST_DRAWS}: the interval comes from the spread")
@@ -179,7 +172,7 @@ def record_baselines(
             baseline = one.measure(count, pool)
             unjudged = one.find_unjudged()
             for label in unjudged:
-                say(f"{one.experiment.name}: {label} is left out: {_NOT_EVALUATED}")
+                (progress or ignore)(Stage(f"{one.experiment.name}: {label} is left out: {_NOT_EVALUATED}"))
             kept = {label: row for label, row in baseline.estimators.items() if label not in unjudged}
             baseline = baseline.model_copy(update={"estimators": kept})
             paths.append(write_baseline(directory, baseline))
@@ -275,37 +268,50 @@ def check(
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> list[Verdict]:
-    """Fly the profiles that have a baseline and compare every metric with it, run by run.
+    """Run the profiles that have a baseline and compare every metric with it, run by run.
 
-    The first of `LOOKS` runs of each profile are flown. While a metric is undecided and its baseline has
-    more runs, the runs of its profile are doubled.
+    The first 20 runs of each profile are compared. While a metric is undecided and its baseline has more
+    runs, the number of runs doubles.
 
     Parameters
     ----------
-    profiles : sequence of str
-        Names or paths of profiles and logs; empty checks all that have a baseline.
-    directory : str or Path
-        Folder of the baselines, one ``<profile>.json`` each.
-    estimators : sequence of str or None
-        Check only these filters of the baselines, by label or by the name they were recorded with.
-    runs : int or None
-        Number of runs of the first look; more are flown only to decide.
-    overrides : mapping or None
-        As for `bench.read_profile`, over those of the baseline: what another unit or figure does.
-    allow_code, guard, jobs, progress
-        As for :func:`record_baselines`.
+    profiles : sequence of str, optional
+        Names or paths of profiles and logs. Default: all that have a baseline.
+    directory : str or Path, optional
+        Folder of the baselines, one ``PROFILE.json`` each. Default: ``tests/baselines``.
+    estimators : sequence of str, optional
+        Filters to check. Default: all of the baselines.
+    runs : int, optional
+        Runs of the first comparison.
+    overrides : mapping, optional
+        Profile keys to replace, in addition to those of the baseline.
+    allow_code : bool, optional
+        Permit profiles and baselines to run code they name. Default: no.
+    guard : Guard, optional
+        Limits for programs and classes.
+    jobs : int, optional
+        Number of processes. Default: 1.
+    progress : callable, optional
+        Called with a `Stage` at the start and after each run.
 
     Returns
     -------
-    verdicts : list of Verdict
-        Each has its ``word`` ("same", "better", "worse", "undecided"), the pooled values ``old`` and ``new``,
-        the ``change`` with its interval, and a ``sentence``.
+    list of Verdict
+        ``word`` ("same", "better", "worse", "undecided"), the values ``old`` and ``new``, the ``change`` with
+        its interval, and a ``sentence``.
 
     Raises
     ------
-    ConfigError
-        If a baseline or its profile is missing or malformed, two profiles have one name, or a file is not
-        the one its baseline was recorded of. This is checked before anything is flown.
+    bench.ConfigError
+        If a baseline or profile is missing or wrong, or a file differs from the recorded one. Checked before
+        anything is flown.
+
+    Examples
+    --------
+    >>> import bench
+    >>> verdicts = bench.check(["figure-eight"])  # doctest: +SKIP
+    >>> {one.word for one in verdicts}  # doctest: +SKIP
+    {'same'}
     """
     if runs is not None and runs < 2:
         raise ConfigError(f"runs = {runs} must be at least 2")

@@ -63,25 +63,36 @@ class Compared:
 
 
 def compare_results(folders: Sequence[str | os.PathLike[str]]) -> list[Compared]:
-    """Compare the first folder with each other one, by the rules of `bench.check`.
+    """Compare the first results folder with each other one, by the rules of `bench.check`.
 
-    Runs of the same seed and number on the same flight are compared in pairs, the segments of a log, too.
-    Filters are compared with those of the same label; if no label is in both and each folder has one
-    filter, these two are compared.
+    Runs with the same seed and number on the same flight are paired; so are the segments of a log. Filters
+    are compared by label. If no label is in both folders and each folder has one filter, these two are
+    compared.
 
     Parameters
     ----------
-    folders : sequence of path
-        Two or more results folders, folders that hold results folders, or folders of campaigns.
+    folders : sequence of str or Path
+        Two or more results folders, folders that contain results folders, or folders of campaigns.
 
     Returns
     -------
-    compared : list of Compared
+    list of Compared
+        ``first``, ``other``, ``differences`` of the setup, ``verdicts`` and sentences.
 
     Raises
     ------
     bench.ConfigError
-        If there are fewer than two, one of them holds no results, or two have nothing in common.
+        If there are fewer than two folders, one contains no results, or two have nothing in common.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     [found] = bench.compare_results([folder, folder])
+    >>> {one.word for one in found.verdicts}
+    {'same'}
     """
     if len(folders) < 2:
         raise ConfigError("a comparison needs at least two folders")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -18,6 +18,7 @@ from bench.core.files.spawned import Printed
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError, FlightError
 from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.evaluation.ensembles.ensemble import Comparison
 from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 from bench.experiments.campaigns.batches import Lost, Pool, compute
@@ -44,49 +45,93 @@ WAVE = 50  # flights before their runs: all fit into the cache of truth
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """How far a campaign is."""
+class CampaignStage(Stage):
+    """How far a campaign is; ``done`` counts the runs of its journal, too.
 
-    runs: int
-    done: int  # those taken from the journal included
-    failed: int  # of them, as a whole
-    new: int  # finished since the start
-    elapsed: float  # since the start [s]
-    flown: float  # flight time of the new runs [s]
+    Attributes
+    ----------
+    failed : int
+        Runs that failed as a whole, because the aircraft could not be flown.
+    new : int
+        Runs finished since the start.
+    elapsed : float
+        Time since the start [s].
+    flown : float
+        Flight time of the new runs [s].
 
-    @property
-    def rate(self) -> float:
-        """Runs per second."""
-        return self.new / self.elapsed if self.elapsed else 0.0
+    Examples
+    --------
+    >>> str(CampaignStage("approach", 50, 200, "runs", failed=1, new=40, elapsed=20.0, flown=24000.0))
+    '50 of 200 runs, 1 failed, 2.00 runs/s, 75 s left, 1200 x real time'
+    """
 
-    @property
-    def remaining(self) -> float | None:
-        """Time to the end [s]; None before the first run."""
-        return (self.runs - self.done) / self.rate if self.rate else None
+    failed: int = 0
+    new: int = 0
+    elapsed: float = 0.0
+    flown: float = 0.0
 
-    @property
-    def real_time(self) -> float:
-        """Seconds of flight per second."""
-        return self.flown / self.elapsed if self.elapsed else 0.0
+    def __str__(self) -> str:
+        parts = [f"{self.done:.0f} of {self.total or 0:.0f} runs"]
+        parts += [f"{self.failed} failed"] if self.failed else []
+        if self.new and self.elapsed:
+            rate = self.new / self.elapsed
+            left = ((self.total or 0) - self.done) / rate
+            parts += [f"{rate:.2f} runs/s", f"{_format_time(left)} left"]
+            parts.append(f"{self.flown / self.elapsed:.0f} x real time")
+        return ", ".join(parts)
+
+
+def _format_time(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """The result of a campaign."""
+    """Statistics of a campaign, with the tables of its runs.
+
+    Attributes
+    ----------
+    outcomes : tuple of Outcome
+        Statistics of each condition and filter: RMSE, NEES and others, with intervals.
+    comparisons : tuple of Comparison
+        Paired differences between filters.
+    runs : pyarrow.Table
+        One row for each run and filter; names end in the unit.
+    epochs : pyarrow.Table
+        One row for each filter and epoch: mean error and reported sigma over the runs.
+    planned, finished : int
+        Number of runs.
+    failed : mapping of str to str
+        Command that repeats a run -> why the run failed as a whole.
+    conditions : tuple of mapping
+        ``profile``, the varied ``values``, and the profile ``as_flown``.
+    provenance : mapping
+        Versions and commit.
+    timing : mapping of str to float
+        ``wall_s`` of this call, ``run_cpu_s`` of all finished runs [s].
+    interrupted : bool
+        Whether runs are missing because the campaign was interrupted.
+    folder : Path or None
+        Folder of the tables.
+    estimator_cpu_s : mapping
+        Filter -> CPU time of each finished run [s].
+    """
 
     outcomes: tuple[Outcome, ...]
     comparisons: tuple[Comparison, ...]
-    runs: Any  # pyarrow.Table, a row for each run and filter
-    epochs: Any  # pyarrow.Table, a row for each filter and time
+    runs: Any
+    epochs: Any
     planned: int
     finished: int
-    failed: Mapping[str, str]  # runs that failed as a whole: the command that repeats it -> the reason
-    conditions: tuple[Mapping[str, Any], ...]  # "profile", "values" that are varied, and it "as_flown"
-    provenance: Mapping[str, Any]  # versions, commit
-    timing: Mapping[str, float]  # of this call: wall_s; of all finished runs: run_cpu_s
+    failed: Mapping[str, str]
+    conditions: tuple[Mapping[str, Any], ...]
+    provenance: Mapping[str, Any]
+    timing: Mapping[str, float]
     interrupted: bool
     folder: Path | None
-    estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)  # of each finished run [s]
+    estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -123,7 +168,7 @@ class Campaign:
         return write_sentences(self.sentences) + write_table(caption, table.columns)
 
     def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
-        """Draw a quantity along the runs, a plot for each condition: see `bench.plot_result`."""
+        """Draw a quantity along the runs, a plot for each condition; `look` as for `plot_result`."""
         return draw(self, quantity, **look)
 
     def frame(self) -> Any:
@@ -147,34 +192,63 @@ def campaign(
     out: str | Path | None = None,
     force: bool = False,
     resume: bool = False,
-    progress: Callable[[Progress], None] = lambda progress: None,
+    progress: Progress | None = None,
 ) -> Campaign:
-    """Run many runs of a profile on all processors and return their statistics.
+    """Run a profile many times and return statistics with confidence intervals.
 
-    Draw k is ``bench.run(profile, run=k)``. A script that calls this guards its start by
-    ``if __name__ == "__main__"``, because the processes import it.
+    Run *k* equals ``bench.run(profile, run=k)``. The result does not depend on the number of processes.
 
     Parameters
     ----------
     profile : str or Path
-        Shipped name, path of a profile, or path of a campaign file.
-    runs, flights : int or None
-        Runs of each flight, default 200; flights with turbulence of their own, default 1.
-    seed, filters, overrides, allow_code, guard
-        As for `bench.read_profile`.
-    jobs, executor, scheduler, out, force, resume, progress
-        As for :func:`run_campaign`; ``out`` is its folder.
+        Name of a built-in profile, path of a profile, or path of a campaign file.
+    runs : int, optional
+        Runs of each flight. Default: 200.
+    flights : int, optional
+        Flights, each with turbulence of its own. Default: 1.
+    seed : int, optional
+        Seed of the first flight. Default: the seed of the profile.
+    estimators : sequence of str, optional
+        Filters, as in `bench.run`. Default: the filters of the profile.
+    overrides : mapping, optional
+        Profile keys to replace.
+    allow_code : bool, optional
+        Permit profiles to run code they name. Default: no.
+    guard : Guard, optional
+        Limits for programs and classes.
+    jobs : int, optional
+        Number of processes. Default: the number of processors. If a script uses more than one, protect its
+        start with ``if __name__ == "__main__"``.
+    executor : concurrent.futures.Executor, optional
+        Executor whose ``jobs`` workers are used instead.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers are used; requires the extra ``cluster``.
+    out : str or Path, optional
+        Folder for journal and tables. Default: none.
+    force : bool, optional
+        Replace the campaign in ``out``.
+    resume : bool, optional
+        Continue the campaign in ``out``.
+    progress : callable, optional
+        Called with a `CampaignStage` at the start and after each run.
 
     Returns
     -------
-    campaign : Campaign
-        ``runs`` and ``epochs`` are Arrow tables, ``outcomes`` and ``comparisons`` figures with intervals,
-        ``sentences`` what they mean.
+    Campaign
+        ``outcomes`` and ``comparisons`` with intervals, ``sentences``, and the Arrow tables ``runs`` and
+        ``epochs``; ``frame()`` is a DataFrame.
 
     Raises
     ------
     bench.ConfigError, bench.EstimatorError, bench.FlightError
-        If no run can begin, or the folder cannot be used.
+        If an argument or file is wrong, a filter cannot be built, or the aircraft cannot be flown.
+
+    Examples
+    --------
+    >>> import bench
+    >>> found = bench.campaign("approach", 2, estimators=["loose-15"], jobs=1)
+    >>> found.outcomes[0].runs
+    2
     """
     if resume and (out is None or force):
         raise ConfigError("bench.campaign: resume continues the campaign in out, and force replaces it")
@@ -211,7 +285,7 @@ def run_campaign(
     folder: Path | None = None,
     force: bool = False,
     resume: bool = False,
-    progress: Callable[[Progress], None] = lambda progress: None,
+    progress: Progress | None = None,
 ) -> Campaign:
     """Run what a plan holds and return its tables and sentences.
 
@@ -279,7 +353,7 @@ def run_campaign(
                 if pool
                 else choose_pool(plan, jobs or count_processors(), executor, scheduler) as workers
             ):
-                _work(plan, journal, workers, printed, progress)
+                _work(plan, journal, workers, printed, progress or ignore)
             interrupted = False
         except KeyboardInterrupt:
             interrupted = True
@@ -300,9 +374,7 @@ def choose_pool(
     return ProcessPool(jobs) if executor is None else ExecutorPool(executor, jobs)
 
 
-def _work(
-    plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Callable[[Progress], None]
-) -> None:
+def _work(plan: Plan, journal: Journal, pool: Pool, printed: Printed, progress: Progress) -> None:
     """Run what the journal does not hold, write each finished run into it, and keep what filters print."""
     todo: dict[int, list[PlannedRun]] = {}
     for planned in plan.runs:
@@ -312,7 +384,7 @@ def _work(
     for cell in {plan.cells[k].condition: plan.cells[k] for k in todo}.values():
         pipeline.build_estimators(cell.profile)
     known = len(plan.runs) - sum(map(len, todo.values()))
-    counter = RunCounter(len(plan.runs), known, progress)
+    counter = RunCounter(plan.name, len(plan.runs), known, progress)
     lengths: dict[str, float] = {}
     numbers, warm = list(todo), set[tuple[str, ...]]()
     for begin in range(0, len(numbers), WAVE):
@@ -358,10 +430,10 @@ def _fly(cells: Sequence[Cell], lengths: dict[str, float], pool: Pool) -> None:
 class RunCounter:
     """Reports the progress of a campaign."""
 
-    def __init__(self, runs: int, known: int, progress: Callable[[Progress], None]) -> None:
-        self._runs, self._known, self._progress = runs, known, progress
+    def __init__(self, name: str, runs: int, known: int, progress: Progress) -> None:
+        self._name, self._runs, self._known, self._progress = name, runs, known, progress
         self._new, self._failed, self._flown, self._begun = 0, 0, 0.0, time.perf_counter()
-        progress(Progress(runs, known, 0, 0, 0.0, 0.0))
+        progress(CampaignStage(name, known, runs, "runs"))
 
     def count(self, length: float, *, failed: bool) -> None:
         """Count a finished run and the length of its flight [s]."""
@@ -369,7 +441,18 @@ class RunCounter:
         self._failed += failed
         self._flown += length
         elapsed, done = time.perf_counter() - self._begun, self._known + self._new
-        self._progress(Progress(self._runs, done, self._failed, self._new, elapsed, self._flown))
+        self._progress(
+            CampaignStage(
+                self._name,
+                done,
+                self._runs,
+                "runs",
+                failed=self._failed,
+                new=self._new,
+                elapsed=elapsed,
+                flown=self._flown,
+            )
+        )
 
 
 def _finish(

@@ -126,12 +126,30 @@ _INSTANT |= {"nees_low": "float", "nees_high": "float", **_HEAD}
 
 
 def read_campaign(folder: str | os.PathLike[str]) -> Campaign:
-    """Read the folder of a campaign back.
+    """Read the folder of a campaign.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder that ``bench campaign`` or `bench.campaign` wrote.
+
+    Returns
+    -------
+    Campaign
+        Statistics and tables.
 
     Raises
     ------
     bench.ConfigError
-        If the folder is not that of a campaign, or is damaged.
+        If the folder is not a campaign or is damaged.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     found = bench.campaign("approach", 2, estimators=["loose-15"], jobs=1, out=place + "/a")
+    ...     bench.read_campaign(place + "/a").sentences == found.sentences
+    True
     """
     folder = Path(folder)
     with results.open_summary(folder, results.CAMPAIGN_RESULT, "campaign") as summary:

@@ -31,19 +31,30 @@ class ComparedLine:
 
 
 def compare_cards(first: Card, second: Card, names: tuple[str, str] | None = None) -> list[ComparedLine]:
-    """Compare the figures that both cards have, on the same noise.
+    """Compare the values that two cards have in common, on the same noise.
 
     Parameters
     ----------
     first, second : Card
-        As `bench.make_card` or `bench.read_card` returns them.
-    names : (str, str) or None
-        What the sentences call them; None takes the names of the estimators.
+        Cards of the same suite, from `bench.make_card` or `bench.read_card`.
+    names : (str, str), optional
+        Names of the filters in the sentences. Default: the names on the cards.
+
+    Returns
+    -------
+    list of ComparedLine
+        Topic, flight, value on both cards, ``sentence``, and ``better``: the filter that is proven better.
 
     Raises
     ------
-    ConfigError
-        If they are not of the same suite.
+    bench.ConfigError
+        If the cards are from different suites.
+
+    Examples
+    --------
+    >>> import bench
+    >>> lines = bench.compare_cards(bench.read_card("a.json"), bench.read_card("b.json"))  # doctest: +SKIP
+    >>> [line.sentence for line in lines if line.better]  # doctest: +SKIP
     """
     names = names or name_cards((first, second), ("the first", "the second"))
     if (first.suite, first.suite_hash) != (second.suite, second.suite_hash):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,10 +17,11 @@ from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.notebook import draw, make_frame, write_sentences, write_table
 from bench.core.words.renames import FORMAT, check_format
+from bench.core.words.stages import Progress
 from bench.core.words.wording import one_line
 from bench.evaluation.requirements.required_metrics import MET, Finding
 from bench.experiments.campaigns.plan import Plan, hash_estimator, plan_campaign
-from bench.experiments.campaigns.running import Progress, run_campaign
+from bench.experiments.campaigns.running import run_campaign
 from bench.experiments.card.card_bound import bound_errors_of
 from bench.experiments.card.card_causality import hash_all_answers, judge_causality
 from bench.experiments.card.card_conventions import judge_conventions
@@ -98,7 +99,7 @@ class Card(Table):
         return make_frame({name: [getattr(one, name) for one in self.lines] for name in names})
 
     def plot(self, topic: str = "accuracy", **look: Any) -> Any:
-        """Draw a topic's ratios with their intervals on each flight: see `bench.plot_result`."""
+        """Draw a topic's ratios with their intervals on each flight; `look` as for `plot_result`."""
         return draw(self, topic, **look)
 
     @property
@@ -214,42 +215,54 @@ def make_card(
     runs: Path | None = None,
     resume: bool = True,
     jobs: int | None = None,
-    progress: Callable[[Progress], None] = lambda progress: None,
+    progress: Progress | None = None,
 ) -> Card:
-    """Evaluate a filter over the suite, run by run beside another one.
+    """Run a filter over the suite of flights and compare it with another filter, run by run.
 
     Parameters
     ----------
     estimator : str
         Built-in name, ``module:Class``, ``command:./program {sensors} {solution}``, or ``file:FOLDER`` with a
-        solution for each run that :func:`write_suite` wrote.
-    label : str or None
-        What the card calls it; None: its class, program or folder.
-    options : mapping or None
-        Its options.
-    against : str
-        The one to compare with.
-    quick : bool
+        solution for each run that `write_suite` wrote.
+    label : str, optional
+        Name on the card. Default: name of the class, program or folder.
+    options : mapping, optional
+        Options of the filter.
+    against : str, optional
+        Filter to compare with. Default: "loose-full".
+    quick : bool, optional
         Twelve flights of 8 runs instead of eighteen of 40.
-    guard : Guard
-        What programs and classes of others may take, and whether a class gets a process of its own.
-    seed : int or None
-        Of all runs; None: those of the profiles.
-    requirements : Path or None
-        File of rows ``[[requirement]]`` (`bench.experiments.card.card_requirements`).
-    runs : Path or None
+    guard : Guard, optional
+        Limits for programs and classes.
+    seed : int, optional
+        Seed of all flights. Default: the seeds of the profiles.
+    requirements : Path, optional
+        File of ``[[requirement]]`` rows (`bench.experiments.card.card_requirements`).
+    runs : Path, optional
         Folder that keeps the runs.
-    resume : bool
-        Runs that are there are not made again; if False they are replaced.
-    jobs, progress
-        As for `bench.experiments.campaigns.running.run_campaign`.
+    resume : bool, optional
+        Reuse the runs in that folder. Default: yes; no replaces them.
+    jobs : int, optional
+        Number of processes. Default: the number of processors.
+    progress : callable, optional
+        Called with a `CampaignStage` at the start and after each run.
+
+    Returns
+    -------
+    Card
+        ``lines`` with value, interval and sentence; ``summary``; ``frame()`` is a DataFrame.
 
     Raises
     ------
     bench.ConfigError, bench.EstimatorError
-        If a filter cannot be built, or two have one name.
+        If a filter cannot be built, or two have the same name.
     KeyboardInterrupt
-        If it was interrupted; ``runs`` has what was finished.
+        If the call is interrupted; ``runs`` has the finished runs.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.make_card("loose-15", quick=True).summary  # doctest: +SKIP
     """
     suite = replace(QUICK if quick else FULL, seed=seed)
     names = [flight.name for flight in suite.members]
@@ -337,7 +350,7 @@ def verify_card(
     *,
     guard: Guard = DEFAULT_GUARD,
     jobs: int | None = None,
-    progress: Callable[[Progress], None] = lambda progress: None,
+    progress: Progress | None = None,
 ) -> list[str]:
     """Run drawn runs of a card again; return what differs from it, in a sentence each.
 
@@ -394,10 +407,25 @@ def describe_suite(card: Card) -> str:
 def read_card(path: str | Path) -> Card:
     """Read a card from a file.
 
+    Parameters
+    ----------
+    path : str or Path
+        File that ``bench card -o`` wrote.
+
+    Returns
+    -------
+    Card
+        The card.
+
     Raises
     ------
-    ConfigError
+    bench.ConfigError
         If the file is not a card.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.read_card("loose-15.json").frame()  # doctest: +SKIP
     """
     document = read_json(Path(path))
     check_format(document, str(path))

@@ -1,10 +1,10 @@
-"""How far each filter is from the best linear one, on one flight.
+"""The distance of each filter from the best linear filter, on one flight.
 
-The bound is the covariance of a Kalman filter of the whole truth model along the true motion, with errors
-that are not Gaussian by an equal autocovariance (Tichavsky, Muravchik, Nehorai 1998): no causal linear
-filter errs less. Smoothers are held against the bound of smoothing, which uses the measurements to the
-end. The errors of the filters are drawn; a ratio of 1 leaves nothing to gain, with these sensors on this
-flight.
+The bound is the covariance of a Kalman filter with the whole truth model along the true motion. Errors that
+are not Gaussian are replaced by Gaussian ones with the same autocovariance (Tichavsky, Muravchik, Nehorai
+1998). No causal linear filter has a smaller error. Smoothers are compared with the bound of smoothing, which
+uses the measurements to the end. The errors of the filters come from runs; at a ratio of 1 nothing is left to
+gain with these sensors on this flight.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Options(UnitOptions):
     """What may be asked."""
 
     estimators: Words | None = None
-    """filters to hold against the bound; left out: those of the profile"""
+    """filters to compare with the bound; default: all of the profile"""
     runs: Count = 20
     """runs of each filter"""
 

@@ -1,10 +1,10 @@
-"""Which error of the sensors contributes what to the errors of a filter, at every time of a flight.
+"""The contribution of each sensor error to the errors of a filter, at every time of a flight.
 
-The actual covariance of the filter's errors under the gains it had in one run, in a model with all errors of
-the sensors on board, each source alone (Maybeck, Stochastic Models, vol. 1, ch. 6). Beside it, Monte Carlo:
-the same filter on sensors with one source switched on, and with all. Where the ratio of the two variances is
-not 1 by more than the runs allow, an error is not small enough for a linear model, and the study says so;
-where so few runs allow nearly anything, it says that it cannot tell.
+Predicted: the actual covariance of the filter's errors under the gains of one run, in a model with all errors
+of the sensors on board, each source alone (Maybeck, Stochastic Models, vol. 1, ch. 6). Measured, by Monte
+Carlo: the same filter on sensors with one source switched on, and with all. If the ratio of the two variances
+differs from 1 by more than the runs allow, the error is too large for a linear model, and the study prints
+it. If the runs are too few to decide, the study prints this, too.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Options(UnitOptions):
     """What may be asked."""
 
     estimator: str | None = None
-    """a loose filter: label of the profile, or built-in name; left out: the first of the profile"""
+    """loosely coupled filter: label of the profile, or built-in name; default: the first of the profile"""
     runs: Count = 200
     """runs of each source that matters"""
 

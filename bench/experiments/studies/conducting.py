@@ -9,10 +9,11 @@ from typing import Any
 
 from bench.core.records.findings import Findings, StudyResult
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage
 from bench.core.words.wording import suggest
 from bench.experiments.campaigns.pools import count_processors
 from bench.experiments.studies import StudyEntry, find_studies, import_study
-from bench.experiments.studies.study import Progress, StudyOptions, StudyWorkers, make_command, read_options
+from bench.experiments.studies.study import StudyOptions, StudyWorkers, make_command, read_options
 from bench.io import results
 from bench.io.results.study_folder import write_study
 
@@ -41,37 +42,53 @@ def study(
     jobs: int | None = None,
     out: str | Path | None = None,
     force: bool = False,
-    progress: Progress = lambda what, done, of: None,
+    progress: Progress | None = None,
     **options: Any,
 ) -> StudyResult:
-    """Run a study and return what it found.
+    """Run a study and return its answer.
 
     Parameters
     ----------
     name : str
-        One of ``bench list studies``.
-    jobs : int or None
-        Number of processes; None takes one for each processor.
-    out : str, Path or None
-        Folder for tables, figures and ``study.json``; None leaves nothing behind.
-    force : bool
+        Name of a study; see `bench.list_studies`.
+    jobs : int, optional
+        Number of processes. Default: the number of processors.
+    out : str or Path, optional
+        Folder for tables, figures and ``study.json``. Default: none.
+    force : bool, optional
         Replace the study in the folder.
-    progress : callable
-        Called with what is being done, how many parts are done, and of how many.
+    progress : callable, optional
+        Called with a `Stage`: activity, finished parts, number of parts.
     **options
-        Those of the study; ``bench study NAME --help`` lists them.
+        Options of the study; ``bench study NAME --help`` prints them.
+
+    Returns
+    -------
+    StudyResult
+        ``findings`` with ``verdicts``, tables and figures; ``frame(table)`` is a DataFrame.
 
     Raises
     ------
     bench.ConfigError
-        If there is no such study, an option is wrong, or the folder cannot be made.
+        If the name or an option is wrong, or the folder cannot be made.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.study("requirements").findings.verdicts[0].startswith("For 5 m, 60 s without GNSS allow")
+    True
     """
     entry, module = find_study(name)
     chosen = read_options(name, module.Options, options)
     if out is not None:
         results.check_folder(Path(out), force=force, kind=results.STUDY)
     begun = time.perf_counter()
-    with StudyWorkers(jobs or count_processors(), progress) as work:
+
+    def show(what: str, done: int, of: int) -> None:
+        if progress:
+            progress(Stage(what, done, of, "parts"))
+
+    with StudyWorkers(jobs or count_processors(), show) as work:
         findings = module.run(chosen, work)
     if not isinstance(findings, Findings):
         what = type(findings).__name__

@@ -1,9 +1,9 @@
-"""Where an aircraft ends that a filter flies, and how far off its path it was, by filter and unit.
+"""Miss distance and deviation from the path of an aircraft that a filter steers, by filter and IMU.
 
-Each run is a flight of its own (`bench.pipeline.closed_loop`). The miss distance is that from where the
-same flight ends when the truth guides it: an estimate without error flies the same bits, so the miss is
-what navigation did. It is that of the touch-down if the flight has a flare, else of the end. A crash has
-missed by more than any distance.
+Each run is a flight of its own (`bench.pipeline.closed_loop`). The miss distance is the distance from the end
+of the same flight guided by the truth. An estimate without error flies the same bits, so the miss is due to
+navigation alone. If the flight has a flare, the touch-down counts instead of the end. A crash misses by more
+than any distance.
 """
 
 from __future__ import annotations
@@ -55,9 +55,9 @@ class Options(UnitOptions):
     profiles: Words
     """shipped profiles with ``[guidance]``, or .toml files of your own, separated by commas"""
     estimators: Words = ("loose-15", "loose-full")
-    """filters that fly; the others are compared with the first"""
+    """filters that steer; the others are compared with the first"""
     units: Words | None = None
-    """IMUs of the catalog, or .toml files of your own; left out: that of the profile"""
+    """IMUs of the catalog, or .toml files of your own; default: the IMU of the profile"""
     runs: Count = 10
     """flights of each filter with each unit, the same runs for all"""
 

@@ -1,9 +1,9 @@
-"""What straight flight and turns tell of heading, tilt and biases, with the sensors of a profile.
+"""The effect of straight flight and turns on the sigma of heading, tilt and biases.
 
-The covariance is that of the best linear filter (`bench study bound`): what it does not know, no filter
-knows. Directions are combinations of heading, tilts and biases, each in units of its standard deviation at
-the start; the one of which most is left is the least observable. The reference flight is that of
-equations 7.1: level at 200 m/s, an S-turn of two minutes from 240 s on, and the same without turns.
+The covariance is the bound of `bench study bound`: what the best linear filter cannot determine, no filter
+can. Directions are combinations of heading, tilts and biases, each in units of its standard deviation at the
+start; the direction that keeps the largest part is the least observable. The reference flight is the one of
+equations 7.1: level at 200 m/s, with an S-turn of two minutes from 240 s on, and the same without turns.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""Filters side by side on many recordings, each log a trial.
+"""Filters compared on many recordings; each log is one trial.
 
-LOGS are files LOG.toml, or folders with them, separated by commas. Each log is navigated as bench navigate
-does it: evaluated by its reference, else by the fixes that are withheld, and by cuts of 10, 30 and 60 s where
-it is long enough. Filters are compared with the first one on the logs where both have a result, by the
-geometric mean of the ratios and Student's t, all comparisons together at 5 %. Which logs got worse with a
-change of code or of parameters, bench check LOG.toml... tells from recorded baselines.
+LOGS are files LOG.toml, or folders with them, separated by commas. Each log is navigated as in bench
+navigate: evaluated by its reference, else by the withheld fixes, and by simulated outages of 10, 30 and 60
+s if it is long enough. Filters are compared with the first one on the logs on which both have a result:
+geometric mean of the ratios and Student's t, all comparisons together at 5 %. To find the logs that got
+worse after a change of code or parameters, record baselines and use bench check LOG.toml...
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class Options(StudyOptions):
 
     logs: Words
     estimators: Words | None = None
-    """filters to run; those of each log if left out"""
+    """filters to run; default: all of each log"""
     places: Annotated[int, Field(ge=2, le=1000)] = 5
-    """places of each cut in each log"""
+    """places of each simulated outage in each log"""
     allow_code: bool = False
-    """let the logs run the code they name"""
+    """permit the logs to run code they name"""
     overrides: Settings = ()
     """values of the logs to replace, or figures of datasheets they name"""
 

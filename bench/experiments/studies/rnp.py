@@ -2,13 +2,15 @@
 
     TSE = FTE - NSE    across track, all to the right: `bench.evaluation.errors.total_system`
 
-(A-2.1.5; ICAO Doc 9613, DO-236C.) A pilot or an autopilot follows the navigator, so its error moves the
-aircraft off the track by as much. A flight that is guided by the truth has the flight technical error alone,
-off the track and off the arcs of its turns. Where the profile lets a filter fly, ``estimator`` flies, TSE is
-measured, and NSE is that of the answers that steered. A flight is the trial, with noise and turbulence of
-its own, and the exposure is counted in hours: a line is met or missed where its 95 % bound says so, else it
-is undecided, and more hours would tell; nothing is extrapolated. Levels of `tight` hold while at most one
-satellite is faulty, those of the other filters while nothing is (`bench.evaluation.metrics.protection`).
+(A-2.1.5; ICAO Doc 9613, DO-236C.) A pilot or an autopilot follows the navigator, so the navigation error
+moves the aircraft off the track by the same distance. A flight guided by the truth has the flight technical
+error alone, off the track and off the arcs of its turns. If the profile has [guidance], ``estimator`` steers,
+TSE is measured, and NSE is the error of the solution that steered.
+
+A flight is one trial, with its own noise and turbulence, and the exposure is counted in hours. A line is met
+or missed if its 95 % bound shows it, else it is undecided and needs more hours. Nothing is extrapolated.
+The protection levels of `tight` are valid with at most one faulty satellite, the levels of other filters
+without faults (`bench.evaluation.metrics.protection`).
 """
 
 from __future__ import annotations
@@ -88,9 +90,10 @@ class Options(UnitOptions):
     profiles: Words
     """shipped profiles, or .toml files of your own; legs ``waypoints`` and ``approach`` have tracks"""
     estimator: str = "tight"
-    """built-in name; it flies, too, where the profile lets a filter fly"""
+    """built-in name; it also steers if the profile has [guidance]"""
     gnss: str | None = None
-    """receiver of the catalog instead of that of the profile; ``tight`` needs one with a sky, as sky-l1"""
+    """receiver of the catalog instead of the one of the profile; ``tight`` requires one with [sky], such as
+    sky-l1"""
     rnp_nm: Positive = 0.3
     """required navigation performance [nautical miles]"""
     alert_limit_m: Positive | None = None
@@ -98,19 +101,19 @@ class Options(UnitOptions):
     vertical_limit_m: Positive = 50.0
     """vertical alert limit [m]"""
     time_to_alert_s: Positive = 10.0
-    """time in which an alert must come [s]"""
+    """time within which an alert must come [s]"""
     continuity_s: Positive = 15.0
     """duration of the operation that must not be broken off [s]"""
     availability: _Probability = 0.95
-    """share of the time that must have no alert; procedures ask for 0.95 to 0.997"""
+    """fraction of the time that must have no alert; procedures require 0.95 to 0.997"""
     false_alarm: _Probability = FALSE_ALARM
-    """of a time without a fault, for the separation of subfilters"""
+    """probability of a false alarm, for the separation of subfilters"""
     missed: _Probability = MISSED_DETECTION
-    """of a fault, for the separation of subfilters"""
+    """probability of a missed fault, for the separation of subfilters"""
     lines: Words = LINES
     """what is evaluated: accuracy, containment, availability, continuity, integrity"""
     runs: Count = 60
-    """flights, each with noise of its own, and with turbulence of its own if the profile has any"""
+    """flights, each with its own noise and turbulence"""
     hours: Positive | None = None
     """flight hours at least, instead of --runs [h]"""
 

@@ -1,9 +1,9 @@
-"""One value of a profile swept, over the runs of a campaign.
+"""A sweep of one value of a profile, over the runs of a campaign.
 
-KEY is what --set reaches: a value of the profile such as leg.2.bank_deg, or a figure of a datasheet it names
-such as sensors.gnss.latency_s, sensors.gnss.rate_hz, sensors.imu.gyro.noise_deg_sqrt_h; with sensors.assumed
-instead of sensors only the filter assumes it. All values have the same runs; while the best and the worst
-are not told apart by them, runs are added up to --max-runs.
+KEY is any key of --set: a value of the profile such as leg.2.bank_deg, or a datasheet parameter such as
+sensors.gnss.latency_s, sensors.gnss.rate_hz or sensors.imu.gyro.noise_deg_sqrt_h. With sensors.assumed
+instead of sensors only the filter assumes the value. All values use the same runs. While the best and the
+worst value cannot be separated, runs are added up to --max-runs.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ class Options(UnitOptions):
 
     key: str
     values: Words | None = None
-    """values of KEY; a quarter to four times its own if left out"""
+    """values of KEY; default: a quarter to four times its own"""
     estimators: Words | None = None
-    """filters to evaluate; those of the profile if left out"""
+    """filters to evaluate; default: all of the profile"""
     runs: Count = 12
     """runs of each value, at first"""
     max_runs: Count = 24
-    """and at most, while two values are not told apart"""
+    """largest number of runs, if two values cannot be separated"""
 
 
 @dataclass(frozen=True)

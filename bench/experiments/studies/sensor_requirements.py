@@ -1,11 +1,11 @@
-"""The sensor errors that keep the position within a limit during the whole of a time without GNSS.
+"""The sensor errors that keep the position error within a limit during a time without GNSS.
 
-Closed form is the Schuler pendulum on a sphere that does not turn (A-2.4.4 to A-2.4.7: the curves of figures
-2.4.1 and 2.4.2): a constant error of accelerometer or gyro, a tilt or a velocity at the start, white noise.
-The position has to be within the limit at every time up to the time that is asked for, not only at its
-end: an accelerometer error has gone back to zero after 84.4 minutes. Each error alone may take all of it;
-with --split several share the variance equally. The simulation is the strapdown of the bench on the turning
-ellipsoid, at rest and level with one bias, its height held as a barometer does. Each figure is by axis.
+Closed form: the Schuler pendulum on a sphere that does not rotate (A-2.4.4 to A-2.4.7, the curves of figures
+2.4.1 and 2.4.2). Errors: a constant accelerometer or gyro error, an initial tilt or velocity error, white
+noise. The position must be within the limit at every time up to the given one, not only at its end: the
+effect of an accelerometer error is back at zero after 84.4 minutes. Each error alone may use the whole limit;
+with --split several share the variance equally. Simulation: the strapdown of bench on the rotating ellipsoid,
+at rest and level with one bias, its height held as with a barometer. Each value is per axis.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Options(StudyOptions):
     """What may be asked."""
 
     error_m: Positive = 5.0
-    """position error that is allowed, 1 sigma by axis [m]"""
+    """allowed position error, 1 sigma per axis [m]"""
     outages_s: Durations = (10, 30, 60, 100, 120, 180, 300, 600, 900, 1800, 2532, 3600)
     """times without GNSS [s]"""
     lat_deg: Annotated[float, Field(ge=-80, le=80)] = 45.0

@@ -15,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from bench.core.records.findings import Findings, join_findings
 from bench.core.words.exceptions import ConfigError, WorkersLostError
+from bench.core.words.stages import Stage
 from bench.core.words.wording import as_toml, describe_error, format_number, suggest
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.experiments.campaigns.batches import Lost, compute
@@ -22,13 +23,12 @@ from bench.experiments.campaigns.campaign_file import CampaignSpec, format_value
 from bench.experiments.campaigns.plan import plan_campaign
 from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, open_pool
 from bench.experiments.campaigns.running import Campaign, run_campaign
-from bench.experiments.campaigns.running import Progress as Runs
 from bench.experiments.studies.unit_study.catalog_units import find_units
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
-Progress = Callable[[str, int, int], object]
+ShowParts = Callable[[str, int, int], object]
 """Called with what is being done, and how many parts of how many are done."""
 
 
@@ -92,7 +92,7 @@ class FlightOptions(StudyOptions):
     overrides: Settings = ()
     """values of the profiles to replace, or figures of datasheets they name"""
     seed: Seed | None = None
-    """seed of the runs; left out: that of each profile"""
+    """seed of the runs; default: the seed of each profile"""
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -106,7 +106,8 @@ class UnitOptions(FlightOptions):
     profiles: Words
     """names of shipped profiles, or .toml files of your own, separated by commas"""
     units: Words | None = None
-    """IMUs of the catalog, or .toml files of your own, instead of that of the profile; each is asked alone"""
+    """IMUs of the catalog, or .toml files of your own, instead of the IMU of the profile; each in a study
+    of its own"""
 
     @property
     def profile(self) -> str:
@@ -191,7 +192,7 @@ def format_estimate(found: Estimate) -> str:
 class StudyWorkers:
     """The workers of a study."""
 
-    def __init__(self, jobs: int, progress: Progress = lambda what, done, of: None) -> None:
+    def __init__(self, jobs: int, progress: ShowParts = lambda what, done, of: None) -> None:
         self.jobs, self.progress = jobs, progress
         self._open = contextlib.ExitStack()
 
@@ -236,8 +237,8 @@ class StudyWorkers:
     def campaign(self, what: str, spec: CampaignSpec, first: int = 0) -> Campaign:
         """Run the runs of a campaign from a number on and return it; errors as for `bench.campaign`."""
 
-        def tell(now: Runs) -> None:
-            self.progress(what, now.done, now.runs)
+        def tell(now: Stage) -> None:
+            self.progress(what, int(now.done), int(now.total or 0))
 
         plan = plan_campaign(spec)
         plan = dataclasses.replace(plan, runs=tuple(one for one in plan.runs if one.run >= first))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from bench.core.files import durable
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.specs import DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage
 from bench.core.words.wording import format_number, suggest
 from bench.experiments.campaigns.pools import ProcessPool, count_processors
 from bench.experiments.tuning.factor_search import REACH, FoundFactor, search_factors
@@ -102,6 +103,22 @@ class Tuning:
         return paths
 
 
+@dataclass(frozen=True, slots=True)
+class TuningStage(Stage):
+    """How far a tuning is: ``done`` sets of factors were tried, ``total`` at most.
+
+    Attributes
+    ----------
+    cost : float
+        Mean cost of the last set.
+    """
+
+    cost: float = np.nan
+
+    def __str__(self) -> str:
+        return f"set {self.done:.0f}, cost {self.cost:.4g}; at most {self.total:.0f} until it converges"
+
+
 def tune(
     source: str | Path,
     estimator: str,
@@ -116,44 +133,55 @@ def tune(
     allow_code: bool = False,
     guard: Guard = DEFAULT_GUARD,
     jobs: int | None = None,
-    progress: Callable[[int, int, float], None] = lambda number, most, cost: None,
+    progress: Progress | None = None,
 ) -> Tuning:
     """Find factors on the noises that a filter assumes, and evaluate them on other data.
+
+    The search runs on the logarithms of the factors, from several starts (`tuning.factor_search`).
 
     Parameters
     ----------
     source : str or Path
-        Profile, or the TOML file of a log.
+        Profile, or the ``.toml`` file of a log.
     estimator : str
-        The one to tune.
-    log : bool
-        The source is a log: withheld fixes of its first half tune, those of its second half judge.
-    goal : str
-        "consistency": least log score (`consistency.log_score`) of the errors, or of the innovations of
-        a log; "rmse": least horizontal RMSE.
-    factors : sequence of str or None
-        Beginnings of the figures that share a factor, such as "imu.gyro.noise", several with commas between
-        them; None takes those of `DEFAULT_FACTORS` that the assumed datasheets have.
-    runs : int
-        Draws of a profile that tune; as many others judge.
-    evaluations : int
-        Most sets of factors to try before the search ends unconverged. Intervals take some ten more each.
-    seed, overrides, allow_code, guard
-        As for `bench.read_profile`; a log has no seed.
-    jobs : int or None
-        Number of processes for a profile.
-    progress : callable
-        Called with the number of the set, the most of the search, and its mean cost.
+        Filter to tune.
+    log : bool, optional
+        Whether ``source`` is a log: fixes withheld in the first half tune, those of the second half evaluate.
+    goal : {"consistency", "rmse"}, optional
+        "consistency": smallest log score (`consistency.log_score`) of the errors, or of the innovations of a
+        log; "rmse": smallest horizontal RMSE.
+    factors : sequence of str, optional
+        Groups of parameters that share a factor, by the beginning of their names: "imu.gyro.noise"; several
+        with commas between them. Default: those of `DEFAULT_FACTORS` that the assumed datasheets have.
+    runs : int, optional
+        Runs of a profile that tune; as many others evaluate. Default: 20.
+    evaluations : int, optional
+        Largest number of sets of factors before the search ends without convergence. Default: 400.
+    seed : int, optional
+        Seed of a profile.
+    overrides, allow_code, guard
+        See `bench.read_profile`.
+    jobs : int, optional
+        Number of processes for a profile. Default: the number of processors.
+    progress : callable, optional
+        Called with a `TuningStage` after each set.
 
     Returns
     -------
-    tuning : Tuning
-        Found on the logarithms of the factors, from several starts, by `tuning.factor_search`.
+    Tuning
+        ``factors`` with ``intervals``, ``converged``, ``before`` and ``after``; ``write(folder)`` writes the
+        tuned datasheets.
 
     Raises
     ------
     bench.ConfigError, bench.EstimatorError, bench.FlightError
         If the source, the filter or a factor is wrong, or a run cannot be evaluated.
+
+    Examples
+    --------
+    >>> import bench
+    >>> tuning = bench.tune("approach", "loose-15", factors=["imu.gyro.noise"])  # doctest: +SKIP
+    >>> tuning.factors, tuning.converged  # doctest: +SKIP
     """
     with ProcessPool(jobs or count_processors()) as pool:
         trial: Trial
@@ -168,7 +196,9 @@ def tune(
 
         def find_costs(x: FloatArray) -> FloatArray:
             costs = trial.score(_name_keys(scale(groups, known, np.exp(x))), goal) / unit
-            progress(next(sets), evaluations, float(costs.mean()))
+            number = next(sets)
+            if progress:
+                progress(TuningStage("tuning", number, evaluations, "sets", cost=float(costs.mean())))
             return costs
 
         if goal == "rmse":  # relative to the datasheets: the search knows costs of the size of 1

@@ -65,7 +65,19 @@ def list_aircraft_folders(beside: Path | None = None) -> list[Path]:
 
 
 def list_profiles() -> list[CatalogEntry]:
-    """Return every shipped profile."""
+    """Return the built-in profiles.
+
+    Returns
+    -------
+    list of CatalogEntry
+        ``name``, ``title``.
+
+    Examples
+    --------
+    >>> import bench
+    >>> "figure-eight" in [entry.name for entry in bench.list_profiles()]
+    True
+    """
     return [
         CatalogEntry(path.stem, str(read_toml(path, path.name).get("title", "")), "profile")
         for path in sorted(PROFILES.glob("*.toml"))
@@ -73,7 +85,24 @@ def list_profiles() -> list[CatalogEntry]:
 
 
 def list_aircraft(beside: Path | None = None) -> list[CatalogEntry]:
-    """Return every aircraft that a profile can name, sorted by name."""
+    """Return the aircraft that a profile can name, sorted by name.
+
+    Parameters
+    ----------
+    beside : Path, optional
+        Folder of a profile whose ``aircraft`` folder is searched, too.
+
+    Returns
+    -------
+    list of CatalogEntry
+        ``name``, ``title``, and ``note`` with limits and source.
+
+    Examples
+    --------
+    >>> import bench
+    >>> "navion" in [entry.name for entry in bench.list_aircraft()]
+    True
+    """
     sheets = {}
     for place in (*find_folders("aircraft").values(), *reversed(list_aircraft_folders(beside))):
         for path in place.glob("*/aircraft.toml"):
@@ -100,7 +129,20 @@ def _describe_aircraft(sheet: Mapping[str, Any]) -> str:
 
 
 def list_sensors() -> list[CatalogEntry]:
-    """Return every sensor of the catalog, then those that installed packages add."""
+    """Return the sensors of the catalog and of installed packages.
+
+    Returns
+    -------
+    list of CatalogEntry
+        ``name``, ``title``, ``kind`` ("imu", "gnss", "baro" ...), and ``note`` with the grade and the assumed
+        and missing parameters.
+
+    Examples
+    --------
+    >>> import bench
+    >>> "stim300" in [entry.name for entry in bench.list_sensors() if entry.kind == "imu"]
+    True
+    """
     return [_make_unit(kind, path, package) for kind in KINDS for path, package in find_sheets(kind).values()]
 
 
@@ -144,7 +186,19 @@ def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return every built-in filter, with the options that its name implies, and those of packages."""
+    """Return the built-in filters and those of installed packages.
+
+    Returns
+    -------
+    list of CatalogEntry
+        ``name``, ``title``, and ``note`` with the options that the name implies.
+
+    Examples
+    --------
+    >>> import bench
+    >>> "loose-15" in [entry.name for entry in bench.list_estimators()]
+    True
+    """
     return [
         CatalogEntry(
             name, row.title, "estimator", ", ".join(quantity(key, value) for key, value in row.fixed.items())

@@ -65,31 +65,42 @@ def read_profile(
     allow_code: bool = False,
     guard: Guard = DEFAULT_GUARD,
 ) -> Profile:
-    """Read and check a profile; return it in SI.
+    """Read and check a profile.
 
     Parameters
     ----------
     name : str or Path
-        Name of a shipped profile, or the path of a ``.toml`` file.
-    overrides : mapping
-        Dotted keys and the values that replace those of the file: ``{"sensors.imu": "x", "leg.1.laps": 2}``.
-        The entries of a list count from 1. A path in them is relative to the present folder. Figures of a
-        datasheet are keys, too, in its units: ``sensors.imu.gyro.noise_deg_sqrt_h`` on board and for the
-        filters, ``sensors.assumed.imu. ...`` only for the filters.
-    seed : int
-        Replaces both ``seed`` and ``turbulence_seed`` of the file.
-    estimators : sequence of str
-        Filters to evaluate instead of all of the profile's: labels of the profile, built-in names or
-        ``module:Class``, ``file:solution.csv`` or ``command:./program {sensors} {solution}``.
-    allow_code : bool
-        Let the file name a ``module:Class`` or a ``command:``, code that is run; ``estimators`` may always.
-    guard : Guard
-        What that code may take, and whether a class gets a process of its own.
+        Name of a built-in profile, or path of a ``.toml`` file.
+    overrides : mapping, optional
+        Profile keys to replace: ``{"sensors.imu": "stim300", "leg.1.laps": 2}``. Entries of a list count
+        from 1, and paths are relative to the current folder. ``sensors.imu.gyro.noise_deg_sqrt_h`` replaces
+        a value of the datasheet on board and for the filters, ``sensors.assumed.imu.gyro...`` only for the
+        filters.
+    seed : int, optional
+        Replaces ``seed`` and ``turbulence_seed``.
+    estimators : sequence of str, optional
+        Filters to evaluate: labels of the profile, built-in names, ``module:Class``, ``file:solution.csv`` or
+        ``command:./program {sensors} {solution}``. Default: all of the profile.
+    allow_code : bool, optional
+        Permit the file to name code that is run. Code in ``estimators`` is always permitted. Default: no.
+    guard : Guard, optional
+        Limits for that code.
+
+    Returns
+    -------
+    Profile
+        The experiment, in SI and radians.
 
     Raises
     ------
-    ConfigError
-        One message for each problem in the file, the overrides and the files it names.
+    bench.ConfigError
+        If the profile, the overrides or a file is wrong; one message for each problem.
+
+    Examples
+    --------
+    >>> import bench
+    >>> bench.read_profile("figure-eight", {"sensors.imu": "stim300"}).sensors.imu.name
+    'stim300'
     """
     path, shown = find_profile(name)
     if isinstance(estimators, str):

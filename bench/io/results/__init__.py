@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bench.io.results.arrow import leave_out_pandas, to_arrow, to_pandas
+from bench.io.results.arrow import leave_out_pandas, to_arrow
 from bench.io.results.cache_size import LIMIT, measure_cache, trim_cache
 from bench.io.results.damage import RESULT, TRUTH, open_summary, read_summary, report_damage
 from bench.io.results.folders import (
@@ -105,7 +105,6 @@ __all__ = [
     "save",
     "to_arrow",
     "to_json",
-    "to_pandas",
     "trim_cache",
     "truth_key",
     "truth_pieces",

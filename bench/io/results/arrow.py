@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import BenchError
-from bench.core.words.notebook import load_pandas
 from bench.io.results.columns import flatten
 from bench.io.results.parquet import to_table
 from bench.io.results.result_folder import list_aiding
@@ -18,29 +17,36 @@ if TYPE_CHECKING:
 
 
 def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa.Table:
-    """Return one record of a result as an Arrow table.
+    """Return one record of a result as an Arrow table; ``.to_pandas()`` makes a DataFrame of it.
 
     Parameters
     ----------
     result : RunResult
-        As `bench.run`, `bench.navigate` or `bench.read_result` returns it.
+        Result from `bench.run`, `bench.navigate` or `bench.read_result`.
     record : str
         "errors", "solutions" or "innovations" of the filters; "truth", "air" or "controls" of the flight;
-        "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the errors drawn for them; "sky";
+        "imu", "gnss", "observations", "baro" ... of the sensors; "drawn", the true sensor errors; "sky";
         "events".
-    estimator : str or None
-        Return only the rows of this filter; None returns those of all, with a first column ``estimator``.
+    estimator : str, optional
+        Filter whose rows are returned. Default: all filters, with a first column ``estimator``.
 
     Returns
     -------
-    table : pyarrow.Table
-        One row per time. Column names end in their unit (SI and radians); the metadata of a field holds
-        ``unit`` and ``frame``. A state that a filter does not have is null.
+    pyarrow.Table
+        One row per time. Column names end in the unit (SI and radians); the metadata of a field has ``unit``
+        and ``frame``. A state that a filter does not have is null.
 
     Raises
     ------
     bench.BenchError
-        If the result has no such record or estimator.
+        If the result has no such record or filter.
+
+    Examples
+    --------
+    >>> import bench
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> bench.to_arrow(result, "errors", "loose-15").column_names[:2]
+    ['t_s', 'pos_err_n_m']
     """
     import pyarrow as pa
 
@@ -59,18 +65,6 @@ def to_arrow(result: RunResult, record: str, estimator: str | None = None) -> pa
         table = _to_table(rows)
         tables.append(table.add_column(0, "estimator", pa.array([label] * len(table), pa.string())))
     return pa.concat_tables(tables, promote_options="default") if tables else pa.table({})
-
-
-def to_pandas(result: RunResult, record: str, estimator: str | None = None) -> Any:
-    """Return one record of a result as a pandas DataFrame; parameters and errors as for `to_arrow`.
-
-    Raises
-    ------
-    bench.BenchError
-        Also if pandas is not installed.
-    """
-    load_pandas()
-    return to_arrow(result, record, estimator).to_pandas()
 
 
 class _WithoutPandas:

@@ -29,14 +29,36 @@ _NOTES, _SUM = "notes", "sha256"
 
 
 def write_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
-    """Write the state of a filter to a file, whole or not at all; :func:`read_filter` goes on with it.
+    """Write the state of a filter to a file, completely or not at all.
+
+    Parameters
+    ----------
+    filter_ : PieceFilter
+        Filter from `bench.open_filter` after at least one update.
+    path : str or Path
+        File to write; `read_filter` reads it.
+
+    Returns
+    -------
+    Path
+        The file.
 
     Raises
     ------
-    EstimatorError
-        If it has been given no piece.
+    bench.EstimatorError
+        If the filter has not been updated yet.
     OSError
         If the file cannot be written; an existing file is left unchanged.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> live = bench.open_filter("loose-15", sensed.initial)
+    >>> rows = live.update(bench.slice_sensors(sensed.data, float("-inf"), 10.0))
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     bench.write_filter(live, place + "/filter.npz").name
+    'filter.npz'
     """
     state, place = filter_.state(), Path(path)
     arrays: dict[str, Any] = {}
@@ -58,25 +80,41 @@ def write_filter(filter_: PieceFilter, path: str | os.PathLike[str]) -> Path:
 
 
 def read_filter(path: str | os.PathLike[str], *, allow_code: bool = False) -> PieceFilter:
-    """Return the filter that :func:`write_filter` wrote: it goes on as if it had never stopped.
+    """Read a filter that `write_filter` wrote; it continues as if it had never stopped.
 
-    The file is data alone. Its state is held against that of the same filter before its first piece: names,
-    shapes and types, and whatever compiled code takes as a place in memory.
+    The file contains data only. Names, shapes and types are checked against the same filter before its first
+    update, and so is every value that compiled code uses as an index.
 
     Parameters
     ----------
     path : str or Path
-        The file.
-    allow_code : bool
-        Import the filter that the file names, if it is none of bench. Its code then runs on this machine.
+        File of the filter.
+    allow_code : bool, optional
+        Import the class that the file names, if it is not built in. Default: no.
+
+    Returns
+    -------
+    PieceFilter
+        The filter, as `bench.open_filter` returns it.
 
     Raises
     ------
-    EstimatorError
-        If the file is damaged, holds no filter, is of another version of bench, or names code that is not
-        allowed.
+    bench.EstimatorError
+        If the file is damaged, contains no filter, was written by another version of bench, or names code
+        that is not permitted.
     FileNotFoundError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> sensed = bench.sense("approach", bench.fly("approach"))
+    >>> live = bench.open_filter("loose-15", sensed.initial)
+    >>> rows = live.update(bench.slice_sensors(sensed.data, float("-inf"), 10.0))
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     again = bench.read_filter(bench.write_filter(live, place + "/filter.npz"))
+    >>> bool((again.current().cov == live.current().cov).all())
+    True
     """
     what = f"{path} holds no filter that bench saved"
     check_file(Path(path), str(path), _MOST_BYTES)

@@ -170,23 +170,32 @@ def _save_solution(folder: Path, label: str, solution: NavSolution) -> None:
 
 
 def read_result(folder: str | os.PathLike[str]) -> RunResult:
-    """Read a results folder back.
+    """Read a results folder.
 
     Parameters
     ----------
-    folder : path
-        A folder that ``bench run`` wrote.
+    folder : str or Path
+        Folder that ``bench run`` or `write_result` wrote.
 
     Returns
     -------
-    result : RunResult
-        The result as saved, except that a metric that was not finite is None. Truth and sensors are read on
-        first use.
+    RunResult
+        The result as written; a metric that was not finite is None. Truth and sensors are read on first use.
 
     Raises
     ------
-    ConfigError
-        If the folder is not a results folder of bench, is one of a newer bench, or is damaged.
+    bench.ConfigError
+        If the folder is not a results folder, was written by a newer bench, or is damaged.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     again = bench.read_result(folder)
+    >>> again.metrics == result.metrics
+    True
     """
     folder = Path(folder)
     summary = read_summary(folder)

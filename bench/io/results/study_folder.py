@@ -128,12 +128,30 @@ def _summarize(result: StudyResult) -> dict[str, Any]:
 
 
 def read_study(folder: str | os.PathLike[str]) -> StudyResult:
-    """Read the folder of a study back.
+    """Read the folder of a study.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder that ``bench study`` or `bench.study` wrote.
+
+    Returns
+    -------
+    StudyResult
+        Answer, tables and figures.
 
     Raises
     ------
     bench.ConfigError
-        If the folder is not that of a study, or is damaged.
+        If the folder is not a study or is damaged.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     found = bench.study("requirements", out=place + "/a")
+    ...     bench.read_study(place + "/a").findings.verdicts == found.findings.verdicts
+    True
     """
     folder = Path(folder)
     with results.open_summary(folder, results.STUDY_RESULT, "study") as summary:

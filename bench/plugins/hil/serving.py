@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,6 +13,7 @@ from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import CLIENT, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorStoppedError
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.io.streams.streaming import listen, parse_address
 from bench.pipeline import closed_loop
 from bench.plugins.hil.flight_messages import VERSION
@@ -47,41 +48,45 @@ def serve(
     patience: float = 60.0,
     mavlink: ActuatorChannels | None = None,
     truth: bool = False,
-    say: Callable[[str], object] = lambda text: None,
+    progress: Progress | None = None,
 ) -> ServedRun:
-    """Wait for one client, fly the profile with it in lock-step, and judge what was flown.
+    """Wait for one client, fly the profile with it in lock-step, and evaluate the flight.
 
     Parameters
     ----------
     profile : str, Path or Profile
-        Shipped name or path of a TOML file; or a profile already read, with ``[guidance]``
-        ``navigation = "client"``.
-    run : int
-        Number of the run.
-    seed, overrides : int or None, mapping or None
-        As for `bench.read_profile`; not with a profile already read.
-    address : str
+        Built-in name, path of a TOML file, or a loaded profile with ``[guidance] navigation = "client"``.
+    run : int, optional
+        Number of the run. Default: 0.
+    seed, overrides
+        See `bench.read_profile`; not with a loaded profile.
+    address : str, optional
         ``IP:PORT`` to wait at; port 0 takes any free port.
-    remote : bool
-        Allow clients of other machines.
-    gives : str
-        "estimate": guidance and legs of the profile go by the client's estimate. "commands": the client
-        flies; legs are left out.
-    rate : float
-        Seconds of the flight per second at most; 0 or infinity: as fast as possible.
-    patience : float
-        Longest silence of the client [s].
+    remote : bool, optional
+        Permit clients on other machines. Default: no.
+    gives : {"estimate", "commands"}
+        "estimate": guidance follows the legs with the client's estimate. "commands": the client flies, legs
+        are left out.
+    rate : float, optional
+        Largest rate, seconds of flight per second; 0 or infinity: as fast as possible.
+    patience : float, optional
+        Longest silence of the client [s]. Default: 60.
     mavlink : ActuatorChannels, optional
-        The client is an autopilot that speaks MAVLink, and commands by these channels.
-    truth : bool
-        Send the truth, too, as HIL_STATE_QUATERNION.
-    say : callable
-        Called with lines of what happens.
+        Channels of an autopilot that speaks MAVLink and commands the controls.
+    truth : bool, optional
+        Also send the truth, as HIL_STATE_QUATERNION. Default: no.
+    progress : callable, optional
+        Called with a `Stage` when a client connects, leaves or fails.
+
+    Returns
+    -------
+    ServedRun
+        ``result`` (`RunResult`), ``flown`` [s], ``ended``: why the client ended early, or "".
 
     Raises
     ------
     bench.ConfigError
-        If the profile or an argument is wrong, or pymavlink is not there.
+        If the profile or an argument is wrong, or pymavlink is not installed.
     bench.EstimatorError
         If a filter of the profile cannot be built.
     bench.FlightError
@@ -90,7 +95,17 @@ def serve(
         If the flight ended before it can be evaluated.
     OSError
         If the address cannot be used.
+
+    Examples
+    --------
+    >>> import bench
+    >>> served = bench.serve("approach-closed", address="127.0.0.1:5700")  # doctest: +SKIP
+    >>> served.result.metrics  # doctest: +SKIP
     """
+
+    def say(text: str) -> None:
+        (progress or ignore)(Stage(text))
+
     if not isinstance(profile, Profile):
         profile = load_served(profile, overrides, seed=seed, mavlink=mavlink is not None)
     elif seed is not None or overrides is not None:

@@ -41,7 +41,7 @@ PUBLIC = "bench.plugins.hil.serving"
     "--give",
     "gives",
     type=click.Choice(["estimate", "commands"]),
-    help="what the client gives: where the aircraft is, or steering commands  [default: estimate]",
+    help="what the client sends: an estimate, or steering commands  [default: estimate]",
 )
 @click.option(
     "--rate", type=float, default=0.0, metavar="R", help="seconds of flight per second at most; 0: lock-step"
@@ -73,8 +73,8 @@ def serve(
 ) -> int:
     """Fly a profile with an external program.
 
-    The client gets the rows of the sensors as they arrive. At each turn it gives an estimate, by which the
-    aircraft then flies, or steering commands. The result is that of bench run. bench guide serve has the
+    The client receives the sensor data as they arrive. In each turn it sends an estimate, which then guides
+    the aircraft, or steering commands. The result is written as by bench run. bench guide serve has the
     messages, and clients in Python and C.
 
     \b
@@ -136,7 +136,7 @@ def _fly(
         flight_verbs.describe_run(profile.name, profile.document, profile.seed, draw, profile.evaluation)
     )
     begun = time.perf_counter()
-    served = serving.serve(profile, draw, say=console.print, **session)
+    served = serving.serve(profile, draw, progress=lambda now: console.print(str(now)), **session)
     with flight_verbs.write_first(
         console, served.result, folder, recording=recording, report=report, force=force
     ):

@@ -1,11 +1,11 @@
-"""What errors of an alignment cost on a route, how they travel, and what two vectors tell of them.
+"""Cost of alignment errors on a route, their propagation, and their estimation from two vectors.
 
-On the sphere an error of the heading leads a leg across track (B-8). An attitude error has three
-descriptions (A-5.1.12, A-5.1.13): alpha between the true and the computed local triad, delta at the computed
-place, delta_u in inertial axes, which gyro errors alone change; they are integrated side by side along a
-steady course. The error of a quaternion is an integral of the gyro errors along the attitude (B-7), held here
-against two exact integrations. A vector of position and one of velocity, known by the INS and by GNSS, tell
-its attitude (B-V); drawn errors stand beside the covariance. Nothing is flown.
+On the sphere an initial heading error leads a leg across track (B-8). An attitude error has three
+descriptions (A-5.1.12, A-5.1.13): alpha between the true and the computed local triad, delta at the
+computed place, delta_u in inertial axes, which gyro errors alone change. All three are integrated along a
+steady course. The error of a quaternion is an integral of the gyro errors along the attitude (B-7),
+compared with two exact integrations. A position vector and a velocity vector, known from INS and GNSS,
+determine the attitude (B-V); random errors are compared with the covariance. Nothing is flown.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Options(StudyOptions):
     lengths_km: Numbers = (50.0, 100.0, 300.0, 1000.0, 3000.0)
     """legs [km]"""
     cross_track_m: Positive = 1000.0
-    """error across track that is allowed at their end [m]"""
+    """allowed cross-track error at their end [m]"""
     lat_deg: Annotated[float, Field(ge=-80, le=80)] = 45.0
     """latitude at the start of the course [deg]"""
     course_deg: Annotated[float, Field(ge=-360, le=360)] = 50.0
@@ -70,13 +70,13 @@ class Options(StudyOptions):
     gyro_deg_h: Positive = 0.01
     """gyro error of each axis [deg/h]"""
     angles_deg: Numbers = (0.0, 1.0, 10.0, 57.6, 90.0)
-    """angles between the vectors of position and velocity [deg]"""
+    """angles between position vector and velocity vector [deg]"""
     position_m: Positive = 11.2
-    """error of the vector of position by axis, 1 sigma [m]"""
+    """error of the position vector per axis, 1 sigma [m]"""
     velocity_mps: Positive = 0.0707
-    """error of the vector of velocity by axis, 1 sigma [m/s]"""
+    """error of the velocity vector per axis, 1 sigma [m/s]"""
     range_km: Positive = 316.0
-    """length of the vector of position [km]"""
+    """length of the position vector [km]"""
     runs: Count = 1000
     """runs of each angle"""
     seed: Seed = 0

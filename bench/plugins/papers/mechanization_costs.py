@@ -1,8 +1,8 @@
-"""Frames, rates, attitude algorithms, series and accelerometers alone: what each costs in meters and time.
+"""Cost of frame, rates, attitude algorithm, series and gyro-free accelerometers, in meters and time.
 
-All fly the same banked S-turns in closed form with exact increments (`flight.closed_form`): what is off
-at the end is the algorithm. Coning is a cone of a given half angle, sampled at several rates. The time of a
-step is that of Python without a compiler, to be compared within the table; ned is compiled.
+All fly the same banked S-turns in closed form with exact increments (`flight.closed_form`), so the error at
+the end is due to the algorithm. Coning is a cone of a given half angle, sampled at several rates. The time of
+a step is for Python without a compiler, for comparisons within the table; ned is compiled.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Options(StudyOptions):
     coning_rates_hz: Numbers = (100, 200, 400)
     """rates of the IMU under coning [Hz]"""
     bases_m: Numbers = (0.2, 0.5, 1.0)
-    """distances of opposite accelerometers where there are no gyros [m]"""
+    """distances of opposite accelerometers without gyros [m]"""
     accel_bias_ug: Positive = 10.0
     """bias of one of them [ug]"""
 

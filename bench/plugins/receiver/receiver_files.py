@@ -26,7 +26,7 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
 @click.option(
     "--truth",
     metavar="LAT,LON,H|FILE.csv",
-    help="where the antenna was, in deg and m (WGS 84), or its track as --out writes it  "
+    help="true position of the antenna in deg and m (WGS 84), or its track as --out writes it  "
     "[default: the header]",
 )
 @click.option(
@@ -102,10 +102,10 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
 def fixes(files: tuple[Path, ...], as_json: bool, **options: Any) -> int:
     """Compute GNSS fixes from RINEX files.
 
-    The files are those of one receiver and the navigation files of its day: RINEX 2, 3
-    or 4, as they are or as .gz, .Z or Compact RINEX, u-blox UBX, or SP3 for precise orbits, in any order.
-    Position is from the code, velocity from the Doppler if the file has it. Errors are relative to --truth,
-    else to the position in the header of the file.
+    FILES are observations of one receiver and navigation files of the day, in any order: RINEX 2, 3 or 4,
+    also packed (.gz, .Z, Compact RINEX), u-blox UBX, and SP3 for precise orbits. The position is computed
+    from the code, the velocity from the Doppler if the file contains it. Errors are relative to --truth, else
+    to the position in the header.
 
     \b
     Example:

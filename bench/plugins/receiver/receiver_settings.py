@@ -37,47 +37,55 @@ def solve_rinex(
     truth: str | Path | None = None,
     truth_sd_m: float = 0.0,
 ) -> RinexFixes:
-    """Compute the fixes of a GNSS receiver from its RINEX 2, 3 or 4 files, packed or not, epoch by epoch.
+    """Compute GNSS fixes from RINEX 2, 3 or 4 files, epoch by epoch.
 
     Parameters
     ----------
-    observations, navigation : str, Path or sequence of them
-        RINEX or UBX files of one receiver; RINEX navigation files and SP3 files.
-    systems : str
-        "gps", "glonass", "galileo", "beidou" or some of them with commas between; "both" GPS and GLONASS,
-        "all", or "auto": at each epoch those with the least PDOP times standard deviation.
-    ionosphere : str
-        Of the first carrier, by the broadcast parameters of GPS ("klobuchar") or of Galileo ("ntcm-g"), or
-        "none"; "free": the combination of two carriers.
-    troposphere : str
-        Model of the vertical delay: "saastamoinen", "unb3m" (a table by latitude and day) or "b-10".
-    mapping : str
-        Ratio of slant to vertical delay: "do-229", or "cosecant" of the elevation.
-    pressure_hpa, temperature_c, humidity_pct : float
-        SurfaceAir at sea level for "saastamoinen".
-    mask_deg : float
+    observations : str, Path or sequence of them
+        RINEX or UBX files of one receiver, packed or not.
+    navigation : str, Path or sequence of them
+        RINEX navigation files and SP3 files.
+    systems : str, optional
+        "gps", "glonass", "galileo", "beidou", or several with commas between; "both": GPS and GLONASS; "all";
+        "auto": at each epoch those with the smallest PDOP times standard deviation.
+    ionosphere : {"klobuchar", "ntcm-g", "none", "free"}
+        Delay of the first carrier from the broadcast parameters of GPS or of Galileo; none; or the
+        ionosphere-free combination of two carriers.
+    troposphere : {"saastamoinen", "unb3m", "b-10"}
+        Model of the vertical delay.
+    mapping : {"do-229", "cosecant"}
+        Ratio of slant to vertical delay.
+    pressure_hpa, temperature_c, humidity_pct : float, optional
+        Air at sea level for "saastamoinen" [hPa, deg C, %].
+    mask_deg : float, optional
         Lowest elevation used [deg].
-    robust : bool
+    robust : bool, optional
         Give large residuals less weight (IGG III), for places with reflections.
-    smooth_s : float
-        Smooth ranges with their carrier phase over as long as this [s] (Hatch); 0: not.
-    without : sequence of str
+    smooth_s : float, optional
+        Longest smoothing of ranges with their carrier phase (Hatch) [s]. Default: 0, none.
+    without : sequence of str, optional
         Corrections to leave out, of `bench.simulation.signals.processing.CORRECTIONS`.
-    truth : str, Path or None
-        Where the antenna was: "LAT,LON,H" [deg, deg, m] or a CSV file as ``write_csv`` writes it.
-    truth_sd_m : float
-        Standard deviation of the truth, or of the header, along each axis [m]. It is one error of all epochs:
-        NEES keeps its mean of 1, but a record is one realization of it, however long.
+    truth : str or Path, optional
+        True position: "LAT,LON,H" [deg, deg, m], or a CSV file as ``write_csv`` writes it.
+    truth_sd_m : float, optional
+        Standard deviation of the true position along each axis [m]. It is one error common to all epochs, so
+        NEES has the mean 1, but a record is one realization, of any length.
 
     Returns
     -------
-    solved : RinexFixes
+    RinexFixes
         ``fixes`` of the antenna [rad, rad, m; m/s, n], ``figures()`` of their errors, ``write_csv(path)``.
 
     Raises
     ------
-    ConfigError
+    bench.ConfigError
         If an option or a file is wrong.
+
+    Examples
+    --------
+    >>> import bench
+    >>> solved = bench.solve_rinex("site.rnx", "brdc.rnx")  # doctest: +SKIP
+    >>> solved.write_csv("fixes.csv")  # doctest: +SKIP
     """
     try:
         parse_systems(systems)

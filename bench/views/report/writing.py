@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from bench.core.files import durable
 from bench.core.words.exceptions import ConfigError
+from bench.core.words.stages import Progress, Stage, ignore
 from bench.experiments.campaigns.stored import read_campaign
 from bench.io import results
 from bench.io.results.study_folder import read_study
@@ -16,35 +16,44 @@ from bench.views.report import campaign_page, index, page, paper, study_page
 def write_report(
     folder: str | Path,
     out: str | Path | None = None,
-    say: Callable[[str], object] = lambda text: None,
     *,
     force: bool = False,
+    progress: Progress | None = None,
 ) -> Path:
-    """Write the report of a results folder, a campaign or a study as HTML, or the index of several results.
+    """Write the HTML report of a results folder, a campaign or a study, or the index of several results.
 
     Parameters
     ----------
     folder : str or Path
-        A results folder, that of a campaign or a study, or one with results folders in it, two levels deep.
-    out : str, Path or None
-        The file to write. Default ``report.html`` in the folder, or ``index.html`` in the folder of
-        results, where each results folder without a report gets one; that one is made again.
-    say : callable
-        Called with a message for each results folder that cannot be read.
-    force : bool
-        Replace the page ``out``.
+        Folder of results, of a campaign or a study, or a folder with results folders, two levels deep.
+    out : str or Path, optional
+        File to write. Default: ``report.html`` in the folder. For a folder of results ``index.html``, and a
+        report in each results folder that has none.
+    force : bool, optional
+        Replace ``out``.
+    progress : callable, optional
+        Called with a `Stage` for each results folder that cannot be read.
 
     Returns
     -------
-    path : Path
-        The file that was written.
+    Path
+        The file.
 
     Raises
     ------
     bench.ConfigError
-        If there are no results, or a file is there that bench did not write, or ``out`` is there.
+        If there are no results, or the file exists and bench did not write it or ``force`` is missing.
     OSError
         If a file cannot be written; an existing file is left unchanged.
+
+    Examples
+    --------
+    >>> import bench, tempfile
+    >>> result = bench.run("approach", estimators=["loose-15"], causes=False)
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     folder = bench.write_result(result, place + "/a", recording=False, report=False)
+    ...     bench.write_report(folder).name
+    'report.html'
     """
     folder = Path(folder)
     of_campaign = (folder / results.CAMPAIGN_RESULT).is_file()
@@ -70,7 +79,7 @@ def write_report(
             try:
                 write_report(one)
             except ConfigError as error:
-                say(str(error))
+                (progress or ignore)(Stage(str(error)))
     index.write_index(path, folders)
     return path
 

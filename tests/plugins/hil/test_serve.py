@@ -69,7 +69,9 @@ class Server:
 
     def _fly(self):
         try:
-            self._found = serving.serve(self._profile, say=self._said.put, **self._options)
+            self._found = serving.serve(
+                self._profile, progress=lambda now: self._said.put(str(now)), **self._options
+            )
         except Exception as error:
             self._found = error
             self._said.put(str(error))

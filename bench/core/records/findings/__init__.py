@@ -116,7 +116,7 @@ class StudyResult:
         return {plot.path[-1]: plot for plot in self.findings.figures}
 
     def plot(self, figure: str | None = None, **look: Any) -> Any:
-        """Draw a figure, the first if none is named: see `bench.plot_result`."""
+        """Draw a figure, the first if none is named; `look` as for `plot_result`."""
         return draw(self, figure, **look)
 
     def frame(self, table: str | None = None) -> Any:

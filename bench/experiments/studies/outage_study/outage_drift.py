@@ -1,11 +1,13 @@
-"""How far the position drifts without GNSS, by unit, grade and phase of flight, second by second.
+"""Position drift without GNSS, by IMU, grade and phase of flight, second by second.
 
-Measured: an aerosonde flies a figure-eight and S-turns, then GNSS is lost while it flies straight, turns on
-and on, or climbs, or flights of your own from their first [[gnss_outage]] on; the horizontal growth of the
-error over runs, with its interval. Beside it the closed form of the datasheet along the headings that
-are flown, by source: biases and noise of a calibrated unit, and the velocity error of the receiver, which no
-filter tells from motion. The error itself, with what it was at the loss, is held against what the filter
-covariances. By grade: the covariance of the 22-state filter on the flight of equations 7.1 (`outage_grades`).
+Measured: an Aerosonde flies a figure-eight and S-turns. Then GNSS fails while the aircraft flies straight,
+turns continuously or climbs. With --profiles your own flights are flown, from their first [[gnss_outage]] on.
+The result is the horizontal drift over the runs, with its interval.
+
+Predicted: the closed form of the datasheet along the headings that are flown, by source. The sources are
+biases and noise of a calibrated IMU, and the velocity error of the receiver, which no filter can separate
+from motion. The error, including the error at the start of the outage, is compared with the reported sigma.
+By grade: the covariance of the 22-state filter on the flight of equations 7.1 (`outage_grades`).
 """
 
 from __future__ import annotations
@@ -65,17 +67,17 @@ class Options(FlightOptions):
     units: Words = ("grade-1", "grade-2", "grade-3", "stim300", "adis16475", "icm-42688-p")
     """IMUs of the catalog, or .toml files of your own"""
     phases: Words = PHASES
-    """what is flown without GNSS: straight, turn, climb"""
+    """motion without GNSS: straight, turn, climb"""
     profiles: Words | None = None
-    """flights instead of the phases, lost from their first [[gnss_outage]] on"""
+    """flights instead of the phases, without GNSS from their first [[gnss_outage]] on"""
     outages_s: Durations = (10.0, 30.0, 60.0, 120.0, 300.0, 600.0)
-    """times since the loss of GNSS; the longest is flown [s]"""
+    """times since the start of the outage; the longest is flown [s]"""
     error_m: Positive = 5.0
-    """drift whose time is told [m]"""
+    """drift whose time is computed [m]"""
     estimator: str = "loose-full"
     """the filter, a built-in one"""
     gnss: str | None = None
-    """the receiver, of the catalog or a file; left out: l1-code, or that of the profiles"""
+    """receiver, from the catalog or a file; default: l1-code, or the receiver of the profile"""
     runs: Count = 10
     """runs of each unit and phase"""
 

@@ -1,10 +1,10 @@
-"""IMUs flown on the same flights by the same filters: which class is enough, and what limits there.
+"""IMUs flown on the same flights with the same filters: which class is enough, and what limits it.
 
-The catalog has no prices: the class of a unit stands for it, consumer, industrial, tactical, navigation. All
-units have the same runs and are compared run by run; where a pair or a requirement is undecided,
-runs are added up to --max-runs. A unit that loses a run is not usable on the flight. A figure that a
-datasheet leaves out is flown as typical of the class, which the answer rests on, and again as zero: the study
-says if that changes the answer.
+The catalog has no prices; the class of an IMU stands for its price: consumer, industrial, tactical,
+navigation. All IMUs use the same runs and are compared run by run. If a pair or a requirement is undecided,
+runs are added up to --max-runs. An IMU with a diverged run is not usable on the flight. A parameter that a
+datasheet leaves out is flown with the typical value of the class, and again as zero; the study prints if this
+changes the answer.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ class Options(FlightOptions):
     )
     """IMUs of the catalog, or .toml files of your own"""
     profiles: Words = ("gnss-denied-leg",)
-    """flights: shipped names, or .toml files; what is required is their [[requirement]]"""
+    """flights: built-in names, or .toml files; their [[requirement]] rows are the requirements"""
     estimators: Words = ("loose-full",)
     """filters"""
     metric: str | None = None
-    """metric that is compared; left out: that of the first [[requirement]], else the drift in the outage"""
+    """metric to compare; default: the metric of the first [[requirement]], else the outage drift"""
     most: Positive | None = None
-    """largest value of the metric that is allowed, in 95 % of the runs, beside each [[requirement]]"""
+    """largest allowed value of the metric in 95 % of the runs, in addition to each [[requirement]]"""
     runs: Count = 6
     """runs of each unit on each flight, at first"""
     max_runs: Count | None = None
