@@ -41,7 +41,6 @@ AS_IT_IS: dict[str, list[int]] = {
     "equations": [2, 3, 0, 9],
     "estimators": [0, 0, 0, 1],
     "own-filter": [0, 0, 0, 1],
-    "own-log": [9, 10, 22, 21],
     "results": [2, 1, 5, 9],
     "studies": [7, 12, 9, 15],
 }

@@ -406,7 +406,7 @@ def test_the_limits_are_those_of_the_guide():
         f"{100.0 * one:g} %" for one in (motion_checks.RATE_OFF, motion_checks.GRAVITY_OFF, validity.GAIN_OFF)
     )
     shift = f"{motion_checks.SHIFT_OFF:g} s"
-    text = (PACKAGE / "guide" / "own-log.md").read_text()
+    text = (PACKAGE / "guide" / "log-format.md").read_text()
     for row in (
         f"| clock of the IMU | {shift} |",
         f"| up axis | {rest} at rest, {level} on the move |",

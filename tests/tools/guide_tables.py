@@ -356,7 +356,7 @@ TABLES: Mapping[str, Mapping[str, Callable[[], Lines]]] = {
         ),
         "instruments": write_instruments,
     },
-    "own-log": {"tables": write_log},
+    "log-format": {"tables": write_log},
     "campaigns": {"campaign file": lambda: write_keys("key", list_keys(CampaignTable))},
     "other-tools": {"exports": write_exports},
     "results": {"exit statuses": write_statuses, "metrics": write_metrics},

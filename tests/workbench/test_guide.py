@@ -66,7 +66,7 @@ FIRST = ["bench", "run", "figure-eight"]
 CAUSES = "results"
 """The page that shows the search for causes, dozens of runs of a filter; it is left out elsewhere."""
 
-CLONE = {"own-log": "tests", "autopilots": "tests", "evaluate-log": "tests"}
+CLONE = {"log-format": "tests", "autopilots": "tests", "evaluate-log": "tests"}
 """Pages that show files of the repository -> the folder that has them."""
 GNSS = ROOT / "tests" / "data" / "gnss"
 RINEX = {"site.rnx": "ESBC00DNK_2020177_GR_360s.rnx.gz", "brdc.rnx": "ESBC00DNK_2020177_GR_MN.rnx.gz"}
@@ -382,7 +382,7 @@ def test_the_page_of_logs_names_every_key_and_format(capsys):
     keys = known(capsys, "keys", verb="navigate", **WRONG)
     for table in ("imu", "gnss", "baro", "alignment", "evaluation"):
         keys |= known(capsys, "keys", verb="navigate", **{table: WRONG})
-    assert keys <= said("own-log")
+    assert keys <= said("log-format")
     assert main(["navigate", "unknown-navigate.toml"]) == 2
     Path("unknown-navigate.toml").write_text('[imu]\nfile = "a"\nformat = "?"')
     assert main(["navigate", "unknown-navigate.toml"]) == 2
@@ -390,7 +390,7 @@ def test_the_page_of_logs_names_every_key_and_format(capsys):
     assert listed
     formats = set(re.findall(r"'([a-z-]+)'", listed[1]))
     assert len(formats) >= 7
-    assert formats <= said("own-log")
+    assert formats <= said("log-format")
 
 
 @pytest.mark.usefixtures("empty_folder")

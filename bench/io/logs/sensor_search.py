@@ -208,7 +208,7 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
         if missing[0] == "gnss":
             named = ", ".join(place.name for place in beside[:10])
             where = f", there or in a table beside it ({named or 'there is none'})"
-        because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide own-log"
+        because = f"; {wrong[0]}" if wrong else "; name them in a log of your own: bench guide log-format"
         raise ConfigError(
             f"{path.name}: no columns found for {missing[0]}{where}; it has {there or 'none'}{because}"
         )
@@ -356,7 +356,7 @@ def _refuse_force(path: Path, names: Sequence[str]) -> str:
     text = (
         "not gravity in m/s^2, g or mg, as a specific force has it; increments are dtheta_x_rad, dvel_x_mps"
     )
-    raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide own-log")
+    raise ConfigError(f"{path.name}: {', '.join(names)}: {text} ...: bench guide log-format")
 
 
 def _match_columns(
@@ -378,7 +378,7 @@ def _match_columns(
             continue
         endings = [plain[name][1] for name in known]
         if foreign := next((name for name in known if _FOREIGN.fullmatch(plain[name][1])), None):
-            text = f"{foreign!r} is in a unit that no column of a log has; convert it: bench guide own-log"
+            text = f"{foreign!r} is in a unit that no column of a log has; convert it: bench guide log-format"
             raise ConfigError(f"{path.name}: {text}")
         if "" in endings:
             whole = [f"{prefix}{name}" for name in known]
