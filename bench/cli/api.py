@@ -65,7 +65,7 @@ def run(
     overrides : mapping, optional
         Profile keys to replace, for example ``{"sensors.imu": "stim300"}``.
     bound : bool, optional
-        Compare the errors with those of the best linear filter: ``bound`` in the metrics. Default: no.
+        Compare the errors with the best linear filter: ``bound`` in the metrics. Default: no.
     causes : bool, optional
         Find the causes of an inconsistent covariance: ``causes`` and ``why_text`` in the metrics. The filter
         runs a dozen times without one error at a time. Default: built-in filters only. True: all filters,

@@ -127,13 +127,13 @@ def record_baselines(
     directory : str or Path, optional
         Folder of the baselines, one ``PROFILE.json`` each.
     estimators : sequence of str, optional
-        Filters to record. Default: those of the old baseline, or of the profile.
+        Filters to record. Default: as in the old baseline, or of the profile.
     runs : int, optional
         Number of runs, at least `LEAST_DRAWS`. Default: `DRAWS`.
     reason : str, optional
         Why the values changed, for ``CHANGES.md``.
     overrides : mapping, optional
-        Profile keys to replace; stored in the baseline. Default: those of the old baseline.
+        Profile keys to replace; stored in the baseline. Default: as in the old baseline.
     cpu : bool, optional
         Record CPU time, too (`baseline_file.CPU`). A baseline that has it keeps it.
     allow_code, guard, jobs, progress
@@ -284,7 +284,7 @@ def check(
     runs : int, optional
         Runs of the first comparison.
     overrides : mapping, optional
-        Profile keys to replace, in addition to those of the baseline.
+        Profile keys to replace, in addition to the keys of the baseline.
     allow_code : bool, optional
         Permit profiles and baselines to run code they name. Default: no.
     guard : Guard, optional

@@ -146,13 +146,13 @@ def tune(
     estimator : str
         Filter to tune.
     log : bool, optional
-        Whether ``source`` is a log: fixes withheld in the first half tune, those of the second half evaluate.
+        Whether ``source`` is a log: fixes withheld in the first half tune, the others evaluate.
     goal : {"consistency", "rmse"}, optional
         "consistency": smallest log score (`consistency.log_score`) of the errors, or of the innovations of a
         log; "rmse": smallest horizontal RMSE.
     factors : sequence of str, optional
         Groups of parameters that share a factor, by the beginning of their names: "imu.gyro.noise"; several
-        with commas between them. Default: those of `DEFAULT_FACTORS` that the assumed datasheets have.
+        with commas between them. Default: the `DEFAULT_FACTORS` that the assumed datasheets have.
     runs : int, optional
         Runs of a profile that tune; as many others evaluate. Default: 20.
     evaluations : int, optional

@@ -186,7 +186,7 @@ def _list_keys(made: type[Any], place: str = "") -> Iterator[KeyEntry]:
 
 
 def list_estimators() -> list[CatalogEntry]:
-    """Return the built-in filters and those of installed packages.
+    """Return the built-in filters and the filters of installed packages.
 
     Returns
     -------
