@@ -62,7 +62,7 @@ TUTORIALS = ("README", "first-run", "first-ekf", "choose-imu", "evaluate-log", "
 FIRST = ["bench", "run", "figure-eight"]
 """Command that runs once for all pages."""
 
-CAUSES = "results"
+CAUSES = "causes"
 """The page that shows the search for causes, dozens of runs of a filter; it is left out elsewhere."""
 
 CLONE = {"own-log": "tests", "autopilots": "tests", "evaluate-log": "tests"}
@@ -408,7 +408,7 @@ def test_the_page_of_estimators_names_every_one_and_its_options():
 
 def test_other_pages_name_every_format_record_and_metric():
     assert set(FORMATS) <= said("other-tools")
-    assert set(RECORDS) <= said("own-filter")
+    assert set(RECORDS) <= said("filter-protocol")
     assert set(bench.__all__) - {"__version__"} <= said("python")
     assert {metric.name for metric in METRICS} <= said("results")
 
