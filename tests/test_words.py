@@ -37,7 +37,6 @@ AS_IT_IS: dict[str, list[int]] = {
     "equations": [2, 3, 0, 9],
     "estimators": [0, 0, 0, 1],
     "own-log": [9, 10, 22, 21],
-    "studies": [7, 12, 9, 15],
 }
 """Page -> its marks in the order of `MARKS`, and its long sentences, where they are above the limits."""
 
