@@ -89,10 +89,10 @@ if TYPE_CHECKING:
     from bench.core.records.data import (
         InitialState as InitialState,
         NavSolution as NavSolution,
-        Sensed as Sensed,
         SensorData as SensorData,
         Trajectory as Trajectory,
     )
+    from bench.core.records.run_records import Sensed as Sensed
     from bench.core.words.exceptions import (
         BenchError as BenchError,
         ConfigError as ConfigError,
@@ -163,7 +163,7 @@ _PUBLIC = {
     "NavSolution": "bench.core.records.data",
     "Profile": "bench.core.records.specs",
     "RunResult": "bench.core.records.run_result",
-    "Sensed": "bench.core.records.data",
+    "Sensed": "bench.core.records.run_records",
     "SensorData": "bench.core.records.data",
     "Trajectory": "bench.core.records.data",
 }

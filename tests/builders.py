@@ -16,7 +16,8 @@ from scipy.special import gammaincinv, ndtri, stdtrit
 
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import NavSolution, Sensed, Trajectory, no_air, no_controls, no_events
+from bench.core.records.data import NavSolution, Trajectory, no_air, no_controls, no_events
+from bench.core.records.run_records import Sensed
 from bench.evaluation.consistency import chi_square
 from bench.evaluation.ensembles import ensemble_consistency
 from bench.evaluation.errors.error_series import error_series

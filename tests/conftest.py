@@ -16,8 +16,9 @@ import pytest
 from bench import pipeline
 from bench.core.files.places import cache_folder
 from bench.core.mathematics.random_streams import stream
-from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import Sensed
 from bench.io.config import read_profile
 from bench.simulation import sensors
 from bench.simulation.flight import fly

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bench import pipeline
-from bench.core.records.data import ErrorSeries, InitialState, NavSolution, Sensed, SensorData, Trajectory
+from bench.core.records.data import InitialState, NavSolution, SensorData, Trajectory
+from bench.core.records.run_records import ErrorSeries, Sensed
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard, Profile
 from bench.core.words.exceptions import ConfigError

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, Reference, SensorData, Trajectory
+from bench.core.records.data import GnssFixes, NavSolution, SensorData, Trajectory
+from bench.core.records.run_records import ErrorSeries, Reference
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.verdict import add_verdict
 from bench.evaluation.errors.fixes import measure_by_fixes

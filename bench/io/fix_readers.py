@@ -19,8 +19,9 @@ from typing import NamedTuple, TypeVar
 
 from bench.core.files.installed import find_installed, find_own, import_installed
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import GnssObservations, SkyView
+from bench.core.records.data import GnssObservations
 from bench.core.records.orbit_sets import GlonassSets, KeplerSets
+from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs.rows import LogRows
 

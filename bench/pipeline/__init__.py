@@ -9,8 +9,9 @@ from typing import Any
 
 from bench.core.compilation.compiled import read_compile_time, watch_compiling
 from bench.core.files import disk_arrays
-from bench.core.records.data import NavSolution, Sensed, ShowFlight, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import Sensed, ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Profile
 from bench.core.words.stages import Progress, Stages

@@ -21,12 +21,12 @@ from bench.core.records.data import (
     InitialState,
     NavSolution,
     SensorData,
-    ShowFlight,
     Trajectory,
     no_events,
     no_innovations,
 )
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import ShowFlight
 from bench.core.records.sensor_specs import SensorsSpec
 from bench.core.records.specs import CLIENT, Guidance, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError

@@ -14,17 +14,8 @@ from bench.core.compilation.compiled import watch_compiling
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import (
-    Events,
-    GnssFixes,
-    GnssObservations,
-    InitialState,
-    NavSolution,
-    Reference,
-    Sensed,
-    SensorData,
-    no_sensor_truth,
-)
+from bench.core.records.data import Events, GnssFixes, GnssObservations, InitialState, NavSolution, SensorData
+from bench.core.records.run_records import Reference, Sensed, no_sensor_truth
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import AUTOPILOT, DEFAULT_GUARD, Guard
 from bench.core.words.exceptions import ConfigError
@@ -63,8 +54,7 @@ _END_OF_CUT, _SHORTEST_END = 0.1, 1.0
 class RecordedLog:
     """A recording, the checks of its data, and the filters to run on it.
 
-    ``records`` holds ``imu``, ``fixes`` and ``baro`` in SI, frame b; t = 0 is the first row of the IMU.
-    ``reference`` evaluates; None: withheld fixes do.
+    ``records`` are in SI, frame b, from the first row of the IMU. Without ``reference`` withheld fixes count.
     """
 
     spec: LogSpec
@@ -118,8 +108,7 @@ def read_log(
     Examples
     --------
     >>> import bench
-    >>> log = bench.read_log("log.toml")  # doctest: +SKIP
-    >>> result = bench.navigate(log)  # doctest: +SKIP
+    >>> bench.read_log("log.toml").checks  # doctest: +SKIP
     """
     spec = load_log(str(path), estimators, allow_code, overrides, guard)
     choices = {c.label: c for c in spec.estimators if not is_autopilot(c.use)}

@@ -11,19 +11,10 @@ from typing import Any
 
 from bench.core.compilation.compiled import read_compile_time
 from bench.core.files import disk_arrays
-from bench.core.records.data import (
-    ErrorSeries,
-    InitialState,
-    NavSolution,
-    OffPath,
-    Sensed,
-    SensorData,
-    SensorTruth,
-    ShowFlight,
-    Trajectory,
-)
+from bench.core.records.data import InitialState, NavSolution, SensorData, Trajectory
 from bench.core.records.flight_specs import TableSpec
 from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.run_records import ErrorSeries, OffPath, Sensed, SensorTruth, ShowFlight
 from bench.core.records.sensor_specs import AssumedSpecs
 from bench.core.records.specs import CLIENT, IN_FLIGHT, EstimatorChoice, Profile
 from bench.core.words.exceptions import ConfigError, EstimatorError, EstimatorFailedError

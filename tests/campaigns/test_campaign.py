@@ -38,7 +38,7 @@ from bench.experiments.campaigns import running
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.journal import NAME, Journal
 from bench.experiments.campaigns.merging import merge_campaigns
-from bench.experiments.campaigns.outcome import Outcome, Pair, compare, pool_nis
+from bench.experiments.campaigns.outcome import CampaignStage, Outcome, Pair, compare, pool_nis
 from bench.experiments.campaigns.pools import ExecutorPool, SerialExecutor
 from bench.experiments.campaigns.worker import CHANNELS, MOST_INSTANTS, choose_step
 from bench.views import recording
@@ -572,10 +572,10 @@ def test_what_filters_print_is_kept_with_the_command_of_the_run(here, monkeypatc
 
 
 def test_progress_tells_how_fast_it_is_and_how_long_it_lasts():
-    now = running.Progress(runs=10, done=6, failed=0, new=4, elapsed=8.0, flown=200.0)
-    assert (now.rate, now.remaining, now.real_time) == (0.5, 8.0, 25.0)
+    now = CampaignStage("short", 6, 10, "runs", failed=0, new=4, elapsed=8.0, flown=200.0)
+    assert str(now) == "6 of 10 runs, 0.50 runs/s, 8 s left, 25 x real time"
     before = replace(now, done=2, new=0, elapsed=0.0, flown=0.0)
-    assert (before.rate, before.remaining, before.real_time) == (0.0, None, 0.0)
+    assert str(before) == "2 of 10 runs"
 
 
 @pytest.mark.parametrize(

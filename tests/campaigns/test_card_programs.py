@@ -1,4 +1,4 @@
-"""The programs of the card's page, in C++ and Python, get cards that say the same of both."""
+"""The programs of the guide, in C++ and Python, get cards that say the same of both."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tests.campaigns.test_campaign import PROFILE
 COMPILER = shutil.which("c++") or shutil.which("g++")
 
 
-def read_block(name: str) -> str:
-    page = (PACKAGE / "guide" / "card.md").read_text()
+def read_block(topic: str, name: str) -> str:
+    page = (PACKAGE / "guide" / f"{topic}.md").read_text()
     found = re.search(rf"^```\w+ {re.escape(name)}\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
     assert found is not None, name
     return found[1]
@@ -36,8 +36,8 @@ def test_a_filter_in_cpp_gets_the_card_of_the_same_filter_in_python(tmp_path, mo
     Path("short.toml").write_text(PROFILE)
     flight = SuiteFlight("plain", "short.toml", {})
     monkeypatch.setattr(card_making, "QUICK", Suite("card-quick", (), runs=2, members=(flight,)))
-    for name in ("carry.cpp", "carry_fix.py"):
-        Path(name).write_text(read_block(name))
+    for topic, name in (("filter-in-cpp", "carry.cpp"), ("filter-protocol", "carry_fix.py")):
+        Path(name).write_text(read_block(topic, name))
     subprocess.check_call([str(COMPILER), "-O2", "-Wall", "-Werror", "-o", "carry", "carry.cpp"])
     Path("wrapper.sh").write_text('#!/bin/sh\nexec "$(dirname "$0")/carry" "$@"\n')
     Path("wrapper.sh").chmod(0o755)

@@ -268,7 +268,7 @@ def test_the_estimators_of_a_card_have_their_labels(uses, label, options, labels
 
 
 def test_the_guide_has_a_row_for_each_cheat_of_its_table():
-    page = (guide.FOLDER / "card.md").read_text(encoding="utf-8")
+    page = (guide.FOLDER / "card-scores.md").read_text(encoding="utf-8")
     table = page.partition("| who | what the card says |\n|---|---|\n")[2].partition("\n\n")[0]
     assert [row.split(" | ")[0].removeprefix("| ") for row in table.splitlines()] == [
         one.words for one in CHEATS

@@ -150,7 +150,7 @@ def test_the_end_of_the_scheduler_is_told_wherever_it_shows(monkeypatch):
 
 def find_guide_lines(port: int) -> list[str]:
     """Return the scripts of the guide that start a scheduler and workers, on this machine and a free port."""
-    text = (guide.FOLDER / "campaigns.md").read_text(encoding="utf-8")
+    text = (guide.FOLDER / "cluster.md").read_text(encoding="utf-8")
     scripts = []
     for block in re.findall(r"^```text\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
         if "dask scheduler" in block:

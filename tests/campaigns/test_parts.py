@@ -46,8 +46,9 @@ from bench.experiments.campaigns.campaign_file import (
 )
 from bench.experiments.campaigns.groups import Group
 from bench.experiments.campaigns.journal import Journal
+from bench.experiments.campaigns.outcome import Campaign
 from bench.experiments.campaigns.plan import Condition
-from bench.experiments.campaigns.running import Campaign, RunCounter
+from bench.experiments.campaigns.running import RunCounter
 from bench.experiments.campaigns.worker import CHANNELS, choose_step, decode, encode
 
 # --- batches and pools ------------------------------------------------------------------------------------
@@ -622,10 +623,10 @@ def test_the_counter_counts_runs_and_flight_time(monkeypatch):
     monkeypatch.setattr(
         "bench.experiments.campaigns.running.time", SimpleNamespace(perf_counter=lambda: next(now))
     )
-    counter = RunCounter(5, 2, seen.append)
+    counter = RunCounter("some", 5, 2, seen.append)
     counter.count(20.0, failed=True)
     counter.count(30.0, failed=False)
-    assert [(one.runs, one.done, one.failed, one.new, one.elapsed, one.flown) for one in seen] == [
+    assert [(one.total, one.done, one.failed, one.new, one.elapsed, one.flown) for one in seen] == [
         (5, 2, 0, 0, 0.0, 0.0), (5, 3, 1, 1, 2.0, 20.0), (5, 4, 1, 2, 5.0, 50.0)
     ]  # fmt: skip
 

@@ -17,7 +17,8 @@ import bench
 from bench import pipeline
 from bench.cli.command_line import main
 from bench.core.files.places import PACKAGE
-from bench.core.records.data import ErrorSeries, Innovations, no_innovations
+from bench.core.records.data import Innovations, no_innovations
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.specs import DEFAULT_GUARD
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.ensembles.ensemble import Estimate

@@ -18,7 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bench import pipeline
-from bench.core.records.data import NavSolution, Sensed, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.run_records import Sensed
 from bench.core.records.specs import Profile
 from bench.evaluation.consistency.verdict import BROKEN, add_verdict
 from bench.evaluation.conventions.convention_search import find_mistakes

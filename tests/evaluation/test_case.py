@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 from numpy.testing import assert_allclose
 
-from bench.core.records.data import Events, OffPath
+from bench.core.records.data import Events
+from bench.core.records.run_records import OffPath
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import SensorNis
 from bench.evaluation.errors.error_series import error_series

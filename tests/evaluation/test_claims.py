@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import binom
 
 from bench.core.mathematics.units import split_unit
-from bench.core.records.data import SensorTruth
+from bench.core.records.run_records import SensorTruth
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.verdict import is_outside
 from bench.evaluation.metrics.claims import count_independent, find_least_inside

@@ -9,7 +9,8 @@ import pytest
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.units import unit_of
-from bench.core.records.data import Events, Innovations, SensorTruth, no_innovations
+from bench.core.records.data import Events, Innovations, no_innovations
+from bench.core.records.run_records import SensorTruth
 from bench.core.records.sensor_specs import AssumedSpecs, Fault
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import chi2_quantile

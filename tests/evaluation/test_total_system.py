@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 
 from bench import pipeline
 from bench.core.mathematics import earth
-from bench.core.records.data import NavSolution, OffPath
+from bench.core.records.data import NavSolution
+from bench.core.records.run_records import OffPath
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors import total_system
 from bench.evaluation.errors.error_series import error_series

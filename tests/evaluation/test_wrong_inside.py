@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from bench.core.mathematics import rotation
-from bench.core.records.data import NavSolution, Sensed
+from bench.core.records.data import NavSolution
+from bench.core.records.run_records import Sensed
 from bench.evaluation.conventions.convention_search import find_mistakes
 from bench.navigation import built_in
 from tests.evaluation import mistaken

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.data import Trajectory
+from bench.core.records.run_records import Sensed
 from tests.exchange.exported import make_run
 
 

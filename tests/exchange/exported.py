@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.data import Trajectory
+from bench.core.records.run_records import Sensed
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import select_epochs

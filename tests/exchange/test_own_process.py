@@ -118,7 +118,7 @@ def test_sensors_are_refused_before_the_flight(place, monkeypatch, in_process):
 
 
 def test_every_optional_method_of_the_guide_is_offered():
-    text = (Path(bench.__file__).parent / "guide" / "own-filter.md").read_text()
+    text = (Path(bench.__file__).parent / "guide" / "filter-protocol.md").read_text()
     assert set(re.findall(r"^\| `(\w+)\([^`]*\)`, optional", text, re.MULTILINE)) == set(filter_server.OFFERS)
 
 

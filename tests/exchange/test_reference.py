@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 import bench
 from bench.cli.command_line import main
 from bench.core.mathematics import earth, rotation
-from bench.core.records.data import GnssFixes, Reference
+from bench.core.records.data import GnssFixes
+from bench.core.records.run_records import Reference
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.error_series import select_epochs
 from bench.io.logs.log_start import find_start

@@ -16,7 +16,7 @@ import numpy as np
 
 import bench
 from bench import pipeline
-from bench.core.records.data import Sensed
+from bench.core.records.run_records import Sensed
 from bench.core.words.stages import Stage
 from bench.io import config
 from bench.pipeline import closed_loop

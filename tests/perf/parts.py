@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from bench import pipeline
 from bench.core.compilation.compiled import kernel
-from bench.core.records.data import Sensed
+from bench.core.records.run_records import Sensed
 from bench.io import config
 from bench.navigation import built_in
 from bench.navigation.error_state_filter import filter_run

@@ -29,8 +29,9 @@ from rich.table import Table
 import bench
 from bench import pipeline
 from bench.core.mathematics import earth, rotation
-from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import Sensed
 from bench.core.records.sensor_specs import ImuSpec, ThermalSpec, TriadSpec, VibrationSpec
 from bench.core.records.specs import Profile
 from bench.experiments.campaigns.heap import keep_freed_memory

@@ -16,23 +16,20 @@ from bench.core.mathematics import earth, rotation
 from bench.core.records.data import (
     AirData,
     Controls,
-    ErrorSeries,
     Events,
     GnssFixes,
     ImuData,
     InitialState,
     Innovations,
     NavSolution,
-    OffPath,
-    Sensed,
     SensorData,
-    SensorTruth,
     Trajectory,
     no_events,
     no_innovations,
 )
 from bench.core.records.findings import series
 from bench.core.records.instruments import AirspeedData, BaroData, BaroSpec, MagData
+from bench.core.records.run_records import ErrorSeries, OffPath, Sensed, SensorTruth
 from bench.core.records.run_result import RunResult
 from bench.core.records.sensor_specs import AssumedSpecs, GnssSpec, ImuSpec, TriadSpec
 from bench.core.records.specs import IN_FLIGHT

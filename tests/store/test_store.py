@@ -23,22 +23,20 @@ from numpy.testing import assert_array_equal
 import bench
 from bench.core.files import disk_arrays, places
 from bench.core.records.data import (
-    ErrorSeries,
     Events,
     GnssFixes,
     ImuData,
     InitialState,
     Innovations,
     NavSolution,
-    Sensed,
     SensorData,
-    SensorTruth,
     Trajectory,
     no_events,
     no_innovations,
 )
 from bench.core.records.flight_specs import FlightSpec
 from bench.core.records.instruments import AirspeedData, BaroData, MagData
+from bench.core.records.run_records import ErrorSeries, Sensed, SensorTruth
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import BenchError
 from bench.io import config, results

@@ -32,7 +32,8 @@ TOPICS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "api-record": (
         "Records",
         ("Profile", "Trajectory", "Sensed", "SensorData", "InitialState", "NavSolution", "RunResult",
-         "bench.core.records.data.ErrorSeries", "bench.experiments.campaigns.running.Campaign"),
+         "bench.core.records.run_records.ErrorSeries",
+         "bench.experiments.campaigns.outcome.Campaign"),
     ),
     "api-error": ("Errors", ("BenchError", "ConfigError", "EstimatorError", "FlightError")),
 }  # fmt: skip

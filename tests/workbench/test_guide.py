@@ -51,6 +51,12 @@ PARSED = {
     "study outages": "takes minutes; its tests run it on one unit",
     "study sensors": "takes minutes; its tests run it on three units",
     "study sensitivity": "takes minutes; its tests run it with two values",
+    "study budget": "takes minutes; its tests run it on a short flight",
+    "study bound": "takes a quarter of a minute; its tests run it on a short flight",
+    "study closed-loop": "takes minutes; its tests fly a short one",
+    "study rnp": "takes minutes; its tests fly a few",
+    "study mechanizations": "takes a minute; the tests of its plug-in compute parts",
+    "study register": "takes a minute; the tests of its plug-in compute rows",
     "tune": "takes minutes; its tests run it on a short flight",
     "check": "runs every profile that has limits",
     "make": "sets up an environment",
@@ -63,7 +69,7 @@ TUTORIALS = ("README", "first-run", "first-ekf", "choose-imu", "evaluate-log", "
 FIRST = ["bench", "run", "figure-eight"]
 """Command that runs once for all pages."""
 
-CAUSES = "results"
+CAUSES = "causes"
 """The page that shows the search for causes, dozens of runs of a filter; it is left out elsewhere."""
 
 CLONE = {"log-format": "tests", "autopilots": "tests", "evaluate-log": "tests"}
@@ -423,7 +429,7 @@ def test_the_page_of_estimators_names_every_one_and_its_options():
 
 def test_other_pages_name_every_format_record_and_metric():
     assert set(FORMATS) <= said("other-tools")
-    assert set(RECORDS) <= said("own-filter")
+    assert set(RECORDS) <= said("filter-protocol")
     assert set(bench.__all__) - {"__version__"} <= said("python")
     assert {metric.name for metric in METRICS} <= said("results")
 

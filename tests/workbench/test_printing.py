@@ -22,8 +22,7 @@ from bench.evaluation.ensembles.ensemble import Estimate
 from bench.evaluation.metrics.outages import tabulate_drifts
 from bench.evaluation.motion.noise_curves import AllanCurve
 from bench.experiments.baselines.verdict_rows import Verdict
-from bench.experiments.campaigns.outcome import Outcome
-from bench.experiments.campaigns.running import Campaign
+from bench.experiments.campaigns.outcome import Campaign, Outcome
 
 METRICS = ("pos_rmse_h_m", "heading_rmse_deg", "cep95_m")
 ALL = Estimate(1.0, 0.7, 1.0)

@@ -22,8 +22,7 @@ from bench.core.words.stages import Progress
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.experiments.baselines.junit import check_required, write_requirements
 from bench.experiments.campaigns import plan, running
-from bench.experiments.campaigns.outcome import RATIO, Outcome, tabulate
-from bench.experiments.campaigns.running import Campaign
+from bench.experiments.campaigns.outcome import RATIO, Campaign, Outcome, tabulate
 from bench.experiments.card.card_comparison import ComparedLine, compare_cards, list_differences, name_cards
 from bench.experiments.card.card_making import (
     Card,

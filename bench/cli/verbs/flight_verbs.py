@@ -14,7 +14,7 @@ from rich.console import Console
 
 from bench.cli.verbs.console import show_bar
 from bench.cli.verbs.printing import print_findings
-from bench.core.records.data import ShowFlight
+from bench.core.records.run_records import ShowFlight
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.stages import FLYING, Progress, Stage

@@ -21,7 +21,7 @@ from bench.cli.verbs import web_page
 from bench.cli.verbs.flight_verbs import RUNS
 from bench.cli.verbs.web_page import LOCAL
 from bench.core.files.file_checks import check_file
-from bench.core.records.data import ShowFlight
+from bench.core.records.run_records import ShowFlight
 from bench.core.words.exceptions import ConfigError, ViewerError
 from bench.io.results import CAMPAIGN_RESULT, RECORDING, RESULT, read_summary
 

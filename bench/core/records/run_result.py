@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bench.core.records.data import ErrorSeries, Events, NavSolution, Sensed, SensorData, Trajectory
+from bench.core.records.data import Events, NavSolution, SensorData, Trajectory
 from bench.core.records.fields import Rebuilt
+from bench.core.records.run_records import ErrorSeries, Sensed
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.notebook import ShownFigure, draw, format_cell, make_frame, write_sentences, write_table
 

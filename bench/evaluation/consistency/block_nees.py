@@ -9,7 +9,8 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries, NavSolution
+from bench.core.records.data import NavSolution
+from bench.core.records.run_records import ErrorSeries
 from bench.evaluation.consistency.chi_square import count_independent
 from bench.evaluation.errors.error_series import (
     BLOCKS,

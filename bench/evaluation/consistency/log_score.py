@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import ErrorSeries, Innovations, NavSolution
+from bench.core.records.data import Innovations, NavSolution
+from bench.core.records.run_records import ErrorSeries
 from bench.evaluation.errors.error_series import BLOCKS, claimed_blocks
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import MeanNis, SensorNis, mean_nis, nis_by_sensor

@@ -14,7 +14,8 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, read_only
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.run_records import ErrorSeries
 
 _Series = TypeVar("_Series", NavSolution, ErrorSeries)
 

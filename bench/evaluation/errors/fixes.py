@@ -15,7 +15,8 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries, GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.records.data import GnssFixes, ImuData, NavSolution, SensorData
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import find_covered_epochs, normalized_squares, select_epochs
 from bench.evaluation.errors.failures import describe_failure

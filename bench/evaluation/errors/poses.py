@@ -11,7 +11,8 @@ from bench.core.compilation.compiled import inner, kernel
 from bench.core.files import disk_arrays
 from bench.core.mathematics import earth, rotation
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray, read_only
-from bench.core.records.data import ErrorSeries, NavSolution
+from bench.core.records.data import NavSolution
+from bench.core.records.run_records import ErrorSeries
 
 _PACE = 1.0  # a relative error begins every so many seconds [s]
 

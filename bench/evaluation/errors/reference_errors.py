@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.core.records.data import ErrorSeries, NavSolution, Reference, SensorData
+from bench.core.records.data import NavSolution, SensorData
+from bench.core.records.run_records import ErrorSeries, Reference
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.errors.error_series import select_epochs
 from bench.evaluation.errors.failures import describe_failure

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import OffPath
+from bench.core.records.run_records import OffPath
 from bench.evaluation.metrics.case import Case
 
 Part = Literal["tse", "fte", "nse"]

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.core.records.data import ErrorSeries, GnssFixes, NavSolution, SensorData
+from bench.core.records.data import GnssFixes, NavSolution, SensorData
+from bench.core.records.run_records import ErrorSeries
 from bench.evaluation.consistency.chi_square import mean_nis, nis_by_sensor
 from bench.evaluation.errors.failures import describe_failure
 from bench.evaluation.errors.fixes import antenna_errors

@@ -8,7 +8,8 @@ import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import Innovations, Sensed, SensorData, Trajectory
+from bench.core.records.data import Innovations, SensorData, Trajectory
+from bench.core.records.run_records import Sensed
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.path import LinearPath, make_path
 from bench.navigation.engine.kalman import update_kernel

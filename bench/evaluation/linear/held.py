@@ -10,7 +10,8 @@ import numpy as np
 
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import DEG, SAME_INSTANT
-from bench.core.records.data import ErrorSeries, Sensed, SensorData, Trajectory
+from bench.core.records.data import SensorData, Trajectory
+from bench.core.records.run_records import ErrorSeries, Sensed
 from bench.core.records.sensor_specs import SensorsSpec, TriadSpec
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.linear.best_linear import Bound, bound_errors, find_epochs

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import Any
 
-from bench.core.records.data import Sensed, Trajectory
+from bench.core.records.data import Trajectory
+from bench.core.records.run_records import Sensed
 from bench.core.records.sensor_specs import ImuSpec, SensorsSpec, TriadSpec, VibrationSpec
 from bench.evaluation.linear.terms import INITIAL, Source, list_sources
 from bench.simulation import sensors

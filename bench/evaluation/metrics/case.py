@@ -11,8 +11,9 @@ import numpy as np
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import SAME_INSTANT, split_unit
-from bench.core.records.data import ErrorSeries, Events, NavSolution, OffPath, SensorTruth
+from bench.core.records.data import Events, NavSolution
 from bench.core.records.fields import XYZ
+from bench.core.records.run_records import ErrorSeries, OffPath, SensorTruth
 from bench.core.records.sensor_specs import AssumedSpecs, Fault
 from bench.core.records.specs import EvaluationWindow
 from bench.evaluation.consistency.chi_square import SensorNis, count_independent, nis_by_sensor

@@ -16,7 +16,8 @@ import numpy as np
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray
 from bench.core.mathematics.units import SAME_INSTANT, unit_of
-from bench.core.records.data import ErrorSeries, NavSolution, OffPath, SensorData, SensorTruth, Trajectory
+from bench.core.records.data import NavSolution, SensorData, Trajectory
+from bench.core.records.run_records import ErrorSeries, OffPath, SensorTruth
 from bench.core.records.sensor_specs import AssumedSpecs, Fault
 from bench.core.records.specs import EvaluationWindow
 from bench.core.words.wording import one_line

@@ -13,7 +13,7 @@ import numpy as np
 
 from bench import pipeline
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import DEFAULT_GUARD, EstimatorChoice, Guard
 from bench.core.words.exceptions import ConfigError

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from bench.core.words.exceptions import ConfigError
+from bench.experiments.campaigns.outcome import Campaign
 from bench.experiments.campaigns.plan import Condition
-from bench.experiments.campaigns.running import Campaign
 
 
 def merge_campaigns(campaigns: Mapping[str, Campaign]) -> Campaign:

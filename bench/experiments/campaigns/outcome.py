@@ -1,21 +1,24 @@
-"""What the runs of a filter say together: figures with intervals, and sentences."""
+"""The result of a campaign: statistics of the runs of each filter, with intervals and sentences."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.findings import FindingTable
-from bench.core.words.notebook import ShownFigure
+from bench.core.words.notebook import ShownFigure, draw, make_frame, write_sentences, write_table
+from bench.core.words.stages import Stage
 from bench.core.words.wording import format_number, one_line
 from bench.evaluation.consistency.chi_square import NIS_PROBABILITY, MeanNis, mean_band
 from bench.evaluation.ensembles import ensemble, regression
 from bench.evaluation.ensembles.ensemble import Comparison, Estimate
 from bench.evaluation.ensembles.ensemble_consistency import LEAST_RUNS, Consistency, check_consistency
+from bench.evaluation.requirements.required_metrics import Finding, judge_runs, list_requirements
 from bench.experiments.campaigns.groups import Group
 
 POOLED = ("pos_rmse_h_m", "pos_rmse_d_m", "vel_rmse_3d_mps", "tilt_rmse_deg", "heading_rmse_deg")
@@ -164,3 +167,135 @@ def pool_nis(group: Group) -> dict[str, MeanNis]:
             low, high = mean_band(float(dof.sum()) / n, n, NIS_PROBABILITY)
             pooled[sensor] = MeanNis(float(mean @ updates) / n, low, high, n)
     return pooled
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignStage(Stage):
+    """How far a campaign is; ``done`` counts the runs of its journal, too.
+
+    Attributes
+    ----------
+    failed : int
+        Runs that failed as a whole, because the aircraft could not be flown.
+    new : int
+        Runs finished since the start.
+    elapsed : float
+        Time since the start [s].
+    flown : float
+        Flight time of the new runs [s].
+
+    Examples
+    --------
+    >>> str(CampaignStage("approach", 50, 200, "runs", failed=1, new=40, elapsed=20.0, flown=24000.0))
+    '50 of 200 runs, 1 failed, 2.00 runs/s, 75 s left, 1200 x real time'
+    """
+
+    failed: int = 0
+    new: int = 0
+    elapsed: float = 0.0
+    flown: float = 0.0
+
+    def __str__(self) -> str:
+        parts = [f"{self.done:.0f} of {self.total or 0:.0f} runs"]
+        parts += [f"{self.failed} failed"] if self.failed else []
+        if self.new and self.elapsed:
+            rate = self.new / self.elapsed
+            left = ((self.total or 0) - self.done) / rate
+            parts += [f"{rate:.2f} runs/s", f"{_format_time(left)} left"]
+            parts.append(f"{self.flown / self.elapsed:.0f} x real time")
+        return ", ".join(parts)
+
+
+def _format_time(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """Statistics of a campaign, with the tables of its runs.
+
+    Attributes
+    ----------
+    outcomes : tuple of Outcome
+        Statistics of each condition and filter: RMSE, NEES and others, with intervals.
+    comparisons : tuple of Comparison
+        Paired differences between filters.
+    runs : pyarrow.Table
+        One row for each run and filter; names end in the unit.
+    epochs : pyarrow.Table
+        One row for each filter and epoch: mean error and reported sigma over the runs.
+    planned, finished : int
+        Number of runs.
+    failed : mapping of str to str
+        Command that repeats a run -> why the run failed as a whole.
+    conditions : tuple of mapping
+        ``profile``, the varied ``values``, and the profile ``as_flown``.
+    provenance : mapping
+        Versions and commit.
+    timing : mapping of str to float
+        ``wall_s`` of this call, ``run_cpu_s`` of all finished runs [s].
+    interrupted : bool
+        Whether runs are missing because the campaign was interrupted.
+    folder : Path or None
+        Folder of the tables.
+    estimator_cpu_s : mapping
+        Filter -> CPU time of each finished run [s].
+    """
+
+    outcomes: tuple[Outcome, ...]
+    comparisons: tuple[Comparison, ...]
+    runs: Any
+    epochs: Any
+    planned: int
+    finished: int
+    failed: Mapping[str, str]
+    conditions: tuple[Mapping[str, Any], ...]
+    provenance: Mapping[str, Any]
+    timing: Mapping[str, float]
+    interrupted: bool
+    folder: Path | None
+    estimator_cpu_s: Mapping[str, Sequence[float]] = field(default_factory=dict)
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """What the figures mean."""
+        own = (text for outcome in self.outcomes for text in outcome.sentences)
+        required = (one.sentence for one in self.requirements)
+        return (*own, *(f"by horizontal RMSE, {one.sentence}" for one in self.comparisons), *required)
+
+    @property
+    def requirements(self) -> tuple[Finding, ...]:
+        """Whether the runs keep what is required, of each condition and estimator."""
+        if not any("requirement" in condition["as_flown"] for condition in self.conditions):
+            return ()
+        every, found = self.runs.to_pylist(), list[Finding]()
+        for k, condition in enumerate(self.conditions):
+            own = [row for row in every if row["condition"] == k]
+            varied = ", ".join(f"{name} = {value}" for name, value in condition["values"].items())
+            for label in dict.fromkeys(row["estimator"] for row in own):
+                rows = list_requirements(condition["as_flown"], label)
+                runs = [row for row in own if row["estimator"] == label]
+                shown = f"{varied}: {label}" if varied else label
+                found += judge_runs(shown, runs, rows)
+        return tuple(found)
+
+    def __repr__(self) -> str:
+        """Return the number of runs and the sentences."""
+        return "\n".join([f"<Campaign: {self.finished} of {self.planned} runs>", *self.sentences])
+
+    def _repr_html_(self) -> str:
+        """Return the sentences, and a table of the figures with their intervals."""
+        names = dict.fromkeys(name for one in self.outcomes for name in one.errors)
+        table = tabulate(self.outcomes, {name: name for name in names})
+        caption = f"{self.finished} of {self.planned} runs"
+        return write_sentences(self.sentences) + write_table(caption, table.columns)
+
+    def plot(self, quantity: str = "pos_err_n_m", **look: Any) -> Any:
+        """Draw a quantity along the runs, a plot for each condition; `look` as for `plot_result`."""
+        return draw(self, quantity, **look)
+
+    def frame(self) -> Any:
+        """Return the table of runs as a pandas.DataFrame, a row for each run and estimator."""
+        return make_frame(self.runs.to_pydict())

@@ -17,8 +17,7 @@ from bench.evaluation.ensembles.ensemble_consistency import Consistency
 from bench.evaluation.metrics.run_metrics import find_metric
 from bench.experiments.campaigns.campaign_tables import EPOCHS, RUNS
 from bench.experiments.campaigns.groups import PERCENTILES
-from bench.experiments.campaigns.outcome import Outcome
-from bench.experiments.campaigns.running import Campaign
+from bench.experiments.campaigns.outcome import Campaign, Outcome
 from bench.experiments.campaigns.worker import CHANNELS
 from bench.io import results
 

@@ -16,7 +16,8 @@ from bench import pipeline
 from bench.core.files.spawned import Printed
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.run_result import RunResult
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import BenchError

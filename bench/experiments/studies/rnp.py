@@ -27,9 +27,10 @@ from pydantic import Field
 from bench import pipeline
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import HOUR, SAME_INSTANT
-from bench.core.records.data import NavSolution, Sensed, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
 from bench.core.records.findings import Findings, FindingTable
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import Sensed
 from bench.core.records.specs import Profile
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.wording import format_number, suggest

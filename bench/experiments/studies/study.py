@@ -20,9 +20,10 @@ from bench.core.words.wording import as_toml, describe_error, format_number, sug
 from bench.evaluation.ensembles.ensemble import Estimate
 from bench.experiments.campaigns.batches import Lost, compute
 from bench.experiments.campaigns.campaign_file import CampaignSpec, format_value
+from bench.experiments.campaigns.outcome import Campaign
 from bench.experiments.campaigns.plan import plan_campaign
 from bench.experiments.campaigns.pools import ExecutorPool, ProcessPool, open_pool
-from bench.experiments.campaigns.running import Campaign, run_campaign
+from bench.experiments.campaigns.running import run_campaign
 from bench.experiments.studies.unit_study.catalog_units import find_units
 
 _Item = TypeVar("_Item")

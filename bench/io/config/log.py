@@ -19,8 +19,14 @@ from bench.io.config import checks
 from bench.io.config.datasheets import SENSORS
 from bench.io.config.library import find_datasheet
 from bench.io.config.log_tables import FileTable, GnssTable, LogAlignmentTable, LogTable
-from bench.io.config.overrides import DatasheetChanges, override, split_overrides
-from bench.io.config.profile import choose_estimators, describe_choice, less_empty, make_choices
+from bench.io.config.overrides import (
+    DatasheetChanges,
+    describe_choice,
+    less_empty,
+    override,
+    split_overrides,
+)
+from bench.io.config.profile import choose_estimators, make_choices
 from bench.io.config.tables import check_table, collect_errors
 from bench.io.config.toml_file import check_kind, read_toml
 from bench.io.log_formats import FORMATS, MATLAB, TABLES, find_format, guess_format, list_names

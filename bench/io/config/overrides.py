@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from bench.core.records.specs import EstimatorChoice
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.datasheets import MODIFIED, SENSORS
 
@@ -139,3 +140,27 @@ def split_overrides(overrides: Mapping[str, Any], beside: Path) -> tuple[dict[st
         elif only_assumed and len(rest) == 1 and rest[0] in changes.on_board:
             changes.keys[key] = plain[key]
     return plain, changes
+
+
+def less_empty(document: dict[str, Any], key: str) -> dict[str, Any]:
+    """Return a document without a key that is empty, in place: results say nothing of it."""
+    if not document[key]:
+        del document[key]
+    return document
+
+
+def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
+    """Return the choice of a filter as a table of a file."""
+    table = {"use": choice.use, "label": choice.label, "options": dict(choice.options)}
+    return table if choice.guard.timeout is None else table | {"timeout_s": choice.guard.timeout}
+
+
+def set_seed(
+    document: dict[str, Any], overrides: dict[str, Any], seed: int | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return a document with this seed, and the other overrides; that of an override wins."""
+    if seed is None:
+        return document, overrides
+    used = overrides.pop("seed", seed)
+    turbulence = {} if "trajectory" in document else {"turbulence_seed": used}
+    return document | {"seed": used} | turbulence, overrides

@@ -34,7 +34,16 @@ from bench.io.config.library import (
     read_jsbsim_aircraft,
 )
 from bench.io.config.listing import JSBSIM
-from bench.io.config.overrides import DatasheetChanges, Figures, override, sets_estimator, split_overrides
+from bench.io.config.overrides import (
+    DatasheetChanges,
+    Figures,
+    describe_choice,
+    less_empty,
+    override,
+    set_seed,
+    sets_estimator,
+    split_overrides,
+)
 from bench.io.config.profile_tables import (
     SEVERITY,
     EstimatorTable,
@@ -107,7 +116,7 @@ def read_profile(
         raise ConfigError(f"estimators = {estimators!r} is a text; give a list: [{estimators!r}]")
     document = read_toml(path, shown)
     check_kind(document, "a profile", shown)
-    document, overrides = _set_seed(document, dict(overrides or {}), seed)
+    document, overrides = set_seed(document, dict(overrides or {}), seed)
     overrides, changes = split_overrides(overrides, path.parent)
     for key, value in overrides.items():
         document = override(document, key, value)
@@ -160,17 +169,6 @@ def read_profile(
         document=_make_document(table, path.stem, choices, _choose_day(table, on_board), changes),
         guidance=_make_guidance(table, shown, flight, guard, allow_code=allow_code),
     )
-
-
-def _set_seed(
-    document: dict[str, Any], overrides: dict[str, Any], seed: int | None
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a document with this seed, and the other overrides; that of an override wins."""
-    if seed is None:
-        return document, overrides
-    used = overrides.pop("seed", seed)
-    turbulence = {} if "trajectory" in document else {"turbulence_seed": used}
-    return document | {"seed": used} | turbulence, overrides
 
 
 def _read_sensors(
@@ -446,16 +444,3 @@ def _make_document(
     changes.mark(document)
     document["estimator"] = [describe_choice(choice) for choice in choices]
     return less_empty(document, "requirement")
-
-
-def less_empty(document: dict[str, Any], key: str) -> dict[str, Any]:
-    """Return a document without a key that is empty, in place: results say nothing of it."""
-    if not document[key]:
-        del document[key]
-    return document
-
-
-def describe_choice(choice: EstimatorChoice) -> dict[str, Any]:
-    """Return the choice of a filter as a table of a file."""
-    table = {"use": choice.use, "label": choice.label, "options": dict(choice.options)}
-    return table if choice.guard.timeout is None else table | {"timeout_s": choice.guard.timeout}

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from bench.core.records.data import ErrorSeries, NavSolution, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
+from bench.core.records.run_records import ErrorSeries
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.verdict import BROKEN

@@ -19,8 +19,9 @@ from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
 from bench.core.mathematics.rotation import from_euler, multiply, rotate
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import GnssFixes, GnssObservations, ImuData, SkyView
+from bench.core.records.data import GnssFixes, GnssObservations, ImuData
 from bench.core.records.instruments import INSTRUMENTS, BaroData
+from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.io.config.log import RANGES, LogSpec, SourceSpec
 from bench.io.log_formats import find_format

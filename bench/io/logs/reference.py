@@ -11,7 +11,8 @@ import numpy as np
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.earth import difference_n, matrix_en
-from bench.core.records.data import GnssFixes, NavSolution, Reference
+from bench.core.records.data import GnssFixes, NavSolution
+from bench.core.records.run_records import Reference
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.errors.reference_errors import take_as_read
 from bench.evaluation.errors.resampling import resample

@@ -9,9 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from bench.core.mathematics.units import unit_of
-from bench.core.records.data import GnssObservations, Innovations, NavSolution, SensorTruth, Trajectory
+from bench.core.records.data import GnssObservations, Innovations, NavSolution, Trajectory
 from bench.core.records.fields import Column, columns_of
 from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.run_records import SensorTruth
 
 Layout = Mapping[str, Column]
 """Field of a record -> its columns."""

@@ -17,24 +17,26 @@ from bench.core.mathematics.arrays import FloatArray
 from bench.core.records.data import (
     AirData,
     Controls,
-    ErrorSeries,
     Events,
     GnssFixes,
     GnssObservations,
     ImuData,
     Innovations,
     NavSolution,
-    OffPath,
-    Reference,
-    Sensed,
     SensorData,
-    SensorTruth,
-    SkyView,
     Trajectory,
-    no_sensor_truth,
 )
 from bench.core.records.fields import columns_of
 from bench.core.records.instruments import INSTRUMENTS, InstrumentData
+from bench.core.records.run_records import (
+    ErrorSeries,
+    OffPath,
+    Reference,
+    Sensed,
+    SensorTruth,
+    SkyView,
+    no_sensor_truth,
+)
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import ConfigError
 from bench.core.words.renames import FORMAT

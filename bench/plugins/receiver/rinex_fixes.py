@@ -14,9 +14,10 @@ import numpy as np
 from bench.core.files import durable
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray, IntArray
-from bench.core.records.data import GnssFixes, GnssObservations, SkyView
+from bench.core.records.data import GnssFixes, GnssObservations
 from bench.core.records.findings import FindingTable, make_table
 from bench.core.records.orbit_sets import GLONASS, SYSTEM_NAMES, name_satellite
+from bench.core.records.run_records import SkyView
 from bench.core.words.exceptions import ConfigError
 from bench.evaluation.consistency.nees_band import find_band
 from bench.plugins.receiver import lost_epochs

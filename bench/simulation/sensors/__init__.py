@@ -11,8 +11,9 @@ import numpy as np
 
 from bench.core.files import disk_arrays
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import Events, InitialState, Sensed, SensorData, SensorTruth, SkyView, Trajectory
+from bench.core.records.data import Events, InitialState, SensorData, Trajectory
 from bench.core.records.instruments import INSTRUMENTS
+from bench.core.records.run_records import Sensed, SensorTruth, SkyView
 from bench.core.records.sensor_specs import SensorsSpec
 from bench.core.words.exceptions import ConfigError
 from bench.simulation.sensors import faults, gnss, imu, initial

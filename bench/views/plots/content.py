@@ -15,17 +15,15 @@ from bench.core.mathematics.units import SAME_INSTANT
 from bench.core.records.data import (
     AirData,
     Controls,
-    ErrorSeries,
     Events,
     NavSolution,
-    OffPath,
-    Sensed,
     Trajectory,
     no_air,
     no_controls,
     no_events,
 )
 from bench.core.records.findings.series import Plot, Rows, shorten
+from bench.core.records.run_records import ErrorSeries, OffPath, Sensed
 from bench.core.records.run_result import RunResult
 from bench.core.words.exceptions import NothingToShowError
 from bench.core.words.palette import Color, DrawnLook, choose_looks

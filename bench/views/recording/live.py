@@ -15,8 +15,9 @@ import rerun.blueprint as rrb
 
 from bench.core.mathematics import earth
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import NavSolution, ShowFlight, Trajectory
+from bench.core.records.data import NavSolution, Trajectory
 from bench.core.records.findings.series import ESTIMATORS, TRUTH
+from bench.core.records.run_records import ShowFlight
 from bench.core.records.specs import IN_FLIGHT
 from bench.core.words.palette import Color
 from bench.views.recording.drawing import TIMELINE

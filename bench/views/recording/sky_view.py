@@ -10,9 +10,10 @@ import rerun.blueprint as rrb
 
 from bench.core.mathematics import rotation
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import SkyView, Trajectory
+from bench.core.records.data import Trajectory
 from bench.core.records.findings.series import thin
 from bench.core.records.orbit_sets import name_satellite
+from bench.core.records.run_records import SkyView
 from bench.core.words.palette import Color
 from bench.views.plots.content import Content
 from bench.views.plots.tabs.satellites import USED, find_epochs

@@ -21,9 +21,8 @@ from bench.core.words.wording import format_number
 from bench.evaluation.ensembles.ensemble import CONFIDENCE
 from bench.evaluation.metrics.metric_words import find_words, name_metric
 from bench.evaluation.metrics.run_metrics import find_metric
-from bench.experiments.campaigns.outcome import POOLED, RATIO, Outcome, tabulate
+from bench.experiments.campaigns.outcome import POOLED, RATIO, Campaign, Outcome, tabulate
 from bench.experiments.campaigns.plan import Condition
-from bench.experiments.campaigns.running import Campaign
 from bench.io import results
 from bench.views.report import page, svg
 from bench.views.report.page import CaptionedPlot

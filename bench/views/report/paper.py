@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bench.core.records.findings import StudyResult
-    from bench.experiments.campaigns.running import Campaign
+    from bench.experiments.campaigns.outcome import Campaign
     from bench.experiments.card.card_making import Card
 
 _T = TypeVar("_T")

@@ -11,8 +11,9 @@ import numpy as np
 from bench.core.mathematics.arrays import FloatArray, IntArray
 from bench.core.mathematics.earth import matrix_en, to_ecef
 from bench.core.mathematics.units import SAME_INSTANT
-from bench.core.records.data import OffPath, Trajectory
+from bench.core.records.data import Trajectory
 from bench.core.records.flight_specs import FlightSpec
+from bench.core.records.run_records import OffPath
 from bench.simulation.flight.guidance.off_track import measure_off_track
 from bench.simulation.flight.legs.landing import Approach, Flare, LandingRoll
 

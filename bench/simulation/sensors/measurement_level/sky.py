@@ -16,8 +16,9 @@ import numpy as np
 
 from bench.core.compilation.compiled import kernel
 from bench.core.mathematics.arrays import BoolArray, FloatArray, IntArray
-from bench.core.records.data import GnssFixes, GnssObservations, SkyView, Trajectory
+from bench.core.records.data import GnssFixes, GnssObservations, Trajectory
 from bench.core.records.orbit_sets import SYSTEM_NAMES
+from bench.core.records.run_records import SkyView
 from bench.core.records.sensor_specs import Fault, GnssSpec, SkySpec
 from bench.simulation.sensors import faults
 from bench.simulation.sensors.draws import SensorDraws

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray
-from bench.core.records.data import ErrorSeries
 from bench.core.records.findings.series import Plot, Rows, draw_line
+from bench.core.records.run_records import ErrorSeries
 from bench.views.plots.content import FAR, Content, Tab
 
 LEAST = 1e-3

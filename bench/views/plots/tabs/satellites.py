@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from bench.core.mathematics.arrays import FloatArray, IntArray
-from bench.core.records.data import SkyView
 from bench.core.records.findings.series import AXIS_COLORS, SLOW, Plot, Rows, Series, draw_dots, draw_line
 from bench.core.records.orbit_sets import SYSTEM_NAMES, name_satellite
+from bench.core.records.run_records import SkyView
 from bench.core.words.palette import Color
 from bench.simulation.signals import dilution
 from bench.views.plots.content import Content, Tab
