@@ -32,19 +32,19 @@ class Ship(BaseModel):
     sd: Annotated[float, AfterValidator(Limit(lambda x: x > 0, "positive"))]
     """How well it is known | or not [m]."""
     place: tuple[float, float, float] | None = None
-    """Where it is."""
+    """Where it is. Default: at the quay."""
     bare: int = 0
 
 
 def test_a_table_has_limits_defaults_and_words_of_its_keys():
     keys = guide_tables.list_keys(Ship, ["flag", "grade", "sd", "place"])
     assert list(guide_tables.write_keys("key", keys)) == [
-        "| key | default | meaning |",
-        "|---|---|---|",
-        "| `flag` | `false` | Whether it flies. |",
-        '| `grade` | `"a"` | How good it is. May be `"a"`, `"b"`. |',
-        "| `sd` | required | How well it is known \\| or not [m]. May be positive. |",
-        "| `place` |  | Where it is. May be 3 numbers. |",
+        "| key | meaning | allowed | default |",
+        "|---|---|---|---|",
+        "| `flag` | Whether it flies |  | `false` |",
+        '| `grade` | How good it is | `"a"`, `"b"` | `"a"` |',
+        "| `sd` | How well it is known \\| or not [m] | positive | required |",
+        "| `place` | Where it is | 3 numbers | at the quay |",
         "",
     ]
 
@@ -70,9 +70,9 @@ class Stone:
 
 def test_a_figure_has_its_key_and_limits_in_the_unit_of_the_file_and_no_other_unit():
     assert guide_tables.list_figures(Balloon) == [
-        ("`volume_m`", "required", "What it holds; without its basket. May be above 0."),
-        ("`leak_k`", "`0.5`", "How fast it falls. May be -1 to 2.5."),
-        ("`rise_km`", "", "How far. May be above 0."),
+        ("`volume_m`", "What it holds; without its basket", "above 0", "required"),
+        ("`leak_k`", "How fast it falls", "-1 to 2.5", "`0.5`"),
+        ("`rise_km`", "How far", "above 0", ""),
     ]
 
 

@@ -93,7 +93,7 @@ class FixOptions(GateOptions):
     """Options of the filters that weigh every fix by itself."""
 
     fix_accuracy: FixAccuracy = "auto"
-    """What the noise of a fix comes from: the datasheet, what the receiver reported with it, or the larger.
+    """Source of the noise of a fix: the datasheet, the value that the receiver reports, or the larger.
     By itself it is the larger for a receiver with `[sky]`, whose fixes get worse with its geometry, else the
     datasheet; a log whose fixes come with standard deviations takes "reported"."""
 
@@ -130,7 +130,7 @@ class IntegrityOptions(GateOptions):
     of traces (A-5.4.7); of fixes "tolerance", their distance from the INS since the last one used (A-5.4.T),
     and "velocity", their way against the velocities of the receiver, in the compiled filters only."""
     max_acceleration: Positive = 20.0
-    """What the aircraft can do between fixes, for "tolerance" [m/s^2]."""
+    """Largest acceleration of the aircraft between fixes, for "tolerance" [m/s^2]."""
     tolerance_sigmas: Positive = 5.0
     """Multiple of the standard deviation of the receiver that "tolerance" grants."""
 
@@ -159,19 +159,19 @@ class FusionOptions(IntegrityOptions, AidingOptions):
     standstill: bool = False
     """Use zero velocity and zero rate while the IMU stands still by its own account."""
     time_offset_sd: NotNegative = 0.0
-    """How well the times of fixes are known on the clock of the IMU [s]; above 0 what has to be added to them
+    """Standard deviation of the times of fixes on the clock of the IMU [s]. Above 0, the time to be added to them
     is a state, time_offset_s."""
     lever_arm_sd: NotNegative = 0.0
-    """How well each component of the antenna's place is known [m]; above 0 it is estimated."""
+    """Standard deviation of each component of the antenna position [m]; above 0 it is estimated."""
     nonholonomic: bool = False
     """A vehicle on wheels: its rear axle moves neither sideways nor up and down, but for slip and suspension;
     their angles, the mounting of the IMU and the place of the axle are states."""
     axle_b: Place = (0.0, 0.0, 0.0)
     """Middle of the rear axle as seen from the IMU: forward, right, down [m]."""
     axle_sd: Positive = 1.0
-    """How well each component of that place is known [m]."""
+    """Standard deviation of each component of that position [m]."""
     mounting_sd_deg: Positive = 3.0
-    """How far the axes of the IMU may be turned from those of the vehicle, yaw and pitch [deg]."""
+    """Standard deviation of yaw and pitch of the IMU axes in the vehicle [deg]."""
     slip_sd_deg: Positive = 0.5
     """Wandering angle between vehicle and motion, sideways by the tyres and up by the suspension [deg]."""
     slip_s: Positive = 1.0
@@ -182,9 +182,9 @@ class FusionOptions(IntegrityOptions, AidingOptions):
     alpha_deg: float = 4.0
     """Angle of attack at 1 g and the usual airspeed, from the trim of the aircraft [deg]."""
     alpha_sd_deg: Positive = 2.0
-    """How well it is known, and how well the IMU is aligned with the nose [deg]."""
+    """Standard deviation of this angle and of the alignment of the IMU with the nose [deg]."""
     gust_sd: Positive = 2.0
-    """Gusts that the wind may hold, each component [m/s]: 2 in moderate turbulence."""
+    """Standard deviation of the gusts, per component [m/s]: 2 in moderate turbulence."""
 
     @property
     def tight(self) -> bool:
@@ -262,7 +262,7 @@ class GnssOnlyOptions(FixOptions):
     acceleration: Positive = 3.0
     """Standard deviation of the acceleration along each axis [m/s^2]."""
     correlation_s: Positive = 10.0
-    """How long a manoeuvre lasts [s]."""
+    """Correlation time of a maneuver [s]."""
 
 
 class UnscentedOptions(AidingOptions):
@@ -271,7 +271,7 @@ class UnscentedOptions(AidingOptions):
     covariance_hz: Positive = 10.0
     """Rate of the steps [Hz]; a measurement or an output takes one at once."""
     spread: Annotated[float, _limited(lambda x: 0 < x <= 1, "above 0 and not above 1")] = 0.5
-    """How far the sigma points are drawn, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
+    """Distance of the sigma points, in units of sqrt(n) standard deviations; 0.5 is two of them for 16
     states."""
 
 

@@ -48,13 +48,15 @@ class Key(NamedTuple):
     """The cells of a key in a table."""
 
     names: str
-    default: str
     meaning: str
+    limits: str
+    default: str
 
 
 def make_key(names: Iterable[str], default: str, words: str, limits: str) -> Key:
-    """Return the cells of a key; ``limits`` are what it may be, if its default does not say it."""
-    return Key(code(names), default, f"{words} May be {limits}." if limits else words)
+    """Return the cells of a key; ``limits`` are its allowed values, if its type has more."""
+    meaning, _, said = words.removesuffix(".").partition(". Default: ")
+    return Key(code(names), meaning, limits, default or said)
 
 
 def code(names: Iterable[str]) -> str:
@@ -78,7 +80,7 @@ def write_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Lines:
 
 def write_keys(what: str, keys: Iterable[Key]) -> Lines:
     """Yield the table of some keys; ``what`` says whose."""
-    yield from write_table((what, "default", "meaning"), keys)
+    yield from write_table((what, "meaning", "allowed", "default"), keys)
 
 
 def find_words(kind: type, name: str, words: Mapping[str, str]) -> str:
@@ -251,10 +253,10 @@ def describe_leg_key(key: KeyEntry) -> Key:
 def write_shared_keys(of: Mapping[Key, Sequence[str]], kinds: int) -> Lines:
     """Yield a table of keys and of the kinds that have them, out of so many."""
     rows = [
-        (names, "all" if len(found) == kinds else code(found), default, meaning)
-        for (names, default, meaning), found in sorted(of.items())
+        (key.names, "all" if len(found) == kinds else code(found), *key[1:])
+        for key, found in sorted(of.items())
     ]
-    yield from write_table(("key", "of", "default", "meaning"), rows)
+    yield from write_table(("key", "of", "meaning", "allowed", "default"), rows)
 
 
 # --- datasheets -----------------------------------------------------------------------------------------

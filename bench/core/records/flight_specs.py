@@ -175,11 +175,11 @@ class Gust:
     start: float = figure("s", 0, 86400)
     """Instant at which it begins [s]."""
     rise: float = figure("s", *SECONDS, default=1.0)
-    """How long it rises [s]."""
+    """Duration of the increase [s]."""
     hold: float = figure("s", 0, 600, default=0.0)
-    """How long it holds its peak [s]."""
+    """Duration of the peak [s]."""
     fall: float = figure("s", *SECONDS, default=1.0)
-    """How long it falls [s]."""
+    """Duration of the decrease [s]."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,9 +61,9 @@ class StaticPressureSpec:
     temperature_sd: float = figure("pa_k", default=0.0)
     """Error of the pressure per kelvin of the air from 25 degC [Pa/K]."""
     isa_deviation: float = figure("k", -60, 60, default=0.0)
-    """How much warmer the air is than the standard atmosphere, at every height [K]."""
+    """Temperature of the air above the standard atmosphere, at every height [K]."""
     isa_deviation_sd: float = figure("k", 0, 20, default=0.0)
-    """Spread of that, drawn for each run [K]."""
+    """Standard deviation of this difference, per run [K]."""
     qnh_sd: float = figure("hpa", 0, 50, default=0.0)
     """Error of the altimeter setting at the start [Pa]."""
     qnh_walk: float = figure("hpa_sqrt_h", 0, 50, default=0.0)

@@ -108,7 +108,7 @@ class TriadSpec:
     dead_zone: float = triad_figure(_DRIFT, _ACCELERATION, error="dead zone", default=0.0)
     """Dead zone: what is below it reads 0 [unit/s]."""
     dead_zone_kind: str = "subtractive"
-    """What is above the dead zone is less by it ("subtractive") or unchanged ("hard")."""
+    """Output above the dead zone: reduced by it ("subtractive") or unchanged ("hard")."""
     range: float = triad_figure(("deg_s",), ("g",), sought="range", default=0.0)
     """Range: samples beyond it are clipped and flagged [unit/s]; 0: no limit."""
     bandwidth: float = triad_figure(
@@ -116,7 +116,7 @@ class TriadSpec:
     )
     """-3 dB frequency of a second-order Butterworth filter of the motion [Hz]; 0: no filter."""
     delay: float = triad_figure(("s",), ("s",), error="bandwidth and delay", default=0.0)
-    """Delay of the motion, in addition to that of the filter [s]."""
+    """Delay of the motion, in addition to the delay of the filter [s]."""
     axes: tuple[AxisFigures, ...] = ()  # figures whose axes differ
 
     @property
@@ -151,7 +151,7 @@ class ThermalSpec:
     reference: float = figure("degc", -60, 150, default=298.15)
     """Temperature at which the temperature errors are zero [K]."""
     self_heating: float = figure("k", default=0.0)
-    """Final excess of the unit over the air [K]."""
+    """Final temperature of the sensor above the air [K]."""
     time_constant: float = figure("s", default=0.0)
     """Time constant of the warming [s]; 0: immediate."""
 
@@ -161,7 +161,7 @@ class VibrationSpec:
     """Vibration at the IMU, rms of each axis. 0 switches a source off."""
 
     engine_gyro: float = figure("deg_s", default=0.0)
-    """By the engine, at its reference speed, rms; it grows with the square of the speed [rad/s]."""
+    """Vibration by the engine at its reference speed, rms; grows with the square of the speed [rad/s]."""
     engine_accel: float = figure("mg", default=0.0)
     """The same of the accelerometers [m/s^2]."""
     engine_reference: float = figure("rpm", default=0.0)
@@ -169,7 +169,7 @@ class VibrationSpec:
     engine_order: float = figure(default=1.0)
     """Periods per revolution of the engine [1]."""
     gust_gyro: float = figure("deg_s_per_mps", default=0.0)
-    """Of the structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
+    """Vibration of the structural mode that gusts excite, per rms of the gusts [rad/s/(m/s)]."""
     gust_accel: float = figure("mg_per_mps", default=0.0)
     """The same of the accelerometers [m/s^2/(m/s)]."""
     mode_frequency: float = figure("hz", default=0.0)
@@ -242,7 +242,7 @@ class SkySpec:
     ionosphere_sd: float = figure("m", default=0.0)
     """Vertical delay that the broadcast model of the ionosphere leaves [m]."""
     ionosphere_share: float = figure("", 0, 1, default=0.0)
-    """The same as a share of the delay that the model gives, beside it [1]."""
+    """Additional error of the ionosphere model as a fraction of its delay [1]."""
     ionosphere_correlation: float = figure("s", 1e-6, 1e9, default=0.0)
     """Correlation time of both [s]."""
     ionosphere_decay: float = figure("km", 100, 1e5, default=3e6)
@@ -329,7 +329,7 @@ class GnssSpec:
     latency: float = figure("s", default=0.0)
     """Time from a fix until a filter gets it [s]."""
     pos_h_jump_sd: float = figure("m", default=0.0)
-    """Jump of the position at a fix where the satellites in use change, each horizontal axis [m]."""
+    """Jump of the position when the satellites in use change, each horizontal axis [m]."""
     pos_v_jump_sd: float = figure("m", default=0.0)
     """The same of the height [m]."""
     vel_jump_sd: float = figure("mps", default=0.0)

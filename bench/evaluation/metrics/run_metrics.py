@@ -1,7 +1,6 @@
 """Named scalars of one run, each a function of a :class:`Case` with its row in :data:`METRICS`.
 
-A metric's name ends in its unit. Every metric exists twice: ``x`` over the epochs from the end of the
-alignment window on, ``x_all`` over the whole run.
+Its name ends in its unit. Each exists twice: ``x`` after the alignment window, ``x_all`` over the whole run.
 """
 
 from __future__ import annotations

@@ -34,9 +34,9 @@ class CampaignTable(Table):
     flights: Annotated[int, Field(ge=1)] = 1
     """Flights of each condition, each with turbulence of its own."""
     seed: Annotated[int, Field(ge=0)] | None = None
-    """Seed of all; that of each profile if left out."""
+    """Seed of all conditions. Default: the seed of each profile."""
     estimators: Annotated[tuple[str, ...], ROWS, Field(min_length=1)] | None = None
-    """Filters to run; those of each profile if left out."""
+    """Filters to run. Default: the filters of each profile."""
     set_: dict[str, Any] = Field(default_factory=dict, alias="set")
     """A table: values for all conditions, by the keys of --set."""
     variant: Annotated[tuple[dict[str, Any], ...], ROWS] = ()

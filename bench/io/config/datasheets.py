@@ -64,11 +64,11 @@ class LayoutTable(Table):
     accel_cone_deg: Annotated[float, between(0, 89)] = 0.0
     """Angle between each accelerometer and the x axis, for a skewed triad; 0: along the axes."""
     accel_x_m: Place = (0.0, 0.0, 0.0)
-    """Where the x accelerometer sits: x, y, z."""
+    """Position of the x accelerometer: x, y, z."""
     accel_y_m: Place = (0.0, 0.0, 0.0)
-    """Where the y accelerometer sits."""
+    """Position of the y accelerometer."""
     accel_z_m: Place = (0.0, 0.0, 0.0)
-    """Where the z accelerometer sits."""
+    """Position of the z accelerometer."""
 
 
 _Thermal, _Vibration = make_table_type(ThermalSpec), make_table_type(VibrationSpec)

@@ -74,7 +74,7 @@ def _three(number: Any) -> Any:
 
 
 _WORDS = {
-    "sensor": "What is struck.",
+    "sensor": "Sensor with the fault.",
     "satellites": "RINEX names, such as G05 and R12.",
     "step_m": "Error from the start on; of a position north, east, down.",
     "step_deg": "Error from the start on.",
@@ -83,9 +83,9 @@ _WORDS = {
     "ramp_mps": "Growth of the error; of a position north, east, down.",
     "coherent": "Code and Doppler agree, so that the velocity follows the ramp; else it stays true.",
     "cn0_loss_db": "Loss of C/N0.",
-    "axes": "Axes of gyro or accel that freeze; all if left out.",
-    "times": "Factor on the white noise of the unit.",
-    "added_s": "Delay in addition to the delay of the unit.",
+    "axes": "Axes of gyro or accel that freeze. Default: all.",
+    "times": "Factor on the white noise of the sensor.",
+    "added_s": "Delay in addition to the latency of the sensor.",
     "share": "Share of the samples that are struck, at random.",
 }
 """Key of a fault -> what it means."""
@@ -95,7 +95,7 @@ class _FaultTable(Table):
     start_s: Annotated[float, between(0, 86400)]
     """Start of the fault."""
     duration_s: Annotated[float, between(0.005, 86400)]
-    """How long it lasts."""
+    """Duration."""
 
 
 def _make_table(kind: str, words: str, **keys: Any) -> type[_FaultTable]:

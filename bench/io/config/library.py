@@ -57,11 +57,11 @@ class AircraftTable(Table):
     """The file of an aircraft."""
 
     title: str
-    """What it is, in words."""
+    """Title."""
     category: Category = Field(alias="class")
     """Class: shape in the recording, limits of the sanity report."""
     source: str = ""
-    """Where the figures are from."""
+    """Source of the values."""
     assumed: Annotated[tuple[str, ...], ROWS] = ()
     """Tables that no source states."""
     limits: make_table_type(AircraftSpec)  # type: ignore[valid-type]

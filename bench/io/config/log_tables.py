@@ -48,13 +48,13 @@ class FileTable(Table):
     """A file, its format, its column names, and the offset of its clock."""
 
     file: str
-    """A path relative to the log."""
+    """Path, relative to the log."""
     format: _Format | None = None
-    """Format of the file; that of its ending if left out."""
+    """Format of the file. Default: the format of its ending."""
     topic: str | None = None
-    """What the file calls it: a message, a topic or a structure."""
+    """Name in the file: a message, a topic or a structure."""
     columns: _Columns = Field(default_factory=dict)
-    """A table: a column with its unit, and what the file calls it."""
+    """Columns: the name with quantity and unit, and the name in the file."""
     time_offset_s: _Clock = 0.0
     """Added to its times."""
 
@@ -65,11 +65,12 @@ class ImuTable(FileTable):
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
     """Roll, pitch, yaw of its axes relative to forward, right, down."""
     misalignment_deg: _Angles3 = (0.0, 0.0, 0.0)
-    """What it is turned beyond that: roll, pitch, yaw."""
+    """Additional rotation: roll, pitch, yaw."""
     position_m: _Arm3 = (0.0, 0.0, 0.0)
-    """Where it is, from any point on board: forward, right, down."""
+    """Position from any point on board: forward, right, down."""
     vibration: bool = False
-    """Filters assume the noise from sample to sample of this record, where its datasheet has less."""
+    """Whether filters assume the noise from sample to sample of this record, if it is larger than on the
+    datasheet."""
 
 
 class GnssTable(FileTable):
@@ -79,19 +80,19 @@ class GnssTable(FileTable):
     """
 
     file: str = ""
-    """A path relative to the log; left out with observations."""
+    """Path, relative to the log; left out with observations."""
     observations: Annotated[tuple[str, ...], ROWS] = ()
     """RINEX or UBX files of its ranges, a list of paths, in place of a file. Their times are in GPS time,
     seconds since 1980-01-06."""
     navigation: Annotated[tuple[str, ...], ROWS] = ()
-    """With observations: RINEX navigation files."""
+    """RINEX navigation files, with ``observations``."""
 
     position_m: _Arm3 = (0.0, 0.0, 0.0)
-    """Where the antenna is, from the same point."""
+    """Position of the antenna from the same point."""
     velocity_offset_s: _Shift = 0.0
     """Time from a fix to its velocity."""
     quality: Annotated[tuple[int, ...], ROWS] = ()
-    """Classes of the fixes that count; all if left out."""
+    """Classes of the fixes that count. Default: all."""
     quality_sd_m: dict[str, Annotated[float, between(1e-4, 1e4)]] = Field(default_factory=dict)
     """A table: class of a fix, and its standard deviation."""
 
@@ -108,7 +109,7 @@ class RadarTable(FileTable):
     """The range finder that looks down."""
 
     ground_alt_m: Annotated[float, between(-1000, 10000)] | None = None
-    """Ellipsoidal height of the ground below it; by its first reading and the first fix if left out."""
+    """Ellipsoidal height of the ground below it. Default: by its first reading and the first fix."""
 
 
 class ReferenceTable(FileTable):
@@ -117,20 +118,20 @@ class ReferenceTable(FileTable):
     position_m: _Arm3 = (0.0, 0.0, 0.0)
     """The point whose motion it gives, from the same point as the IMU."""
     mounting_deg: _Angles3 = (0.0, 0.0, 0.0)
-    """Roll, pitch, yaw of its axes in those of the vehicle."""
+    """Roll, pitch, yaw of the sensor axes in the vehicle."""
     quality: Annotated[tuple[int, ...], ROWS] = ()
-    """Classes of the rows that count; all if left out."""
+    """Classes of the rows that count. Default: all."""
 
 
 class _AssumedTable(Table):
     imu: str
-    """Datasheet that the filters believe of the IMU."""
+    """Datasheet of the IMU that the filters assume."""
     gnss: str | None = None
-    """That of the GNSS receiver; needed if there is one."""
+    """Datasheet of the GNSS receiver; required with [gnss]."""
 
 
 _ASSUMED: dict[str, Any] = {
-    name: (str | None, Field(None, description=f"That of the {row.title}; needed if there is one."))
+    name: (str | None, Field(None, description=f"Datasheet of the {row.title}; required with [{name}]."))
     for name, row in INSTRUMENTS.items()
 }
 LogAssumedTable: Any = create_model("LogAssumedTable", __base__=_AssumedTable, **_ASSUMED)
@@ -151,14 +152,14 @@ class LogAlignmentTable(Table):
     """
 
     kind: Literal["given", "level", "hover", "course"] = "course"
-    """What the filters are told of the start."""
+    """Kind of the initial state that the filters get."""
     heading: Literal["magnetometer", "autopilot"] | None = None
-    """With "level" or "hover": whence the heading is. If left out it is unknown, and motion finds it."""
+    """Source of the heading, for "level" and "hover". Default: none; motion finds the heading."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
-    """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10;
-    with "hover" that of steady flight, 4."""
+    """Longest standstill used, for "level" (default 60); length of the track, for "course" (10), or of
+    steady flight, for "hover" (4)."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
-    """With "course" the standard deviation of the angle from course to heading, 2 if left out."""
+    """Standard deviation of the angle from course to heading, for "course". Default: 2."""
     at_s: Annotated[float, between(0, 86400)] = 0.0
     """Earliest start, since the first row of the IMU."""
     roll_deg: _Angle | None = None
@@ -168,9 +169,9 @@ class LogAlignmentTable(Table):
     heading_deg: _Angle | None = None
     """With "given"."""
     tilt_sd_deg: Annotated[float, between(1e-4, 30)] | None = None
-    """With "given": how well roll and pitch are known, 0.5 if left out."""
+    """Standard deviation of roll and pitch, for "given". Default: 0.5."""
     heading_sd_deg: Annotated[float, between(1e-4, 180)] | None = None
-    """How well the heading is known. If left out 2 with "given", 10 by a magnetometer or an autopilot."""
+    """Standard deviation of the heading. Default: 2 with "given", 10 with a magnetometer or an autopilot."""
 
 
 class LogEvaluationTable(EvaluationTable):
@@ -180,17 +181,17 @@ class LogEvaluationTable(EvaluationTable):
     """
 
     until_s: Annotated[float, between(0, 1e6)] | None = None
-    """Where the recording ends for filters and judge: before a crash, a shutdown; its end if left out."""
+    """End of the part that is used, for example before a crash. Default: the end of the recording."""
     withhold: Annotated[int, NOT_NEGATIVE] | None = None
-    """Of so many fixes one is kept from the filters to evaluate them; 0: none. If left out 5, or 0 beside a
-    reference."""
+    """Number N: every Nth fix is withheld from the filters and evaluates them; 0: none. Default: 5, or 0
+    with a reference."""
 
 
 class _LogHead(Table):
     title: str | None = None
-    """What it is, in words."""
+    """Title."""
     date: datetime.date | None = None
-    """Day of the recording, by which the magnetic field is known; a magnetometer needs it."""
+    """Day of the recording, for the magnetic field; required with a magnetometer."""
     imu: ImuTable
     gnss: GnssTable | None = None
 

@@ -91,7 +91,7 @@ class StartTable(RunwayTable):  # type: ignore[misc, valid-type]
     """
 
     speed_mps: Speed | None = None
-    """True airspeed; if left out, that of the nearest [[trim]] of the aircraft."""
+    """True airspeed. Default: the speed of the nearest [[trim]] of the aircraft."""
     on_ground: bool = False
     """Begin at rest: the start is the threshold of a runway."""
 
@@ -113,11 +113,11 @@ class TerrainTable(Table):
     """The ground: flat, or by a file of heights. With a runway flat ground is at the height of that."""
 
     alt_m: Altitude | None = None
-    """Height of flat ground above the WGS 84 ellipsoid; 0 if left out."""
+    """Height of flat ground above the WGS 84 ellipsoid. Default: 0."""
     file: str | None = None
     """Heights instead: an SRTM tile .hgt or an ESRI grid .asc in degrees, beside the profile or shipped."""
     geoid_m: Annotated[float, between(-120, 100)] = 0.0
-    """Height above the ellipsoid of the level that the file counts from: that of the geoid for SRTM."""
+    """Height of the zero level of the file above the ellipsoid; for SRTM the geoid height."""
 
 
 class GustTable(make_table_type(Gust)):  # type: ignore[misc]
@@ -145,17 +145,17 @@ else:
         "AssumedTable",
         __base__=Table,
         imu=(str | None, Field(None, description="The datasheet that filters assume for the IMU.")),
-        **_list_aiding("That of the"),
+        **_list_aiding("Datasheet that the filters assume of the"),
     )
     """The datasheets that the filters assume, where they differ from the sensors on board."""
     SensorsTable = create_model(
         "SensorsTable",
         __base__=Table,
-        imu=(str, Field(description="The IMU: a catalog name, or the path of a datasheet.")),
-        **_list_aiding("The"),
+        imu=(str, Field(description="Catalog name or datasheet of the IMU.")),
+        **_list_aiding("Catalog name or datasheet of the"),
         qnh_hpa=(
             Annotated[float, between(850, 1100)] | None,
-            Field(None, description="Setting of a barometer with [physical]; standard if left out."),
+            Field(None, description="Setting of a barometer with [physical]; default: standard."),
         ),
         assumed=(AssumedTable, Field(default_factory=AssumedTable)),
     )
@@ -173,7 +173,7 @@ class OutageTable(Table):
     start_s: Annotated[float, between(0, 86400)]
     """Start of the outage."""
     duration_s: Seconds
-    """How long there are none."""
+    """Duration without fixes."""
 
 
 class InitialErrorSdTable(Table):
@@ -196,13 +196,12 @@ class AlignmentTable(Table):
     """
 
     kind: Literal["given", "level", "course"] = "given"
-    """What the filters are told of the start."""
+    """Kind of the initial state that the filters get."""
     duration_s: Annotated[float, between(1, 3600)] | None = None
-    """With "level" the longest standstill to use, 60 if left out; with "course" the length of the track, 10
-    if left out."""
+    """Longest standstill used, for "level" (default 60); length of the track, for "course" (10)."""
     drift_deg: Annotated[float, between(0, 90)] | None = None
-    """With "course" the standard deviation of the angle from course to heading, by wind and sideslip, 10 if
-    left out."""
+    """Standard deviation of the angle from course to heading by wind and sideslip, for "course". Default:
+    10."""
 
 
 class EstimatorTable(Table):
@@ -224,7 +223,7 @@ class EvaluationTable(Table):
     from_s: Annotated[float, between(0, 86400)] = 60.0
     """End of the alignment window: the metrics count from here on."""
     output_hz: Annotated[float, between(0.1, 400)] = 10.0
-    """How often a solution is asked for."""
+    """Output rate of the solution."""
 
     def window(self) -> EvaluationWindow:
         """Return what the figures count."""
@@ -243,7 +242,7 @@ class RequirementTable(Table):
     share: Annotated[float, between(0.01, 0.999)] = 0.95
     """Share of the runs of a campaign that has to keep it."""
     estimator: str | None = None
-    """Label of the only filter that has to; all, if left out."""
+    """Label of the only filter that has to. Default: all."""
 
 
 class AntennaTable(Table):
@@ -276,7 +275,7 @@ class ExperimentTable(Table):
     """The keys that all profiles share, whatever their truth is made of."""
 
     title: str | None = None
-    """What it is, in words."""
+    """Title."""
     rate_hz: Literal[100, 200, 400, 500, 1000] = 200
     """Rate of truth and IMU."""
     seed: Seed = 0
@@ -303,7 +302,7 @@ class ProfileTable(ExperimentTable):
     jsbsim_root: str | None = None
     """JSBSim root of yours that it comes from."""
     turbulence_seed: Seed | None = None
-    """Seed of the turbulence; that of the noise if left out."""
+    """Seed of the turbulence. Default: the seed of the noise."""
     start: StartTable
     runway: RunwayTable | None = None  # type: ignore[valid-type]
     wind: WindTable = Field(default_factory=WindTable)
@@ -335,20 +334,21 @@ class ScriptTable(_ExternalTable):
     script: str
     """Its name in the jsbsim wheel, or a path to an .xml."""
     jsbsim_root: str | None = None
-    """JSBSim root with its aircraft; if left out, the wheel, or the root in whose scripts an .xml lies."""
+    """JSBSim root with its aircraft. Default: the wheel, or the root in whose scripts the .xml is."""
     turbulence_seed: Seed | None = None
-    """Seed of JSBSim's random numbers if the script sets none; that of the noise if left out."""
+    """Seed of JSBSim's random numbers, if the script sets none. Default: the seed of the noise."""
     category: Category | None = Field(default=None, alias="class")
-    """Class of the aircraft: the limits that the sanity report uses; by mass and engines if left out."""
+    """Class of the aircraft: the limits that the sanity report uses. Default: by mass and engines."""
 
 
 class TrackTable(Table):
     """What a track of positions does not tell: it becomes a smooth motion of a vehicle."""
 
     vehicle: Literal["aircraft", "ground"] = "aircraft"
-    """An aircraft flies coordinated turns; a ground vehicle keeps level wheels and points where it goes."""
+    """Motion: an aircraft flies coordinated turns; a ground vehicle keeps its wheels level and points along
+    its path."""
     noise_m: Annotated[float, between(0.01, 100)] | None = None
-    """Standard deviation of a fix, north and east each; estimated if left out."""
+    """Standard deviation of a fix, north and east each. Default: estimated."""
     vertical_noise_m: Annotated[float, between(0.01, 100)] | None = None
     """The same of its height."""
     wind_from_deg: Annotated[float, between(0, 360)] = 0.0
@@ -356,11 +356,11 @@ class TrackTable(Table):
     wind_speed_mps: Annotated[float, between(0, 40)] = 0.0
     """Its speed."""
     incidence_deg: Annotated[float, between(-10, 20)] = 3.0
-    """How far the nose of an aircraft is above its path through the air."""
+    """Angle of the nose above the path through the air."""
     from_s: Annotated[float, between(0, 1e6)] = 0.0
-    """Where the piece of the track begins that is used."""
+    """Start of the part of the track that is used."""
     to_s: Annotated[float, between(1, 1e6)] | None = None
-    """Where it ends; at the end of the track if left out."""
+    """End of that part. Default: the end of the track."""
     bridge_s: Annotated[float, between(1, 600)] = 30.0
     """Longest interval between fixes that is bridged; at longer ones the track is cut."""
 

@@ -24,13 +24,13 @@ class Sheet(Table):
     """A datasheet and the sources of its figures."""
 
     title: str | None = None
-    """What the unit is, in words."""
+    """Title."""
     grade: Grade | None = Field(default=None, alias="class")
-    """Class of the unit."""
+    """Class of the sensor."""
     confidence: Confidence | None = None
     """Kind of the source."""
     source: str
-    """Where the figures are from."""
+    """Source of the values."""
     sources: dict[str, str] = Field(default_factory=dict)
     """A table: sources of single figures, by "table.key"."""
     assumed: list[str] = Field(default_factory=list)

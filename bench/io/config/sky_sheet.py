@@ -56,7 +56,7 @@ class SkyTable(make_table_type(SkySpec)):  # type: ignore[misc]
     navigation: Annotated[tuple[str, ...], ROWS] = ()
     """RINEX navigation files beside the datasheet."""
     klobuchar: _Eight | None = None
-    """Ionosphere, if not that of the navigation file; 0 for nominal satellites."""
+    """Klobuchar parameters, instead of the navigation file; 0 for nominal satellites."""
     systems: Annotated[str, AfterValidator(_check_systems)] = "both"
     """Constellations that the receiver has: gps, glonass, galileo, beidou, some of them with commas between,
     both (GPS and GLONASS) or all; auto: GPS, GLONASS or both, whichever fixes best."""

@@ -136,7 +136,9 @@ def _check_begin(leg: Leg, after: str) -> list[str]:
 
 
 Seconds = Annotated[float, Key("duration_s", "how long", *SECONDS)]
-Bank = Annotated[float, Key("bank_deg", "of the turns, as far as the aircraft goes", *BANKS, most="max_bank")]
+Bank = Annotated[
+    float, Key("bank_deg", "bank angle in turns, limited by the aircraft", *BANKS, most="max_bank")
+]
 ClimbRate = Annotated[float, Key("rate_mps", "up, as far as the aircraft goes", *CLIMBS, most="max_climb")]
 Speed = Annotated[float, Key("speed_mps", "true airspeed", *SPEEDS, least="min_speed", most="max_speed")]
 

@@ -146,7 +146,7 @@ class LandingRoll(Leg):
 
     kind = "landing-roll"
     needs, leaves = "flare", "ground"
-    hold: Annotated[float, Key("hold_s", "how long it stands at the end", *SECONDS)] = 10.0
+    hold: Annotated[float, Key("hold_s", "duration of the stop at the end", *SECONDS)] = 10.0
 
     def fly(self, cockpit: Cockpit) -> Generator[None, None, str]:
         """Lower the nose, throttle back, brake to a standstill; returns where it stands in words."""

@@ -76,8 +76,8 @@ class Configuration(Leg):
 
     kind = "configuration"
     flaps: Annotated[float, Key("flaps", "0 up to 1 full", 0, 1)] | None = None
-    gear: Annotated[Literal["up", "down"], Key("gear", "where it goes")] | None = None
-    duration: Annotated[float, Key("duration_s", "of the movement", *SECONDS)] = 5.0
+    gear: Annotated[Literal["up", "down"], Key("gear", "new position")] | None = None
+    duration: Annotated[float, Key("duration_s", "duration of the movement", *SECONDS)] = 5.0
 
     def __post_init__(self) -> None:
         if self.flaps is None and self.gear is None:

@@ -50,10 +50,10 @@ class Taxi(Leg):
 
     kind = "taxi"
     needs = leaves = "ground"
-    distance: Annotated[float, Key("distance_m", "of the whole way", 20, 5000)]
+    distance: Annotated[float, Key("distance_m", "length of the whole path", 20, 5000)]
     speed: Annotated[float, Key("speed_mps", "over ground, between the stops", 1, 15)] = 6.0
-    stops: Annotated[int, Key("stops", "how many, the last included", 1, 100)] = 1
-    stop: Annotated[float, Key("stop_s", "how long each is", *SECONDS)] = 10.0
+    stops: Annotated[int, Key("stops", "number of stops, including the last", 1, 100)] = 1
+    stop: Annotated[float, Key("stop_s", "duration of each stop", *SECONDS)] = 10.0
 
     def describe(self) -> str:
         return f"{self.distance:g} m at {self.speed:g} m/s, {self.stops} stops"

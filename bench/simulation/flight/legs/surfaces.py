@@ -46,8 +46,8 @@ class Doublet(Leg):
     amplitude: Annotated[
         float, Key("amplitude", "share of its travel, positive rolls right, pitches down, yaws left", -1, 1)
     ]
-    width: Annotated[float, Key("width_s", "of each half", 0.2, 10)]
-    count: Annotated[int, Key("count", "of doublets", 1, 1000)] = 1
+    width: Annotated[float, Key("width_s", "duration of each half", 0.2, 10)]
+    count: Annotated[int, Key("count", "number of doublets", 1, 1000)] = 1
     pause: _Pause = 8.0
 
     def describe(self) -> str:
@@ -79,7 +79,7 @@ class AileronRoll(AtSpeed):
     kind = "aileron-roll"
     any_bank = True
     aileron: Annotated[float, Key("aileron", "share of its travel, positive to the right", -1, 1)]
-    count: Annotated[int, Key("count", "of rolls, one after the other", 1, 1000)] = 1
+    count: Annotated[int, Key("count", "number of rolls, one after the other", 1, 1000)] = 1
     pitch: Annotated[float, Key("pitch_deg", "before the roll", 0, 30)] = math.radians(15.0)
     pause: _Pause = 8.0
 
@@ -128,13 +128,13 @@ class AileronRoll(AtSpeed):
 
 @dataclass(frozen=True)
 class WindUpTurn(AtSpeed):
-    """Turn ever tighter by elevator to a load factor, hold it, roll out."""
+    """Tighten a turn by elevator to a load factor, hold it, roll out."""
 
     kind = "wind-up-turn"
     bank: Annotated[float, Key("bank_deg", "20 or more, positive to the right", -85, 85)]
     load: Annotated[float, Key("load_factor", "to reach", 1.2, 9)]
-    rise: Annotated[float, Key("rise_s", "how long the load factor takes to get there", 1, 60)] = 5.0
-    hold: Annotated[float, Key("hold_s", "how long it stays", 0.1, 60)] = 2.0
+    rise: Annotated[float, Key("rise_s", "time to reach the load factor", 1, 60)] = 5.0
+    hold: Annotated[float, Key("hold_s", "duration at the load factor", 0.1, 60)] = 2.0
 
     def describe(self) -> str:
         return f"{side_of(self.bank)} to {self.load:g} g at {format_deg(abs(self.bank))} bank"

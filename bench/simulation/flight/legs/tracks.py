@@ -40,8 +40,8 @@ class Point:
 
     lat: Annotated[float, Key("lat_deg", "latitude", -90, 90)] | None = None
     lon: Annotated[float, Key("lon_deg", "longitude", -180, 180)] | None = None
-    north: Annotated[float, Key("north_m", "from the start", -100e3, 100e3)] | None = None
-    east: Annotated[float, Key("east_m", "from the start", -100e3, 100e3)] | None = None
+    north: Annotated[float, Key("north_m", "north of the start", -100e3, 100e3)] | None = None
+    east: Annotated[float, Key("east_m", "east of the start", -100e3, 100e3)] | None = None
 
     def __post_init__(self) -> None:
         absolute, local = (self.lat, self.lon), (self.north, self.east)
@@ -143,7 +143,8 @@ class Waypoints(PointToPoint):
 
 @dataclass(frozen=True)
 class TerrainFollowing(PointToPoint):
-    """Follow the tracks from point to point at a height above the ground, or more where that is too steep."""
+    """Follow the tracks from point to point at a height above the ground, or higher if the terrain is too
+    steep."""
 
     kind = "terrain-following"
     height: Annotated[float, Key("height_m", "least one above the ground, as commanded", 20, 5000)]
@@ -205,12 +206,12 @@ class Survey(AtSpeed):
     """Parallel strips from the present position, flown to and fro."""
 
     kind = "survey"
-    length: Annotated[float, Key("length_m", "of a strip", 10, 1e6)]
-    spacing: Annotated[float, Key("spacing_m", "of the strips", 1, 1e5)]
-    strips: Annotated[int, Key("strips", "how many", 1, 1000)]
+    length: Annotated[float, Key("length_m", "length of a strip", 10, 1e6)]
+    spacing: Annotated[float, Key("spacing_m", "spacing of the strips", 1, 1e5)]
+    strips: Annotated[int, Key("strips", "number of strips", 1, 1000)]
     bank: Bank
     course: _Course | None = None
-    side: Annotated[Literal["right", "left"], Key("side", "where the next strip is")] = "right"
+    side: Annotated[Literal["right", "left"], Key("side", "side of the next strip")] = "right"
 
     def describe(self) -> str:
         strips = f"{format_count(self.strips, 'strip')} of {self.length:g} m, {self.spacing:g} m apart"
@@ -254,11 +255,11 @@ class Holding(AtSpeed):
     """Racetracks over ground, whatever the wind, from a fix at the present position."""
 
     kind = "holding"
-    laps: Annotated[int, Key("laps", "how many", 1, 1000)]
+    laps: Annotated[int, Key("laps", "number of laps", 1, 1000)]
     bank: Bank
     course: _Course | None = None
-    leg_time: Annotated[float, Key("leg_s", "of the straights at the airspeed", *SECONDS)] = 60.0
-    side: Annotated[Literal["right", "left"], Key("side", "of the turns")] = "right"
+    leg_time: Annotated[float, Key("leg_s", "duration of each straight at the airspeed", *SECONDS)] = 60.0
+    side: Annotated[Literal["right", "left"], Key("side", "side of the turns")] = "right"
 
     def describe(self) -> str:
         laps = f"{format_count(self.laps, 'lap')} {self.side}, {self.leg_time:g} s straights"

@@ -34,8 +34,10 @@ class Turn(AtSpeed):
     by: Annotated[float, Key("by_deg", "change of heading, positive to the right", -3600, 3600)] | None = None
     bank: Bank | None = None
     heading: Annotated[float, Key("to_heading_deg", "heading to turn to", 0, 360)] | None = None
-    side: Annotated[Literal["right", "left", "shorter"], Key("side", "of a turn to a heading")] = "shorter"
-    rate: Annotated[float, Key("rate_deg_s", "of the heading; 3 is standard", 0.1, 90)] | None = None
+    side: Annotated[Literal["right", "left", "shorter"], Key("side", "direction of a turn to a heading")] = (
+        "shorter"
+    )
+    rate: Annotated[float, Key("rate_deg_s", "rate of the heading; 3 is standard", 0.1, 90)] | None = None
 
     def __post_init__(self) -> None:
         require_one({"by_deg": self.by, "to_heading_deg": self.heading})
@@ -101,7 +103,7 @@ class STurns(AtSpeed):
     kind = "s-turns"
     by: Annotated[float, Key("by_deg", "largest angle off the course", 1, 180)]
     bank: Bank
-    count: Annotated[int, Key("count", "of right and left together", 1, 1000)]
+    count: Annotated[int, Key("count", "number of pairs, right and left", 1, 1000)]
 
     def describe(self) -> str:
         return f"{self.count} of {format_deg(self.by)} either side, bank {format_deg(self.bank)}"
