@@ -159,7 +159,7 @@ class FusionOptions(IntegrityOptions, AidingOptions):
     standstill: bool = False
     """Use zero velocity and zero rate while the IMU stands still by its own account."""
     time_offset_sd: NotNegative = 0.0
-    """Standard deviation of the times of fixes on the clock of the IMU [s]. Above 0, the time to be added to them
+    """Standard deviation of the times of fixes on the clock of the IMU [s]. Above 0, the time to add to them
     is a state, time_offset_s."""
     lever_arm_sd: NotNegative = 0.0
     """Standard deviation of each component of the antenna position [m]; above 0 it is estimated."""
