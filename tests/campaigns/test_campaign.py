@@ -581,8 +581,8 @@ def test_progress_tells_how_fast_it_is_and_how_long_it_lasts():
 @pytest.mark.parametrize(
     ("rate", "told"),
     [
-        (Estimate(0.9, 0.8, 0.95), "x: 4 of 40 runs did not converge, 5 to 20 % of all; the first: why"),
-        (Estimate(1.0, 0.91, 1.0), "x: all 40 runs converged; the share that does not is 0 to 9 %"),
+        (Estimate(0.9, 0.8, 0.95), "x: 4 of 40 runs diverged or failed, 5 to 20 % of all; the first: why"),
+        (Estimate(1.0, 0.91, 1.0), "x: all 40 runs converged; 0 to 9 % diverge, with 95 % confidence"),
     ],
 )
 def test_an_outcome_tells_what_did_not_converge_and_whether_the_claims_hold(rate, told):

@@ -89,8 +89,8 @@ def test_the_budget_of_a_short_flight(flight):
     table = {name: np.array(values) for name, values in found.tables["budget"].columns.items()}
     for t in np.unique(table["t_s"]):
         rows = table["t_s"] == t
-        assert_allclose(table["share_percent"][rows].sum(), 100.0)
-        assert (np.diff(table["share_percent"][rows]) <= 0).all()
+        assert_allclose(table["percent"][rows].sum(), 100.0)
+        assert (np.diff(table["percent"][rows]) <= 0).all()
     assert "gyro misalignment" in table["source"]
     sides = found.tables["side_by_side"].columns
     assert set(sides["agrees"]) == {"yes"}
@@ -152,7 +152,7 @@ def test_the_ranking_and_the_worst_claim_are_said():
     assert len(budget_study.judge_claim(budget, {"10 s": 0}, "mine", 0)) == 1
     table = budget_study.tabulate_budget(budget, {"10 s": 0}, "mine").columns
     assert table["source"] == ["gyro", "noise", "small"]
-    assert_allclose(table["share_percent"], 100.0 * np.array([4.0, 1.0, 0.001]) / 5.001)
+    assert_allclose(table["percent"], 100.0 * np.array([4.0, 1.0, 0.001]) / 5.001)
     sd = np.sqrt([4.0, 1.0, 0.001])
     assert_allclose(table["height_m"], sd)
     assert_allclose(table["velocity_mps"], np.sqrt(2.0) * sd)
@@ -162,7 +162,7 @@ def test_the_ranking_and_the_worst_claim_are_said():
     axes = np.array([[1.0, 1.0, 9.0, 1, 1, 1, 1, 1, 1], [4.0, 4.0, 1.0, 1, 1, 1, 1, 1, 1]]).T[None]
     uneven = Budget(np.array([10.0]), ("gyro", "noise"), axes, axes.sum(axis=2))
     table = budget_study.tabulate_budget(uneven, {"10 s": 0}, "mine").columns
-    assert (table["source"], table["share_percent"]) == (["noise", "gyro"], pytest.approx([80.0, 20.0]))
+    assert (table["source"], table["percent"]) == (["noise", "gyro"], pytest.approx([80.0, 20.0]))
     squares = {name: axes[:, :, s] for s, name in enumerate(uneven.sources)}
     rows = budget_study.pair_variances(uneven, squares, {"10 s": 0}, 200)
     assert rows["source"][:4] == ["noise", "gyro", "gyro", "noise"], "the largest of each figure first"
@@ -317,7 +317,7 @@ def test_the_words_and_pictures_of_a_budget_by_hand():
     assert "rejected 3 scalar" in budget_study.judge_claim(made, {"10 s": 0}, "mine", 3)[1]
     table = budget_study.tabulate_budget(made, {"20 s": 1}, "mine").columns
     assert table["source"] == ["noise", "gyro"]
-    assert_allclose(table["share_percent"], [64.0, 36.0])
+    assert_allclose(table["percent"], [64.0, 36.0])
     assert_allclose(table["height_m"], [8.0, 6.0])
     plots = {one.path[1]: one for one in budget_study.plot_budget(made, "mine")}
     actual, claim = plots["height"].series

@@ -129,14 +129,14 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     assert tables["drift"]["outage_s"] == [10.0, 60.0], "90 s were not flown"
     assert_allclose(tables["drift"]["drift_m"], [10.0 * rms, 60.0 * rms])
     assert_allclose(tables["drift"]["median_m"], [25.0, 150.0])
-    assert_allclose(tables["drift"]["law_m"], [5.0, 30.0])
-    assert_allclose(tables["claims"]["error_m"], tables["drift"]["drift_m"])
-    assert_allclose(tables["claims"]["claimed_m"], [20.0, 120.0])
+    assert_allclose(tables["drift"]["predicted_m"], [5.0, 30.0])
+    assert_allclose(tables["reported"]["error_m"], tables["drift"]["drift_m"])
+    assert_allclose(tables["reported"]["reported_m"], [20.0, 120.0])
     assert_allclose(tables["axes"]["north_m"], tables["drift"]["drift_m"])
     assert_allclose(tables["axes"]["largest_m"], [40.0, 240.0])
-    assert_allclose(tables["sources"]["share_percent"], [36.0, 64.0] * 2)
+    assert_allclose(tables["sources"]["percent"], [36.0, 64.0] * 2)
     assert_allclose(
-        [tables["times"][key][0] for key in ("after_s", "law_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
+        [tables["times"][key][0] for key in ("after_s", "predicted_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
     )
     longer, first, times, made, claims = tell_drifts(
         ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0, 110.0), 5.0
@@ -172,8 +172,8 @@ def test_of_less_than_two_draws_only_the_closed_form_is_told(good):
     tables = {one.name: one.columns for one in outage_tables.fill_drifts(drifts, units, (10.0,), 5.0)}
     for name in ("drift_m", "low_m", "high_m"):
         assert tables["drift"][name] == [None]
-    assert tables["drift"]["law_m"] == [pytest.approx(np.hypot(1.0, 2.0))]
-    assert tables["claims"]["claimed_m"] == ([pytest.approx(2.0)] if good else [None])
+    assert tables["drift"]["predicted_m"] == [pytest.approx(np.hypot(1.0, 2.0))]
+    assert tables["reported"]["reported_m"] == ([pytest.approx(2.0)] if good else [None])
     assert tables["axes"]["north_m"] == ([pytest.approx(10.0)] if good else [None])
     assert tables["times"]["after_s"] == [None]
 
@@ -304,8 +304,8 @@ def test_47_monte_carlo_lies_in_the_band_of_the_covariance(matched):
 
     A covariance of half the size leaves the 99.9 % band.
     """
-    columns = {name: np.array(values) for name, values in matched.tables["claims"].columns.items()}
-    ratio = np.square(columns["error_m"] / columns["claimed_m"])
+    columns = {name: np.array(values) for name, values in matched.tables["reported"].columns.items()}
+    ratio = np.square(columns["error_m"] / columns["reported_m"])
     low, high = stats.chi2.ppf([0.0005, 0.9995], DRAWS) / DRAWS
     assert ((low < ratio) & (ratio < high)).all(), ratio
     assert (4.0 * ratio > high).all()

@@ -134,7 +134,7 @@ def test_what_did_not_converge_is_told_with_the_reason(draws, count):
     lost = {"converged": (*mine.converged[1:], False), "reasons": ("",) * (count - 1) + ("900 m off",)}
     other.draws["flight"].estimators["mine"] = mine.model_copy(update=lost)
     found = comparing.compare_sides(make_side("first", before, keys), other)
-    assert found.sentences[-1] == f"mine: in other 1 of {count} runs did not converge, the first: 900 m off"
+    assert found.sentences[-1] == f"mine: in other 1 of {count} runs diverged or failed, the first: 900 m off"
     notes = [row.note for row in found.verdicts if row.metric == "converged"]
     assert notes == ["lost in run 19, run 19: 900 m off"] * (count > 1)
 

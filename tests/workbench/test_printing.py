@@ -134,7 +134,7 @@ def test_the_conditions_of_a_campaign_with_lost_runs_are_told_with_the_reason():
     some = Estimate(0.5, 0.2, 0.8)
     outcomes = [Outcome(f"seed = {k}", "x", 4, some if k else ALL, {}, None, "late" * k) for k in range(9)]
     said = print_outcomes(outcomes)
-    assert "seed = 1: x: 2 of 4 runs did not converge, 20 to 80 % of all; the first: late" in said
+    assert "seed = 1: x: 2 of 4 runs diverged or failed, 20 to 80 % of all; the first: late" in said
     assert "seed = 0:" not in said
     assert "3 more conditions have such runs" in said
 

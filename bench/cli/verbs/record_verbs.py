@@ -227,7 +227,7 @@ def score_solution(solution: Path, folder: Path, *, console: Console, **options:
     score = exchanging.score_solution(solution, folder, **options)
     run, label = score.run, score.label
     console.print(f"{one_line(run.profile['title'])}: seed {run.seed}, run {run.run}, {run.evaluation}")
-    result_table.print_metrics(
+    result_table.print_screen(
         console, {**run.metrics, label: score.metrics}, {**run.solutions, label: score.solution}
     )
     instants = f"{len(score.solution)} epochs, {score.rows} rows"

@@ -59,9 +59,9 @@ class Outcome:
         rate, bad = self.converged, self.runs - self.converged_runs
         least, most = (format_number(100 * (1 - end), 2) for end in (rate.high, rate.low))
         found = [
-            f"{self.label}: all {self.runs} runs converged; the share that does not is 0 to {most} %"
+            f"{self.label}: all {self.runs} runs converged; 0 to {most} % diverge, with 95 % confidence"
             if bad == 0
-            else f"{self.label}: {bad} of {self.runs} runs did not converge, {least} to {most} % of all; "
+            else f"{self.label}: {bad} of {self.runs} runs diverged or failed, {least} to {most} % of all; "
             f"the first: {self.lost}"
         ]
         if self.consistency is not None:

@@ -148,7 +148,7 @@ def _stack(variance: FloatArray, quantity: Quantity) -> FloatArray:
 
 def tabulate_budget(budget: Budget, at: dict[str, int], label: str) -> FindingTable:
     """Return the standard deviation by source at each time, the largest first."""
-    columns: dict[str, list[Any]] = {"t_s": [], "source": [], "share_percent": []}
+    columns: dict[str, list[Any]] = {"t_s": [], "source": [], "percent": []}
     columns |= {quantity.name: [] for quantity in QUANTITIES}
     for k in at.values():
         by_source = {q.name: np.sqrt(_stack(budget.variance, q)[k]) for q in QUANTITIES}
@@ -157,10 +157,10 @@ def tabulate_budget(budget: Budget, at: dict[str, int], label: str) -> FindingTa
         for s in np.argsort(-share, kind="stable").tolist():
             columns["t_s"].append(float(budget.t[k]))
             columns["source"].append(budget.sources[s])
-            columns["share_percent"].append(float(100.0 * share[s] / whole))
+            columns["percent"].append(float(100.0 * share[s] / whole))
             for name, values in by_source.items():
                 columns[name].append(float(values[s]))
-    units = {q.name: q.unit for q in QUANTITIES} | {"t_s": "s", "share_percent": "%"}
+    units = {q.name: q.unit for q in QUANTITIES} | {"t_s": "s", "percent": "%"}
     title = f"{label}: standard deviation by source, share of the horizontal variance"
     return FindingTable("budget", title, columns, units)
 

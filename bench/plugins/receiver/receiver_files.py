@@ -64,10 +64,13 @@ PUBLIC = "bench.plugins.receiver.receiver_settings"
     help="slant over vertical delay of the troposphere",
 )
 @click.option(
-    "--pressure-hpa", type=FiniteRange(800, 1100), default=1013.25, help="at sea level, for saastamoinen"
+    "--pressure-hpa",
+    type=FiniteRange(800, 1100),
+    default=1013.25,
+    help="pressure at sea level, for saastamoinen",
 )
-@click.option("--temperature-c", type=FiniteRange(-60, 60), default=15.0, help="the same")
-@click.option("--humidity-pct", type=FiniteRange(0, 100), default=50.0, help="the same; relative")
+@click.option("--temperature-c", type=FiniteRange(-60, 60), default=15.0, help="temperature at sea level")
+@click.option("--humidity-pct", type=FiniteRange(0, 100), default=50.0, help="relative humidity at sea level")
 @click.option("--mask-deg", type=FiniteRange(0, 60), default=10.0, help="lowest elevation used")
 @click.option("--robust", is_flag=True, help="less weight for ranges with large residuals: for cities")
 @click.option(

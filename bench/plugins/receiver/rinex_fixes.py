@@ -190,7 +190,7 @@ class RinexFixes:
         return figures
 
     def judge(self) -> tuple[str, str]:
-        """Return the verdict on what the covariances claim, a word and a sentence; empty if nothing tells."""
+        """Return the verdict on the reported covariances, a word and a sentence; empty without a truth."""
         figures = self.figures()
         if "nees_3" not in figures:
             return "", ""
@@ -203,7 +203,7 @@ class RinexFixes:
             word, says = "consistent", "fit"
         beside = f" with {self.truth_sd:g} m for the reference" if self.truth_sd else ""
         return word, (
-            f"the errors {says} what the covariances claim{beside}: NEES/3 is {ratio:.2f} "
+            f"the errors {says} what the covariances report{beside}: NEES/3 is {ratio:.2f} "
             f"(1 is right; of records as long as this 95 % have {low:.2g} to {high:.2g}, "
             "as errors stay for hours)"
         )

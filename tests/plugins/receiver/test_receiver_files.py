@@ -367,7 +367,7 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     assert main(["fixes", *files, "--truth", SURVEYED, "-o", str(track)]) == 0
     said = capsys.readouterr().out
     assert "not used: QZSS" in said
-    assert "what the covariances claim: NEES/3 is" in said
+    assert "what the covariances report: NEES/3 is" in said
     against = bench.solve_rinex(*(stored_gnss_file(n) for n in SEPT), truth=track).figures()
     assert against["3d_95_m"] < 2e-3  # its own fixes
     assert main(["fixes", *files, "--truth", "91,0,0"]) == 2

@@ -56,27 +56,38 @@ def fill_drifts(
         expected = [find_time(drift.grid, values, limit) for values in known] or [None, None]
         times.append((*head, *reached, *expected))
     title = (
-        "Horizontal drift since the loss: RMS with its 95 % interval, median and 95 % of runs, closed form"
+        "Horizontal drift since the start of the outage: RMS with its 95 % interval, median, 95 % of runs; "
+        "predicted"
     )
-    drift_names = ("unit", "phase", "outage_s", "drift_m", "low_m", "high_m", "median_m", "p95_m", "law_m")
+    drift_names = (
+        "unit",
+        "phase",
+        "outage_s",
+        "drift_m",
+        "low_m",
+        "high_m",
+        "median_m",
+        "p95_m",
+        "predicted_m",
+    )
     return (
         make_table("drift", title, drift_names, rows),
         make_table(
             "times",
-            f"Time until the drift is {limit:g} m RMS, 95 % interval; by the closed form, by the covariance",
-            ("unit", "phase", "after_s", "low_s", "high_s", "law_s", "claimed_s"),
+            f"Time until the drift is {limit:g} m RMS, 95 % interval; predicted, reported",
+            ("unit", "phase", "after_s", "low_s", "high_s", "predicted_s", "reported_s"),
             times,
         ),
         make_table(
             "sources",
-            "The closed form by source: a calibrated unit, and the velocity error that the receiver leaves",
-            ("unit", "phase", "outage_s", "source", "rms_m", "share_percent"),
+            "Predicted drift by source: a calibrated IMU, and the velocity error that the receiver leaves",
+            ("unit", "phase", "outage_s", "source", "rms_m", "percent"),
             sources,
         ),
         make_table(
-            "claims",
-            "Horizontal error: RMS with its 95 % interval, as reported",
-            ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "claimed_m"),
+            "reported",
+            "Horizontal error: RMS with its 95 % interval, and reported sigma",
+            ("unit", "phase", "outage_s", "error_m", "low_m", "high_m", "reported_m"),
             claims,
         ),
         make_table(

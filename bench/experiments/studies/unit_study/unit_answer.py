@@ -206,7 +206,7 @@ def fill_tables(
             )  # fmt: skip
     names = (
         *("unit", "profile", "estimator", "class", "verdict", "rms", "low", "high", "gaps_zero"),
-        *("margin", "lost", "runs", f"law_{law_s:g}_s_m"),
+        *("margin", "lost", "runs", f"predicted_{law_s:g}_s_m"),
     )
     metrics = ", ".join(dict.fromkeys(one.what for one in answers))
     title = (
