@@ -276,7 +276,10 @@ def _describe_lost(values: EstimatorValues) -> str:
     lost = [k for k, good in enumerate(values.converged) if not good]
     if not lost:
         return ""
-    return f"{len(lost)} of {len(values.converged)} runs diverged or failed, the first: {values.reasons[lost[0]]}"
+    return (
+        f"{len(lost)} of {len(values.converged)} runs diverged or failed, "
+        f"the first: {values.reasons[lost[0]]}"
+    )
 
 
 def _match(first: Side, other: Side, one: str, two: str) -> tuple[Baseline, Baseline, dict[str, str]]:
