@@ -665,6 +665,7 @@ MAKE_NO_TRUTH = {
     "bench.core.compilation.inner_numba": "makes machine code of functions that are listed",
     "bench.core.records.instruments": "of the sensors",
     "bench.core.records.orbit_sets": "of the receivers",
+    "bench.core.records.run_records": "of the sensors and the filters",
     "bench.core.records.sensor_specs": "of the sensors",
     "bench.core.files.places": "where files lie",
     "bench.core.files.scratch": "folders for a while",

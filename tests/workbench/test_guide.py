@@ -170,21 +170,27 @@ def test_every_block_of_a_page_runs_in_its_order(page, figure_eight, tmp_path, m
         Path(name).write_bytes(gzip.decompress((GNSS / packed).read_bytes()))
     names: dict[str, Any] = {"__name__": page}
     outputs: list[str] = []
+    shown: str | None = None  # by the block before
+    end = 0
     for block in blocks(ALL[page]):
         where = f"{ALL[page].name}:{block.line}"
         if block.name:
             Path(block.name).write_text(block.text)
         if block.kind == "sh":
+            shown = ""
             for words, status in command_lines(block):
                 if words == FIRST:
                     outputs.append(first)
+                    shown = f"{shown or ''}{first}"
                     continue
                 if words[:2] == ["bench", "run"] and page not in (CAUSES, *TUTORIALS):
                     words.append("--no-causes")
-                obey(words, where, capfd, status, every=page in TUTORIALS)
+                ran = obey(words, where, capfd, status, every=page in TUTORIALS)
                 outputs.append(capfd.readouterr().out)
+                shown = f"{shown}{outputs[-1]}" if ran and shown is not None else None
         elif block.kind == "python" and not block.name:
             exec(compile(block.text, where, "exec"), names)
+            shown = capfd.readouterr().out
         elif block.kind == "toml":
             tables = tomllib.loads(block.text)
             if not block.name:
@@ -194,8 +200,13 @@ def test_every_block_of_a_page_runs_in_its_order(page, figure_eight, tmp_path, m
                 read_profile("figure-eight", {"sensors.imu": str(tmp_path / block.name)})
         elif block.kind == "text" and outputs and page in TUTORIALS:
             compare_output(ALL[page], block, outputs[-1])
+        elif block.kind == "text" and shown and block.line == end + 1:
+            missing = find_missing(block.text, shown)
+            assert missing == "", f"{where}: nothing prints {missing!r}, but:\n{shown}"
+            shown = None
         else:
             assert block.kind == "text" or block.name, f"{where}: a block of {block.kind!r} is not run"
+        end = block.line + block.text.count("\n") + 2
 
 
 def compare_output(page: Path, block: Block, printed: str) -> None:
@@ -243,6 +254,26 @@ def is_same_output(shown: str, printed: str) -> bool:
     return len(first) == len(second) and all(map(alike, first, second))
 
 
+def find_missing(shown: str, printed: str) -> str:
+    """Return the first line of a shortened output that is not printed after the one before; empty if none."""
+    rest = iter(printed.splitlines())
+    return next(
+        (
+            one
+            for one in shown.splitlines()
+            if one.strip(" .") and not any(is_same_output(one, other) for other in rest)
+        ),
+        "",
+    )
+
+
+def test_a_shortened_output_has_lines_of_the_whole_one_in_their_order():
+    printed = "a 1.00\nb 2.00\nc 3.00\n"
+    assert find_missing("a 1.00\n...\nc 3.01\n", printed) == ""
+    assert find_missing("c 3.00\na 1.00\n", printed) == "a 1.00"
+    assert find_missing("b 2.1\n", printed) == "b 2.1"
+
+
 def test_outputs_differ_by_words_and_by_more_than_a_percent():
     shown = "loose-15  13.7 m  overconfident\n\nResults  runs/a (3.0 s)\n"
     assert is_same_output(shown, shown.replace("3.0 s", "41 s").replace("13.7", "13.8"))
@@ -258,21 +289,23 @@ def check_real_log(tables: dict[str, Any]) -> None:
     assert tables == file
 
 
-def obey(words: list[str], where: str, capfd, wanted: int, *, every: bool) -> None:
-    """Run one command, or parse it if it is of those that are only parsed."""
+def obey(words: list[str], where: str, capfd, wanted: int, *, every: bool) -> bool:
+    """Run one command, or parse it if it is of those that are only parsed; return whether it ran."""
     if words[0] == "g++":
         if shutil.which("g++") is None:
             pytest.skip("no C++ compiler here")
         subprocess.run(words, check=True)
-        return
+        return True
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE), where
-        return
+        return False
     assert words[0] == "bench", f"{where}: {words[0]} is not run by this test"
     parsed(words[1:])
     if every or not is_parsed_only(words):
         status = main(words[1:])
         assert status == wanted, f"{where}: {shlex.join(words)}\n{''.join(capfd.readouterr())}"
+        return True
+    return False
 
 
 def test_the_files_that_toml_blocks_describe_are_used_by_a_command():

@@ -24,6 +24,8 @@ _WIDEST = 100  # columns of a rendered page
 _PAGES = 3  # that are named where a word is no topic
 _ENTRY = re.compile(r"^- \[(?P<topic>[a-z-]+)\]\((?:[./\w]+/)?(?P=topic)\.md\): (?P<about>.+)$", re.MULTILINE)
 _LINK = re.compile(r"\[([^]\n]+)\]\((?:[^)\s]*/)?([\w-]+)\.md\)")  # which a terminal cannot follow
+_FOLDED = 120  # columns from which on the limits and the default of a key have their own
+_KEYS = re.compile(r"(\| [^\n]*\| meaning) \| allowed \| default \|\n\|[-|]+\n((?:\|.*\n)*)")
 _COMMENT = re.compile(r"^<!--.*?-->\n", re.MULTILINE)
 
 
@@ -66,9 +68,22 @@ def show_topic(topic: str, console: Console) -> None:
     if not console.is_terminal:
         console.print(text, soft_wrap=True, end="")
         return
-    page = Markdown(_COMMENT.sub("", _LINK.sub(_name_topic, text)), code_theme="ansi_dark")
+    text = _COMMENT.sub("", _LINK.sub(_name_topic, text))
+    if console.width < _FOLDED:
+        text = _KEYS.sub(_fold_keys, text)
+    page = Markdown(text, code_theme="ansi_dark")
     with console.pager(_ColorPager(), styles=True):
         console.print(page, width=min(console.width, _WIDEST))
+
+
+def _fold_keys(table: re.Match[str]) -> str:
+    """Return a table of keys with limits and defaults behind the meaning, for a narrow screen."""
+    lines = [f"{table[1]} |", "|---" * (table[1].count("|")) + "|"]
+    for row in table[2].splitlines():
+        *cells, meaning, allowed, default = row.removeprefix("| ").removesuffix(" |").split(" | ")
+        parts = [meaning, allowed and f"({allowed})", default and f"[{default}]"]
+        lines.append(f"| {' | '.join([*cells, ' '.join(filter(None, parts))])} |")
+    return "\n".join(lines) + "\n"
 
 
 def _name_topic(link: re.Match[str]) -> str:
