@@ -179,7 +179,7 @@ def set_row(name: str, row: int, value: float):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (set_row("t_s", 101, 4.0), r"bad.parquet: row 101: t_s = 4 does not come after 4.95"),
+        (set_row("t_s", 101, 4.0), r"bad.parquet: row 101: t_s = 4 is not after 4.95"),
         (set_row("lat_deg", 7, np.nan), r"bad.parquet: row 7: lat_deg is not a finite number"),
         (set_row("lat_deg", 7, 95.0), r"bad.parquet: row 7: lat_deg = 95 is outside -90 to 90"),
         (set_row("q_nb_w", 9, 3.0), r"bad.parquet: row 9: the quaternion has the norm 3\.\d*, not 1"),

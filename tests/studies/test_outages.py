@@ -136,7 +136,7 @@ def test_tables_words_and_pictures_of_a_drift_by_hand():
     assert_allclose(tables["axes"]["largest_m"], [40.0, 240.0])
     assert_allclose(tables["sources"]["percent"], [36.0, 64.0] * 2)
     assert_allclose(
-        [tables["times"][key][0] for key in ("after_s", "predicted_s", "claimed_s")], [5.0 / rms, 10.0, 2.5]
+        [tables["times"][key][0] for key in ("after_s", "predicted_s", "reported_s")], [5.0 / rms, 10.0, 2.5]
     )
     longer, first, times, made, claims = tell_drifts(
         ["my/own.toml"], "mine", drifts, {"straight": []}, (10.0, 60.0, 110.0), 5.0

@@ -14,6 +14,7 @@ from bench.core.mathematics.units import ENDINGS, STANDARD_GRAVITY, split_unit
 from bench.core.words.exceptions import ConfigError
 from bench.io.logs import formats
 from bench.io.logs.exporter_names import make_plain, match_exporter
+from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.formats.navego_structures import list_sensors
 from bench.io.logs.rows import BARO, GNSS, IMU, MOST_ROWS
 from bench.io.logs.table_files import list_columns, read_columns
@@ -203,6 +204,8 @@ def find_tables(path: Path) -> dict[str, FoundSensor]:
             best = min(matches, key=lambda match: match.turns)
             found[kind] = best._replace(form="table") if best.path.suffix.lower() in _TEXTS else best
     if missing := [kind for kind in ("imu", "gnss") if kind not in found]:
+        if message := describe_unreadable(path):
+            raise ConfigError(message)
         there = ", ".join(list_columns(path)[:30])[:300]
         where = ""
         if missing[0] == "gnss":

@@ -21,6 +21,7 @@ from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.mathematics.units import FACTORS, split_unit
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.mat_file import Value, find_structure, get_vector, read_mat
 
 MOST_BYTES = 2_000_000_000
@@ -73,9 +74,7 @@ def check_times(t: FloatArray, name: str, shown: str) -> None:
     back = np.diff(t) <= 0
     if (k := find_first(back)) is not None:
         more = f" ({np.count_nonzero(back)} such rows)" if np.count_nonzero(back) > 1 else ""
-        raise ConfigError(
-            f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} does not come after {t[k]:.9g}{more}"
-        )
+        raise ConfigError(f"{shown}: row {k + 2}: {name} = {t[k + 1]:.9g} is not after {t[k]:.9g}{more}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +224,7 @@ def _read_header(path: Path) -> _TableHeader:
     """Return the header of a CSV file, whose columns a comma, a semicolon or a tab separates.
 
     Empty lines and comments (#, %, //) above it do not count; the last comment is the header if rows follow.
-    A line of units in brackets below it is a part of it: the names get them.
+    A line of units in brackets below it belongs to it.
     """
     lines, comment = 0, ""
     try:
@@ -236,7 +235,7 @@ def _read_header(path: Path) -> _TableHeader:
                 lines, comment = lines + 1, line.strip() or comment
             below = file.readline(_MOST_HEADER)
     except UnicodeDecodeError:
-        raise ConfigError(f"{path.name}: not a text file in UTF-8") from None
+        raise ConfigError(describe_unreadable(path, "not a text file in UTF-8")) from None
     above, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
     cells, named = _split(line, separator), _split(above, _find_separator(above))
     if comment and len(cells) == len(named) and _count_numbers(named) < 0.5 <= _count_numbers(cells):

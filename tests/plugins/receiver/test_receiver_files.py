@@ -395,7 +395,7 @@ def test_a_reference_that_is_uncertain_counts_beside_the_covariances(capsys):
         assert_allclose(band, draw_band(known.observations.t, share), rtol=0.06)
     files = [str(stored_gnss_file(name)) for name in SEPT]
     assert main(["fixes", *files, "--truth", SURVEYED, "--truth-sd", "1.5"]) == 0
-    assert "claim with 1.5 m for the reference: NEES/3 is" in " ".join(capsys.readouterr().out.split())
+    assert "report with 1.5 m for the reference: NEES/3 is" in " ".join(capsys.readouterr().out.split())
     assert main(["fixes", *files, "--truth-sd", "-1"]) == 2
     assert "--truth-sd" in capsys.readouterr().err
     for wrong in (-1.0, float("nan"), 1001.0):

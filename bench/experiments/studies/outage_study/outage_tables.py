@@ -31,6 +31,9 @@ def _rows(drift: Drift, elapsed: Sequence[float]) -> Iterator[tuple[float, int]]
             yield T, k
 
 
+_TITLE = "Horizontal drift since the start of the outage: RMS with its 95 % interval, median, 95 % of runs"
+
+
 def fill_drifts(
     drifts: Drifts, units: Mapping[str, CatalogImu], elapsed: Sequence[float], limit: float
 ) -> tuple[FindingTable, ...]:
@@ -55,10 +58,6 @@ def fill_drifts(
         known = (drift.whole_law, drift.claimed) if len(drift.good) else ()
         expected = [find_time(drift.grid, values, limit) for values in known] or [None, None]
         times.append((*head, *reached, *expected))
-    title = (
-        "Horizontal drift since the start of the outage: RMS with its 95 % interval, median, 95 % of runs; "
-        "predicted"
-    )
     drift_names = (
         "unit",
         "phase",
@@ -71,7 +70,7 @@ def fill_drifts(
         "predicted_m",
     )
     return (
-        make_table("drift", title, drift_names, rows),
+        make_table("drift", _TITLE, drift_names, rows),
         make_table(
             "times",
             f"Time until the drift is {limit:g} m RMS, 95 % interval; predicted, reported",

@@ -23,6 +23,7 @@ from bench.core.files import disk_arrays
 from bench.core.files.file_checks import check_file
 from bench.core.mathematics.arrays import FloatArray
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import describe_unreadable
 from bench.io.logs.rows import MOST_ROWS, LogRows, to_lla
 from bench.io.logs.table_files import MOST_BYTES, TableColumns
 from bench.simulation.signals.gps_time import leap_seconds
@@ -191,7 +192,7 @@ def read_lines(path: Path) -> Iterator[str]:
                 if line.strip():
                     yield line
     except UnicodeDecodeError:
-        raise ConfigError(f"{path.name}: not a text file in UTF-8") from None
+        raise ConfigError(describe_unreadable(path, "not a text file in UTF-8")) from None
     except OSError as error:
         raise ConfigError(f"{path.name}: {error.strerror or error}") from None
 

@@ -12,10 +12,12 @@ import numpy as np
 
 from bench.core.files.file_checks import check_file
 from bench.core.words.exceptions import ConfigError
+from bench.io.logs.file_kinds import HEAD, NMEA, RINEX, UBX, recognize
 from bench.plugins.receiver.rinex.compact import LONGEST, CompactText
 from bench.plugins.receiver.rinex.unpacking import UnpackingError, open_text
 from bench.simulation.signals.gps_time import gps_seconds
 
+_READ = (UBX, RINEX)  # kinds of `recognize`
 _LOOKED_AT = 65536  # characters: UBX may follow the messages of a program that recorded it
 _MOST_REASONS = 20
 MOST_BYTES = 2_000_000_000
@@ -167,6 +169,9 @@ def find_kind(path: Path, shown: str) -> str:
     with open_lines(path, shown) as lines:
         with open_text(path, shown) as file:
             first = file.read(_LOOKED_AT).encode("latin-1")
+        foreign = recognize(first[:HEAD])
+        if foreign and foreign.name not in _READ and not (foreign.name == NMEA and b"\xb5b" in first):
+            raise ConfigError(f"{shown}: is {foreign.name}; {foreign.advice}")
         if b"\xb5b" in first and not re.search(rb"RINEX VERS|^#", first[:80]):
             return "ubx"
         if first[:1] == b"#" and first[1:2].isalpha():

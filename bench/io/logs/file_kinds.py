@@ -1,0 +1,160 @@
+"""Recognize a file by its first bytes, so that a file that cannot be read is named for what it is.
+
+The signatures come from the specifications of the formats: the preambles of GNSS receivers (UBX, RTCM 3, SBF,
+OEM binary of NovAtel and Unicore), MAVLink frames after the time of a telemetry log, and the magic numbers of
+archives, documents and pictures.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+HEAD = 4096
+"""Bytes of a file that are looked at."""
+_SBET = 17  # doubles of a row
+_TO_RINEX = "convert it to RINEX, for example by convbin of RTKLIB, then: bench fixes OBS NAV"
+_UNPACK = "unpack it first"
+
+
+UBX, RINEX, NMEA = "a u-blox UBX recording", "a RINEX file", "a file of NMEA 0183 sentences"
+"""Names of the kinds that bench reads somewhere."""
+
+
+class FileKind(NamedTuple):
+    """What a file is, and what its owner can do with it."""
+
+    name: str
+    advice: str
+
+
+def _is_frame(head: bytes, starts: bytes) -> bool:
+    """Return whether a MAVLink frame begins behind the time [us, 8 bytes] of a telemetry log."""
+    return len(head) > 12 and head[8] in starts and 1e15 < int.from_bytes(head[:8], "big") < 4e15
+
+
+def _is_rtcm(head: bytes) -> bool:
+    """Return whether two RTCM 3 messages follow each other: preamble, six zero bits, length, 3 bytes CRC."""
+    at = head.find(b"\xd3")
+    for _ in range(2):
+        if at < 0 or at + 3 > len(head) or head[at] != 0xD3 or head[at + 1] & 0xFC:
+            return False
+        at += 6 + ((head[at + 1] & 3) << 8 | head[at + 2])
+    return True
+
+
+def _is_sbet(head: bytes) -> bool:
+    """Return whether two rows are plausible: time of week [s], latitude, longitude [rad], height [m]."""
+    if len(head) < 16 * _SBET:
+        return False
+    rows = struct.unpack(f"<{2 * _SBET}d", head[: 16 * _SBET])
+    if not all(math.isfinite(one) for one in rows):
+        return False
+    (t, lat, lon, alt), (later, *_) = rows[:4], rows[_SBET : _SBET + 4]
+    is_place = abs(lat) <= math.pi / 2 and abs(lon) <= math.pi and abs(alt) < 1e5
+    return bool(1.0 < t < 604800.0 and 1e-4 < later - t < 10.0 and is_place)
+
+
+def _begins(*marks: bytes) -> Callable[[bytes], bool]:
+    return lambda head: head.startswith(marks)
+
+
+def _matches(pattern: bytes) -> Callable[[bytes], bool]:
+    return lambda head: re.search(pattern, head) is not None
+
+
+KINDS: Sequence[tuple[FileKind, Callable[[bytes], bool]]] = (
+    (FileKind("a gzip archive", _UNPACK), _begins(b"\x1f\x8b")),
+    (FileKind("a ZIP archive", _UNPACK), _begins(b"PK\x03\x04")),
+    (FileKind("a 7-Zip archive", _UNPACK), _begins(b"7z\xbc\xaf\x27\x1c")),
+    (FileKind("a bzip2 archive", _UNPACK), _begins(b"BZh")),
+    (FileKind("an xz archive", _UNPACK), _begins(b"\xfd7zXZ\x00")),
+    (
+        FileKind("a PDF document", "export the data as CSV"),
+        _begins(b"%PDF"),
+    ),
+    (FileKind("a picture", "export the data as CSV"), _begins(b"\x89PNG", b"\xff\xd8\xff", b"GIF8")),
+    (
+        FileKind("a MATLAB v7.3 (HDF5) file", "save it with save(..., '-v7')"),
+        _begins(b"\x89HDF\r\n", b"MATLAB 7.3"),
+    ),
+    (
+        FileKind("a Garmin FIT file", "it has fixes but no IMU; convert it to GPX to fly its track"),
+        lambda head: head[8:12] == b".FIT",
+    ),
+    (
+        FileKind(
+            "a MAVLink telemetry log (.tlog)", "use the log on the autopilot itself: DataFlash .bin or .ulg"
+        ),
+        lambda head: _is_frame(head, b"\xfe\xfd"),
+    ),
+    (
+        FileKind("a Betaflight or iNav blackbox", "decode it to CSV by blackbox_decode"),
+        _begins(b"H Product:Blackbox"),
+    ),
+    (FileKind("a recording of RTCM 3 messages", _TO_RINEX), _is_rtcm),
+    (
+        FileKind(UBX, "bench fixes FILE NAV computes fixes from its UBX-RXM-RAWX"),
+        _matches(rb"\A.{0,200}\xb5\x62[\x01\x02\x0a\x0d\x10\x21\x27]"),
+    ),
+    (FileKind("a Septentrio SBF recording", _TO_RINEX), _begins(b"$@")),
+    (
+        FileKind("a NovAtel or Unicore binary recording", _TO_RINEX),
+        _begins(b"\xaa\x44\x12", b"\xaa\x44\x13", b"\xaa\x44\xb5"),
+    ),
+    (
+        FileKind(
+            "a NovAtel ASCII log",
+            "convert RAWIMU and BESTPOS or INSPVA to two tables with t_s, for example by NovAtel Convert",
+        ),
+        _matches(rb"(?m)^[#%](?:RAWIMU|IMU|INS|BEST|RANGE|CORRIMU)\w*A,"),
+    ),
+    (
+        FileKind(
+            "an Android GnssLogger file",
+            "its raw measurements need RINEX; convert it, for example by android_rinex",
+        ),
+        _matches(rb"(?m)^#\s*Raw,(?:ElapsedRealtimeMillis|utcTimeMillis)"),
+    ),
+    (FileKind(RINEX, "bench fixes OBS NAV computes its fixes"), _matches(rb"\A.{60}RINEX VERSION / TYPE")),
+    (
+        FileKind(NMEA, "it has fixes but no IMU; convert them to a table beside the IMU"),
+        _matches(rb"\A[^$\n]{0,80}\$(?:G[PNLAB]|BD)[A-Z]{3},"),
+    ),
+    (
+        FileKind("a GPX or KML track", 'it has no IMU; fly it: trajectory = "FILE" in a profile'),
+        _matches(rb"<(?:gpx|kml)\b"),
+    ),
+    (
+        FileKind("an SBET trajectory", "it is a solution, not an IMU; convert it to a table for [reference]"),
+        _is_sbet,
+    ),
+)
+"""Kinds in the order in which they are tried, each with what recognizes its first bytes."""
+
+
+def recognize(head: bytes) -> FileKind | None:
+    """Return the kind of a file by its first bytes; None if it is none of `KINDS`."""
+    return next((kind for kind, test in KINDS if test(head)), None)
+
+
+def describe_unreadable(path: Path, otherwise: str = "") -> str:
+    """Return the message of a file that cannot be read: what it is and what to do, or ``otherwise``.
+
+    Examples
+    --------
+    >>> describe_unreadable(Path("none.bin"), "not a text file in UTF-8")
+    'none.bin: not a text file in UTF-8'
+    """
+    try:
+        with path.open("rb") as file:
+            kind = recognize(file.read(HEAD))
+    except OSError:
+        kind = None
+    if kind is None:
+        return f"{path.name}: {otherwise}" if otherwise else ""
+    return f"{path.name}: is {kind.name}; {kind.advice}"
