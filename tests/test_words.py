@@ -85,6 +85,28 @@ def test_a_page_has_no_private_terms(page):
     assert [term for term in BANNED if page != "CONTRIBUTING" and term in prose] == []
 
 
+MOST_WORDS = 400
+"""Words of a page that shows how to do one thing."""
+
+
+def list_pages_below(heading: str) -> list[str]:
+    """Return the pages that the guide lists below a heading."""
+    text = (guide.FOLDER / "README.md").read_text(encoding="utf-8").partition(f"## {heading}\n")[2]
+    return re.findall(r"^- \[([\w-]+)\]", text.partition("\n## ")[0], re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", list_pages_below("How to"))
+def test_a_how_to_is_short(page):
+    assert count_marks(PAGES[page].read_text(encoding="utf-8"))[2] <= MOST_WORDS
+
+
+def test_the_pages_together_are_no_book():
+    """Without the equations, which are looked up; each page is listed once, below one heading."""
+    counts = {page: count_marks(path.read_text(encoding="utf-8"))[2] for page, path in PAGES.items()}
+    assert len(list_pages_below("How to")) >= 18
+    assert sum(counts.values()) - counts["equations"] <= 22_000
+
+
 @pytest.mark.parametrize("page", TUTORIALS)
 def test_each_command_of_a_tutorial_shows_its_output(page):
     text = PAGES[page].read_text(encoding="utf-8")
