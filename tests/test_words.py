@@ -1,7 +1,4 @@
-"""The pages read once: marks of hard sentences are counted on each, and private terms are absent.
-
-A page that is rewritten loses its line in `AS_IT_IS`; no count may grow.
-"""
+"""The pages and the help texts read once: few marks of hard sentences, no private terms."""
 
 from __future__ import annotations
 
@@ -35,13 +32,6 @@ BANNED = (
 )  # fmt: skip
 """Private terms without an everyday use."""
 
-AS_IT_IS: dict[str, list[int]] = {
-    "accuracy": [0, 0, 0, 1],
-    "equations": [2, 3, 0, 9],
-    "estimators": [0, 0, 0, 1],
-}
-"""Page -> its marks in the order of `MARKS`, and its long sentences, where they are above the limits."""
-
 
 def take_prose(text: str) -> str:
     """Return the prose of a page: without code, tables, formulas and headings, links as their words."""
@@ -71,12 +61,9 @@ def count_marks(text: str) -> tuple[list[int], int, int]:
 def test_a_page_has_few_marks_of_hard_sentences(page):
     counts, long, words = count_marks(PAGES[page].read_text(encoding="utf-8"))
     limits = [int(most * words / 1000.0) for _, most in MARKS.values()]
-    held = AS_IT_IS.get(page, [0] * (len(MARKS) + 1))
-    for name, count, limit, now in zip(MARKS, counts, limits, held, strict=False):
-        assert count <= max(limit, now), f"{page}: {name!r} stands {count} times, {max(limit, now)} at most"
-    assert long <= held[-1], f"{page}: {long} sentences have more than {LONGEST} words, {held[-1]} at most"
-    above = any(count > limit for count, limit in zip(counts, limits, strict=True)) or long > 0
-    assert above == (page in AS_IT_IS), f"{page}: take it out of AS_IT_IS"
+    for name, count, limit in zip(MARKS, counts, limits, strict=True):
+        assert count <= limit, f"{page}: {name!r} stands {count} times, {limit} at most"
+    assert long == 0, f"{page}: {long} sentences have more than {LONGEST} words"
 
 
 @pytest.mark.parametrize("page", PAGES)
