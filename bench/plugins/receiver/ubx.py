@@ -84,11 +84,15 @@ class _UbxRows:
         self.values = tuple(array("d") for _ in range(4))  # of two carriers: range, Doppler, C/N0, phase
         self.band, self.slipped = array("q"), array("b")  # of two carriers
         self.others: Counter[str] = Counter()
+        self.early = 0  # epochs without a time
         self._locks: dict[tuple[int, int, int], int] = {}
 
     def add(self, message: bytes) -> None:
         """Take the observations of an epoch."""
         tow, week = np.frombuffer(message, "<f8", 1)[0], int.from_bytes(message[8:10], "little")
+        if week == 0:  # a receiver that has no time yet
+            self.early += 1
+            return
         rows: dict[tuple[int, int], int] = {}
         for one in np.frombuffer(message, _FIELDS, offset=_HEAD):
             system = _SYSTEMS.get(int(one["system"]))
@@ -147,8 +151,10 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
         raise ConfigError(f"{shown}: {error}") from None
     except OSError as error:
         raise ConfigError(f"{shown}: {error.strerror or error}") from None
+    early = f"{shown}: {rows.early} epochs before the receiver had the time"
     if not rows.seconds:
-        raise ConfigError(f"{shown}: has no raw measurements (UBX-RXM-RAWX) in it")
+        text = early if rows.early else f"{shown}: has no raw measurements (UBX-RXM-RAWX) in it"
+        raise ConfigError(text)
     t = np.frombuffer(rows.seconds)
     if (np.diff(t) <= 0).any():
         raise ConfigError(f"{shown}: the times of its measurements do not increase")
@@ -170,8 +176,11 @@ def read_ubx(path: Path, shown: str | None = None) -> ObservationFile:
         approximate_e=None,
         antenna_hen=np.zeros(3),
         moving=False,
-        lost=damaged,
-        reasons=(f"{shown}: {damaged} messages with a wrong length or checksum",) if damaged else (),
+        lost=damaged + rows.early,
+        reasons=(
+            *([f"{shown}: {damaged} messages with a wrong length or checksum"] if damaged else []),
+            *([early] if rows.early else []),
+        ),
         band=np.frombuffer(rows.band, np.int64).reshape(-1, 2),
         phase=phase,
         slipped=np.frombuffer(rows.slipped, np.bool_).reshape(-1, 2),

@@ -376,6 +376,28 @@ def test_truth_and_files_in_any_order(tmp_path, capsys):
     assert "no file of observations is among them" in capsys.readouterr().err
 
 
+def test_a_navigation_file_without_a_readable_record_costs_only_itself(tmp_path):
+    """A Galileo file whose data source is neither I/NAV nor F/NAV, beside one of GPS and GLONASS."""
+    site, brdc = (tmp_path / name for name in ("site.rnx", "brdc.rnx"))
+    site.write_bytes(gzip.decompress(stored_gnss_file("ESBC00DNK_2020177_GR_360s.rnx.gz").read_bytes()))
+    brdc.write_bytes(gzip.decompress(stored_gnss_file("ESBC00DNK_2020177_GR_MN.rnx.gz").read_bytes()))
+    record = brdc.read_text().splitlines()
+    end = next(k for k, line in enumerate(record) if "END OF HEADER" in line)
+    galileo = tmp_path / "EN.rnx"
+    zero = " 0.000000000000E+00"
+    lines = ["E01 2020 06 25 09 40 00" + zero * 3, *["    " + zero * 4] * 4]
+    lines += ["    " + zero + " 3.000000000000E+00" + zero * 2, *["    " + zero * 4] * 2]
+    galileo.write_text("\n".join([*record[: end + 1], *lines]) + "\n")
+    alone = bench.solve_rinex(site, brdc)
+    beside = bench.solve_rinex(site, [brdc, galileo])
+    np.testing.assert_array_equal(beside.fixes.lla, alone.fixes.lla)
+    (note,) = set(beside.notes) - set(alone.notes)
+    assert note.startswith("left out: ")
+    assert "EN.rnx: has no ephemeris" in note
+    with pytest.raises(ConfigError, match=r"EN\.rnx: has no ephemeris"):
+        bench.solve_rinex(site, galileo)
+
+
 def test_a_reference_that_is_uncertain_counts_beside_the_covariances(capsys):
     """By hand, along the axes of each covariance; of a reference far worse than the fixes it is all."""
     known = solved(SEPT, truth=SURVEYED)

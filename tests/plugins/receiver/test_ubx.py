@@ -36,11 +36,12 @@ def test_rawx_has_the_values_that_pyubx2_reads():
     assert raw.lost == 0
 
 
-def write_rawx(path, *messages):
+def write_rawx(path, *messages, weeks=()):
     """Write messages of rows (system, satellite, signal, range [m], lock [ms]), a second apart."""
     content = b""
     for k, rows in enumerate(messages):
-        body = struct.pack("<dHbBB3x", 1000.0 + k, 2379, 18, len(rows), 0)
+        week = weeks[k] if weeks else 2379
+        body = struct.pack("<dHbBB3x", 1000.0 + k, week, 18, len(rows), 0)
         for system, sat, signal, distance, lock in rows:
             body += struct.pack(
                 "<ddf4BH6B", distance, 1e8, 9.0, system, sat, signal, 7, lock, 40, 0, 0, 0, 3, 0
@@ -66,6 +67,16 @@ def test_signals_have_their_carrier_and_cycles_counted_anew_are_told(tmp_path):
     assert_allclose(raw.pseudorange[:2], [[2.1e7, 2.2e7], [2.4e7, 2.5e7]])
     assert raw.slipped.tolist() == [[False] * 2, [True, False], [False] * 2, [True, False], [False] * 2]
     assert (raw.origin + raw.t).tolist() == [2379 * 604800 + 1000.0, 2379 * 604800 + 1001.0]
+
+
+def test_epochs_before_the_receiver_has_the_time_are_left_out(tmp_path):
+    row = [(0, 5, 0, 2.1e7, 900)]
+    raw = write_rawx(tmp_path / "cold.ubx", row, row, row, weeks=(0, 0, 2379))
+    assert raw.origin + raw.t == pytest.approx([2379 * 604800 + 1002.0])
+    assert raw.lost == 2
+    assert raw.reasons[0].endswith("2 epochs before the receiver had the time")
+    with pytest.raises(ConfigError, match=r"cold\.ubx: 1 epochs before the receiver had the time"):
+        write_rawx(tmp_path / "cold.ubx", row, weeks=(0,))
 
 
 def test_damaged_messages_are_left_out(tmp_path):

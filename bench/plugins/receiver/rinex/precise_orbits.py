@@ -215,18 +215,29 @@ def _join(system: int, step: float, files: Sequence[PreciseFile]) -> Iterator[Or
 def read_orbits(paths: Sequence[Path]) -> NavigationFile:
     """Read navigation and SP3 files; a system that has precise orbits is computed from these alone.
 
+    A navigation file in which nothing can be read is left out with a note if another one can be read.
+
     Raises
     ------
     ConfigError
-        If a file is neither of these, or nothing in it can be read.
+        If a file is neither of these, or nothing can be read in any of them.
     """
     kinds = {path: find_kind(path, str(path)) for path in paths}
-    nav = merge_navigation([read_navigation(path, str(path)) for path in paths if kinds[path] != "sp3"])
+    broadcast, wrong = list[NavigationFile](), list[ConfigError]()
+    for path in (path for path in paths if kinds[path] != "sp3"):
+        try:
+            broadcast.append(read_navigation(path, str(path)))
+        except ConfigError as error:
+            wrong.append(error)
     files = [read_precise_orbits(path, str(path)) for path in paths if kinds[path] == "sp3"]
+    if wrong and not broadcast and not files:
+        raise wrong[0]
+    notes = [f"left out: {error}" for error in wrong]
+    nav = replace(merge_navigation(broadcast), notes=tuple(notes))
     if not files:
         return nav
     tables = make_tables(files)
-    notes = [line for file in files for line in file.gaps]
+    notes += [line for file in files for line in file.gaps]
     if len(nav.glonass) == 0 and any(table.system == GLONASS for table in tables):
         notes.append("GLONASS needs a navigation file beside SP3: its channels are in no other")
     return replace(
