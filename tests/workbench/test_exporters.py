@@ -374,11 +374,65 @@ def microstrain(imu, gnss):
     )
 
 
+def microstrain_messages(imu, gnss):
+    """SensorConnect with a session above the table, a row for each message; fixes have rows of their own."""
+    session = "FILE_INFO\nListSeparator=comma\n\nSESSION_INFO\nStartTime,02/10/2017 16:13:52\n\nDATA_START\n"
+    held = hold(gnss, imu["t"])
+    new = np.diff(held["t"], prepend=-1.0) != 0
+    place = where(
+        {"lla": np.where(new[:, None], held["lla"], np.nan)}, "Lat [x8103]", "Long [x8103]", "Height [x8103]"
+    )
+    yield (
+        "sensorconnect.csv",
+        ",",
+        session,
+        (
+            {"GPS TFlags": 7 + 0 * imu["t"], "GPS Week": 1935 + 0 * imu["t"], "GPS TOW": 403_575.0 + imu["t"]}
+            | axes("{} Accel [x8004]", imu["accel"] / G, "XYZ")
+            | axes("{} Gyro [x8005]", imu["gyro"], "XYZ")
+            | place
+        ),
+    )
+
+
+def vectornav_instinct(imu, gnss):
+    """INSTINCT's export of a VectorNav: the names behind the group of the message."""
+    yield (
+        "imu.csv",
+        ",",
+        "",
+        (
+            {"Time [s]": imu["t"], "Time::TimeStartup [ns]": np.round(1e9 * imu["t"]) + 5e9}
+            | axes("IMU::UncompAccel::{} [m/s^2]", imu["accel"], "XYZ")
+            | axes("IMU::UncompGyro::{} [rad/s]", imu["gyro"], "XYZ")
+        ),
+    )
+    yield (
+        "gps.csv",
+        ",",
+        "",
+        (
+            {"TimeStartup": np.round(1e9 * gnss["t"]) + 5e9}
+            | where(gnss, "gnss1PosLat", "gnss1PosLon", "gnss1PosAlt")
+            | axes("gnss1VelNed{}", gnss["vel_n"], "XYZ")
+        ),
+    )
+
+
 STYLES = (
     *(vectornav, vectornav_increments, xsens, sbg, advanced_navigation, u_blox, ros_echo, plotjuggler),
     *(euroc, androsensor, physics_toolbox, gnss_ins_sim, bare, ulog2csv, microstrain),
+    *(microstrain_messages, vectornav_instinct),
 )
-WITH_VELOCITY = {vectornav, vectornav_increments, advanced_navigation, u_blox, gnss_ins_sim, ulog2csv}
+WITH_VELOCITY = {
+    vectornav,
+    vectornav_instinct,
+    vectornav_increments,
+    advanced_navigation,
+    u_blox,
+    gnss_ins_sim,
+    ulog2csv,
+}
 
 
 def write(folder, tables):

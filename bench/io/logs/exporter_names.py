@@ -40,11 +40,11 @@ EXPORTERS = (
     # VectorNav SDK and Sensor Explorer; ICD: TimeStartup in ns, rates in rad/s, DeltaTheta in deg
     Exporter(
         "VectorNav",
-        ("timestartup", "uncompgyrox", "angularratex", "gnss1poslat"),
+        ("(imu)?timestartup", "(imu)?uncompgyrox", "angularratex", "gnss1poslat"),
         {
-            "t_ns": ("timestartup", "timegps"),
-            **_name_axes("gyro", "uncompgyro{}", "angularrate{}", "gyro{}", unit="_rad_s"),
-            **_name_axes("accel", "uncompacc(el)?{}", "acc(el)?{}", unit="_m_s2"),
+            "t_ns": ("(time)?timestartup", "timegps"),
+            **_name_axes("gyro", "(imu)?uncompgyro{}", "angularrate{}", "gyro{}", unit="_rad_s"),
+            **_name_axes("accel", "(imu)?uncompacc(el)?{}", "acc(el)?{}", unit="_m_s2"),
             **_name_axes("dtheta", "deltatheta{}", unit="_deg"),
             **_name_axes("dvel", "deltavel{}", unit="_mps"),
             "dt_s": ("deltatime",),
@@ -80,6 +80,18 @@ EXPORTERS = (
             "lat_deg": (".*latitude",),
             "lon_deg": (".*longitude",),
             "alt_m": (".*height(above)?ellipsoid",),
+        },
+    ),
+    Exporter(
+        "MicroStrain",  # the same program, for sensors that stream by message
+        ("gpstflags",),
+        {
+            "t_s": ("gpstow",),
+            **_name_axes("gyro", "{}gyro", unit="_rad_s"),
+            **_name_axes("accel", "{}accel", unit="_g"),
+            "lat_deg": ("lat",),
+            "lon_deg": ("long",),
+            "alt_m": ("height",),
         },
     ),
     # sbgECom, sbgBasicLogger; the units stand below the names

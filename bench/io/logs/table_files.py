@@ -226,18 +226,20 @@ def _read_header(path: Path) -> _TableHeader:
     Empty lines and comments (#, %, //) above it do not count; the last comment is the header if rows follow.
     A line of units in brackets below it belongs to it.
     """
-    lines, comment = 0, ""
+    lines, comment, above = 0, "", False
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             while line := file.readline(_MOST_HEADER):
-                if line.strip() and not line.lstrip().startswith(_COMMENTS):
+                above = above or line.strip() == "FILE_INFO"  # of SensorConnect, to the line DATA_START
+                if line.strip() and not line.lstrip().startswith(_COMMENTS) and not above:
                     break
+                above = above and line.strip() != "DATA_START"
                 lines, comment = lines + 1, line.strip() or comment
             below = file.readline(_MOST_HEADER)
     except UnicodeDecodeError:
         raise ConfigError(describe_unreadable(path, "not a text file in UTF-8")) from None
-    above, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
-    cells, named = _split(line, separator), _split(above, _find_separator(above))
+    last, separator = comment.lstrip("".join(_COMMENTS)), _find_separator(line)
+    cells, named = _split(line, separator), _split(last, _find_separator(last))
     if comment and len(cells) == len(named) and _count_numbers(named) < 0.5 <= _count_numbers(cells):
         return _TableHeader(named, lines, separator)
     units = _split(below, separator)
@@ -423,16 +425,12 @@ def _choose(
         if found is None:
             if kind in optional:
                 continue
-            there = ", ".join(names[:30])[:300]
-            raise ConfigError(
-                f"{shown}: no columns for {kind}: {list_names(groups)}; there are {there or 'none'}"
-            )
+            there = ", ".join(names[:30])[:300] or "none"
+            raise ConfigError(f"{shown}: no columns for {kind}: {list_names(groups)}; there are {there}")
         for stem, dimension in found.items():
             if len(by_stem[stem]) > 1:
-                raise ConfigError(
-                    f"{shown}: {' and '.join(map(repr, by_stem[stem]))} are the same quantity. "
-                    "give one of them"
-                )
+                same = " and ".join(map(repr, by_stem[stem]))
+                raise ConfigError(f"{shown}: {same} are the same quantity. give one of them")
             unit = split_unit(by_stem[stem][0])[1]
             if unit not in UNITS[dimension]:
                 raise ConfigError(
