@@ -96,6 +96,27 @@ def test_a_recording_that_stands_is_leveled(tmp_path, capsys):
     assert "imu.toml describes it" in capsys.readouterr().out.replace("\n", "")
 
 
+def test_a_slow_vehicle_starts_in_flight_and_a_glitch_gives_no_course(tmp_path, capsys):
+    """A walk of 2 m/s whose fixes have one second of 50 m/s: neither a course nor a rest, so "hover"."""
+    rng, t = np.random.default_rng(59), np.arange(1, 6001) / 100.0
+    turn = 0.3 * np.sin(0.4 * t)  # rate about down [rad/s]
+    heading = np.cumsum(turn) / 100.0
+    gyro = np.column_stack([0 * t, 0 * t, turn]) + 1e-3 * rng.normal(size=(6000, 3))
+    accel = np.column_stack([0 * t, 2.0 * turn, -9.80 + 0 * t]) + 2e-2 * rng.normal(size=(6000, 3))
+    vel_n = 2.0 * np.column_stack([np.cos(heading), np.sin(heading), 0 * t])
+    place = np.cumsum(vel_n, axis=0) / 100.0
+    lla = drives.sensed()["gnss"]["lla"][0] + place * [1 / 6.37e6, 1 / 4.3e6, -1.0]
+    fixes = {"t": t[::20], "lla": lla[::20], "vel_n": vel_n[::20] + 0.05 * rng.normal(size=(300, 3))}
+    fixes["vel_n"][150:155] = [50.0, 0.0, 0.0]
+    drives.write_csv(tmp_path / "imu.csv", drives.imu_columns({"t": t, "gyro": gyro, "accel": accel}))
+    drives.write_csv(tmp_path / "gnss.csv", drives.gnss_columns(fixes))
+    order = ["navigate", str(tmp_path / "imu.csv"), "--no-rrd", "--no-report", "-o", str(tmp_path / "out")]
+    assert main([*order, "--outages", "none"]) in (0, 1)
+    log = tomllib.loads((tmp_path / "imu.toml").read_text())
+    assert log["alignment"]["kind"] == "hover"
+    assert "no solution before" not in capsys.readouterr().out
+
+
 STRANGE = '\n[reference]\nfile = "x"\n\x1b\x7f \U0001f6e9'
 
 

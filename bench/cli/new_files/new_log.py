@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import itertools
 import json
 import re
 from collections.abc import Iterator, Mapping
@@ -52,6 +53,7 @@ _CLOCKS = (("gnss", "velocity_offset_s", "velocity_shift_s"), ("imu", "time_offs
 _SAME_UNIT = 0.25  # how far the scale of gyros in the right unit may be off [1]
 _FASTEST = 15.0  # angular rate that no vehicle keeps for a hundredth of the time [rad/s]
 _ALIGNS = 10.0  # that an alignment takes [s]
+_LATE = 60.0  # a course that is found later is no start [s]
 _SHARE = 0.25  # of a short record that passes before it is evaluated
 
 
@@ -99,12 +101,8 @@ def new_log(name: str, *, console: Console, rates: str | None = None) -> None:
             text = found_datasheets.read_imu_sheet(found["imu"].path, found["imu"].structure)
             found["imu"] = found["imu"]._replace(sheet=_write_sheet(path, "imu", text, made))
         records, found["imu"] = _try_log(log, found, antenna, clocks, rates)
-        last = float(records.imu.t.max())
-        rest = None if _gives_a_course(records) else min(max(_SHARE * last, _ALIGNS), 60.0)
-        text = _write_log(path.stem, found, antenna, clocks, rest)
-        if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
-            text += f"\n[evaluation]\nfrom_s = {_SHARE * last if rest is None else rest + 3.0:.1f}\n"
-        durable.write(log, text)
+        text = _write_log(path.stem, found, antenna, clocks)
+        durable.write(log, text + _choose_start(log, text, records))
     except UnicodeEncodeError as error:  # a name of the disk that is not UTF-8
         wrong = one_line(error.object[error.start : error.end + 20])
         raise ConfigError(f"{path}: a log cannot name what is not UTF-8, {wrong!r}; rename it") from None
@@ -238,16 +236,44 @@ def _tell_flight(
     if start is None:
         lines += ['kind = "course"']
     else:
-        lines += [f'kind = "{start.kind}"', f"at_s = {start.at:g}", f"duration_s = {start.duration:g}"]
-        if start.heading:
-            lines.append(f'heading = "{start.heading}"  # "autopilot": as it thought')
-        lines += ["", "[evaluation]", f"from_s = {start.evaluated_from:.1f}"]
-        lines += (
-            [f"until_s = {start.until:.1f}  # it tumbles, and lies still"] if start.until is not None else []
-        )
+        lines += _write_start(start)
     lines += ["", "[[estimator]]", 'use = "loose-full"']
     lines += ["", "[[estimator]]", 'use = "autopilot"'] if held.estimate else []
     return "\n".join(lines) + "\n"
+
+
+def _write_start(start: ChosenStart) -> list[str]:
+    """Return the lines below [alignment] of a chosen start, and the table [evaluation]."""
+    lines = [f'kind = "{start.kind}"', f"at_s = {start.at:g}", f"duration_s = {start.duration:g}"]
+    if start.heading:
+        lines.append(f'heading = "{start.heading}"  # "autopilot": as it thought')
+    lines += ["", "[evaluation]", f"from_s = {start.evaluated_from:.1f}"]
+    if start.until is not None:
+        lines.append(f"until_s = {start.until:.1f}  # it tumbles, and lies still")
+    return lines
+
+
+def _choose_start(log: Path, text: str, records: LogRecords) -> str:
+    """Return [alignment] and [evaluation] of a log: the course if found early, else rest or flight."""
+    last, head = float(records.imu.t.max()), "\n[alignment]\n"
+    if not (course := _gives_a_course(records, _LATE)):
+        spec, records = _read_back(log, text)
+        moves = RecordedMotion.from_records(records.imu, records.fixes).moves
+        if moves and (start := choose_start(spec, records)) is not None:
+            return head + "\n".join(_write_start(start)) + "\n"
+        course = _gives_a_course(records)
+    if course:
+        lines, begin = (
+            'kind = "course"  # "level" if it stands for a minute before it moves?\n',
+            _SHARE * last,
+        )
+    else:
+        rest = min(max(_SHARE * last, _ALIGNS), 60.0)
+        lines = f'kind = "level"  # it does not move fast enough for a course\nduration_s = {rest:.1f}\n'
+        begin = rest + 3.0
+    if last <= 60.0 / (1.0 - _SHARE):  # the default of from_s is late in it, or after it
+        lines += f"\n[evaluation]\nfrom_s = {begin:.1f}\n"
+    return head + lines
 
 
 def _try_log(
@@ -333,11 +359,13 @@ def _settle_rates(
     return records
 
 
-def _gives_a_course(records: LogRecords) -> bool:
-    """Tell whether it moves fast enough for a course, for long enough."""
+def _gives_a_course(records: LogRecords, until: float = np.inf) -> bool:
+    """Return whether the vehicle moves fast enough for a course, for long enough, until a time [s]."""
     t, _, vel_n = RecordedMotion.from_records(records.imu, records.fixes).take_velocities()
-    moving = t[np.hypot(vel_n[:, 0], vel_n[:, 1]) > LEAST_SPEED]
-    return bool(np.ptp(moving) > _ALIGNS) if len(moving) else False
+    slow = np.flatnonzero(np.hypot(vel_n[:, 0], vel_n[:, 1]) <= LEAST_SPEED)
+    ends = np.concatenate(([-1], slow, [len(t)]))
+    runs = [(t[a + 1], t[b - 1]) for a, b in itertools.pairwise(ends) if b - a > 1]
+    return any(last - first > _ALIGNS and first + _ALIGNS < until for first, last in runs)
 
 
 def _read_back(log: Path, text: str) -> tuple[LogSpec, LogRecords]:
@@ -380,12 +408,8 @@ def _write_log(
     found: Mapping[str, FoundSensor],
     antenna: tuple[list[float], str] | None,
     clocks: Mapping[str, str],
-    rest: float | None = None,
 ) -> str:
-    """Return the text of the log; what a file cannot say is a comment that asks.
-
-    ``rest`` [s]: it does not move, and so much of it is for the alignment.
-    """
+    """Return the text of the log above [alignment]; what a file does not contain is a comment that asks."""
     lines = [f"title = {quote_toml(title)}"]
     asked = {
         "imu": [
@@ -419,9 +443,4 @@ def _write_log(
         lines += [clocks[kind]] if kind in clocks else []
     lines += ["", "[sensors.assumed]  # which units? bench list sensors"]
     lines += [f"{kind} = {quote_toml(one.sheet or _DATASHEETS[kind])}" for kind, one in found.items()]
-    lines += ["", "[alignment]"]
-    if rest is None:
-        lines += ['kind = "course"  # "level" if it stands for a minute before it moves?']
-    else:
-        lines += ['kind = "level"  # it does not move fast enough for a course', f"duration_s = {rest:.1f}"]
     return "\n".join(lines) + "\n"
