@@ -34,6 +34,12 @@ def test_every_page_is_there_and_loads_nothing_from_elsewhere(site):
             assert (path.parent / one.partition("?")[0].partition("#")[0]).exists(), f"{path.name}: {one}"
 
 
+def test_no_fence_is_shown_as_text(site):
+    for path in site.rglob("*.html"):
+        assert "```" not in path.read_text(encoding="utf-8"), path.name
+    assert ">log.toml<" in (site / "own-log.html").read_text(encoding="utf-8")
+
+
 def test_the_script_of_the_pages_asks_the_network_for_no_viewer_of_pictures(site):
     (bundle,) = (site / "assets" / "javascripts").glob("bundle.*.js")
     assert ".glightbox" not in bundle.read_text(encoding="utf-8")

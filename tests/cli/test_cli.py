@@ -221,7 +221,7 @@ def test_list_legs_says_what_each_key_may_be(capsys):
     assert status == 0
     turn = out.split("turn: Turn by an angle or to a heading")[1].split("waypoints:")[0]
     assert re.search(r"by_deg +-3600 to 3600 deg +optional +change of heading", turn)
-    assert re.search(r"side +right, left, shorter +shorter +of a turn", turn)
+    assert re.search(r"side +right, left, shorter +shorter +direction of a turn", turn)
     assert "Profiles" not in out
     (legs,) = json.loads(say(capsys, "list", "legs", "--json")[1]).values()
     (glide, aim) = next(leg for leg in legs if leg["name"] == "approach")["keys"]

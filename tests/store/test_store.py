@@ -662,6 +662,7 @@ MAKE_NO_TRUTH = {
     "bench.core.files.durable": "writes files",
     "bench.core.words.exceptions": "messages",
     "bench.core.files.file_checks": "rejects files",
+    "bench.io.logs.file_kinds": "names files that are rejected",
     "bench.core.compilation.inner_numba": "makes machine code of functions that are listed",
     "bench.core.records.instruments": "of the sensors",
     "bench.core.records.orbit_sets": "of the receivers",

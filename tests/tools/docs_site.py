@@ -57,6 +57,8 @@ scheme = "slate"
 
 _FOLDERS = re.compile(r"\]\((?:\.\./)+(?:\w+/)+(?=[\w-]+\.md\))")
 """Before a link to a page in another folder."""
+_NAMED = re.compile(r"^```(\w+) (\S+)$", re.MULTILINE)
+"""A fence with the name of a file."""
 _PLAIN = re.compile(r"(```.*?^```|``.+?``|`[^`\n]+`)|(\[+[^]\[\n]*\]+)(?![(\[])", re.DOTALL | re.MULTILINE)
 
 
@@ -115,8 +117,9 @@ def write_index() -> str:
 
 
 def _make_page(path: Path) -> str:
-    """Return a page as it stands in one folder with all others."""
-    return keep_brackets(_FOLDERS.sub("](", path.read_text(encoding="utf-8")))
+    """Return a page as it stands in one folder with all others; the name of a file is a title above it."""
+    text = _NAMED.sub(r'```\1 title="\2"', path.read_text(encoding="utf-8"))
+    return keep_brackets(_FOLDERS.sub("](", text))
 
 
 def keep_brackets(text: str) -> str:

@@ -143,8 +143,7 @@ class Waypoints(PointToPoint):
 
 @dataclass(frozen=True)
 class TerrainFollowing(PointToPoint):
-    """Follow the tracks from point to point at a height above the ground, or higher if the terrain is too
-    steep."""
+    """Follow the tracks from point to point at a height above the ground, or higher over steep terrain."""
 
     kind = "terrain-following"
     height: Annotated[float, Key("height_m", "least one above the ground, as commanded", 20, 5000)]
